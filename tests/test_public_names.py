@@ -26,7 +26,7 @@ def unnamed_parameters(function: Callable[..., Any], doc: str) -> list[str]:
             section = heading[1]
         elif section in ("Args", "Attributes") and (entry := re.match(_ENTRY, line)):
             listed.update(entry[1].replace("*", "").split(", "))
-    return [name for name in parameters if name not in listed]
+    return [name for name in parameters if name not in listed and not name.startswith("_")]
 
 
 def test_docstrings_list_all_public_parameters() -> None:

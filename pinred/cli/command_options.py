@@ -176,7 +176,7 @@ def scene_with(system: System, seed: int | None, **options: Any) -> Scene:
     Returns:
         The scene.
     """
-    from ..scene.angles import large_angles
+    from ..scene.initial_state import large_angles
     from ..scene.scene import Scene
     from ..scene.scene_options import SCENE_OPTIONS
 

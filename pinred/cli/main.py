@@ -7,11 +7,14 @@ when its command is used, so that `pinred --help` stays fast.
 from __future__ import annotations
 
 import argparse
+import codecs
 import os
 import re
 import sys
+import unicodedata
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -19,7 +22,6 @@ from ..common.errors import IntegrationError, LeftOutWarning, ModelWarning, Pinr
 from ..common.plain_names import plain
 from ..common.version import __version__
 from .interrupt import CODE, say
-from .terminal import showing_all
 
 _LONGEST = 4000  # largest number of characters of a message
 _OPTION, _NEGATIVE = re.compile(r"--[\w-]+"), re.compile(r"-(\d|\.\d|inf|nan)")
@@ -41,6 +43,15 @@ COMMANDS = {  # {command: description}
     "corpus": "try all robot descriptions in some folders",
     "bench": "measure speed and accuracy",
 }
+
+_ERRORS = "pinred-ascii"
+_ASCII = {
+    "×": "x", "·": "*", "²": "^2", "³": "^3", "−": "-", "–": "-", "—": "-", "→": "->", "…": "...",
+    "±": "+-", "≤": "<=", "≥": ">=", "≈": "~", "√": "sqrt", "∞": "inf", "°": "deg", "█": "#",
+    "ẋ": "xdot", "ẍ": "xddot", "ξ": "xi", "μ": "mu", "µ": "mu", "θ": "theta", "ω": "omega",
+    "Ω": "Omega", "π": "pi", "τ": "tau", "α": "alpha", "β": "beta", "∂": "d", "ℝ": "R",
+    "Δ": "Delta",
+}  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -134,3 +145,37 @@ def _parser(arguments: Sequence[str]) -> _Parser:
 
 if __name__ == "__main__":
     sys.exit(main())
+
+
+def nearest_ascii(character: str) -> str:
+    """Return the nearest ASCII text of a character, or an escape sequence."""
+    if character in _ASCII:
+        return _ASCII[character]
+    if "\udc80" <= character <= "\udcff":  # an undecodable byte of a file name
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    plain = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
+    return plain or character.encode("ascii", "backslashreplace").decode()
+
+
+def _replaced(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = error.object[error.start : error.end]
+    return "".join(map(nearest_ascii, text)), error.end
+
+
+@contextmanager
+def showing_all() -> Iterator[None]:
+    """Make standard output and error accept any text; unknown characters become ASCII."""
+    codecs.register_error(_ERRORS, _replaced)
+    before: list[tuple[Any, str | None]] = []
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # A replaced stream may lack it.
+            before.append((stream, stream.errors))
+            stream.reconfigure(errors=_ERRORS)
+    try:
+        yield
+    finally:
+        for stream, errors in before:
+            if not stream.closed:
+                stream.reconfigure(errors=errors)

@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.scene is None:
         raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
     from ..common.files import check_path
-    from ..scene.angles import large_angles
+    from ..scene.initial_state import large_angles
     from ..scene.toml.reader import read_scene_file
     from ..simulation.explain import explain
     from ..simulation.plan import plan_of

@@ -1,12 +1,13 @@
 """Signatures that show the options a function accepts as `**options`.
 
 Type checkers and editors use `**options: Unpack[…]`.  For `help` and `inspect.signature`, the
-decorators below derive the signature from the same dataclass.
+decorators below derive the signature and the descriptions from the same dataclass.
 """
 
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import MISSING, fields
 from inspect import Parameter
@@ -37,6 +38,7 @@ def shows_fields(kind: type, **defaults: Any) -> Callable[[F], F]:
             )
 
     def decorate(function: F) -> F:
+        _describe_options(function, kind, [option.name for option in options])
         return _set_options(function, options)
 
     return decorate
@@ -50,6 +52,20 @@ def shows_overloads(function: F) -> F:
             if parameter.kind is Parameter.KEYWORD_ONLY:
                 options.setdefault(parameter.name, parameter)
     return _set_options(function, options.values())
+
+
+def _describe_options(function: Callable[..., Any], kind: type, names: Iterable[str]) -> None:
+    """Replace the entry `options` under Args by the entries of the dataclass's Attributes."""
+    doc, attributes = function.__doc__ or "", inspect.getdoc(kind) or ""
+    entry = r"^    ((\w+): .*(?:\n {5,}.*)*)"
+    entries = {match[2]: match[1] for match in re.finditer(entry, attributes, re.MULTILINE)}
+    lines = [
+        f"        {entries[name]}".replace("\n", "\n    ") for name in names if name in entries
+    ]
+    pattern = r"^        options: .*(?:\n {9,}.*)*$"
+    if lines:
+        text = "\n".join(lines)
+        function.__doc__ = re.sub(pattern, lambda _: text, doc, count=1, flags=re.MULTILINE)
 
 
 def _set_options(function: F, options: Iterable[Parameter]) -> F:

@@ -19,7 +19,7 @@ from ..common.errors import (
 )
 from .methods.method import Method
 from .solution import Solution, checked_times
-from .stepping.run_record import (
+from .stepping.run_state import (
     AUTO,
     DIVERGED,
     DONE,
@@ -33,9 +33,9 @@ from .stepping.run_record import (
     UNDERFLOW,
     WANTED,
     Runs,
+    Y,
     new_run,
 )
-from .stepping.state_rows import Y
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError, NoConvergence, ShapeError
 from .methods.method import Method
-from .stepping.run_record import Runs, copied
+from .stepping.run_state import Runs, copied
 
 
 @dataclass(eq=False)

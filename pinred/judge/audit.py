@@ -1,7 +1,11 @@
-"""Drift of energy and momentum of a trajectory, and consistency of its fields, by Pinocchio."""
+"""Drift of energy and momentum of a trajectory, and consistency of its fields, by Pinocchio.
+
+The measurements that controllers received are checked in the same way.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +15,14 @@ from ..simulation.balances import energy_balance, momentum_balance
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
 from .reference_solution import FullState
+from .step_defects import full_states
 
 _ENERGY_ROUND_OFF = 1e-14  # relative to the kinetic and potential energies, which may cancel
 _HEIGHT_ROUND_OFF = 5e-14  # relative to the potential energy of a distant base
 _SLOPE_STEP = 1e-6  # in error units of joints; step of the difference quotients of the potential
 _LEAST = 1e-290  # [J]; energies below it are too close to the smallest floating-point numbers
+
+_MOST_CALLS = 100  # controller calls that are checked, evenly spaced
 
 
 @dataclass(frozen=True)
@@ -144,3 +151,40 @@ def relative_difference(a: Array, b: Array, least: float) -> float:
         return 0.0
     difference, scale = float(np.abs(a - b).max()), max(least, float(np.abs(b).max()))
     return difference / scale if scale > 0.0 else difference
+
+
+def measurement_error(traj: Trajectory, full: FullState) -> float:
+    """Return the largest relative error of the numbers that controllers measured; 0 without any.
+
+    Momenta may cancel. Their unit is at least the whole mass moving at the largest rate.
+    """
+    calls = traj.actions
+    if not calls:
+        return 0.0
+    indices = np.linspace(0, len(calls) - 1, min(len(calls), _MOST_CALLS)).astype(int)
+    checked = [calls[k] for k in np.unique(indices)]
+    measured = [call.seen for call in checked]
+    y = full_states(traj, full, np.array([call.t for call in checked]))
+    expected = [full.sample(state) for state in y]
+    system = traj.system
+    size = full.totals.radius_of_gyration(full.q(y[0]))
+    rates = np.concatenate([np.append(s.xi[system.group.linear :], s.xdot) for s in expected])
+    momentum = system.mass * size**2 * float(np.abs(rates).max(initial=0.0))
+    units = {"x": 1.0, "xdot": 0.0, "xi": 0.0, "mu": momentum}
+    errors = [_error(measured, expected, name, unit) for name, unit in units.items()]
+    if measured[0].base is not None:
+        bases, expected_bases = [s.base for s in measured], [s.base for s in expected]
+        units = {"pose": 1.0, "xi": 0.0, "mu": momentum, "J": momentum}
+        errors += [_error(bases, expected_bases, name, unit) for name, unit in units.items()]
+    return float(np.max(errors))
+
+
+def _error(
+    measured: Sequence[object], expected: Sequence[object], name: str, least: float
+) -> float:
+    """Return the largest relative difference of one field; `least` is its smallest unit."""
+    return relative_difference(_column(measured, name), _column(expected, name), least)
+
+
+def _column(samples: Sequence[object], name: str) -> Array:
+    return np.array([getattr(sample, name) for sample in samples])

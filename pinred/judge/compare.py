@@ -25,15 +25,8 @@ from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.progress import Progress, shown
 from ..simulation.trajectory import Trajectory
-from .audit import audit_trajectory
-from .cannot_tell import (
-    INFORMATIVE,
-    count_informative_times,
-    explain_rest,
-    explain_uninformative_times,
-)
-from .controller_measurements import measurement_error
-from .distances import FullMotion
+from .audit import audit_trajectory, measurement_error
+from .distances import FullMotion, Size
 from .equation_errors import equation_errors
 from .error_bounds import (
     DEFECT_BOUND,
@@ -44,12 +37,15 @@ from .error_bounds import (
     RESOLUTION,
     compute_error_bounds,
 )
-from .reference_solution import FINEST, FullState
+from .reference_solution import FINEST, PERTURBATION, FullState
 from .report import Report
 from .step_defects import compute_defects
 
 TIGHTER = 100.0  # ratio of the scene's tolerance to the reference's
 SAMPLES = 101  # evenly spaced times of the comparison, in addition to the report times
+
+INFORMATIVE = 0.1  # rad, or fraction of the motion's size; larger bounds carry no information
+_REST = 1e-12  # rad, or fraction of the robot's size; a motion below it tests nothing
 
 
 def compare(traj: Trajectory, *, progress: Progress | bool | None = None) -> Report:
@@ -146,3 +142,51 @@ def _time_full_run(full: FullState, y0: Array, end: float, rtol: float, atol: fl
     began = time.perf_counter()
     full.run(y0, np.array([end]), rtol, atol)
     return time.perf_counter() - began
+
+
+def count_informative_times(bounds: Array, growth: Array) -> int:
+    """Return the number of leading times at which errors can be judged.
+
+    Args:
+        bounds: Bounds on relative errors over time, (T,).
+        growth: Factors by which a small perturbation has grown, (T,).
+    Returns:
+        Number of times before a bound or the perturbation exceeds INFORMATIVE.
+    """
+    uninformative = (bounds > INFORMATIVE) | (growth * PERTURBATION > INFORMATIVE)
+    return int(np.argmax(uninformative)) if uninformative.any() else len(bounds)
+
+
+def explain_uninformative_times(
+    times: Array, count: int, bounds: Array, growth: Array
+) -> tuple[str, ...]:
+    """Return the reason why only the first times can be judged; empty if all can.
+
+    Args:
+        times: Times of the comparison, (T,) [s].
+        count: Number of times that can be judged.
+        bounds: Bounds on relative errors over time, (T,).
+        growth: Factors by which a small perturbation has grown, (T,).
+    Returns:
+        One sentence, or none.
+    """
+    if count == len(times):
+        return ()
+    cause = (
+        f"a small change of the initial state has grown {growth[-1]:.1e} times by the end"
+        if growth[-1] * PERTURBATION > INFORMATIVE
+        else f"errors up to {bounds[-1]:.1e} would pass by the end"
+    )
+    return (
+        f"errors of the motion can be judged until t = {times[max(count - 1, 0)]:g} s only: "
+        f"{cause}; compare a shorter motion, or a tighter tolerance",
+    )
+
+
+def explain_rest(reference: FullMotion, size: Size) -> tuple[str, ...]:
+    """Return the reason why a system at rest cannot be judged; empty if it moves."""
+    configurations = np.abs(reference.q - reference.q[0]).max(initial=0.0)
+    joints = (np.abs(reference.x - reference.x[0]) / size.joints).max(initial=0.0)
+    if max(float(configurations) / max(size.position, 1.0), float(joints)) > _REST:
+        return ()
+    return ("nothing moves, so the equations are not tested: give rates, a twist or forces",)

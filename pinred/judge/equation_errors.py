@@ -24,8 +24,8 @@ from ..simulation.accelerations import accelerations
 from ..simulation.trajectory import Trajectory
 from ..system.scale import moved_masses
 from ..system.system import System
-from .gravity_loads import gravity_load_sizes
 from .reference_solution import SPREAD_MARGIN, FullState
+from .system_totals import gravity_load_sizes
 
 WORLD, BODIES = pin.Convention.WORLD, pin.Convention.LOCAL  # axes for the evaluation of ABA
 _CANCELLED = 1e-5  # fraction of the inertial forces on moved bodies that is added to the unit

@@ -17,8 +17,8 @@ from ..forces.acting import BaseInSpace, ForceInputs
 from ..kernels.loads_by_pinocchio import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
+from ..simulation.plan import stops_of
 from ..simulation.sample import Sample
-from ..simulation.stops import stops_of
 from ..system.joints import joint_units
 from ..system.system import System
 from .coupling_constraints import CouplingConstraints

@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..reduction.tree.limbs import Lanes, Mark
+from ..reduction.tree.identical_branches import Lanes, Mark
 from ..reduction.tree.scalars import Scalar, add, mul
 
 

@@ -7,7 +7,7 @@ import struct
 from dataclasses import asdict, replace
 
 from ..forces.force_model import ForceModel
-from ..reduction.tree.limbs import Lanes
+from ..reduction.tree.identical_branches import Lanes
 from ..system.system import System
 from .fingerprint import model_bytes
 from .kernel import Kernel

@@ -26,7 +26,7 @@ from ..integrators.stepping.kernel_call import (
     from_lanes,
     to_lanes,
 )
-from ..reduction.tree.limbs import Lanes
+from ..reduction.tree.identical_branches import Lanes
 from .adjoint_lanes import adjoint_in_lanes
 from .derived_code import derived_code
 from .kernel import Kernel

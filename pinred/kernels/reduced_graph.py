@@ -24,7 +24,7 @@ from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import total_mass, with_free
-from ..reduction.tree.limbs import Lanes
+from ..reduction.tree.identical_branches import Lanes
 from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
 from ..system.system import System

@@ -20,9 +20,8 @@ from ..system.model_parameters import ModelParameters
 from ..system.system import checked_system
 from ..system.variants import nominal
 from . import input_formats
-from .angles import refuse_vague
 from .event import Event, list_events, watched_of
-from .initial_state import GivenStates, Start, start_of
+from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .option_checks import (
     check_keyframe,
     check_seed,

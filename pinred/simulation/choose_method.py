@@ -15,7 +15,7 @@ from ..common.arrays import Array
 from ..integrators.methods import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.coupled_groups import Groups
-from ..reduction.tree.limbs import Lanes, links_of
+from ..reduction.tree.identical_branches import Lanes, links_of
 from ..scene.scene import Scene
 from ..system.system import System
 from .stiffness import rates_near_rest

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..reduction.potential import falling
-from ..scene.angles import large_angles
+from ..scene.initial_state import large_angles
 from .compiled.compiled_flow import has_no_momentum
 from .plan import Plan
 

@@ -1,11 +1,22 @@
-"""OverTime: the interface of motions whose states are known at report times."""
+"""OverTime: states at report times, also as an xarray.Dataset or a pandas.DataFrame."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from importlib import import_module
 from typing import Any
 
-from ..system.state_fields import State, StateArrays, with_base
+import numpy as np
+
+from ..common.errors import MissingPackageError
+from ..system.state_fields import (
+    FIELDS,
+    State,
+    StateArrays,
+    arrays_of,
+    axis_labels,
+    with_base,
+)
 from ..system.system import System
 
 
@@ -36,9 +47,23 @@ class OverTime(StateArrays):
         Raises:
             MissingPackageError: xarray is not installed.
         """
-        from .labelled import dataset
-
-        return dataset(self.outputs, self.system)
+        outputs, system = self.outputs, self.system
+        xarray = _import_package("xarray")
+        labels = axis_labels(system)
+        variables: dict[str, Any] = {}
+        coordinates: dict[str, Any] = {"t": outputs.t}
+        leading: tuple[str, ...] = ("t",)
+        if outputs.x.ndim == 3:
+            leading, coordinates["member"] = ("member", "t"), np.arange(len(outputs.x))
+        for name, values in arrays_of(outputs).items():
+            axis = FIELDS[name].axis
+            if name == "t":
+                continue
+            variables[name] = ((*leading, axis) if axis else leading, values)
+            if axis:
+                coordinates[axis] = list(labels[axis])
+        attributes = {"robot": system.name, "group": system.group.name}
+        return xarray.Dataset(variables, coordinates, attributes)
 
     def to_pandas(self) -> Any:
         """Return the states as a pandas.DataFrame with columns such as "x.elbow".
@@ -50,6 +75,28 @@ class OverTime(StateArrays):
         Raises:
             MissingPackageError: pandas is not installed.
         """
-        from .labelled import frame
+        outputs = self.outputs
+        pandas = _import_package("pandas")
+        labels, columns = axis_labels(self.system), {}
+        for name, values in arrays_of(outputs).items():
+            axis = FIELDS[name].axis
+            if axis:
+                for k, label in enumerate(labels[axis]):
+                    columns[f"{name}.{label}"] = np.ravel(values[..., k])
+            elif name != "t":
+                columns[name] = np.ravel(values)
+        index = pandas.Index(outputs.t, name="t")
+        if outputs.x.ndim == 3:
+            index = pandas.MultiIndex.from_product(
+                [range(len(outputs.x)), outputs.t], names=["member", "t"]
+            )
+        return pandas.DataFrame(columns, index=index)
 
-        return frame(self.outputs, self.system)
+
+def _import_package(package: str) -> Any:
+    try:
+        return import_module(package)
+    except ImportError as missing:
+        raise MissingPackageError(
+            f"this needs {package}: pip install 'pinred[{package}]'"
+        ) from missing

@@ -27,7 +27,6 @@ from ..scene.scene import Scene
 from ..system.model_parameters import ModelParameters
 from ..system.system import System
 from .choose_method import Choice, choose
-from .stops import stops_of
 
 _NONE = read_only(np.empty(0))
 
@@ -223,6 +222,21 @@ class Plan:
         links = () if forces is None else forces.freed.links
         bodies = varied.free, varied.placed, varied.turned
         return freed_of(self.system, *bodies, links, generic=generic)
+
+
+def stops_of(scene: Scene) -> Array:
+    """Return the times at which integration stops, (S,) [s]; the last one ends the scene."""
+    forces, end = scene.force_model, scene.end
+    if forces is None:
+        return np.array([end])
+    times = [forces.breaks(end), np.array([end])]
+    for controller, _ in forces.held:
+        times.append(controller.period * np.arange(1, int(end / controller.period) + 1))
+    stops = np.unique(np.concatenate(times))
+    stops = stops[stops <= end]
+    # Times that differ by round-off are one stop, and the end has to remain.
+    distinct = np.append(np.diff(stops) > 1e-12 * end, True)
+    return np.asarray(stops[distinct])
 
 
 def plan_of(scene: Scene) -> Plan:

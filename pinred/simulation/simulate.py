@@ -1,4 +1,4 @@
-"""simulate(): integrate a scene's reduced equations and put the base motion back."""
+"""simulate(): integrate the reduced equations of a scene and reconstruct the base motion."""
 
 from __future__ import annotations
 
@@ -35,43 +35,60 @@ def simulate(
 ) -> Trajectory:
     """Integrate the reduced equations of a scene and reconstruct the motion of the base.
 
-    scene: a System, or a Scene, whose options then stand where none are given.
-    options: the fields of Scene, which says what each means.
-    engine: "compiled", machine code made for the robot and the kind of scene (and kept on
-        disk), or "pinocchio", the same equations by Pinocchio's numbers under SciPy's DOP853.
-    progress: True for a progress bar, in a terminal or a notebook; or a function that is
-        called now and then with the part of the time that is done, 0 to 1.
-    explain: print what the scene lets the simulation skip, and how much is integrated.
-
-    Raises InputError or ShapeError for a scene that makes no sense, SymmetryError if
-    gravity breaks the symmetry, IntegrationError if the motion cannot be followed,
-    KernelMismatch if a compiled kernel disagrees with Pinocchio.
+    Args:
+        scene: A System, or a Scene. Options that are passed replace those of the Scene.
+        engine: "compiled": machine code compiled for the robot and the kind of scene, cached on
+            disk. "pinocchio": the same equations by Pinocchio, under SciPy's DOP853.
+        progress: True for a progress bar in a terminal or a notebook; or a function that is
+            called with the completed fraction of the time, from 0 to 1.
+        explain: Print which terms the scene lets the simulation skip, and what is integrated.
+        options: Fields of Scene.
+    Returns:
+        The trajectory.
+    Raises:
+        InputError: An option is invalid, or options contradict each other.
+        ShapeError: An array has the wrong shape.
+        SymmetryError: Gravity breaks the symmetry.
+        IntegrationError: The integrator cannot continue.
+        KernelMismatch: A compiled kernel disagrees with Pinocchio.
     """
     if not one_of(engine, ENGINES):
-        raise InputError(f"unknown engine {brief(engine)}; the engines are {', '.join(ENGINES)}")
+        raise InputError(f"engine: expected one of {', '.join(ENGINES)}, got {brief(engine)}")
     scene = as_scene(scene, options, "simulate")
     if engine == "pinocchio" and scene.method != "auto":
-        raise InputError("engine 'pinocchio' has SciPy's DOP853 for integrator; give no method")
+        raise InputError(
+            "method: expected none with engine 'pinocchio', which integrates with SciPy's DOP853"
+        )
     plan = plan_of(scene)
     if explain:
         from .explain import explain as explained
 
         print(explained(plan))
-    route = _compiled if engine == "compiled" else _pinocchio
+    run_engine = _compiled if engine == "compiled" else _pinocchio
     with shown(progress, "reduced") as done:
-        return route(plan, done)
+        return run_engine(plan, done)
 
 
 def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Scene:
-    """Return the scene that a System or Scene and options make.  Raises InputError."""
+    """Return the scene described by a System or Scene and options.
+
+    Args:
+        scene: A System, or a Scene.
+        options: Fields of Scene.
+        what: Name of the calling function in messages.
+    Returns:
+        The scene.
+    Raises:
+        InputError: An option is unknown or invalid.
+    """
     names = [name for name in Scene.__dataclass_fields__ if name != "system"]
     for option in options:
         if option not in names:
-            raise InputError(f"{what} has no option '{option}'; they are {', '.join(names)}")
+            raise InputError(f"{what} has no option '{option}'; the options are {', '.join(names)}")
     if not isinstance(scene, Scene):
         return Scene(system=checked_system(scene, what), **options)
     parameters = options.get("parameters")
-    if isinstance(parameters, Mapping):  # what is not given stays
+    if isinstance(parameters, Mapping):  # keep the other parameters
         options = {**options, "parameters": joined(scene.parameters, parameters)}
     return replace(scene, **options) if options else scene
 
@@ -81,7 +98,7 @@ def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
     from .pinocchio.scipy_integrator import integrator
 
     flow = PinocchioFlow(plan)
-    return _followed(plan, flow, integrator(flow, plan, progress), "pinocchio", "DOP853")
+    return _integrate_plan(plan, flow, integrator(flow, plan, progress), "pinocchio", "DOP853")
 
 
 def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
@@ -89,20 +106,22 @@ def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
     from .compiled.integrator import integrator
 
     flow = CompiledFlow.of_plan(plan)
-    return _followed(plan, flow, integrator(flow, plan, progress), "compiled", plan.method.name)
+    return _integrate_plan(
+        plan, flow, integrator(flow, plan, progress), "compiled", plan.method.name
+    )
 
 
 def trajectory_of(scene: Scene) -> Trajectory:
-    """Return the trajectory of a scene by the compiled engine."""
+    """Return the trajectory of a scene with the compiled engine."""
     return _compiled(plan_of(scene), None)
 
 
-def _followed(
+def _integrate_plan(
     plan: Plan, flow: ReducedFlow, integrate: Integrate, engine: Engine, method: str
 ) -> Trajectory:
-    began = time.perf_counter()
+    started = time.perf_counter()
     motion = follow(plan, flow, integrate)
-    wall = time.perf_counter() - began
+    wall = time.perf_counter() - started
     run = Cost(engine, method, motion.steps, motion.evaluations, wall)
     end = motion.ended_by
     scene = plan.scene if end is None else _until(plan.scene, end.t)
@@ -110,6 +129,6 @@ def _followed(
 
 
 def _until(scene: Scene, end: float) -> Scene:
-    """Return a scene that ends earlier, and reports its end."""
+    """Return a scene that ends earlier and reports its end."""
     t = scene.report_times
     return replace(scene, duration=end, times=np.append(t[t < end], end))

@@ -15,10 +15,9 @@ from ..scene.option_checks import check_seed
 from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
-from .members.batch import Batch, Failure
 from .members.member_groups import Members, of_scenes
-from .members.trajectories import Trajectories
-from .members.varied import Varied
+from .members.member_options import MemberOptions
+from .members.trajectories import Batch, Failure, Trajectories
 from .simulate import trajectory_of
 from .trajectory import Trajectory
 
@@ -57,7 +56,7 @@ def simulate_many(
     Raises InputError or ShapeError for scenes that make no sense.
     """
     if isinstance(system, (System, Scene)):
-        found = Varied(system, options, members, _checked(seeds)).members()
+        found = MemberOptions(system, options, members, _checked(seeds)).members()
     else:
         scenes = entries_of(system)
         if scenes is None:

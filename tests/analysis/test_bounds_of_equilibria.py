@@ -16,8 +16,8 @@ from pinred.analysis.equilibria.find import _one_family, equilibrium_at
 from pinred.analysis.equilibria.problem import problem_of
 from pinred.analysis.equilibria.same_shape import Place
 from pinred.analysis.stability import verdict
-from pinred.analysis.stability.own_axis import _definite, definite_with_own_axis, heavy_top
 from pinred.analysis.stability.reduced_state import _casimir_slopes
+from pinred.analysis.stability.second_variation import _definite, definite_with_own_axis, heavy_top
 from pinred.reduction.base_parts import BaseParts
 
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
@@ -123,7 +123,7 @@ def test_tops_that_are_not_steady(factor: float, steady: bool) -> None:
 
 def _left(top: object, tilt: float, J: float) -> float:
     """What multipliers leave of the energy's slope at a tilt, by least squares of one's own."""
-    from pinred.analysis.stability.own_axis import HeavyTop
+    from pinred.analysis.stability.second_variation import HeavyTop
 
     assert isinstance(top, HeavyTop)
     up, D = np.array([np.sin(tilt), 0.0, np.cos(tilt)]), top.scales

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from assertions import close
 from hypothesis import given, settings
-from nearness import close
 from strategies import Case, cases
 
 import pinred

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from assertions import close
 from inverse_dynamics import joint_torques
-from nearness import close
 from strategies import make_case
 
 import pinred

@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import three_links
+from assertions import close
 from lifts import lifted
-from nearness import close
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from nearness import close
+from assertions import close
 from strategies import make_case
 from three_links import CENTRES, LENGTH, LINKS
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nearness import close
+from assertions import close
 
 import pinred
 from pinred.common.arrays import Array

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from assertions import close
 from lifts import random_gait
-from nearness import close
 from scipy.integrate import solve_ivp
 
 import pinred

@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from assertions import close
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lifts import random_gait
-from nearness import close
 from strategies import groups, make_case, seeds
 from trees import random_model
 

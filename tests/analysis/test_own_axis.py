@@ -15,7 +15,7 @@ from pinred.analysis.equilibria.amended_energy import Points
 from pinred.analysis.equilibria.find import equilibrium_at
 from pinred.analysis.equilibria.problem import problem_of
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from pinred.analysis.stability.own_axis import HeavyTop
+from pinred.analysis.stability.second_variation import HeavyTop
 from pinred.common.arrays import Array
 
 TOP = Path(__file__).parent.parent.parent / "examples/heavy_top.urdf"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from assertions import close
 from lifts import by_pinocchio, random_gait
-from nearness import close
 from scipy.integrate import solve_ivp
 from strategies import make_case
 

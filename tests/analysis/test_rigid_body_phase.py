@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from nearness import close
+from assertions import close
 from scipy.integrate import solve_ivp
 
 import pinred

@@ -1,4 +1,4 @@
-"""Controllers with wrenches, pulses and states of their own, in closed form; replays of them."""
+"""Controllers with wrenches, pulses and states, in closed form; replay by compare."""
 
 # ruff: noqa: ARG005  # functions are told apart by their arguments, used or not
 
@@ -13,7 +13,7 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Command, Controller, SeenState
-from pinred.judge.controller_measurements import measurement_error
+from pinred.judge.audit import measurement_error
 from pinred.judge.reference_solution import FullState
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation.trajectory import Trajectory
@@ -24,13 +24,13 @@ BRICK = pinred.load("reaction_wheel_satellite", lock=(*WHEELS, "panel_hinge"))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_pulses_in_closed_form(engine: Engine) -> None:
-    """A push of a width each second: p and v are those of constant forces while it lasts."""
+def test_pulses_equal_closed_form(engine: Engine) -> None:
+    """A push with a width each second: p and v follow constant forces during the pulses."""
     widths = [0.25, 0.0, 1.0, 7.0]
-    seen: list[SeenState] = []
+    measurements: list[SeenState] = []
 
     def push(s: SeenState) -> Command:
-        seen.append(s)
+        measurements.append(s)
         com = BRICK.model.inertias[1].lever  # no moment about it
         F = np.array([2.0, -1.0, 0.5])
         return Command(wrench=np.append(F, np.cross(com, F)), width=widths[round(s.t)])
@@ -40,9 +40,9 @@ def test_pulses_in_closed_form(engine: Engine) -> None:
     F, v, p = np.array([2.0, -1.0, 0.5]), np.zeros(3), np.zeros(3)
     for k, width in enumerate(widths):
         on = min(width, 1.0)
-        np.testing.assert_allclose(seen[k].pose[:3], p, atol=1e-10)
-        np.testing.assert_allclose(seen[k].xi[:3], v, atol=1e-10)
-        np.testing.assert_allclose(seen[k].J[:3], BRICK.mass * v, atol=1e-8)
+        np.testing.assert_allclose(measurements[k].pose[:3], p, atol=1e-10)
+        np.testing.assert_allclose(measurements[k].xi[:3], v, atol=1e-10)
+        np.testing.assert_allclose(measurements[k].J[:3], BRICK.mass * v, atol=1e-8)
         a = F / BRICK.mass
         p = p + v + a * on * (1.0 - on / 2.0)
         v = v + a * on
@@ -56,17 +56,17 @@ def test_pulses_in_closed_form(engine: Engine) -> None:
     np.testing.assert_allclose(traj.momentum_balance.residual, 0.0, atol=1e-10)
 
 
-def count(_: float, state: list[float], seen: SeenState) -> tuple[list[float], list[float]]:
-    """Return the sum of all positions seen so far; the state is changed in its place."""
+def add_positions(_: float, state: list[float], seen: SeenState) -> tuple[list[float], list[float]]:
+    """Return the sum of all positions so far; the state is changed in place."""
     state.append(float(seen.x["beanie"]))
     return [-sum(state)], state
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_state_of_its_own(engine: Engine) -> None:
-    """The recursion x⁺ = x + v T + a T²/2, v⁺ = v + a T with a = −(3/2) Σ x, in closed form."""
+def test_controller_state_equals_closed_form(engine: Engine) -> None:
+    """The recursion x⁺ = x + v T + a T²/2, v⁺ = v + a T with a = −(3/2) Σ x."""
     state0 = [0.5]
-    controller = Controller(count, 0.25, state0=state0)
+    controller = Controller(add_positions, 0.25, state0=state0)
     options: dict[str, Any] = {"x0": [0.3], "xdot0": [-0.2], "duration": 2.0, "engine": engine}
     first, second = (pinred.simulate(BEANIE, **options, forces=controller) for _ in range(2))
     x, v, total = 0.3, -0.2, 0.5
@@ -83,7 +83,7 @@ def test_a_state_of_its_own(engine: Engine) -> None:
 
 
 def noise(period: float = 0.1) -> tuple[Controller, list[float]]:
-    """A controller that never gives the same twice, and the times at which it was called."""
+    """A controller whose results never repeat, and the times at which it was called."""
     rng, calls = np.random.default_rng(), []
 
     def law(s: SeenState) -> Array:
@@ -94,8 +94,8 @@ def noise(period: float = 0.1) -> tuple[Controller, list[float]]:
 
 
 @pytest.mark.by_hand
-def test_compare_replays() -> None:
-    """It passes for a controller that gives other torques at every call, and calls it no more."""
+def test_compare_replays_recorded_commands() -> None:
+    """It passes for a controller that returns random torques, and does not call it again."""
     controller, calls = noise()
     traj = pinred.simulate(BEANIE, duration=0.5, forces=[controller], rtol=1e-8)
     before = list(calls)
@@ -105,8 +105,8 @@ def test_compare_replays() -> None:
 
 
 @pytest.mark.by_hand
-def test_a_wrong_measurement_is_found() -> None:
-    """What a controller was given is judged, for its actions are not asked for again."""
+def test_compare_detects_wrong_measurement() -> None:
+    """The arguments of the controller are validated, because its commands are replayed."""
     controller, _ = noise()
     traj = pinred.simulate(BEANIE, duration=0.3, forces=[controller], rtol=1e-8)
     full = FullState(traj.scene)
@@ -116,20 +116,24 @@ def test_a_wrong_measurement_is_found() -> None:
         action = traj.actions[1]
         base = action.seen.base
         assert base is not None
-        own = {k: v for k, v in wrong.items() if k in ("x", "xdot")}
-        space = {k: v for k, v in wrong.items() if k not in own}
-        seen = replace(action.seen, **own, base=replace(base, **space))
-        traj.motion.actions = (traj.actions[0], replace(action, seen=seen), *traj.actions[2:])
+        shape_values = {k: v for k, v in wrong.items() if k in ("x", "xdot")}
+        space = {k: v for k, v in wrong.items() if k not in shape_values}
+        wrong_state = replace(action.seen, **shape_values, base=replace(base, **space))
+        traj.motion.actions = (
+            traj.actions[0],
+            replace(action, seen=wrong_state),
+            *traj.actions[2:],
+        )
         return traj
 
     kept = traj.motion.actions
-    seen, base = kept[1].seen, kept[1].seen.base
+    wrong_state, base = kept[1].seen, kept[1].seen.base
     assert base is not None
     for name in ("x", "xdot", "pose", "xi", "mu", "J"):
-        value = getattr(seen if name in ("x", "xdot") else base, name)
+        value = getattr(wrong_state if name in ("x", "xdot") else base, name)
         assert measurement_error(told(**{name: value + 1e-6}), full) > 1e-7, name
         traj.motion.actions = kept
-    report = pinred.compare(told(x=seen.x + 1e-6))
+    report = pinred.compare(told(x=wrong_state.x + 1e-6))
     assert not report.passed
     assert report.field_error > report.field_bound
 
@@ -150,14 +154,14 @@ def test_a_wrong_measurement_is_found() -> None:
         (lambda: Controller(lambda t, x: [1.0], 0.5), "must be a function of .* takes 2"),
     ],
 )  # fmt: skip
-def test_refused(make: Any, message: str) -> None:
-    """What a controller gives has to be what it said, in numbers."""
+def test_invalid_commands_are_rejected(make: Any, message: str) -> None:
+    """A command must have the announced torques and wrench, as finite numbers."""
     with pytest.raises(pinred.InputError, match=message):
         pinred.simulate(BEANIE, duration=1.0, forces=[make()])
 
 
-def test_a_controller_that_sees_the_base_needs_it() -> None:
-    """outputs='shape' is for those that see the shape alone."""
+def test_controller_of_base_needs_base() -> None:
+    """outputs='shape' is only for controllers of the shape."""
     with pytest.raises(pinred.InputError, match="outputs='shape' leaves out"):
         pinred.Scene(
             system=BEANIE, outputs="shape", forces=[Controller(lambda s: [s.pose[0]], 0.5)]

@@ -1,4 +1,4 @@
-"""Feedback: PD and computed torque in closed form and by ABA, limits, controllers that hold."""
+"""Feedback: PD and computed torque in closed form and by ABA, limits, sampled controllers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ GOAL = np.array([1.0, -0.4, 0.8, 0.5, -0.6, -0.2])
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("limit", [None, "hard", "smooth"])
-def test_pd_turns_the_satellite(limit: str | None, engine: Engine) -> None:
+def test_pd_equals_aba(limit: str | None, engine: Engine) -> None:
     """PD to a fixed shape and along a plan, within limits, against ABA under the same law."""
     most = dict(zip(ARMS, [0.5, 0.6, 0.7, 0.8, 0.9, 1.0], strict=True))
     bound = Limit(most, smooth=limit == "smooth") if limit else None
@@ -40,10 +40,10 @@ def test_pd_turns_the_satellite(limit: str | None, engine: Engine) -> None:
     def torque(t: float, x: Array, xdot: Array) -> Array:
         goal, rate = GOAL.copy(), np.zeros(6)
         goal[2], rate[2] = 0.3 + 0.5 * np.sin(np.pi * t), 0.5 * np.pi * np.cos(np.pi * t)
-        wanted = 4.0 * (goal - x) + kd * (rate - xdot)
+        torque_demand = 4.0 * (goal - x) + kd * (rate - xdot)
         if limit == "smooth":
-            return np.asarray(size * np.tanh(wanted / size))
-        return np.clip(wanted, -size, size) if limit else wanted
+            return np.asarray(size * np.tanh(torque_demand / size))
+        return np.clip(torque_demand, -size, size) if limit else torque_demand
 
     def tau(t: float, q: Array, v: Array) -> Array:
         return np.append(np.zeros(6), torque(t, q[7:], v[6:]))
@@ -68,8 +68,8 @@ def test_pd_turns_the_satellite(limit: str | None, engine: Engine) -> None:
 
 
 @pytest.mark.slow
-def test_pd_is_judged() -> None:
-    """The comparison passes with PD and hard limits on."""
+def test_compare_passes_with_pd() -> None:
+    """With hard limits that are active."""
     plan = dict(zip(ARMS, GOAL.tolist(), strict=True))
     force = PD(plan, 4.0, 2.0, limit=Limit(0.7))
     report = pinred.compare(pinred.simulate(SATELLITE, duration=0.3, forces=[force]))
@@ -86,8 +86,8 @@ def closed_form(error: float, rate: float, kp: float, kd: float, t: Array) -> Ar
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)
-def test_computed_torque_decays_as_it_says(group: str, engine: Engine) -> None:
-    """ë + kd ė + kp e = 0, joint by joint, whatever springs, dampers, gravity and plans do."""
+def test_computed_torque_error_equals_closed_form(group: str, engine: Engine) -> None:
+    """ë + kd ė + kp e = 0 per joint, with springs, dampers, gravity and prescribed joints."""
     # About the vertical, gravity acts on the shape.
     pendulum = pinred.load("double_spherical_pendulum")
     system = pendulum if group == "SO2" else tree(group, 3, 2)
@@ -98,21 +98,23 @@ def test_computed_torque_decays_as_it_says(group: str, engine: Engine) -> None:
     plan: dict[str, Signal | float] = {
         a: Expression("0.4*sin(2*t)"), b: Fourier(0.1, [0.2], [], 1.5), c: -0.3
     }  # fmt: skip
-    others = [
+    other_forces = [
         Spring(a, 3.0, 0.2),
         Damper(b, 0.5, to=c),
         Torque(lambda t, x, xdot, mu: {c: ca.sin(t) * x[0] + xdot[1] + mu[-1]}),
     ]
     driven: list[dict[str, Signal]] = [{}, {b: Fourier(0.0, [], [0.4], 2.0)}]
-    for given in driven:
+    for prescribed_joints in driven:
         kp, kd = ({n: g[i] for n, g in gains.items()} for i in (0, 1))
-        wanted = {name: signal for name, signal in plan.items() if name not in given}
+        references = {
+            name: signal for name, signal in plan.items() if name not in prescribed_joints
+        }
         traj = pinred.simulate(
-            system, seed=3, duration=1.0, engine=engine, prescribed=given,
-            forces=[ComputedTorque(wanted, kp, kd), *others],
+            system, seed=3, duration=1.0, engine=engine, prescribed=prescribed_joints,
+            forces=[ComputedTorque(references, kp, kd), *other_forces],
         )  # fmt: skip
         for k, name in enumerate(system.shape_names):
-            if name in given:
+            if name in prescribed_joints:
                 continue
             goal = plan[name]
             path = goal.value(traj.t) if isinstance(goal, Signal) else np.full(201, goal)
@@ -125,28 +127,28 @@ def test_computed_torque_decays_as_it_says(group: str, engine: Engine) -> None:
 
 
 def law(t: float, x: Array, xdot: Array) -> Array:
-    """A controller that nobody could write as an expression: whole steps, and a switch."""
-    out = np.round(5.0 * (0.5 - x)) * 0.2 - 0.3 * np.sign(xdot)
-    return np.asarray(out if t < 0.5 else -out)
+    """A controller that is no expression: integer steps and a switch."""
+    torques = np.round(5.0 * (0.5 - x)) * 0.2 - 0.3 * np.sign(xdot)
+    return np.asarray(torques if t < 0.5 else -torques)
 
 
 @pytest.mark.parametrize("period", [0.1, 0.17, 5.0])
-def test_controllers_hold(period: float) -> None:
-    """Called at k·period with the state there, and held: ABA, a solve for each period."""
+def test_controller_holds_torques_between_samples(period: float) -> None:
+    """Called at k·period with the state, then constant: ABA with one solve per period."""
     system = SATELLITE
     model, data = system.model, system.model.createData()
     calls: dict[str, list[tuple[float, Array, Array, Array]]] = {}
     runs = {}
     for engine in ENGINES:
-        seen: list[tuple[float, Array, Array, Array]] = []
+        samples: list[tuple[float, Array, Array, Array]] = []
 
-        def control(t: float, x: Array, xdot: Array, mu: Array, seen: Any = seen) -> Array:
-            seen.append((t, x, xdot, mu))
+        def control(t: float, x: Array, xdot: Array, mu: Array, samples: Any = samples) -> Array:
+            samples.append((t, x, xdot, mu))
             return law(t, x, xdot)
 
         controller = Controller(control, period)
         runs[engine] = pinred.simulate(system, duration=1.0, forces=[controller], engine=engine)
-        calls[engine] = list(seen)
+        calls[engine] = list(samples)
     ends = np.append(period * np.arange(int(np.ceil(1.0 / period - 1e-9))), 1.0)
     q, v = runs["compiled"].q[0], runs["compiled"].v[0]
     for traj in runs.values():
@@ -159,8 +161,8 @@ def test_controllers_hold(period: float) -> None:
             np.testing.assert_allclose(xdot, v[6:], atol=1e-7)
             np.testing.assert_allclose(mu, aba.body_momentum(model, data, q, v), atol=1e-8)
         times = np.array([0.0, end - start])
-        found = aba.integrate(model, q, v, times, lambda *_, tau=tau: tau, rtol=1e-10)
-        q, v = found[0][-1], found[1][-1]
+        segment = aba.integrate(model, q, v, times, lambda *_, tau=tau: tau, rtol=1e-10)
+        q, v = segment[0][-1], segment[1][-1]
         for traj in runs.values():
             assert aba.apart(model, q[None], traj(float(end)).q[None]) < 1e-6
     for traj in runs.values():
@@ -168,8 +170,8 @@ def test_controllers_hold(period: float) -> None:
 
 
 @pytest.mark.slow
-def test_two_controllers_and_a_table() -> None:
-    """Each at its own period, on its own joints, by names, beside a table; compare passes."""
+def test_two_controllers_with_a_table() -> None:
+    """Separate periods and joints, by names, and a table; compare passes."""
     system = pinred.load("planar_chain5")
     names = system.shape_names
     times: list[float] = []
@@ -192,8 +194,8 @@ def test_two_controllers_and_a_table() -> None:
     assert work == pytest.approx(0.2 * (traj.x[-1, 1] - traj.x[0, 1]), abs=1e-9)
 
 
-def test_a_kilohertz_for_a_second() -> None:
-    """A thousand calls; so fast a sampled damper is nearly the continuous one."""
+def test_fast_controller_approaches_continuous_damper() -> None:
+    """A thousand samples of a damper."""
     system = pinred.load("elroys_beanie")
     count = 0
 
@@ -221,16 +223,16 @@ def test_a_kilohertz_for_a_second() -> None:
         ({"nose": 1.0}, "gave a torque for 'nose' at t = 0.5 s; its joints are beanie"),
     ],
 )
-def test_what_a_controller_must_not_give(gives: Any, message: str, engine: Engine) -> None:
-    """It is said what it gave, and when."""
+def test_invalid_controller_results_are_rejected(gives: Any, message: str, engine: Engine) -> None:
+    """The message has the result and the time."""
     controller = Controller(lambda t, *_: [0.0] if t < 0.4 else gives, 0.5)
     with pytest.raises(pinred.InputError, match=message):
         pinred.simulate(pinred.load("elroys_beanie"), forces=[controller], engine=engine)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_what_a_controller_raises_comes_through(engine: Engine) -> None:
-    """An error of the user's own is not hidden."""
+def test_controller_exceptions_propagate(engine: Engine) -> None:
+    """A user's exception is not replaced."""
 
     def fails(t: float, *_: Array) -> list[float]:
         if t > 0.7:

@@ -1,4 +1,4 @@
-"""Expressions from text, against Python's own arithmetic on a tree that is never parsed."""
+"""Expressions from text, against Python's arithmetic on trees that are never parsed."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ ROUND = 1e-15
 
 @dataclass(frozen=True)
 class Tree:
-    """An operation or a leaf, with the text that stands for it."""
+    """An operation or a leaf, with its text."""
 
     text: str
     kind: str  # "number", "t", "negative", "power", an operator or a function
@@ -56,7 +56,7 @@ class Tree:
 
 
 def leaf() -> st.SearchStrategy[Tree]:
-    """Numbers as Python writes them, and the name t."""
+    """Numbers as Python formats them, and the name t."""
     number = st.floats(-3, 3).map(lambda v: float(f"{v:.4g}"))
     return st.one_of(
         number.map(lambda v: Tree(f"({v!r})" if v < 0 else repr(v), "number", (), v)),
@@ -82,7 +82,7 @@ def grow(inner: st.SearchStrategy[Tree]) -> st.SearchStrategy[Tree]:
 
 
 def grow_rough(inner: st.SearchStrategy[Tree]) -> st.SearchStrategy[Tree]:
-    """These, and those with kinks and jumps."""
+    """Smooth operations, and those with kinks and jumps."""
     return st.one_of(
         grow(inner),
         st.builds(
@@ -100,16 +100,16 @@ def grow_rough(inner: st.SearchStrategy[Tree]) -> st.SearchStrategy[Tree]:
 
 
 def evaluate(tree: Tree, t: complex) -> tuple[complex, float]:
-    """Return the value of a tree, and a bound on how far round-off can move it.
+    """Return the value of a tree, and a bound on its round-off error.
 
-    Trees whose numbers are large or undecided by round-off are not asked about.
+    Trees with large numbers, or whose branches round-off decides, are rejected.
     """
     if tree.kind == "number":
         return tree.number, 0.0
     if tree.kind == "t":
         return t, 0.0
-    parts = [evaluate(part, t) for part in tree.parts]
-    values, errors = [p[0] for p in parts], [p[1] for p in parts]
+    pairs = [evaluate(subtree, t) for subtree in tree.parts]
+    values, errors = [p[0] for p in pairs], [p[1] for p in pairs]
     a, ea = values[0], errors[0]
     value: complex
     if tree.kind == "negative":
@@ -146,8 +146,8 @@ def evaluate(tree: Tree, t: complex) -> tuple[complex, float]:
 @pytest.mark.slow
 @given(tree=st.recursive(leaf(), grow_rough, max_leaves=12), t=st.floats(-3, 3))
 @settings(max_examples=150)
-def test_value_of_any_expression(tree: Tree, t: float) -> None:
-    """Machine code and CasADi's interpreter give what Python's floats give."""
+def test_expression_values_equal_python(tree: Tree, t: float) -> None:
+    """Machine code and CasADi's interpreter agree with Python's floats."""
     value, error = evaluate(tree, t)
     symbol = ca.SX.sym("t")
     for function in build(parse(tree.text, {"t": symbol}), inputs=[symbol]):
@@ -158,8 +158,8 @@ def test_value_of_any_expression(tree: Tree, t: float) -> None:
 @pytest.mark.slow
 @given(tree=st.recursive(leaf(), grow, max_leaves=8), t=st.floats(-2, 2))
 @settings(max_examples=150)
-def test_derivative_of_any_smooth_expression(tree: Tree, t: float) -> None:
-    """CasADi's derivative is that of a complex step, Im f(t + ih)/h."""
+def test_expression_derivatives_equal_complex_step(tree: Tree, t: float) -> None:
+    """CasADi's derivative equals Im f(t + ih)/h."""
     step = 1e-30
     value, error = evaluate(tree, complex(t, step))
     assume(abs(value.imag) < 1e4 * step)
@@ -213,8 +213,8 @@ AT = (0.7, -1.25, 2.5)
         (" + ".join(["t"] * 400), 280.0),
     ],
 )
-def test_grammar(text: str, expected: float) -> None:
-    """What the documentation lists means what it means in Python."""
+def test_documented_grammar_has_pythons_meaning(text: str, expected: float) -> None:
+    """Each construct of the documentation has the value it has in Python."""
     value = parse(text, GIVEN)
     assert value.is_scalar()
     for function in build(value, inputs=[ca.vertcat(T, X)]):
@@ -223,7 +223,7 @@ def test_grammar(text: str, expected: float) -> None:
         )
 
 
-def test_derivative_of_the_branch_that_holds() -> None:
+def test_inactive_branch_does_not_affect_derivative() -> None:
     """The other branch may have no derivative, or no value."""
     value = parse("where(t > 0, sqrt(t)*log(t), t**2)", {"t": T})
     for function in build(ca.gradient(value, T), inputs=[T]):
@@ -231,13 +231,13 @@ def test_derivative_of_the_branch_that_holds() -> None:
         assert np.array(function(np.array([1.0]))).item() == 1.0
 
 
-def test_absolute_value_beside_one_sine() -> None:
-    """The modulus of a lone sine or cosine has machine code."""
+def test_absolute_value_of_sine_compiles() -> None:
+    """The modulus of a single sine or cosine has machine code."""
     for function in build(parse("abs(sin(t))", {"t": T}), inputs=[T]):
         assert np.array(function(np.array([-1.0]))).item() == pytest.approx(math.sin(1))
 
 
-def test_given_names_go_first() -> None:
+def test_given_names_take_precedence_over_constants() -> None:
     """A joint may be called e."""
     assert ca.is_equal(parse("e", {"e": T}), T)
     assert float(parse("e", {})) == math.e
@@ -353,8 +353,10 @@ DEEP = "nested more than 500 deep"
     ],
     ids=lambda v: v[:20].encode("ascii", "backslashreplace").decode() if isinstance(v, str) else v,
 )
-def test_refused(text: str, column: int, message: str) -> None:
-    """Text that is no formula is refused at its column, in linear time, in a short message."""
+def test_invalid_expressions_are_rejected_at_their_column(
+    text: str, column: int, message: str
+) -> None:
+    """In linear time, with a short message."""
     calls = 0
 
     def count(*_: object) -> None:
@@ -381,8 +383,8 @@ def test_refused(text: str, column: int, message: str) -> None:
     assert all(name in functions for name in FUNCTIONS)
 
 
-def test_fault_in_a_long_text_is_shown() -> None:
-    """The line and the part of it that hold the fault are shown, and where it is."""
+def test_error_in_long_text_shows_its_line() -> None:
+    """The message shows the position and the surrounding text."""
     text = "(t +\n" + "t + " * 50 + "'schräg'" + " + t" * 50 + ")"
     with pytest.raises(InputError, match="line 2, column 201: text is allowed only") as caught:
         parse(text, GIVEN)
@@ -391,8 +393,8 @@ def test_fault_in_a_long_text_is_shown() -> None:
     assert shown[begin:end] == "'schräg'"
 
 
-def test_too_long_or_no_text() -> None:
-    """What is too long is not read, and what is not text neither."""
+def test_long_text_and_other_types_are_rejected() -> None:
+    """Text that is too long is not parsed."""
     with pytest.raises(InputError, match="at most 10000 characters, got 10001"):
         parse("t" * 10_001, GIVEN)
     for other in (3, None, b"t", ["t"]):
@@ -403,8 +405,8 @@ def test_too_long_or_no_text() -> None:
 
 @given(text=st.text(alphabet=st.sampled_from("tx01.+-*/()[]<>=,'\"eE#\\\n :{}sin@_"), max_size=30))
 @settings(max_examples=300)
-def test_any_text_is_read_or_refused(text: str) -> None:
-    """Nothing but an expression or an InputError comes out."""
+def test_any_text_gives_expression_or_input_error(text: str) -> None:
+    """Random text raises nothing but InputError."""
     try:
         value = parse(text, GIVEN)
     except InputError:
@@ -412,18 +414,18 @@ def test_any_text_is_read_or_refused(text: str) -> None:
     assert value.is_scalar()
 
 
-def test_every_function_compiles() -> None:
-    """Each name of the tables has machine code, that agrees with Python's."""
+def test_all_functions_compile_and_equal_python() -> None:
+    """Each name of the tables has machine code."""
     arguments = {1: "t", 2: "t, x[0]", 3: "t > 0, t, x[0]"}
-    own: dict[str, Callable[..., float]] = {
+    python_functions: dict[str, Callable[..., float]] = {
         name: getattr(math, name) for name in FUNCTIONS if hasattr(math, name)
     }
-    own |= {**ROUGH, "if_else": ROUGH["where"], "sign": lambda a: math.copysign(1, a)}
-    assert own.keys() == FUNCTIONS.keys()
+    python_functions |= {**ROUGH, "if_else": ROUGH["where"], "sign": lambda a: math.copysign(1, a)}
+    assert python_functions.keys() == FUNCTIONS.keys()
     given_values = {1: (AT[0],), 2: AT[:2], 3: (1.0, *AT[:2])}
     for name, (_, count, _) in FUNCTIONS.items():
         value = parse(f"{name}({arguments[count]})", GIVEN)
-        expected = own[name](*given_values[count])
+        expected = python_functions[name](*given_values[count])
         for function in build(value, inputs=[ca.vertcat(T, X)]):
             assert np.array(function(np.array(AT))).item() == pytest.approx(expected, rel=1e-14)
     assert (CONSTANTS["pi"], CONSTANTS["e"], len(CONSTANTS)) == (math.pi, math.e, 2)

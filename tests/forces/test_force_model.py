@@ -1,4 +1,4 @@
-"""What a scene's forces are together, and functions that are no expressions."""
+"""The forces of a scene together, and functions that are no expressions."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def tree() -> pinred.System:
     return pinred.load(random_model("SE3", 2, 0))
 
 
-def test_what_acts_has_a_label() -> None:
-    """Torques and wrenches do work of their own; a potential is part of the energy."""
+def test_forces_that_do_work_have_labels() -> None:
+    """Torques and wrenches do work; a potential belongs to the energy."""
     forces: list[Any] = [
         PotentialEnergy(lambda x: x[0] ** 2, name="well"),
         Torque(lambda *_: [0.1, 0.0], name="motor"),
@@ -35,8 +35,8 @@ def test_what_acts_has_a_label() -> None:
     assert model.has_potential
 
 
-def test_followers_have_no_computed_torque() -> None:
-    """Where their leaders are tells where they are."""
+def test_computed_torque_rejects_followers() -> None:
+    """The position of a follower depends on its leader."""
     system = make_case("SE3", 6, 0).system
     names = (*system.shape_names, system.followers[0])
     wave = Fourier(0.0, [0.1], [0.0], 1.0)
@@ -53,8 +53,8 @@ def test_followers_have_no_computed_torque() -> None:
         (lambda t: t * math.nan, "is not a number at any time"),
     ],
 )
-def test_what_is_no_expression(given: Any, said: str) -> None:
-    """It is told though warnings are ignored."""
+def test_python_math_in_forces_is_rejected(given: Any, said: str) -> None:
+    """The error is raised even if warnings are ignored."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(pinred.InputError, match=said):

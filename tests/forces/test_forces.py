@@ -30,7 +30,7 @@ I1, I2 = 2.0, 1.0  # of elroys_beanie
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("c", [0.3, 1.5])
-def test_damped_spring_in_closed_form(c: float, engine: Engine) -> None:
+def test_damped_spring_equals_closed_form(c: float, engine: Engine) -> None:
     """M ẍ + c ẋ + k x = 0 with M = I1 I2/(I1+I2): decay c/2M, frequency √(k/M − (c/2M)²)."""
     k, x0, v0 = 3.0, 0.7, -0.4
     forces = [Spring("beanie", k, 0.1), Damper("beanie", c)]
@@ -44,8 +44,8 @@ def test_damped_spring_in_closed_form(c: float, engine: Engine) -> None:
     swing = x0 * np.cos(w * t) + (v0 + decay * x0) / w * np.sin(w * t)
     x = np.exp(-decay * t) * swing
     np.testing.assert_allclose(traj.x[:, 0], 0.1 + x, atol=1e-9)
-    turned = (0.8 + I2 / (I1 + I2) * v0) * t - I2 / (I1 + I2) * (x - x0)
-    np.testing.assert_allclose(traj.pose[:, 0], turned, atol=1e-9)
+    angle = (0.8 + I2 / (I1 + I2) * v0) * t - I2 / (I1 + I2) * (x - x0)
+    np.testing.assert_allclose(traj.pose[:, 0], angle, atol=1e-9)
     np.testing.assert_allclose(traj.spatial_momentum[:, 0], I1 * 0.8 + I2 * (0.8 + v0), rtol=1e-12)
     balance = traj.energy_balance
     assert balance.labels == ("damper beanie",)
@@ -59,8 +59,8 @@ def test_damped_spring_in_closed_form(c: float, engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_forces_inside_leave_the_momentum(engine: Engine) -> None:
-    """Dampers, springs and torques at the joints: momentum about the CoM stays to 1e-12."""
+def test_internal_forces_conserve_momentum(engine: Engine) -> None:
+    """With dampers, springs and joint torques, momentum about the CoM stays within 1e-12."""
     system = pinred.load("falling_cat")
     a, b, c = system.shape_names
     forces = [
@@ -78,14 +78,16 @@ def test_forces_inside_leave_the_momentum(engine: Engine) -> None:
     def tau(t: float, q: Array, v: Array) -> Array:
         x, xdot = q[7:], v[6:]
         mu = aba.body_momentum(system.model, data, q, v)
-        out = np.zeros(9)
+        full_torque = np.zeros(9)
         stretch = x[1] - x[0] - 0.3
-        out[6:] += 2.0 * stretch * np.array([1.0, -1.0, 0.0])
-        out[6:] -= np.array([0.1 * xdot[0], 0.2 * (xdot[1] - xdot[2]), 0.2 * (xdot[2] - xdot[1])])
-        out[6:] += np.sin(x[0] - x[2]) * np.array([1.0, 0.0, -1.0])
-        out[7] -= 0.4 * x[1] ** 3
-        out[8] += 0.3 * np.sin(3 * t) + 0.1 * mu[4] * xdot[0]
-        return out
+        full_torque[6:] += 2.0 * stretch * np.array([1.0, -1.0, 0.0])
+        full_torque[6:] -= np.array(
+            [0.1 * xdot[0], 0.2 * (xdot[1] - xdot[2]), 0.2 * (xdot[2] - xdot[1])]
+        )
+        full_torque[6:] += np.sin(x[0] - x[2]) * np.array([1.0, 0.0, -1.0])
+        full_torque[7] -= 0.4 * x[1] ** 3
+        full_torque[8] += 0.3 * np.sin(3 * t) + 0.1 * mu[4] * xdot[0]
+        return full_torque
 
     assert against_aba(traj, tau) < 1e-7
     np.testing.assert_allclose(traj.energy_balance.residual, 0.0, atol=1e-8)
@@ -105,8 +107,8 @@ def thrust(r: int) -> tuple[Wrench, Any]:
 @pytest.mark.slow
 @settings(max_examples=5)
 @given(groups, seeds)
-def test_wrench_on_random_trees(group: str, seed: int) -> None:
-    """A wrench in time and shape, under gravity: ABA, momentum and energy, on both engines."""
+def test_wrench_on_random_trees_equals_aba(group: str, seed: int) -> None:
+    """In time and shape, under gravity: ABA, momentum and energy, on both engines."""
     system = tree(group, 2, seed)
     wrench, by_numbers = thrust(system.r)
     scene = pinred.Scene(system=system, seed=seed % 100, duration=0.6, forces=[wrench])
@@ -131,8 +133,8 @@ def test_wrench_on_random_trees(group: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_wrench_from_tables(group: str) -> None:
-    """Signals that jump and bend, on a pushed and falling tree of every group."""
+def test_wrench_from_tables_equals_aba(group: str) -> None:
+    """Signals with jumps and kinks, on a pushed and falling tree of every group."""
     system = tree(group, 2, 11)
     burns: list[Any] = [
         Hold([0.0, 0.31, 0.77], [1.0, -2.0, 0.5]),
@@ -157,14 +159,14 @@ def test_wrench_from_tables(group: str) -> None:
 
 
 def wrench_breaks(wrench: Wrench) -> list[float]:
-    """The times at which the signals of a wrench are not smooth."""
+    """Return the times at which the signals of a wrench are not smooth."""
     return [float(b) for signal in wrench.signals for b in signal.breaks if b < 1.0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-def test_detumbling_in_closed_form(engine: Engine) -> None:
-    """A pure moment −c μ on the base: |J| = |J0| e^(−ct), and its direction stays."""
+def test_detumbling_equals_closed_form(engine: Engine) -> None:
+    """A pure moment −c μ on the base: |J| = |J0| e^(−ct), with a constant direction."""
     system, c = pinred.load("reaction_wheel_satellite"), 0.7
     brake = Wrench(lambda *seen: ca.vertcat(0, 0, 0, -c * seen[3][3:]), name="brake")
     traj = pinred.simulate(system, duration=3.0, forces=[brake], engine=engine)
@@ -180,8 +182,8 @@ def test_detumbling_in_closed_form(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("group", ["R", "SO2"])
-def test_push_in_closed_form(group: str) -> None:
-    """A constant force moves the centre of mass along R, a constant moment adds to J of SO(2)."""
+def test_push_equals_closed_form(group: str) -> None:
+    """A constant force moves the CoM along R; a constant moment adds to J of SO(2)."""
     system = pinred.load(random_model(group, 1, 3))
     for engine in ENGINES:
         traj = pinred.simulate(system, seed=3, duration=2.0, forces=[Wrench([0.8])], engine=engine)
@@ -197,10 +199,10 @@ def test_push_in_closed_form(group: str) -> None:
         (climbing_joint(), pin.JointModelPZ(), [0.8, 0.0, 0.0, 0.0]),
     ],
 )
-def test_a_push_along_a_slide(
+def test_push_along_free_slide(
     root: pin.JointModel, along: pin.JointModel, push: list[float], engine: Engine
 ) -> None:
-    """The base leaves behind what slides freely: no inertia depends on where, and it counts."""
+    """No inertia depends on the slide's position, yet it must be integrated."""
     model = pin.Model()
     base = model.addJoint(0, root, pin.SE3.Identity(), "root")
     model.appendBodyToJoint(base, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
@@ -220,8 +222,8 @@ def test_a_push_along_a_slide(
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("kind", [Spline, Hold, Linear])
-def test_torque_from_a_table(kind: Any, engine: Engine) -> None:
-    """A table of torques against ABA that stops at every entry, with times on the entries."""
+def test_torque_from_table_equals_aba(kind: Any, engine: Engine) -> None:
+    """ABA stops at every entry; report times lie on the entries, too."""
     system = pinred.load("planar_chain5")
     table = np.linspace(0.0, 2.0, 9)
     signal = kind(table, np.sin(5 * table) * 0.8)
@@ -241,14 +243,14 @@ def test_torque_from_a_table(kind: Any, engine: Engine) -> None:
 
 
 def wheels(*forces: Force) -> tuple[int, ...]:
-    """The cyclic joints of the reaction wheel satellite under some forces."""
+    """Return the cyclic joints of the reaction wheel satellite under some forces."""
     scene = pinred.Scene(system=SATELLITE, forces=forces)
     return CompiledFlow.of_plan(plan_of(scene)).kernel.layout.cyclic
 
 
 @pytest.mark.slow
-def test_wheels_with_forces() -> None:
-    """What acts on a wheel, or reads its angle, makes it act; what reads its rate does not."""
+def test_forces_on_wheels_make_them_acyclic() -> None:
+    """Torques on a wheel and forces of its angle do; forces of its rate do not."""
     hinge = SATELLITE.shape_names[0]
     assert wheels() == (1, 2, 3)
     assert wheels(Damper("wheel_x", 0.01)) == (2, 3)
@@ -264,8 +266,8 @@ def test_wheels_with_forces() -> None:
 
 
 @pytest.mark.parametrize("angle", [False, True])
-def test_a_force_that_reads_a_wheel(angle: bool) -> None:
-    """A torque on the hinge by a wheel's rate leaves the wheel cyclic, one by its angle not."""
+def test_hinge_torque_of_wheel_rate_keeps_wheel_cyclic(angle: bool) -> None:
+    """A torque on the hinge by the wheel's angle does not."""
     hinge = SATELLITE.shape_names[0]
 
     def law(x: Any, xdot: Any) -> Any:
@@ -284,8 +286,8 @@ def test_a_force_that_reads_a_wheel(angle: bool) -> None:
 
 
 @pytest.mark.slow
-def test_time_enters_only_where_something_depends_on_it() -> None:
-    """A clock is integrated for what moves with time; not for constants and tables of steps."""
+def test_clock_is_integrated_only_if_needed() -> None:
+    """For smooth functions of time; not for constants and step tables."""
     system = pinred.load("falling_cat")
     name = system.shape_names[0]
 

@@ -1,4 +1,4 @@
-"""Forces that see the base in space, and wrenches on links: by ABA and Pinocchio's Jacobians."""
+"""Forces that depend on the base in space, and wrenches on links: ABA and Jacobians."""
 
 # ruff: noqa: ARG005  # functions are told apart by their arguments, used or not
 
@@ -49,7 +49,7 @@ def seen_by_pinocchio(system: pinred.System, q: Array, v: Array) -> dict[str, Ar
 
 
 def weights(system: pinred.System) -> dict[str, Array]:
-    """How much each number of the base counts for each joint: some of everything."""
+    """Return the weight of each number of the base for each joint."""
     rng = np.random.default_rng(4)
     sizes = {"pose": system.group.size, **dict.fromkeys(("xi", "mu", "J"), system.r)}
     return {name: rng.normal(size=(system.m, size)) for name, size in sizes.items()}
@@ -58,25 +58,27 @@ def weights(system: pinred.System) -> dict[str, Array]:
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)
-def test_torques_see_the_base(group: str, engine: Engine) -> None:
-    """Pose, twist and both momenta of every group, in gravity, each in its place."""
+def test_torques_of_base_equal_aba(group: str, engine: Engine) -> None:
+    """Pose, twist and both momenta for every group, under gravity."""
     system, names = tree(group, 2, 5), ("pose", "xi", "mu", "J")
     A = weights(system)
 
     def torque(s: SeenState) -> ca.SX:
-        given = sum(ca.DM(A[name]) @ getattr(s, name) for name in names)
-        return ca.SX(0.3 * ca.tanh(given))
+        torques = sum(ca.DM(A[name]) @ getattr(s, name) for name in names)
+        return ca.SX(0.3 * ca.tanh(torques))
 
     traj = pinred.simulate(system, forces=[Torque(torque)], engine=engine, **OPTIONS)
 
     def tau(_t: float, q: Array, v: Array) -> Array:
-        seen = seen_by_pinocchio(system, q, v)
+        base_state = seen_by_pinocchio(system, q, v)
         if group == "SO3" or group == "SE3":
-            end = len(seen["pose"])
-            flip = np.sign(seen["pose"][end - 4 :] @ traj(_t).pose[-4:])
-            seen["pose"] = np.append(seen["pose"][: end - 4], flip * seen["pose"][end - 4 :])
-        given = sum(A[name] @ seen[name] for name in names)
-        return np.append(np.zeros(system.r), 0.3 * np.tanh(given))
+            end = len(base_state["pose"])
+            flip = np.sign(base_state["pose"][end - 4 :] @ traj(_t).pose[-4:])
+            base_state["pose"] = np.append(
+                base_state["pose"][: end - 4], flip * base_state["pose"][end - 4 :]
+            )
+        torques = sum(A[name] @ base_state[name] for name in names)
+        return np.append(np.zeros(system.r), 0.3 * np.tanh(torques))
 
     assert against_aba(traj, tau) < 1e-6
 
@@ -91,8 +93,8 @@ LOADS = {
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("axes", LOADS)
 @pytest.mark.parametrize("group", GROUPS)
-def test_wrenches_on_links(group: str, axes: Any, engine: Engine) -> None:
-    """At a point of the last link, along its axes or those of the world: τ = Jᵀ (F, N)."""
+def test_wrenches_on_links_equal_jacobians(group: str, axes: Any, engine: Engine) -> None:
+    """At a point of the last link, in its axes or the world's: τ = Jᵀ (F, N)."""
     bare = tree(group, 3, 5).model
     placement = pin.SE3.Random()
     bare.addFrame(pin.Frame("hand", bare.njoints - 1, placement, pin.FrameType.BODY))
@@ -104,9 +106,9 @@ def test_wrenches_on_links(group: str, axes: Any, engine: Engine) -> None:
     turn = model.jointPlacements[1].rotation
 
     def tau(t: float, q: Array, v: Array) -> Array:
-        seen = seen_by_pinocchio(system, q, v)
-        given = SeenState(t, system.configuration(q).x, None, **seen)
-        load = np.array([float(value) for value in LOADS[axes](given)])
+        base_state = seen_by_pinocchio(system, q, v)
+        state = SeenState(t, system.configuration(q).x, None, **base_state)
+        load = np.array([float(value) for value in LOADS[axes](state)])
         pin.framesForwardKinematics(model, data, q)
         R = data.oMf[frame].rotation
         axes_of = R if axes == "body" else turn
@@ -120,8 +122,8 @@ def test_wrenches_on_links(group: str, axes: Any, engine: Engine) -> None:
 
 
 @pytest.mark.slow
-def test_compare_judges_them() -> None:
-    """The judge sees the base by its own kinematics, and links by Pinocchio's Jacobians."""
+def test_compare_passes_with_forces_in_space() -> None:
+    """The reference computes the base by its own kinematics and links by Jacobians."""
     system = pinred.load("coupled_planar")
     last, first = system.model.frames[-1].name, system.shape_names[0]
     forces = [
@@ -136,8 +138,8 @@ def test_compare_judges_them() -> None:
     np.testing.assert_allclose(traj.energy_balance.residual, 0.0, atol=1e-8)
 
 
-def test_momentum_is_integrated_for_wrenches_alone() -> None:
-    """A torque that sees the attitude leaves as many numbers as one that does not."""
+def test_momentum_is_integrated_only_for_wrenches() -> None:
+    """A torque of the attitude does not enlarge the state."""
     satellite = pinred.load("satellite_two_arms")
     joint = satellite.shape_names[0]
 
@@ -161,15 +163,15 @@ ODD_FRAME: dict[str, Any] = {"frame": "hand"}
 ODD_LINK: dict[str, Any] = {"link": 3}
 
 
-def lone(function: Any) -> pinred.Scene:
-    """A scene with a torque of this function."""
+def scene_with_torque(function: Any) -> pinred.Scene:
+    """Return a scene with a torque of this function."""
     return pinred.Scene(
         system=pinred.load("elroys_beanie"), forces=[Torque({"beanie": function})], seed=0
     )
 
 
-def test_the_two_forms_are_told_apart() -> None:
-    """By how many arguments a function takes, never by their names."""
+def test_number_of_arguments_selects_the_form() -> None:
+    """Names of arguments do not matter."""
     four: list[Any] = [
         lambda t, x, xdot, mu: -x[0],
         lambda *a: -a[1][0],
@@ -183,7 +185,7 @@ def test_the_two_forms_are_told_apart() -> None:
         lambda t: -t.x[0],
         lambda s, *, a=1.0, b=2.0, c=3.0: -s.x[0],
     ]
-    models = [lone(f).force_model for f in (*four, *one)]
+    models = [scene_with_torque(f).force_model for f in (*four, *one)]
     assert not any(model.sees_base for model in models if model)
     same = [models[k] for k in (0, 1, 4, 5, 7)]
     assert len({model.key for model in same if model}) == 1
@@ -201,10 +203,10 @@ def test_the_two_forms_are_told_apart() -> None:
         (min, r"does not say how many arguments|\*args|with one"),
     ],
 )
-def test_unclear_functions_are_refused(function: Any, message: str) -> None:
-    """With the two forms, and how to say which is meant."""
+def test_ambiguous_functions_are_rejected(function: Any, message: str) -> None:
+    """The message states both forms and how to choose one."""
     with pytest.raises(pinred.InputError, match=message):
-        lone(function)
+        scene_with_torque(function)
 
 
 @pytest.mark.parametrize(
@@ -218,14 +220,14 @@ def test_unclear_functions_are_refused(function: Any, message: str) -> None:
         (lambda: Wrench([0], **ODD_LINK), r"link of wrench must be a name"),
     ],
 )  # fmt: skip
-def test_refused_wrenches(make: Any, message: str) -> None:
-    """Names, points and axes that there are not."""
+def test_invalid_wrenches_are_rejected(make: Any, message: str) -> None:
+    """Unknown names, points and axes."""
     with pytest.raises(pinred.InputError, match=message):
         pinred.Scene(system=pinred.load("elroys_beanie"), seed=0, forces=[make()])
 
 
-def test_the_base_has_to_be_there() -> None:
-    """Who sees the base cannot leave it out."""
+def test_forces_of_base_need_base() -> None:
+    """The base cannot be omitted."""
     force = Torque(lambda s: {"beanie": -s.pose[0]})
     with pytest.raises(pinred.InputError, match="outputs='shape' leaves out"):
         pinred.Scene(system=pinred.load("elroys_beanie"), seed=0, forces=[force], outputs="shape")
@@ -234,8 +236,8 @@ def test_the_base_has_to_be_there() -> None:
 @pytest.mark.parametrize("axes", ["body", "world"])
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_links_that_follow_others(group: str, axes: Any, seed: int) -> None:
-    """Through couplings, what acts on a link acts on what moves it: Gᵀ Jᵀ (F, N)."""
+def test_wrench_on_follower_link_acts_on_leader(group: str, axes: Any, seed: int) -> None:
+    """Through couplings: Gᵀ Jᵀ (F, N)."""
     case = make_case(group, 4, seed)
     bare = case.system.model.copy()
     bare.addFrame(pin.Frame("hand", bare.njoints - 1, pin.SE3.Random(), pin.FrameType.BODY))
@@ -251,15 +253,15 @@ def test_links_that_follow_others(group: str, axes: Any, seed: int) -> None:
     jacobian = pin.computeFrameJacobian(
         model, data, q, hand, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     )
-    own = data.oMf[hand].rotation
-    R = own if axes == "body" else model.jointPlacements[1].rotation
+    link_axes = data.oMf[hand].rotation
+    R = link_axes if axes == "body" else model.jointPlacements[1].rotation
     F, N = R @ load[:3], R @ load[3:]
-    expected = case.whole.T @ jacobian.T @ np.append(F, N + np.cross(own @ point, F))
-    found = np.append(acting.wrench, acting.torque)
-    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+    expected = case.whole.T @ jacobian.T @ np.append(F, N + np.cross(link_axes @ point, F))
+    result = np.append(acting.wrench, acting.torque)
+    np.testing.assert_allclose(result, expected, atol=1e-12 * np.abs(expected).max())
 
 
-def test_a_body_without_joints_is_pushed_and_judged() -> None:
+def test_push_on_body_without_joints() -> None:
     """A cart by F t²/2m; a rigid body by ABA."""
     cart = pinred.load("cartpole", lock=["pole_pivot"])
     mass = sum(inertia.mass for inertia in cart.model.inertias)

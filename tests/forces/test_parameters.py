@@ -1,4 +1,4 @@
-"""Parameters: numbers with names in forces and signals."""
+"""Parameters: named numbers in forces and signals."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def end(forces: Any = (), prescribed: Any = None, **options: Any) -> Any:
     return np.concatenate([traj.x[-1], traj.xdot[-1], traj.pose[-1]])
 
 
-def two(k: Any) -> list[Any]:
-    """Return a table that begins and ends with one value."""
+def two_equal_values(k: Any) -> list[Any]:
+    """Return a table that starts and ends with one value."""
     return [k, 0.2, k]
 
 
@@ -45,11 +45,13 @@ def two(k: Any) -> list[Any]:
         lambda k: {"forces": [Torque({"bend": Linear([0.0, 0.2, 1.0], [k, 0.1, k])})]},
         lambda k: {"prescribed": {"bend": Constant(k)}},
         lambda k: {"prescribed": {"bend": Fourier(k, [0.1, k], [k], k)}},
-        lambda k: {"prescribed": {"bend": Spline([0.0, 0.3, 1.0], two(k), end="periodic")}},
+        lambda k: {
+            "prescribed": {"bend": Spline([0.0, 0.3, 1.0], two_equal_values(k), end="periodic")}
+        },
     ],
 )
-def test_a_parameter_is_its_number(make: Any) -> None:
-    """Each stands wherever a number does, and gives the motion that the number would."""
+def test_parameter_equals_its_number(make: Any) -> None:
+    """In every place where a number is allowed, the motion is equal."""
     number = end(**make(0.7))
     np.testing.assert_allclose(end(**make(Parameter("k", 0.7))), number, rtol=1e-7, atol=1e-9)
     other = end(**make(Parameter("k", 0.5)), parameters={"k": 0.7})
@@ -57,16 +59,16 @@ def test_a_parameter_is_its_number(make: Any) -> None:
     assert np.abs(end(**make(Parameter("k", 0.5))) - number).max() > 1e-6
 
 
-def test_signals_show_the_value() -> None:
-    """A signal evaluated by itself has the values of its parameters."""
+def test_signals_use_parameter_values() -> None:
+    """A signal evaluated alone has the values of its parameters."""
     plan = Fourier(Parameter("mean", 0.3), [Parameter("a", 0.5)], [], 2.0)
     assert plan.value(0.0) == 0.8
     values: list[float | Parameter] = [Parameter("a", 0.5), 1.0]
     assert Spline([0.0, 1.0], values).value(0.5) == 0.75
 
 
-def test_refusals() -> None:
-    """Names and values that cannot be are refused with the names that can."""
+def test_invalid_parameters_are_rejected() -> None:
+    """The message lists the valid names."""
     with pytest.raises(InputError, match="name of a Parameter must be text, got 3"):
         Parameter(3, 1.0)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="'k' must be a finite number, got nan"):
@@ -90,8 +92,8 @@ def test_refusals() -> None:
         Friction("bend", Parameter("most", -1.0), 0.1)
 
 
-def test_copies() -> None:
-    """A copy in another process is a parameter of the same name and value."""
+def test_parameter_survives_pickling() -> None:
+    """A copy in another process has the same name and value."""
     gain = Parameter("gain", 2.0)
     _ = gain.symbol
     for other in (pickle.loads(pickle.dumps(gain)), copy.deepcopy(gain)):
@@ -99,7 +101,7 @@ def test_copies() -> None:
         assert other.symbol.element_hash() != gain.symbol.element_hash()
 
 
-def test_files_have_parameters(tmp_path: Any) -> None:
+def test_scene_files_define_parameters(tmp_path: Any) -> None:
     """A scene file may name numbers for its formulas."""
     path = tmp_path / "scene.toml"
     text = """robot = "falling_cat"
@@ -111,15 +113,15 @@ function = { bend = "-gain*x['bend']" }
 """
     path.write_text(text)
     scene = pinred.load_scene(path)
-    assert [each.name for each in scene.force_model.parameters] == ["gain"]  # type: ignore[union-attr]
+    assert [parameter.name for parameter in scene.force_model.parameters] == ["gain"]  # type: ignore[union-attr]
     path.write_text(text.replace("gain = 2.0", "t = 2.0"))
     with pytest.raises(pinred.InputError, match="t: must be a name"):
         pinred.load_scene(path)
 
 
 @pytest.mark.parametrize("count", [10, 40])
-def test_curves_of_many_parameters(count: int) -> None:
-    """A kernel of steep pieces is tried at numbers that make sense of them, and passes."""
+def test_table_of_parameters_passes_kernel_validation(count: int) -> None:
+    """A kernel of steep pieces is validated at reasonable numbers."""
     knots = [Parameter(f"knot {k}", 0.1 * (-1) ** k) for k in range(count)]
     times = np.linspace(0.0, 1.0, count + 2)
     plan = {"bend": Spline(times, [0.0, *knots, 0.0], end="clamped")}
@@ -127,8 +129,8 @@ def test_curves_of_many_parameters(count: int) -> None:
     np.testing.assert_allclose(traj(float(times[3])).x[0], knots[2].value, atol=1e-9)
 
 
-def test_wherever_a_number_stands() -> None:
-    """In `springs`, and as the place of a joint; times of tables decide where they have breaks."""
+def test_parameters_in_springs_and_prescribed_joints() -> None:
+    """Times of tables cannot be parameters, because they define breaks."""
     cat = pinred.load("falling_cat")
     options: dict[str, Any] = {"seed": 1, "duration": 0.2, "times": [0.2]}
 
@@ -139,8 +141,8 @@ def test_wherever_a_number_stands() -> None:
         ).q  # fmt: skip
 
     k, s = Parameter("k", 1.0), Parameter("s", 0.3)
-    found = moved(k, s, parameters={"k": 2.5, "s": -0.2})
-    np.testing.assert_array_equal(found, moved(2.5, -0.2))
+    state = moved(k, s, parameters={"k": 2.5, "s": -0.2})
+    np.testing.assert_array_equal(state, moved(2.5, -0.2))
     # Another Parameter of the same name and value is another one.
     np.testing.assert_array_equal(moved(Parameter("k", 1.0), s, parameters={"k": 2.5}),
                                   moved(2.5, 0.3))  # fmt: skip

@@ -1,4 +1,4 @@
-"""Springs, dampers and friction of a file, against MuJoCo's own forces, closed forms and ABA."""
+"""Springs, dampers and friction of a file, against MuJoCo, closed forms and ABA."""
 
 from __future__ import annotations
 
@@ -22,42 +22,42 @@ WIDTH = 0.05
 
 
 def loaded(text: str) -> pinred.System:
-    """The system in a text of MJCF."""
+    """Return the system of an MJCF text."""
     return pinred.load(mujoco.MjSpec.from_string(text))
 
 
 def torque(system: pinred.System, forces: tuple[Force, ...], x: Array, xdot: Array) -> Array:
-    """What forces of a system do at its joints, as simulations use it."""
+    """Return the joint torques of a system's forces, as simulations use them."""
     model, zero = ForceModel(system, forces, {}), np.zeros(system.r)
     return model.acting(ForceInputs(0.0, x, xdot, zero, zero, model.numbers)).torque
 
 
 def without_friction(system: pinred.System) -> tuple[Force, ...]:
-    """The springs and dampers of a file."""
+    """Return the springs and dampers of a file."""
     return tuple(force for force in system.passive if not isinstance(force, Friction))
 
 
 def error(system: pinred.System, forces: tuple[Force, ...], judge: MujocoForces) -> float:
-    """The largest difference from MuJoCo at random states, of the largest force there."""
+    """Return the largest difference from MuJoCo at random states, relative to the largest force."""
     rng, worst = np.random.default_rng(1), 0.0
     for _ in range(4):
         x, xdot = rng.normal(size=(2, system.m))
-        wanted = judge.at(x, xdot)
-        found = torque(system, forces, x, xdot)
-        worst = max(worst, float(np.abs(found - wanted).max() / np.abs(wanted).max()))
+        expected = judge.at(x, xdot)
+        result = torque(system, forces, x, xdot)
+        worst = max(worst, float(np.abs(result - expected).max() / np.abs(expected).max()))
     return worst
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_springs_and_dampers_are_mujocos(seed: int) -> None:
+def test_springs_and_dampers_equal_mujoco(seed: int) -> None:
     """With polynomials, springref and ref, of hinges and slides, at random states."""
     text = passive_tree(seed)
     system = loaded(text)
     judge = MujocoForces(text, system.shape_names)
     assert error(system, without_friction(system), judge) < 1e-12
     loss = {force.joint: force.most for force in system.passive if isinstance(force, Friction)}
-    wanted = zip(system.shape_names, judge.frictionloss().tolist(), strict=True)
-    assert loss == {name: most for name, most in wanted if most}
+    losses = zip(system.shape_names, judge.frictionloss().tolist(), strict=True)
+    assert loss == {name: most for name, most in losses if most}
 
 
 def _planted(force: Force, what: str) -> Force:
@@ -71,8 +71,8 @@ def _planted(force: Force, what: str) -> Force:
 
 
 @pytest.mark.parametrize("what", ["rest", "sign", "power"])
-def test_a_planted_fault_is_seen(what: str) -> None:
-    """A rest that is off, a damper that drives, a higher power that is off by a thousandth."""
+def test_planted_errors_are_detected(what: str) -> None:
+    """A wrong rest position, a negative damper, a power wrong by a thousandth."""
     text = passive_tree(3)
     system = loaded(text)
     forces = tuple(_planted(force, what) for force in without_friction(system))
@@ -82,8 +82,8 @@ def test_a_planted_fault_is_seen(what: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
-def test_motion_against_aba_with_mujocos_forces(engine: Any) -> None:
-    """The motion with passive=True is ABA's under the torques that MuJoCo finds."""
+def test_passive_motion_equals_aba_with_mujoco_forces(engine: Any) -> None:
+    """The motion with passive=True, against ABA under MuJoCo's torques."""
     text = passive_tree(5, smooth=True)
     system = loaded(text)
     judge = MujocoForces(text, system.shape_names)
@@ -109,8 +109,8 @@ def test_motion_against_aba_with_mujocos_forces(engine: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 7])
-def test_compare_passes_and_balances_hold(seed: int) -> None:
-    """Energy goes as dampers and friction say; momentum stays, as they act inside."""
+def test_compare_and_balances_pass_with_passive_forces(seed: int) -> None:
+    """Energy decreases by dampers and friction; momentum is constant."""
     system = loaded(passive_tree(seed, joints=4, smooth=True))
     traj = pinred.simulate(
         system, seed=1, duration=1.0, passive=True, friction=WIDTH, rtol=1e-9, atol=1e-11
@@ -143,8 +143,8 @@ def sliders(dynamics: str) -> pinred.System:
 
 
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
-def test_friction_in_closed_form(engine: Any) -> None:
-    """Of M v̇ = −f tanh(v/w), sinh(v/w) falls as exp(−f t/(M w)); from 3 w down to w/100."""
+def test_friction_equals_closed_form(engine: Any) -> None:
+    """For M v̇ = −f tanh(v/w), sinh(v/w) = exp(−f t/(M w)) from 3 w down to w/100."""
     system = sliders('<dynamics friction="0.5"/>')
     assert system.passive == (Friction("slide", 0.5),)
     M, f, w = 1.2, 0.5, 0.2
@@ -152,18 +152,18 @@ def test_friction_in_closed_form(engine: Any) -> None:
     traj = pinred.simulate(
         system, x0=[0.0], xdot0=[3.0 * w], times=times, friction=w, engine=engine
     )
-    wanted = w * np.arcsinh(np.sinh(3.0) * np.exp(-f * times / (M * w)))
-    assert wanted[-1] < 0.01 * w
-    np.testing.assert_allclose(traj.states.xdot[:, 0], wanted, atol=1e-9)
+    expected = w * np.arcsinh(np.sinh(3.0) * np.exp(-f * times / (M * w)))
+    assert expected[-1] < 0.01 * w
+    np.testing.assert_allclose(traj.states.xdot[:, 0], expected, atol=1e-9)
     balance = traj.energy_balance
     assert balance.labels == ("friction slide",)
     np.testing.assert_allclose(
-        balance.work[:, 0], 0.5 * M * (wanted**2 - wanted[0] ** 2), atol=1e-9
+        balance.work[:, 0], 0.5 * M * (expected**2 - expected[0] ** 2), atol=1e-9
     )
 
 
-def test_damping_in_closed_form() -> None:
-    """Of M v̇ = −c v, v falls as exp(−c t/M); friction is off unless asked for."""
+def test_damping_equals_closed_form() -> None:
+    """For M v̇ = −c v, v = exp(−c t/M); friction is off by default."""
     system = sliders('<dynamics damping="0.7" friction="0.5"/>')
     times = np.linspace(0.0, 2.0, 5)
     traj = pinred.simulate(system, x0=[0.0], xdot0=[1.0], times=times, passive=True)
@@ -171,8 +171,8 @@ def test_damping_in_closed_form() -> None:
     assert "friction=WIDTH uses it" in traj.scene.left_out
 
 
-def test_a_driven_joint_keeps_its_plan() -> None:
-    """Passive forces at a prescribed joint load its drive only; at the others they act."""
+def test_passive_forces_load_drive_of_prescribed_joint() -> None:
+    """At other joints they act on the motion."""
     text = passive_tree(5, smooth=True)
     system = loaded(text)
     plan = {"j0": "0.3*sin(2*t)"}
@@ -180,28 +180,30 @@ def test_a_driven_joint_keeps_its_plan() -> None:
     traj = pinred.simulate(system, passive=True, **common)
     np.testing.assert_allclose(traj.states.x[:, 0], 0.3 * np.sin(2.0 * traj.t), atol=1e-12)
     assert np.abs(traj.energy_balance.residual).max() < 1e-8
-    own = [force for force in without_friction(system) if getattr(force, "joint", "") != "j0"]
-    assert len(own) < len(without_friction(system))
-    other = pinred.simulate(system, forces=own, **common)
+    joint_forces = [
+        force for force in without_friction(system) if getattr(force, "joint", "") != "j0"
+    ]
+    assert len(joint_forces) < len(without_friction(system))
+    other = pinred.simulate(system, forces=joint_forces, **common)
     np.testing.assert_allclose(traj.states.x, other.states.x, atol=1e-8)
 
 
-def test_polynomials_have_their_closed_forms() -> None:
-    """A spring between joints with powers, and a damper whose even powers are odd in v."""
+def test_polynomial_springs_and_dampers() -> None:
+    """A spring with powers, and a damper whose even powers are odd in v."""
     cat = pinred.load("falling_cat")
     x, v = np.array([0.5, -0.2, 0.1]), np.array([-0.4, 0.3, 0.2])
     spring = Spring("bend", 2.0, 0.1, to="twist", polynomial=(0.5, 0.25, 0.125))
     a, b = (cat.shape_names.index(name) for name in ("bend", "twist"))
     y = x[a] - x[b] - 0.1
-    wanted = np.zeros(3)
-    wanted[a] = -(2.0 * y + 0.5 * y**2 + 0.25 * y**3 + 0.125 * y**4)
-    wanted[b] = -wanted[a]
-    np.testing.assert_allclose(torque(cat, (spring,), x, v), wanted, rtol=1e-14)
+    expected = np.zeros(3)
+    expected[a] = -(2.0 * y + 0.5 * y**2 + 0.25 * y**3 + 0.125 * y**4)
+    expected[b] = -expected[a]
+    np.testing.assert_allclose(torque(cat, (spring,), x, v), expected, rtol=1e-14)
     damper = Damper("bend", 2.0, polynomial=(0.5, 0.25, 0.125))
     u = v[a]
-    wanted = np.zeros(3)
-    wanted[a] = -u * (2.0 + 0.5 * abs(u) + 0.25 * u**2 + 0.125 * abs(u) ** 3)
-    np.testing.assert_allclose(torque(cat, (damper,), x, v), wanted, rtol=1e-14)
+    expected = np.zeros(3)
+    expected[a] = -u * (2.0 + 0.5 * abs(u) + 0.25 * u**2 + 0.125 * abs(u) ** 3)
+    np.testing.assert_allclose(torque(cat, (damper,), x, v), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -215,13 +217,13 @@ def test_polynomials_have_their_closed_forms() -> None:
         (lambda: Damper("bend", 1.0, polynomial=(np.inf,)), "must be finite"),
     ],
 )
-def test_refused_values(make: Any, said: str) -> None:
-    """By the name of the force."""
+def test_invalid_passive_forces_are_rejected(make: Any, said: str) -> None:
+    """The message has the name of the force."""
     with pytest.raises(pinred.InputError, match=said):
         make()
 
 
-def test_friction_without_a_width_does_not_act_in_silence() -> None:
-    """It says what is missing."""
+def test_friction_without_width_warns() -> None:
+    """The message states the missing width."""
     with pytest.raises(pinred.InputError, match=r"friction bend has no width.*friction=0\.01"):
         pinred.Scene(system=pinred.load("falling_cat"), forces=Friction("bend", 1.0))

@@ -1,4 +1,4 @@
-"""Prescribed joints: reconstruction, the torques of their drives, and the energy these give."""
+"""Prescribed joints: reconstruction, the torques of their drives, and their energy."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from pinred.system.catalogue import has_example_robots
 
 
 def wave(k: int) -> Fourier:
-    """A smooth plan, another for each joint."""
+    """A smooth plan, different for each joint."""
     return Fourier(0.2 - 0.1 * k, [0.1], [0.3 + 0.1 * k, -0.2], 2.0 + 0.3 * k)
 
 
 def signals_of(scene: pinred.Scene) -> list[Signal]:
-    """The motions of the prescribed joints."""
+    """Return the motions of the prescribed joints."""
     return [signal for signal in scene.prescribed.values() if isinstance(signal, Signal)]
 
 
 def accelerations(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int) -> Array:
-    """The whole acceleration (n,) at a report time, of the full model where some is given."""
+    """Return the acceleration (n,) at a report time, of the full model with prescribed joints."""
     model, r = traj.system.model, traj.system.r
     data = model.createData()
     q, v = traj.q[t], traj.v[t]
@@ -49,13 +49,13 @@ def accelerations(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int
     signals = signals_of(traj.scene)
     a = np.empty(model.nv)
     a[fixed] = [float(s.acceleration(traj.t[t])) for s in signals]
-    rest = tau - pin.nonLinearEffects(model, data, q, v) - H[:, fixed] @ a[fixed]
-    a[free] = np.linalg.solve(H[np.ix_(free, free)], rest[free])
+    residual = tau - pin.nonLinearEffects(model, data, q, v) - H[:, fixed] @ a[fixed]
+    a[free] = np.linalg.solve(H[np.ix_(free, free)], residual[free])
     return a
 
 
 def drives(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int) -> Array:
-    """Torques of the drives at a report time, by pin.rnea on the full model."""
+    """Return the torques of the drives at a report time, by pin.rnea on the full model."""
     model = traj.system.model
     a = accelerations(traj, driven, tau, t)
     full = pin.rnea(model, model.createData(), traj.q[t], traj.v[t], a) - tau
@@ -64,8 +64,8 @@ def drives(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int) -> Ar
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("driven", [[0], [2, 0], [1, 2], [0, 1, 2]])
-def test_any_subset(group: str, driven: list[int]) -> None:
-    """Some joints follow a plan, in any order, and the others move: both engines against ABA."""
+def test_any_subset_of_prescribed_joints_equals_aba(group: str, driven: list[int]) -> None:
+    """In any order, on both engines."""
     system = tree(group, 3, 5)
     names = system.shape_names
     plan = {names[k]: wave(k) for k in driven}
@@ -84,23 +84,25 @@ TIMES = np.linspace(0.0, 1.0, 11)
 
 
 def full_motion(scene: pinred.Scene, driven: list[int]) -> Array:
-    """Pinocchio's (T, nq) at TIMES, where the drives give what pin.rnea says they must."""
+    """Return Pinocchio's (T, nq) at TIMES, with the drive torques of pin.rnea."""
     system = scene.system
     model, data, r = system.model, system.model.createData(), system.r
     signals = signals_of(scene)
-    rows = r + np.array(driven)
+    driven_rows = r + np.array(driven)
 
     def tau(t: float, q: Array, v: Array) -> Array:
         H = np.triu(pin.crba(model, data, q))
         H = H + np.triu(H, 1).T
         a = np.empty(model.nv)
-        free = np.setdiff1d(np.arange(model.nv), rows)
-        a[rows] = [float(s.acceleration(t)) for s in signals]
+        free = np.setdiff1d(np.arange(model.nv), driven_rows)
+        a[driven_rows] = [float(s.acceleration(t)) for s in signals]
         bias = pin.nonLinearEffects(model, data, q, v)
-        a[free] = np.linalg.solve(H[np.ix_(free, free)], -(bias + H[:, rows] @ a[rows])[free])
-        out = np.zeros(model.nv)
-        out[rows] = pin.rnea(model, data, q, v, a)[rows]
-        return out
+        a[free] = np.linalg.solve(
+            H[np.ix_(free, free)], -(bias + H[:, driven_rows] @ a[driven_rows])[free]
+        )
+        torques = np.zeros(model.nv)
+        torques[driven_rows] = pin.rnea(model, data, q, v, a)[driven_rows]
+        return torques
 
     start = scene.start
     q0, v0 = system.q(start.pose, start.x), system.v(start.xi, start.xdot)
@@ -110,8 +112,8 @@ def full_motion(scene: pinred.Scene, driven: list[int]) -> Array:
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("momentum", [False, True])
-def test_fully_prescribed_is_reconstruction(momentum: bool, engine: Engine) -> None:
-    """Nothing but the orientation is integrated, and it is that of ξ = I⁻¹μ − A ẋ."""
+def test_fully_prescribed_shape_is_reconstruction(momentum: bool, engine: Engine) -> None:
+    """Only the orientation is integrated, by ξ = I⁻¹μ − A ẋ."""
     system = pinred.load("falling_cat")
     plan: dict[str, Signal] = {
         "bend": Expression("0.5*sin(2*t)"),
@@ -135,11 +137,11 @@ def test_fully_prescribed_is_reconstruction(momentum: bool, engine: Engine) -> N
         omega = np.linalg.solve(red.locked_inertia(x), group.Ad(pose).T @ J)
         return group.rate(pose, omega - red.local_connection(x) @ xdot)
 
-    g0, found = group.identity(), [group.identity()]
+    g0, poses = group.identity(), [group.identity()]
     for a, b in zip(traj.t[:-1], traj.t[1:], strict=True):  # the knots are among them
         g0 = solve_ivp(rate, (a, b), g0, method="DOP853", rtol=1e-10, atol=1e-11).y[:, -1]
-        found.append(group.normalize(g0))
-    for g, h in zip(found, traj.pose, strict=True):
+        poses.append(group.normalize(g0))
+    for g, h in zip(poses, traj.pose, strict=True):
         error = group.error(g, h)
         assert max(error.rotation, error.translation) < 1e-8
     if momentum and engine == "compiled":
@@ -150,8 +152,10 @@ def test_fully_prescribed_is_reconstruction(momentum: bool, engine: Engine) -> N
 @pytest.mark.slow
 @settings(max_examples=10)
 @given(groups, seeds, st.integers(1, 4), st.data())
-def test_driving_torques(group: str, seed: int, joints: int, data: st.DataObject) -> None:
-    """The torques of the drives are pin.rnea's, under gravity, forces and a wrench."""
+def test_driving_torques_equal_rnea(
+    group: str, seed: int, joints: int, data: st.DataObject
+) -> None:
+    """Under gravity, forces and a wrench."""
     system = tree(group, joints, seed)
     names = system.shape_names
     driven = data.draw(st.lists(st.integers(0, joints - 1), min_size=1, unique=True))
@@ -188,8 +192,8 @@ def test_driving_torques(group: str, seed: int, joints: int, data: st.DataObject
     np.testing.assert_allclose(shape.driving_torques, traj.driving_torques, atol=1e-6 * scale)
 
 
-def test_a_torque_on_a_prescribed_joint_spares_its_drive() -> None:
-    """It moves nothing, and the drive gives that much less."""
+def test_torque_on_prescribed_joint_reduces_drive_torque() -> None:
+    """The motion does not change."""
     system = pinred.load("falling_cat")
     plan = {name: wave(k) for k, name in enumerate(system.shape_names)}
     scene = pinred.Scene(system=system, momentum=0, prescribed=plan, duration=1.0, times=TIMES)
@@ -207,8 +211,8 @@ def test_a_torque_on_a_prescribed_joint_spares_its_drive() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-def test_splines_with_many_knots(engine: Engine) -> None:
-    """Each knot ends a piece, and the reported states at the knots belong to the motion."""
+def test_splines_with_many_knots_equal_plan(engine: Engine) -> None:
+    """A segment ends at each knot, and reported states at knots follow the motion."""
     system = pinred.load("planar_chain5")
     knots = np.linspace(0.0, 1.0, 51)
     rng = np.random.default_rng(3)
@@ -223,18 +227,18 @@ def test_splines_with_many_knots(engine: Engine) -> None:
     for k, signal in zip((1, 3), plan.values(), strict=True):
         np.testing.assert_allclose(traj.x[:, k], signal.value(knots), rtol=0, atol=1e-13)
     q0, v0 = traj.q[0], traj.v[0]
-    model, data, rows = system.model, system.model.createData(), np.array([4, 6])
+    model, data, entries = system.model, system.model.createData(), np.array([4, 6])
 
     def tau(t: float, q: Array, v: Array) -> Array:
         H = np.triu(pin.crba(model, data, q))
         H = H + np.triu(H, 1).T
-        a, free = np.empty(8), np.setdiff1d(np.arange(8), rows)
-        a[rows] = [float(s.acceleration(t)) for s in plan.values()]
+        a, free = np.empty(8), np.setdiff1d(np.arange(8), entries)
+        a[entries] = [float(s.acceleration(t)) for s in plan.values()]
         bias = pin.nonLinearEffects(model, data, q, v)
-        a[free] = np.linalg.solve(H[np.ix_(free, free)], -(bias + H[:, rows] @ a[rows])[free])
-        out = np.zeros(8)
-        out[rows] = pin.rnea(model, data, q, v, a)[rows]
-        return out
+        a[free] = np.linalg.solve(H[np.ix_(free, free)], -(bias + H[:, entries] @ a[entries])[free])
+        torques = np.zeros(8)
+        torques[entries] = pin.rnea(model, data, q, v, a)[entries]
+        return torques
 
     q, _ = aba.integrate(model, q0, v0, knots, tau, rtol=1e-10, stops=tuple(knots[1:-1]))
     assert aba.apart(model, q, traj.q) < 1e-7
@@ -245,8 +249,8 @@ def test_splines_with_many_knots(engine: Engine) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not has_example_robots(), reason="needs example-robot-data")
-def test_solo12_falls_with_moving_legs() -> None:
-    """The CoM is on its parabola, the whole is ABA's, and the torques are pin.rnea's."""
+def test_solo12_in_free_fall_with_prescribed_legs() -> None:
+    """The CoM path is a parabola; motion by ABA, torques by pin.rnea."""
     system = pinred.load("solo12")
     plan = {
         name: Fourier(0.3 * (-1) ** k, [0.1 * (k % 3)], [0.4], 0.8)

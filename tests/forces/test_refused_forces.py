@@ -1,4 +1,4 @@
-"""Forces, plans and options that make no sense are refused with a message that says why."""
+"""Invalid forces, plans and options are rejected with clear messages."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NAN = float("nan")
 
 
 def law(value: Any) -> Callable[..., Any]:
-    """A function that gives the same whatever it is given."""
+    """A function with a constant result."""
     return lambda *_: value
 
 
@@ -90,8 +90,8 @@ BAD: list[tuple[Callable[[], Any], str]] = [
 
 @pytest.mark.filterwarnings("ignore::FutureWarning")
 @pytest.mark.parametrize(("make", "message"), BAD)
-def test_bad_forces(make: Callable[[], Any], message: str) -> None:
-    """Each is refused before anything is integrated."""
+def test_invalid_forces_are_rejected(make: Callable[[], Any], message: str) -> None:
+    """Before any integration."""
     with pytest.raises(pinred.InputError, match=message):
         pinred.simulate(CAT, duration=0.3, forces=[make()])
 
@@ -112,7 +112,7 @@ PLANS: list[tuple[dict[str, Any], str]] = [
     ({"springs": {A: 1.0}}, "stiffness, rest"),
     ({"springs": {A: (NAN, 0.0)}}, "both finite"),
     ({"outputs": "foo"}, "outputs must be one of all, shape, got 'foo'"),
-    ({"method": pinred.RKMK4(0.01), "engine": "pinocchio"}, "SciPy's DOP853 for integrator"),
+    ({"method": pinred.RKMK4(0.01), "engine": "pinocchio"}, "SciPy's DOP853"),
     (
         {"forces": [ComputedTorque(dict.fromkeys(CAT.shape_names, 0.0), kp, 1.0) for kp in (1, 2)]},
         "only one force may know all the others",
@@ -125,22 +125,22 @@ PLANS: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("options", "message"), PLANS)
-def test_bad_options(options: dict[str, Any], message: str) -> None:
-    """So is each of these."""
+def test_invalid_options_are_rejected(options: dict[str, Any], message: str) -> None:
+    """Before any integration."""
     with pytest.raises(pinred.InputError, match=message):
         pinred.simulate(CAT, duration=0.3, **options)
 
 
-def test_computed_torque_where_gravity_turns_the_base() -> None:
-    """Accelerations do not follow from shape and momentum there, and it says so."""
+def test_computed_torque_rejects_gravity_moment_on_base() -> None:
+    """There shape and momentum do not determine the accelerations."""
     swung = pinred.load("satellite_two_arms", group="SO3", gravity=(0, 0, -9.81))
     zero = dict.fromkeys(swung.shape_names, 0.0)
     with pytest.raises(pinred.SymmetryError, match="gravity turns the base"):
         pinred.simulate(swung, seed=1, forces=[ComputedTorque(zero, 1.0, 1.0)])
 
 
-def test_one_force_and_a_generator_of_forces() -> None:
-    """A force that is no list is a list of one, and a generator is read once."""
+def test_single_force_and_generator_of_forces_are_accepted() -> None:
+    """A generator is read once."""
     spring = Spring(A, 5.0)
     listed = pinred.simulate(CAT, duration=0.3, forces=[spring])
     one: Any = spring
@@ -149,8 +149,8 @@ def test_one_force_and_a_generator_of_forces() -> None:
     np.testing.assert_array_equal(pinred.simulate(scene, rtol=1e-10).q, listed.q)
 
 
-def test_a_force_that_is_not_defined_everywhere() -> None:
-    """A barrier runs where it is defined, and ends with time and joint where it is not."""
+def test_barrier_force_stops_where_undefined() -> None:
+    """The error has the time and the joint."""
     barrier = Torque(lambda _, x, *__: {A: 1e-3 * ca.log(0.3 - x[0] ** 2)})
     inside = pinred.simulate(CAT, x0=[0.1, 0.0, 0.0], duration=0.1, forces=[barrier])
     assert np.isfinite(inside.q).all()
@@ -169,10 +169,10 @@ def test_a_force_that_is_not_defined_everywhere() -> None:
         ),
     ],
 )
-def test_many_in_pieces(
+def test_batch_with_stops_runs_members_singly(
     options: dict[str, Any], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What has to stop runs one by one, as in `simulate`, and `explain` says so."""
+    """Members equal `simulate`, and `explain` states the reason."""
     many = pinred.simulate_many(CAT, seeds=range(2), duration=0.3, explain=True, **options)
     assert f"2 members one by one, DOP853: {message}" in " ".join(capsys.readouterr().out.split())
     for k in range(2):
@@ -182,8 +182,8 @@ def test_many_in_pieces(
 
 
 @pytest.mark.parametrize("torque", [WAVE, Hold([0, 0.1], [1, 2])])
-def test_many_with_smooth_plans(torque: Any) -> None:
-    """What has no breaks goes in lanes, and so do torques that have, from break to break."""
+def test_batch_with_smooth_plans_uses_lanes(torque: Any) -> None:
+    """So do torques with breaks, from break to break."""
     options: dict[str, Any] = {
         "duration": 0.3, "prescribed": {A: WAVE}, "forces": [Torque({B: torque}), Damper(C, 0.1)]
     }  # fmt: skip
@@ -193,8 +193,8 @@ def test_many_with_smooth_plans(torque: Any) -> None:
         np.testing.assert_allclose(many[k].q, one.q, rtol=0.0, atol=1e-12)
 
 
-def test_without_the_base(tmp_path: Path) -> None:
-    """What needs the base says how to get it; shape, energy and files are there."""
+def test_results_without_base(tmp_path: Path) -> None:
+    """Base quantities raise a helpful error; shape, energy and files work."""
     traj = pinred.simulate(CAT, duration=0.3, outputs="shape")
     names = ("xi", "pose", "q", "v", "states", "body_momentum", "energy_balance")
     for name in (*names, "momentum_balance"):
@@ -210,8 +210,8 @@ def test_without_the_base(tmp_path: Path) -> None:
         assert set(saved) == {"robot", "group", "joints", "t", "x", "xdot", "energy"} | origin
         np.testing.assert_array_equal(saved["x"], traj.x)
     traj.save(tmp_path / "x.csv")
-    head, *rows = (tmp_path / "x.csv").read_text().splitlines()
+    head, *lines = (tmp_path / "x.csv").read_text().splitlines()
     assert head == "t,x.bend,x.sway,x.twist,xdot.bend,xdot.sway,xdot.twist,energy"
-    found = np.array([row.split(",") for row in rows], dtype=float)
-    np.testing.assert_array_equal(found[:, 1:4], traj.x)
-    np.testing.assert_array_equal(found[:, 7], traj.energy)
+    table = np.array([line.split(",") for line in lines], dtype=float)
+    np.testing.assert_array_equal(table[:, 1:4], traj.x)
+    np.testing.assert_array_equal(table[:, 7], traj.energy)

@@ -1,4 +1,4 @@
-"""Signals, compiled and in CasADi's interpreter, against SciPy, closed forms and brute force."""
+"""Signals, compiled and in CasADi's interpreter, against SciPy and closed forms."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ VALUES = np.array([0.3, -0.2, 0.9, 1.4, -0.7, 0.3])
 def symbolic(signal: Signal, *, within: bool = False) -> list[Callable[[ArrayLike], Array]]:
     """Return the machine code and CasADi's own evaluation of a signal.
 
-    Both take times (T,), or (2, T) of times and times within, to (3, T) of all derivatives.
+    Both map times (T,), or (2, T) of times and `within`, to all derivatives (3, T).
     """
     t = ca.SX.sym("t", 1 + within)
     value = signal.casadi(t[0], t[1]) if within else signal.casadi(t[0])
@@ -53,7 +53,7 @@ def numbers(signal: Signal, times: ArrayLike) -> Array:
 
 
 def routes(signal: Signal) -> list[Callable[[ArrayLike], Array]]:
-    """Return all three ways to the same numbers."""
+    """Return the three ways to evaluate a signal."""
     return [*symbolic(signal), lambda times: numbers(signal, times)]
 
 
@@ -67,8 +67,8 @@ def random_table(seed: int, size: int) -> tuple[Array, Array]:
 @pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), size=st.integers(2, 12), end=st.sampled_from(ENDS))
 @settings(max_examples=40)
-def test_spline_is_scipys(seed: int, size: int, end: str) -> None:
-    """Value, rate and acceleration are those of SciPy, at the entries too."""
+def test_spline_equals_scipy(seed: int, size: int, end: str) -> None:
+    """Value, rate and acceleration, also at the entries."""
     times, values = random_table(seed, size)
     if end == "periodic":
         values[-1] = values[0]
@@ -82,8 +82,8 @@ def test_spline_is_scipys(seed: int, size: int, end: str) -> None:
     np.testing.assert_allclose(spline.value(times), values, atol=1e-13)
 
 
-def test_spline_through_a_cubic_is_the_cubic() -> None:
-    """A cubic without rate at its ends comes back from a clamped spline, any from not-a-knot."""
+def test_spline_reproduces_cubics() -> None:
+    """A clamped spline for a cubic with zero end rates, not-a-knot for any."""
     smooth = Spline([0.0, 0.2, 0.7, 1.0], [0.0, 0.104, 0.784, 1.0], end="clamped")
     at = np.linspace(0, 1, 23)
     for route in routes(smooth):
@@ -97,8 +97,8 @@ def test_spline_through_a_cubic_is_the_cubic() -> None:
         )
 
 
-def test_ends_of_a_spline() -> None:
-    """What the name of an end says holds at both ends."""
+def test_spline_satisfies_its_end_conditions() -> None:
+    """At both ends."""
     ends = [0.0, 2.0]
     assert np.abs(Spline(TIMES, VALUES).acceleration(ends)).max() < 1e-13
     assert np.abs(Spline(TIMES, VALUES, end="clamped").rate(ends)).max() < 1e-13
@@ -110,8 +110,8 @@ def test_ends_of_a_spline() -> None:
 @pytest.mark.parametrize(
     ("signal", "smooth"), [(Spline(TIMES, VALUES), 2), (Linear(TIMES, VALUES), 0)]
 )
-def test_pieces_meet_as_smoothly_as_they_say(signal: Signal, smooth: int) -> None:
-    """From both sides of a break, by `within`, as many derivatives agree as promised, no more."""
+def test_breaks_have_the_stated_smoothness(signal: Signal, smooth: int) -> None:
+    """Exactly so many derivatives agree from both sides of a break, by `within`."""
     assert signal.smoothness == smooth
     assert signal.span == (0.0, 2.0)
     np.testing.assert_array_equal(signal.breaks, TIMES[1:-1])
@@ -123,8 +123,8 @@ def test_pieces_meet_as_smoothly_as_they_say(signal: Signal, smooth: int) -> Non
             assert (np.abs(before - after)[smooth + 1] > 0.1).all()
 
 
-def test_linear_and_hold_by_brute_force() -> None:
-    """Straight lines as NumPy draws them, and steps that begin at their own times."""
+def test_linear_and_hold_equal_brute_force() -> None:
+    """NumPy's straight lines, and steps that start at their times."""
     at = np.concatenate([TIMES[:-1], np.random.default_rng(1).uniform(0, 2, 50)])
     piece = [max(k for k in range(6) if TIMES[k] <= t) for t in at]
     slope = [(VALUES[k + 1] - VALUES[k]) / (TIMES[k + 1] - TIMES[k]) for k in piece]
@@ -146,8 +146,8 @@ def test_linear_and_hold_by_brute_force() -> None:
 
 
 @pytest.mark.parametrize("kind", [Spline, Linear])
-def test_far_times_and_large_neighbours_do_not_spoil_small_values(kind: type[Signal]) -> None:
-    """At late times, beside values 1e12 times as large, small values keep their digits."""
+def test_small_values_keep_digits_beside_large_ones(kind: type[Signal]) -> None:
+    """At late times, beside values 1e12 times as large."""
     rng = np.random.default_rng(2)
     times = 1e6 + np.arange(200) / 8.0
     values = rng.normal(size=200)
@@ -161,8 +161,8 @@ def test_far_times_and_large_neighbours_do_not_spoil_small_values(kind: type[Sig
 
 
 @pytest.mark.slow
-def test_large_table_costs_little() -> None:
-    """A thousand entries compile to a few instructions each, derivatives included."""
+def test_large_table_compiles_to_few_instructions() -> None:
+    """A thousand entries, derivatives included."""
     rng = np.random.default_rng(3)
     times = np.cumsum(rng.uniform(0.01, 0.02, 1000))
     values = np.sin(times)
@@ -170,8 +170,8 @@ def test_large_table_costs_little() -> None:
     t = ca.SX.sym("t")
     value = spline.casadi(t)
     rate = ca.gradient(value, t)
-    for part, most in ((value, 18), (ca.vertcat(value, rate, ca.gradient(rate, t)), 18)):
-        assert ca.Function("f", [t], [part]).n_instructions() <= most * 1000
+    for expression, most in ((value, 18), (ca.vertcat(value, rate, ca.gradient(rate, t)), 18)):
+        assert ca.Function("f", [t], [expression]).n_instructions() <= most * 1000
     at = rng.uniform(times[0], times[-1], 100)
     curve = CubicSpline(times, values, bc_type="natural")
     fast, _ = symbolic(spline)
@@ -183,10 +183,10 @@ def test_large_table_costs_little() -> None:
     period=st.floats(0.1, 50),
 )  # fmt: skip
 @settings(max_examples=30)
-def test_fourier_is_a_sum_of_exponentials(
+def test_fourier_equals_sum_of_exponentials(
     seed: int, cosines: int, sines: int, period: float
 ) -> None:
-    """Σ Re cₖ exp(2πi k t/T), whose derivatives are factors."""
+    """Σ Re cₖ exp(2πi k t/T) and its derivatives."""
     rng = np.random.default_rng(seed)
     a, b, mean = rng.normal(size=cosines), rng.normal(size=sines), float(rng.normal())
     signal = Fourier(mean, a, b, period)
@@ -205,8 +205,8 @@ def test_fourier_is_a_sum_of_exponentials(
     assert signal.span == (-math.inf, math.inf)
 
 
-def test_expression_and_constant() -> None:
-    """A damped swing, and nothing at all."""
+def test_expression_and_constant_equal_closed_forms() -> None:
+    """A damped swing, and zero."""
     at = np.linspace(-2, 3, 11)
     swing = Expression("0.3 * sin(2*t) * exp(-t/5)")
     rotor = -0.2 + 2j  # Im exp((−1/5 + 2i) t)
@@ -227,21 +227,21 @@ EVERY = [
 
 
 @pytest.mark.parametrize("signal", EVERY, ids=lambda s: type(s).__name__)
-def test_any_shape_of_times(signal: Signal) -> None:
-    """Numbers come in the shape of the times; a copy gives the same ones."""
+def test_signals_accept_times_of_any_shape(signal: Signal) -> None:
+    """A copy of the signal gives the same values."""
     at = np.linspace(0.05, 1.95, 6).reshape(2, 3)
     for name in ("value", "rate", "acceleration"):
-        whole = getattr(signal, name)(at)
-        assert whole.shape == (2, 3)
+        values = getattr(signal, name)(at)
+        assert values.shape == (2, 3)
         assert getattr(signal, name)(0.05).shape == ()
-        assert getattr(signal, name)(0.05) == whole[0, 0]
+        assert getattr(signal, name)(0.05) == values[0, 0]
         assert getattr(signal, name)([]).shape == (0,)
         for other in (copy.deepcopy(signal), pickle.loads(pickle.dumps(signal))):
-            np.testing.assert_array_equal(getattr(other, name)(at), whole)
+            np.testing.assert_array_equal(getattr(other, name)(at), values)
 
 
-def test_a_table_is_a_copy() -> None:
-    """The arrays given stay the caller's; those of the table cannot be changed."""
+def test_table_copies_its_arrays() -> None:
+    """The caller's arrays stay writable; those of the table are read-only."""
     times, values = TIMES.copy(), VALUES.copy()
     spline = Spline(times, values)
     before = spline.value(0.3)
@@ -288,14 +288,14 @@ NAN, INF = math.nan, math.inf
         (lambda: Expression("sqrt(t)").rate(0), r"rate of .*sqrt.* is inf at t = 0.0 s"),
     ],
 )  # fmt: skip
-def test_refused(make: Callable[[], object], message: str) -> None:
-    """What is no signal, or is asked for where it is not known, is named."""
+def test_invalid_signals_are_rejected(make: Callable[[], object], message: str) -> None:
+    """Invalid coefficients, and times outside of the span."""
     with pytest.raises(InputError, match=message):
         make()
 
 
-def test_import_is_light() -> None:
-    """The module needs neither CasADi nor SciPy until a signal is used."""
+def test_import_needs_neither_casadi_nor_scipy() -> None:
+    """They are imported when a signal is first used."""
     assert pinred.signals.Spline is Spline
     code = (
         "import sys, pinred; pinred.signals.Constant(1).value(2); "

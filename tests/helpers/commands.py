@@ -1,4 +1,4 @@
-"""Commands of pinred, and programs in fresh interpreters, as tests run them."""
+"""Run pinred commands in this process, and Python programs in a new interpreter."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Return what is said of bad input, which is one line on standard error, with exit code 2."""
+    """Return the message of a command that rejects its input.
+
+    Asserts that the exit code is 2 and that standard error has exactly one line.
+    """
     code, _, error = run(capsys, *arguments)
     assert code == 2
     assert error.startswith("pinred: error: ")
@@ -31,7 +34,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 
 def python(code: str, **environment: str) -> str:
-    """Return what a program prints in a fresh interpreter."""
+    """Return the standard output of a program in a new interpreter."""
     return subprocess.run(
         [sys.executable, "-c", code],
         env=os.environ | environment,

@@ -1,7 +1,7 @@
-"""Random trees whose joints follow others, and what the tests know of them on their own.
+"""Random trees with coupled joints, and their coupling maps by independent formulas.
 
-From the couplings alone, by solving their equations and not by following them: x = G y + b, and
-the accelerations with multipliers.
+The map x = G y + b is computed by solving the linear system of the coupling equations. The
+accelerations are computed with Lagrange multipliers.
 """
 
 from __future__ import annotations
@@ -23,9 +23,13 @@ from pinred.system.contents import Contents, Coupling
 
 @dataclass(frozen=True)
 class CoupledCase:
-    """A system with couplings, and its map from the shape to all joints.
+    """A system with couplings, and the map x = G y + b from the shape to all joints.
 
-    G: (M, m).  b: (M,).
+    Attributes:
+        system: The coupled system.
+        G: Matrix of the map, (M, m).
+        b: Offset of the map, (M,) [rad | m].
+        rng: Random generator for states of the case.
     """
 
     system: pinred.System
@@ -35,47 +39,56 @@ class CoupledCase:
 
     @property
     def whole(self) -> Array:
-        """The map (nv, n) from (ξ, ẏ) to the model's velocities."""
+        """The map from (ξ, ẏ) to the velocities of the model, (nv, n)."""
         r = self.system.r
-        out = np.zeros((self.system.model.nv, self.system.n))
-        out[:r, :r], out[r:, r:] = np.eye(r), self.G
-        return out
+        velocity_map = np.zeros((self.system.model.nv, self.system.n))
+        velocity_map[:r, :r], velocity_map[r:, r:] = np.eye(r), self.G
+        return velocity_map
 
     def mass_matrix(self, x: Array) -> Array:
-        """GᵀHG by CRBA."""
+        """Return GᵀHG with H by CRBA, (n, n)."""
         q = self.system.model_q(self.system.group.identity(), x)
         upper = np.triu(pin.crba(self.system.model, self.system.model.createData(), q))
         return np.asarray(self.whole.T @ (upper + np.triu(upper, 1).T) @ self.whole)
 
 
 def tied(system: pinred.System) -> tuple[Array, Array]:
-    """G and b of a system, from the equations of its couplings."""
+    """Return G and b of a system by solving the equations of its couplings."""
     names = list(system.model.names)[2:]
-    rows, right = np.eye(len(names)), np.zeros(len(names))
-    own = np.zeros((len(names), system.m))
-    for each in system.couplings:
-        k = names.index(each.follower)
-        rows[k, names.index(each.leader)] -= each.ratio
-        right[k] = each.offset
+    equations, constants = np.eye(len(names)), np.zeros(len(names))
+    free_columns = np.zeros((len(names), system.m))
+    for coupling in system.couplings:
+        k = names.index(coupling.follower)
+        equations[k, names.index(coupling.leader)] -= coupling.ratio
+        constants[k] = coupling.offset
     for i, name in enumerate(system.shape_names):
-        own[names.index(name), i] = 1.0
-    return np.asarray(np.linalg.solve(rows, own)), np.asarray(np.linalg.solve(rows, right))
+        free_columns[names.index(name), i] = 1.0
+    return np.asarray(np.linalg.solve(equations, free_columns)), np.asarray(
+        np.linalg.solve(equations, constants)
+    )
 
 
 def couple(model: pin.Model, rng: np.random.Generator, most: int) -> tuple[Coupling, ...]:
-    """Random couplings of a model's shape joints: chains, several groups, any signs, zero."""
+    """Return random couplings of a model: chains, several groups, any sign, zero ratios."""
     names = [str(name) for name in rng.permutation(list(model.names)[2:])]
     count = int(rng.integers(1, min(most, len(names) - 1) + 1))
-    out = []
+    couplings = []
     for k in sorted(rng.choice(np.arange(1, len(names)), count, replace=False).tolist()):
         ratio = float(rng.choice([1.0, -1.0, 0.0, 2.0, rng.normal(), rng.normal()]))
         offset = float(rng.choice([0.0, rng.normal()]))
-        out.append(Coupling(names[k], names[int(rng.integers(k))], ratio, offset))
-    return tuple(out[int(i)] for i in rng.permutation(len(out)))
+        couplings.append(Coupling(names[k], names[int(rng.integers(k))], ratio, offset))
+    return tuple(couplings[int(i)] for i in rng.permutation(len(couplings)))
 
 
 def make_case(group: str, joints: int, seed: int, *, heavy: bool = False) -> CoupledCase:
-    """The case of a seed.  heavy: in gravity, where the group allows any."""
+    """Return the random case of a seed.
+
+    Args:
+        group: Name of the symmetry group.
+        joints: Number of shape joints of the tree.
+        seed: Seed of tree and couplings.
+        heavy: Add gravity, if the group allows it.
+    """
     rng = np.random.default_rng(seed)
     model = random_model(group, joints, seed)
     if heavy:
@@ -87,25 +100,25 @@ def make_case(group: str, joints: int, seed: int, *, heavy: bool = False) -> Cou
 
 
 def coupled_cases(least: int = 2, most: int = 8) -> st.SearchStrategy[CoupledCase]:
-    """Random trees of `least` to `most` joints on any group, with couplings."""
+    """Return a strategy for coupled trees of `least` to `most` joints on any group."""
     return st.builds(make_case, groups, st.integers(least, most), seeds)
 
 
 def multipliers(system: pinred.System) -> aba.Torques:
-    """The forces Jᵀλ that keep followers on their leaders, by Pinocchio's ABA alone."""
+    """Return the constraint forces Jᵀλ of the couplings as torques, by ABA alone."""
     model, r = system.model, system.r
     names, data = list(model.names)[2:], model.createData()
-    still = model.copy()
-    still.gravity.setZero()
+    weightless = model.copy()
+    weightless.gravity.setZero()
     J = np.zeros((len(system.couplings), model.nv))
-    for row, each in zip(J, system.couplings, strict=True):
-        row[r + names.index(each.follower)] = 1.0
-        row[r + names.index(each.leader)] -= each.ratio
+    for row, coupling in zip(J, system.couplings, strict=True):
+        row[r + names.index(coupling.follower)] = 1.0
+        row[r + names.index(coupling.leader)] -= coupling.ratio
 
     def tau(_t: float, q: Array, v: Array) -> Array:
-        rest = np.zeros(model.nv)
-        pushed = np.array([pin.aba(still, data, q, rest, row).copy() for row in J])
-        free = pin.aba(model, data, q, v, rest)
-        return np.asarray(-J.T @ np.linalg.solve(J @ pushed.T, J @ free))
+        zero = np.zeros(model.nv)
+        unit_accelerations = np.array([pin.aba(weightless, data, q, zero, row).copy() for row in J])
+        free = pin.aba(model, data, q, v, zero)
+        return np.asarray(-J.T @ np.linalg.solve(J @ unit_accelerations.T, J @ free))
 
     return tau

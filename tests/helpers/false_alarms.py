@@ -1,10 +1,9 @@
-"""Random scenes, each judged: `python tests/helpers/false_alarms.py 1000 [first] [table.csv]`.
+"""Compare random scenes with ABA: `python tests/helpers/false_alarms.py 1000 [first] [table.csv]`.
 
-Every motion is right, so no verdict may be FAILED, unless the motion is less accurate than it was
-asked to be: where a light joint or a thin axis turns a small error of momenta into a large one of
-rates, steps miss the tolerance, and that is what the judge is for.  Such a motion gets better with
-the tolerance, and is counted apart.  The short form is part of the suite
-(tests/judge/test_false_alarms.py).
+Every motion is correct, so no verdict may be FAILED. There is one exception: a light joint or a
+thin axis amplifies small momentum errors into large rate errors, and the steps miss the requested
+tolerance. The judge is right to reject such a motion. Its error decreases with the tolerance, and
+it is counted separately. A short form is part of the suite (tests/judge/test_false_alarms.py).
 """
 
 from __future__ import annotations
@@ -24,18 +23,26 @@ from random_scenes import RandomScene, random_scene
 import pinred
 
 INACCURATE = "less accurate than asked"
-_FINER = 1e-3  # of the tolerances
-_SECONDS = 40.0  # of the processor, for one scene
+_FINER = 1e-3  # factor on the tolerances of the second run
+_SECONDS = 40.0  # processor time limit of one scene [s]
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """The outcome of a seed.  used: the largest part of a bound, and of which."""
+    """The outcome of the scene of a seed.
+
+    Attributes:
+        seed: Seed of the scene.
+        verdict: Verdict of the report, or the name of the error that was raised.
+        about: Description of the scene.
+        message: The report or the error message.
+        used: Error divided by its bound, by check.
+    """
 
     seed: int
     verdict: str
     about: str
-    said: str
+    message: str
     used: dict[str, float]
 
 
@@ -44,7 +51,7 @@ class _TooLongError(Exception):
 
 
 def judged(seed: int) -> Alarm:
-    """Return the verdict of the scene of a seed; what cannot be followed is named by its error."""
+    """Return the verdict on the scene of a seed; an error of pinred is the verdict if raised."""
     scene = random_scene(seed)
     try:
         report = pinred.compare(scene.simulate())
@@ -58,20 +65,27 @@ def judged(seed: int) -> Alarm:
 
 
 def _is_right(scene: RandomScene, report: pinred.Report) -> bool:
-    """Return whether steps, and so ends, are off, by ten times less at finer tolerances."""
-    ends = ("defect", "shape", "rotation", "position")
+    """Return whether the errors of steps and final states shrink tenfold at finer tolerances."""
+    accuracy_checks = ("defect", "shape", "rotation", "position")
     checks = report.checks.items()
     if report.defect <= report.defect_bound or any(
-        not value <= bound for name, (value, bound) in checks if not name.startswith(ends)
+        not value <= bound
+        for name, (value, bound) in checks
+        if not name.startswith(accuracy_checks)
     ):
         return False
-    finer = {name: _FINER * scene.options[name] for name in ("rtol", "atol")}
-    again = pinred.compare(replace(scene, options={**scene.options, **finer}).simulate())
-    return again.equations <= again.equations_bound and again.defect <= 0.1 * report.defect
+    finer_tolerances = {name: _FINER * scene.options[name] for name in ("rtol", "atol")}
+    finer_report = pinred.compare(
+        replace(scene, options={**scene.options, **finer_tolerances}).simulate()
+    )
+    return (
+        finer_report.equations <= finer_report.equations_bound
+        and finer_report.defect <= 0.1 * report.defect
+    )
 
 
 def alarms(seeds: range) -> Iterator[Alarm]:
-    """Judge one after the other, each within its time."""
+    """Yield the outcomes of scenes, each with a limit on its processor time."""
 
     def stop(*_: Any) -> None:
         raise _TooLongError
@@ -88,27 +102,27 @@ def alarms(seeds: range) -> Iterator[Alarm]:
 
 
 def main(arguments: list[str]) -> int:
-    """Run them, print those that fail and how many there are of each verdict."""
+    """Run the scenes; print the failures and the number of scenes per verdict."""
     count, first = int(arguments[0]), int(arguments[1]) if len(arguments) > 1 else 0
     path = Path(arguments[2]) if len(arguments) > 2 else None
     warnings.simplefilter("ignore")
-    found: Counter[str] = Counter()
-    most: dict[str, tuple[float, int]] = {}
+    verdicts: Counter[str] = Counter()
+    largest: dict[str, tuple[float, int]] = {}
     rows = []
     for alarm in alarms(range(first, first + count)):
-        found[alarm.verdict] += 1
+        verdicts[alarm.verdict] += 1
         if alarm.verdict not in ("PASSED", "CANNOT TELL"):
-            print(f"{alarm.seed}: {alarm.verdict}: {alarm.about}\n    {alarm.said}", flush=True)
-        for name, part in alarm.used.items():
-            most[name] = max(most.get(name, (0.0, -1)), (part, alarm.seed))
-        rows.append([alarm.seed, alarm.verdict, alarm.about, alarm.said])
+            print(f"{alarm.seed}: {alarm.verdict}: {alarm.about}\n    {alarm.message}", flush=True)
+        for name, fraction in alarm.used.items():
+            largest[name] = max(largest.get(name, (0.0, -1)), (fraction, alarm.seed))
+        rows.append([alarm.seed, alarm.verdict, alarm.about, alarm.message])
         if path is not None:
             with path.open("w", newline="") as file:
                 csv.writer(file).writerows([["seed", "verdict", "scene", "report"], *rows])
-    print(", ".join(f"{name}: {number}" for name, number in found.most_common()))
-    for name, (part, seed) in most.items():
-        print(f"  {name:<31} {part:9.2e} of its bound at most, seed {seed}")
-    return 1 if found["FAILED"] else 0
+    print(", ".join(f"{name}: {number}" for name, number in verdicts.most_common()))
+    for name, (fraction, seed) in largest.items():
+        print(f"  {name:<31} {fraction:9.2e} of its bound (largest), seed {seed}")
+    return 1 if verdicts["FAILED"] else 0
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""Inputs at random, by kind: each makes one of a random generator and gives it to pinred.
+"""Random invalid inputs, by kind. Each function generates an input and passes it to pinred.
 
-Each returns "" if the input was taken and what came of it is sound, or what is not; errors go on.
+It returns "" if the input was accepted and the result is sound, or a description of the unsound
+result. Exceptions propagate.
 """
 
 from __future__ import annotations
@@ -89,61 +90,61 @@ def _recordings() -> dict[str, bytes]:
 
     with tempfile.TemporaryDirectory() as folder:
         traj = pinred.simulate(_cat(), duration=0.1, times=[0.0, 0.05, 0.1])
-        found = {}
+        contents = {}
         for suffix in (".npz", ".csv"):
             path = Path(folder, f"traj{suffix}")
             traj.save(path)
-            found[suffix] = path.read_bytes()
-    return found
+            contents[suffix] = path.read_bytes()
+    return contents
 
 
 def prepare() -> None:
-    """Make and compile what all inputs of all kinds need, once, before there are children."""
+    """Create and compile everything that all inputs need, before child processes are forked."""
     _robot_files(), _recordings(), _cat()
     with suppress(pinred.PinredError):
         pinred.simulate(_cat(), duration=0.01, passive=True)
 
 
 def mutated(rng: Rng, text: bytes) -> bytes:
-    """Return a text with a few changes: numbers, bytes, lines, parts lost, doubled or moved."""
+    """Return a text with random changes of numbers, bytes, words and lines."""
     if rng.random() < 0.02:  # garbage
         return rng.bytes(int(rng.integers(0, 400)))
     for _ in range(int(rng.integers(1, 5))):
         n = max(1, len(text))
         a, b = sorted(int(k) for k in rng.integers(0, n, 2))
         b = min(b, a + int(rng.integers(1, 80)))
-        kind = int(rng.integers(0, 9))
-        if kind <= 2:
+        change = int(rng.integers(0, 9))
+        if change <= 2:
             numbers = list(_NUMBER.finditer(text))
             if numbers:
-                found = numbers[int(rng.integers(len(numbers)))]
+                match = numbers[int(rng.integers(len(numbers)))]
                 word = _WORDS[int(rng.integers(len(_WORDS)))]
-                if kind == 2:
+                if change == 2:
                     word = b"%g" % (float(rng.normal()) * 10.0 ** float(rng.integers(-30, 30)))
-                text = text[: found.start()] + word + text[found.end() :]
-        elif kind == 3:
+                text = text[: match.start()] + word + text[match.end() :]
+        elif change == 3:
             text = text[:a] + text[b:]
-        elif kind == 4:
+        elif change == 4:
             text = text[:b] + text[a:b] * int(rng.integers(1, 4)) + text[b:]
-        elif kind == 5:
+        elif change == 5:
             text = text[:a] + _BYTES[int(rng.integers(len(_BYTES)))] + text[a:]
-        elif kind == 6:
+        elif change == 6:
             lines = text.split(b"\n")
             i, j = rng.integers(0, len(lines), 2)
             lines[i], lines[j] = lines[j], lines[i]
             text = b"\n".join(lines)
-        elif kind == 7:
+        elif change == 7:
             words = re.findall(rb"\w+", text)
             if words:
-                one, other = (words[int(k)] for k in rng.integers(0, len(words), 2))
-                text = text.replace(one, other, 1)
+                word, replacement = (words[int(k)] for k in rng.integers(0, len(words), 2))
+                text = text.replace(word, replacement, 1)
         elif rng.random() < 0.3:
             text = text[:a]
     return text
 
 
 def _sound(system: pinred.System) -> str:
-    """Return what is not finite of a system at its straight shape, or nothing."""
+    """Return a description of a non-finite property at the zero shape, or ""."""
     at = pinred.Reduction(system).at(np.zeros(system.m))
     for name in ("locked_inertia", "local_connection", "reduced_metric"):
         if not np.isfinite(getattr(at, name)).all():
@@ -152,7 +153,7 @@ def _sound(system: pinred.System) -> str:
 
 
 def urdf(rng: Rng, folder: Path) -> str:
-    """A bundled URDF, changed."""
+    """Load a mutated bundled URDF."""
     texts = _robot_files()
     path = folder / "robot.urdf"
     path.write_bytes(mutated(rng, texts[int(rng.integers(len(texts)))]))
@@ -160,14 +161,14 @@ def urdf(rng: Rng, folder: Path) -> str:
 
 
 def mjcf(rng: Rng, folder: Path) -> str:
-    """An MJCF file, changed."""
+    """Load a mutated MJCF file."""
     path = folder / "robot.xml"
     path.write_bytes(mutated(rng, _MJCF))
     return _sound(pinred.load(path))
 
 
 def scene(rng: Rng, folder: Path) -> str:
-    """A scene file, changed; it is checked, not run."""
+    """Read a mutated scene file, without running it."""
     path = folder / "scene.toml"
     path.write_bytes(mutated(rng, _SCENE))
     start = read_scene_file(path).scene.start
@@ -175,21 +176,21 @@ def scene(rng: Rng, folder: Path) -> str:
 
 
 def signal(rng: Rng, folder: Path) -> str:
-    """The csv file of a planned joint, changed; the plan has to be finite."""
+    """Read a prescribed joint from a mutated CSV file; its values must be finite."""
     (folder / "plan.csv").write_bytes(mutated(rng, _PLAN))
     path = folder / "scene.toml"
     path.write_bytes(_PLANNED.replace(b"KIND", (b"spline", b"linear")[int(rng.integers(2))]))
     scene = read_scene_file(path).scene
     assert scene.force_model is not None
     for t in (0.0, 0.05, 0.1):
-        given = scene.force_model.prescribed(t, scene.force_model.numbers)
-        if not np.isfinite(np.concatenate([given.x, given.xdot, given.xddot])).all():
+        prescribed = scene.force_model.prescribed(t, scene.force_model.numbers)
+        if not np.isfinite(np.concatenate([prescribed.x, prescribed.xdot, prescribed.xddot])).all():
             return "the plan is not finite"
     return ""
 
 
 def recording(rng: Rng, folder: Path) -> str:
-    """A recording, changed in its bytes, or in one of its arrays."""
+    """Read a recording with mutated bytes or with one replaced array."""
     path = folder / "traj.npz"
     if rng.random() < 0.5:
         path.write_bytes(mutated(rng, _recordings()[".npz"]))
@@ -204,12 +205,14 @@ def recording(rng: Rng, folder: Path) -> str:
         if arrays[name].dtype.hasobject:
             arrays[name] = np.array(str(odd)[:50])
         np.savez(path, **arrays)
-    found = read_recording(path)
-    return "" if np.isfinite(found.t).all() and found.system.m >= 0 else "times are not finite"
+    recorded = read_recording(path)
+    return (
+        "" if np.isfinite(recorded.t).all() and recorded.system.m >= 0 else "times are not finite"
+    )
 
 
 def arguments(rng: Rng, folder: Path) -> str:
-    """A command line that does little, with odd words in it."""
+    """Run a short command line with random words."""
     options = ["--time", "--seed", "--x0", "--xdot0", "--xi0", "--momentum", "--pose0", "--q0",
                "--v0", "--rtol", "--atol", "--method", "--step", "--order", "--engine",
                "--outputs", "--spring", "--prescribed", "--lock", "--gravity", "--group",
@@ -220,42 +223,44 @@ def arguments(rng: Rng, folder: Path) -> str:
              "SO2", "\0", "é", "9" * 400, "0,0,0", "Radau(rtol=x)", "a" * 5000, "/", ".",
              str(folder), "bend=__import__('os')", "traj.npz", "RKMK4(1e-300)"]  # fmt: skip
     verbs = ["inspect", "run", "robots", "cache", "plot", "play", "inspec", "simulate"]
-    given = [str(rng.choice(verbs))]
+    command_line = [str(rng.choice(verbs))]
     if rng.random() < 0.9:
-        given.append(str(rng.choice(["falling_cat", "nobody", "rigid_body", str(folder), ""])))
+        command_line.append(
+            str(rng.choice(["falling_cat", "nobody", "rigid_body", str(folder), ""]))
+        )
     for _ in range(int(rng.integers(0, 4))):
-        given.append(str(rng.choice(options)))
+        command_line.append(str(rng.choice(options)))
         if rng.random() < 0.8:
-            given.append(words[int(rng.integers(len(words)))])
-    if given[0] == "simulate":  # short, and written nowhere else
-        given += ["--time", "0.01", "--out", str(folder / "traj.npz")]
+            command_line.append(words[int(rng.integers(len(words)))])
+    if command_line[0] == "simulate":  # keep it short, and write into the test folder only
+        command_line += ["--time", "0.01", "--out", str(folder / "traj.npz")]
     try:
-        code = command(given)
+        code = command(command_line)
     except SystemExit as stop:
         code = int(stop.code or 0)
     return "" if code in (0, 1, 2, 3) else f"exit code {code}"
 
 
 def options(rng: Rng, _: Path) -> str:
-    """A scene of Python with options of odd types and sizes; a short one is simulated."""
+    """Build a scene with options of random types and sizes; simulate it if it is short."""
     names = ["x0", "xdot0", "xi0", "momentum", "seed", "keyframe", "pose0", "q0", "v0", "duration",
              "times", "rtol", "atol", "springs", "forces", "prescribed", "passive", "friction",
              "outputs", "method"]  # fmt: skip
-    given: dict[str, Any] = {"duration": 0.01}
+    values: dict[str, Any] = {"duration": 0.01}
     if rng.random() < 0.3:
         key = str(rng.choice(["lock", "gravity", "group", "root", "strict", "meshes"]))
         return _sound(pinred.load("falling_cat", **{key: _odd(rng)}))
     for name in rng.choice(names, int(rng.integers(1, 3)), replace=False):
-        given[str(name)] = _odd(rng)
+        values[str(name)] = _odd(rng)
     if rng.random() < 0.2:
-        given["engine"] = _odd(rng)
+        values["engine"] = _odd(rng)
     if rng.random() < 0.1:
-        found = pinred.simulate_many(_cat(), seeds=_odd(rng), duration=0.01)
-        return "" if np.isfinite(found.t).all() else "times are not finite"
-    if "duration" in given and not _short(given["duration"]):
-        pinred.Scene(system=_cat(), **{k: v for k, v in given.items() if k != "engine"})
+        batch = pinred.simulate_many(_cat(), seeds=_odd(rng), duration=0.01)
+        return "" if np.isfinite(batch.t).all() else "times are not finite"
+    if "duration" in values and not _short(values["duration"]):
+        pinred.Scene(system=_cat(), **{k: v for k, v in values.items() if k != "engine"})
         return ""
-    traj = pinred.simulate(_cat(), **given)
+    traj = pinred.simulate(_cat(), **values)
     return "" if np.isfinite(traj.x).all() else "the shape is not finite"
 
 
@@ -266,7 +271,7 @@ def _short(duration: Any) -> bool:
 
 
 def _odd(rng: Rng) -> Any:
-    """Return a value of any type."""
+    """Return a value of a random type."""
     values: list[Callable[[], Any]] = [
         lambda: None, lambda: True, lambda: 0, lambda: -1, lambda: 10**400, lambda: -(10**30),
         lambda: math.nan, lambda: math.inf, lambda: 1e300, lambda: 1e-300, lambda: 0.01,

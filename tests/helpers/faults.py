@@ -1,12 +1,12 @@
-"""Inputs at random for everything that pinred reads, run in children that may crash or hang.
+"""Pass random invalid inputs to pinred, in child processes that may crash or hang.
 
     python tests/helpers/faults.py --long            # 20 000 of each kind
     python tests/helpers/faults.py urdf --count 500 --seed 7
 
-An input passes if it is taken, or refused by an error of pinred's.  What does not is a crash (the
-child died), a hang (longer than a time), a traceback (any other error), or silent (it is taken,
-and what comes of it is not finite).  Each input is made of its kind, the seed and its number, so
-that any can be made again.
+An input passes if pinred accepts it, or rejects it by an error of its own. Four outcomes are
+faults: a crash (the child died), a hang (it exceeded a time limit), a traceback (any other
+exception), and "silent" (the input was accepted and the result is not finite). Kind, seed and
+number determine an input, so each can be reproduced.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ import numpy as np
 from pinred.common.errors import PinredError
 
 LONG = 20_000
-_PATIENCE = 20.0  # s for one input
-_CHUNK = 200  # inputs of a child
+_PATIENCE = 20.0  # time limit of one input [s]
+_CHUNK = 200  # number of inputs per child process
 
 Attempt = Callable[[np.random.Generator, Path], str]
 
 
 @dataclass
 class Tally:
-    """Outcomes of inputs, counted, and those that must not be: (number, outcome, about)."""
+    """Counted outcomes, and the faults as (number, outcome, about)."""
 
     counts: Counter[str] = field(default_factory=Counter)
     faults: list[tuple[int, str, str]] = field(default_factory=list)
@@ -53,63 +53,63 @@ class Tally:
 
 
 def tried(kind: str, count: int, seed: int = 0, first: int = 0) -> Tally:
-    """Return the outcomes of inputs of a kind, `count` of them from number `first` on."""
-    found, number, last = Tally(), first, first + count
+    """Return the outcomes of `count` inputs of a kind, starting at number `first`."""
+    tally, number, last = Tally(), first, first + count
     while number < last:
         for number, outcome, about in _of_child(kind, seed, number, min(number + _CHUNK, last)):  # noqa: B020
-            found.add(number, outcome, about)
+            tally.add(number, outcome, about)
         number += 1
-    return found
+    return tally
 
 
 def outcome_of(attempt: Attempt, rng: np.random.Generator, folder: Path) -> tuple[str, str]:
-    """Return the outcome of one input, and what is to be said about it."""
+    """Return the outcome of one input and a description of the fault, if any."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            silent = attempt(rng, folder)
+            unsound = attempt(rng, folder)
     except PinredError as error:
-        said = str(error)
-        return ("refused", "") if said.strip() else ("traceback", "an error without words")
-    except BaseException as error:  # that is what is looked for
+        message = str(error)
+        return ("refused", "") if message.strip() else ("traceback", "an error without a message")
+    except BaseException as error:  # any other exception is a fault
         return "traceback", f"{type(error).__name__}: {error}"[:500]
-    return ("silent", silent) if silent else ("taken", "")
+    return ("silent", unsound) if unsound else ("taken", "")
 
 
 def _of_child(kind: str, seed: int, first: int, last: int) -> list[tuple[int, str, str]]:
-    """Return the outcomes of inputs as far as one child comes, its crash or hang included."""
+    """Return the outcomes of inputs in one child, up to and including a crash or hang."""
     reading, writing = os.pipe()
-    with warnings.catch_warnings():  # of JAX, where it is imported: the child has no use for it
+    with warnings.catch_warnings():  # JAX warns of forks; the child does not use JAX
         warnings.simplefilter("ignore", RuntimeWarning)
         child = os.fork()
     if child == 0:
         os.close(reading)
         _work(kind, seed, first, last, writing)
     os.close(writing)
-    said, until = b"", time.monotonic() + _PATIENCE
+    received, deadline = b"", time.monotonic() + _PATIENCE
     hung = False
     with os.fdopen(reading, "rb", buffering=0) as pipe:
         while True:
-            ready, _, _ = select.select([pipe], [], [], max(0.0, until - time.monotonic()))
+            ready, _, _ = select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))
             if not ready:
                 hung = True
                 os.kill(child, signal.SIGKILL)
                 break
-            part = pipe.read(65536)
-            if not part:
+            data = pipe.read(65536)
+            if not data:
                 break
-            said, until = said + part, time.monotonic() + _PATIENCE
+            received, deadline = received + data, time.monotonic() + _PATIENCE
     _, status = os.waitpid(child, 0)
-    found = _unpacked(said)
-    if len(found) < last - first:
-        number = first + len(found)
+    outcomes = _unpacked(received)
+    if len(outcomes) < last - first:
+        number = first + len(outcomes)
         died = "hang" if hung else "crash"
-        found.append((number, died, f"status {status}"))
-    return found
+        outcomes.append((number, died, f"status {status}"))
+    return outcomes
 
 
 def _work(kind: str, seed: int, first: int, last: int, writing: int) -> None:
-    """Try inputs and write each outcome down.  Ends the process."""
+    """Try inputs and write each outcome to the pipe; then end the process."""
     faulthandler.disable()
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, 1)
@@ -118,24 +118,24 @@ def _work(kind: str, seed: int, first: int, last: int, writing: int) -> None:
         for number in range(first, last):
             rng = np.random.default_rng([fault_inputs.NUMBER[kind], seed, number])
             result = outcome_of(fault_inputs.KINDS[kind], rng, Path(folder))
-            row = pickle.dumps((number, *result))
-            os.write(writing, len(row).to_bytes(4, "big") + row)
+            record = pickle.dumps((number, *result))
+            os.write(writing, len(record).to_bytes(4, "big") + record)
     os._exit(0)
 
 
-def _unpacked(said: bytes) -> list[tuple[int, str, str]]:
-    found = []
-    while len(said) >= 4:
-        size = int.from_bytes(said[:4], "big")
-        if len(said) < 4 + size:
+def _unpacked(received: bytes) -> list[tuple[int, str, str]]:
+    outcomes = []
+    while len(received) >= 4:
+        size = int.from_bytes(received[:4], "big")
+        if len(received) < 4 + size:
             break
-        found.append(pickle.loads(said[4 : 4 + size]))
-        said = said[4 + size :]
-    return found
+        outcomes.append(pickle.loads(received[4 : 4 + size]))
+        received = received[4 + size :]
+    return outcomes
 
 
 def main() -> int:
-    """Try inputs of the kinds asked for, and print what came of them."""
+    """Try inputs of the requested kinds and print the outcomes."""
     parser = argparse.ArgumentParser(description="Try inputs at random.")
     parser.add_argument("kinds", nargs="*", help=", ".join(fault_inputs.KINDS))
     parser.add_argument("--count", type=int, default=200)
@@ -144,20 +144,20 @@ def main() -> int:
     parser.add_argument("--long", action="store_true", help=f"{LONG} of each kind")
     options = parser.parse_args()
     fault_inputs.prepare()
-    wrong = 0
+    fault_count = 0
     for kind in options.kinds or fault_inputs.KINDS:
-        began = time.monotonic()
+        start = time.monotonic()
         count = LONG if options.long else options.count
-        found = tried(kind, count, options.seed, options.first)
-        wrong += len(found.faults)
-        told = ", ".join(f"{number} {name}" for name, number in sorted(found.counts.items()))
-        print(f"{kind:<10} {count} inputs: {told}; {time.monotonic() - began:.0f} s", flush=True)
-        seen: set[str] = set()
-        for number, outcome, about in found.faults:
-            if about[:60] not in seen:
-                seen.add(about[:60])
+        tally = tried(kind, count, options.seed, options.first)
+        fault_count += len(tally.faults)
+        summary = ", ".join(f"{number} {name}" for name, number in sorted(tally.counts.items()))
+        print(f"{kind:<10} {count} inputs: {summary}; {time.monotonic() - start:.0f} s", flush=True)
+        printed: set[str] = set()
+        for number, outcome, about in tally.faults:
+            if about[:60] not in printed:
+                printed.add(about[:60])
                 print(f"  input {number}: {outcome}: {about}", flush=True)
-    return 1 if wrong else 0
+    return 1 if fault_count else 0
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Kernels with a fault in one kind of number, for the judge of kernels to find."""
+"""Kernels with a planted fault, to test the validation of kernels."""
 
 from __future__ import annotations
 
@@ -16,10 +16,18 @@ from pinred.simulation.plan import plan_of
 
 
 class Faulty:
-    """A kernel with a fault in the last number of a kind, in parts of the largest of it."""
+    """A kernel with a fault in the last of a group of outputs, relative to their largest."""
 
     def __init__(self, kernel: Kernel, where: str, first: int, last: int, fault: float) -> None:
-        """Take the kernel; where: "out" or "rate"; first, last: of the numbers of a kind."""
+        """Wrap a kernel.
+
+        Args:
+            kernel: The correct kernel.
+            where: Faulty function, "out" or "rate".
+            first: Index of the first output of the group.
+            last: Index after the last output of the group.
+            fault: Size of the fault, relative to the largest output of the group.
+        """
         self._kernel, self._where, self._fault = kernel, where, fault
         self._numbers = slice(first, last)
 
@@ -27,27 +35,27 @@ class Faulty:
         return getattr(self._kernel, name)
 
     def evaluate_outputs(self, *arguments: Any) -> Array:
-        """Return the outputs, with the fault if it is there."""
+        """Return the outputs, with the fault if `where` is "out"."""
         return self._spoiled("out", self._kernel.evaluate_outputs(*arguments))
 
     def evaluate_rate(self, *arguments: Any) -> Array:
-        """Return the rate, with the fault if it is there."""
+        """Return the rate, with the fault if `where` is "rate"."""
         return self._spoiled("rate", self._kernel.evaluate_rate(*arguments))
 
     def _spoiled(self, where: str, values: Array) -> Array:
         values = values.copy()
         if where == self._where:
-            of_kind = values[self._numbers]
-            of_kind[-1] += self._fault * max(float(np.abs(of_kind).max()), 1e-3)
+            group = values[self._numbers]
+            group[-1] += self._fault * max(float(np.abs(group).max()), 1e-3)
         return values
 
 
 def light_tree(ratio: float) -> Kernel:
-    """Return that of a tree on a free base whose last body is lighter by a ratio."""
+    """Return the kernel of a floating tree whose last body has its inertia scaled by `ratio`."""
     model = random_model("SE3", 3, 1)
-    light = model.inertias[model.njoints - 1]
+    tip = model.inertias[model.njoints - 1]
     model.inertias[model.njoints - 1] = pin.Inertia(
-        ratio * light.mass, light.lever, ratio * light.inertia
+        ratio * tip.mass, tip.lever, ratio * tip.inertia
     )
     model.armature = np.zeros(model.nv)
     scene = pinred.Scene(system=pinred.load(model), seed=0)

@@ -1,4 +1,4 @@
-"""What a figure shows, as numbers."""
+"""Read the data of a figure, for comparison with a trajectory."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pinred.common.arrays import Array
 
 
 def drawn(axes: Axes, label: str) -> tuple[Array, Array]:
-    """The data of the one line with a label."""
+    """Return x and y of the only line with a label."""
     (line,) = [line for line in axes.lines if line.get_label() == label]
     return np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
 
 
 def units(figure: Figure) -> list[str]:
-    """The labels of the vertical axes."""
+    """Return the labels of the vertical axes."""
     return [axes.get_ylabel() for axes in figure.axes]
 
 
 def beanie() -> tuple[pinred.Trajectory, Array]:
-    """Elroy's beanie on a spring from rest: x = 0.4 cos(√1.5 t), and the times."""
+    """Return Elroy's beanie on a spring, x = 0.4 cos(√1.5 t), and its report times [s]."""
     t = np.linspace(0.0, 5.0, 101)
     system = pinred.load("elroys_beanie")
     spring = {"beanie": (1.0, 0.0)}

@@ -1,8 +1,11 @@
-"""Long trials: `python tests/helpers/gait_trials.py turns [robot] [count]`, or `… gaits`.
+"""Long trials of planning.
 
-turns: random targets of 20 to 180 degrees, each reached within limits or an error; with `compare`
-of the hardest.  gaits: five starts of three links, and of solo12 (extra `robots`).  Short forms are
-part of the suite (tests/planning/).
+    python tests/helpers/gait_trials.py turns [robot] [count]
+    python tests/helpers/gait_trials.py gaits
+
+turns: random reorientations by 20 to 180 degrees, each within joint limits. The hardest plan is
+validated with `compare`. gaits: optimisations from five starts, for three links and for solo12
+(extra `robots`). Short forms are part of the suite (tests/planning/).
 """
 
 from __future__ import annotations
@@ -16,19 +19,19 @@ import numpy as np
 import pinred
 from pinred.common.arrays import Array
 
-ROBOTS = {"falling_cat": 1.6, "satellite_two_arms": 2.6, "solo12": 1.0}  # their limits [rad]
+ROBOTS = {"falling_cat": 1.6, "satellite_two_arms": 2.6, "solo12": 1.0}  # with joint limits [rad]
 
 
 def target(rng: np.random.Generator) -> Array:
-    """Return a rotation vector of random direction and 20 to 180 degrees."""
+    """Return a rotation vector of random direction and 20 to 180 degrees, (3,) [rad]."""
     w = rng.normal(size=3)
     return np.asarray(np.radians(rng.uniform(20.0, 180.0)) * w / np.linalg.norm(w))
 
 
 def turns(name: str, count: int) -> bool:
-    """TargetAim so many random targets with a robot; return whether all were."""
+    """Reorient a robot to `count` random targets; return whether all were reached."""
     system, limit, reached, hardest = pinred.load(name), ROBOTS[name], 0, None
-    pinred.reorient(system, [0.1, 0.0, 0.0], limits=limit)  # compiles
+    pinred.reorient(system, [0.1, 0.0, 0.0], limits=limit)  # compile before the times are measured
     for seed in range(count):
         w = target(np.random.default_rng(seed))
         wall, cpu = time.perf_counter(), time.process_time()
@@ -38,13 +41,13 @@ def turns(name: str, count: int) -> bool:
             print(f"{name} {seed}: {np.degrees(np.linalg.norm(w)):.0f}° NOT REACHED: {error}")
             continue
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        kept = float(np.abs(plan.gait.limits).max()) <= limit
-        reached += plan.missed < 1e-8 and kept
+        within_limits = float(np.abs(plan.gait.limits).max()) <= limit
+        reached += plan.missed < 1e-8 and within_limits
         if hardest is None or plan.cycles > hardest.cycles:
             hardest = plan
         print(
             f"{name} {seed}: {np.degrees(np.linalg.norm(w)):.0f}° in {plan.cycles} cycles, missed "
-            f"{plan.missed:.1e} rad, limits {'kept' if kept else 'BROKEN'}, "
+            f"{plan.missed:.1e} rad, limits {'respected' if within_limits else 'VIOLATED'}, "
             f"{wall:.1f} s, {cpu:.1f} s of CPU",
             flush=True,
         )
@@ -55,18 +58,20 @@ def turns(name: str, count: int) -> bool:
 
 
 def gaits() -> bool:
-    """Find best gaits of three links and of solo12 from five starts each."""
+    """Optimise gaits of three links and of solo12 from five starts each."""
     rods = pinred.Connection.mechanical(pinred.load("three_rods"))
     solo = pinred.Connection.mechanical(pinred.load("solo12"))
-    least = {"objective": "target", "target": [0.0, np.radians(30.0), 0.0], "cost": "torque"}
+    least_torque = {"objective": "target", "target": [0.0, np.radians(30.0), 0.0], "cost": "torque"}
     tasks: list[tuple[pinred.Connection, dict[str, Any]]] = [
         (rods, {}),
         (rods, {"cost": None, "vertices": 24, "limits": 1.0}),
         (solo, {"axis": "y", "limits": 1.0, "harmonics": 3}),
-        (solo, least | {"limits": 1.0, "harmonics": 3}),
+        (solo, least_torque | {"limits": 1.0, "harmonics": 3}),
     ]
     for connection, options in tasks:
-        pinred.optimise_gait(connection, **options | {"starts": 1})  # compiles
+        pinred.optimise_gait(
+            connection, **options | {"starts": 1}
+        )  # compile before the times are measured
         wall, cpu = time.perf_counter(), time.process_time()
         best = pinred.optimise_gait(connection, **options)
         print(best)
@@ -78,7 +83,7 @@ def gaits() -> bool:
 
 
 def main(words: list[str]) -> int:
-    """Run the trials named; return 1 if one fails."""
+    """Run the requested trials; return 1 if one fails."""
     if not words or words[0] not in ("turns", "gaits"):
         print(__doc__)
         return 2

@@ -1,4 +1,4 @@
-"""The lift of a gait by SciPy over Pinocchio's mass matrix: the other side of tests of phases."""
+"""Lifts of gaits by SciPy and Pinocchio's mass matrix: an independent reference for phases."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ from pinred.lie import Group
 def lifted(
     group: Group, gait: pinred.Gait, velocity: Callable[[Array, Array, Array], Array]
 ) -> Array:
-    """Return the pose after one cycle, (size,), for ξ = velocity(g, x, ẋ)."""
+    """Return the pose after one cycle, (size,).
+
+    Args:
+        group: Symmetry group.
+        gait: Closed path of shapes.
+        velocity: Body twist ξ as a function of g, x and ẋ.
+    """
 
     def rate(t: float, y: Array) -> Array:
         g = group.normalize(y)
@@ -24,15 +30,15 @@ def lifted(
 
     g = group.identity()
     for start, end in zip(gait.breaks[:-1], gait.breaks[1:], strict=True):
-        # A step must not reach beyond a corner.
-        inside = np.nextafter(end, start)
-        out = solve_ivp(rate, (start, inside), g, method="DOP853", rtol=1e-12, atol=1e-13)
-        g = group.normalize(out.y[:, -1])
+        # A step must not evaluate the gait beyond a corner.
+        before_end = np.nextafter(end, start)
+        solution = solve_ivp(rate, (start, before_end), g, method="DOP853", rtol=1e-12, atol=1e-13)
+        g = group.normalize(solution.y[:, -1])
     return g
 
 
 def by_pinocchio(system: pinred.System, gait: pinred.Gait, momentum: Array) -> Array:
-    """Return the pose after one cycle with a body momentum at its start, (r,)."""
+    """Return the pose after one cycle for an initial body momentum (r,)."""
     red, group = pinred.Reduction(system), system.group
 
     def velocity(g: Array, x: Array, xdot: Array) -> Array:

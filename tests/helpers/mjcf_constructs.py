@@ -1,7 +1,7 @@
-"""What MJCF can say about masses and motions, construct by construct.
+"""MJCF constructs that concern masses and motions, each as a piece of a robot file.
 
-An arm is a piece of a body: it hangs on the carrying body of a robot.  N in it stands for the
-number of the arm, so that names differ.  A head stands before the world.
+An arm is a body that is inserted into the carrying body of a robot. N in its text is replaced by
+the number of the arm, so that names differ. A head is inserted before the world.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ TETRAHEDRON = "0 0 0 .3 0 0 0 .4 0 .05 .1 .5"
 OPEN = "0 0 0 .3 0 0 0 .4 0 .05 .1 .5 .4 .4 .1"
 
 
-def body(inside: str = BOX, joints: str = HINGE, said: str = 'pos=".1 .2 .3"') -> str:
-    """A body with joints and mass."""
-    return f"<body {said}>{joints}{inside}</body>"
+def body(content: str = BOX, joints: str = HINGE, attributes: str = 'pos=".1 .2 .3"') -> str:
+    """Return a body with joints and mass."""
+    return f"<body {attributes}>{joints}{content}</body>"
 
 
-def geom(said: str) -> str:
-    """A body with one shape."""
-    return body(f"<geom {said}/>")
+def geom(attributes: str) -> str:
+    """Return a body with one geom."""
+    return body(f"<geom {attributes}/>")
 
 
 def mesh(
-    said: str = "", on_geom: str = 'type="mesh"', vertices: str = TETRAHEDRON
+    attributes: str = "", on_geom: str = 'type="mesh"', vertices: str = TETRAHEDRON
 ) -> tuple[str, str]:
-    """A head with a mesh, and a body with a shape of it."""
-    asset = f'<asset><mesh name="meshN" vertex="{vertices}" {said}/></asset>'
+    """Return a head with a mesh, and a body with a geom of it."""
+    asset = f'<asset><mesh name="meshN" vertex="{vertices}" {attributes}/></asset>'
     return asset, geom(f'mesh="meshN" pos=".1 0 .2" euler="10 20 30" {on_geom}')
 
 
-# The head, and the arms.
+# Head and arm of each construct, by its name.
 CONSTRUCTS: dict[str, tuple[str, str]] = {
     # where bodies are
-    "nothing said": ("", body(said="")),
-    "place": ("", body(said='pos="1 2 -3"')),
-    "quaternion": ("", body(said='quat="1 2 3 4"')),
-    "axis and angle": ("", body(said='axisangle="1 1 0 40"')),
-    "Euler angles": ("", body(said='euler="20 30 40"')),
-    "x and y axes": ("", body(said='xyaxes="1 1 0 0 1 1"')),
-    "z axis": ("", body(said='zaxis="1 2 3"')),
+    "no attributes": ("", body(attributes="")),
+    "place": ("", body(attributes='pos="1 2 -3"')),
+    "quaternion": ("", body(attributes='quat="1 2 3 4"')),
+    "axis and angle": ("", body(attributes='axisangle="1 1 0 40"')),
+    "Euler angles": ("", body(attributes='euler="20 30 40"')),
+    "x and y axes": ("", body(attributes='xyaxes="1 1 0 0 1 1"')),
+    "z axis": ("", body(attributes='zaxis="1 2 3"')),
     "frame": ("", f'<frame pos=".1 .2 .3" euler="10 20 30">{body()}</frame>'),
     "frames in frames": (
         "",
@@ -71,19 +71,19 @@ CONSTRUCTS: dict[str, tuple[str, str]] = {
         '<geom density="300"/></default></default>',
         f'<body childclass="softN" pos="0 0 .2"><joint/>{BOX}</body>',
     ),
-    "unnamed still bodies": (
+    "unnamed fixed bodies": (
         "",
         body(f'{BOX}<body pos="0 .2 0">{BOX}</body><body pos="0 0 .3" euler="0 0 20">{BOX}</body>'),
     ),
-    "still bodies in a row": ("", body(body(body(joints=""), joints="") + INERTIAL)),
+    "chain of fixed bodies": ("", body(body(body(joints=""), joints="") + INERTIAL)),
     "branches": ("", body(INERTIAL + body() + body(joints=SLIDE))),
     "chain": ("", body(INERTIAL + body(BOX + body(BOX + body())))),
     # joints
     "hinge": ("", body(joints="<joint/>")),
-    "hinge aside": ("", body(joints='<joint pos=".3 -.2 .1" axis="0 1 0"/>')),
+    "hinge off the origin": ("", body(joints='<joint pos=".3 -.2 .1" axis="0 1 0"/>')),
     "axis of any length": ("", body(joints='<joint axis="3 -40 12"/>')),
     "slide": ("", body(joints='<joint type="slide" axis="1 2 0"/>')),
-    "slide aside": ("", body(joints='<joint type="slide" axis="1 2 0" pos="1 2 3"/>')),
+    "slide off the origin": ("", body(joints='<joint type="slide" axis="1 2 0" pos="1 2 3"/>')),
     "reference of a hinge": ("", body(joints='<joint ref="35" pos=".2 .1 0" axis="1 1 1"/>')),
     "reference of a slide": ("", body(joints='<joint type="slide" ref=".7" axis="1 1 1"/>')),
     "rest of a spring": ("", body(joints='<joint ref="20" springref="50" stiffness="2"/>')),
@@ -125,7 +125,7 @@ CONSTRUCTS: dict[str, tuple[str, str]] = {
     ),
     # inertias
     "inertial": ("", body(INERTIAL)),
-    "inertial, turned": (
+    "inertial, rotated": (
         "",
         body('<inertial pos=".1 0 0" quat="1 2 3 4" mass="2" diaginertia=".03 .02 .04"/>'),
     ),
@@ -137,7 +137,7 @@ CONSTRUCTS: dict[str, tuple[str, str]] = {
         "",
         body('<inertial pos="0 0 0" axisangle="1 2 3 50" mass="2" diaginertia=".03 .02 .04"/>'),
     ),
-    "whole inertia": (
+    "full inertia": (
         "",
         body('<inertial pos=".1 .2 0" mass="2" fullinertia=".05 .06 .07 .01 -.01 .004"/>'),
     ),
@@ -150,7 +150,7 @@ CONSTRUCTS: dict[str, tuple[str, str]] = {
         "",
         body('<inertial pos="1e-7 0 0" quat="1 1e-7 0 0" mass="2" diaginertia=".03 .02 .04"/>'),
     ),
-    "inertial hardly turned": (
+    "inertial hardly rotated": (
         "",
         body('<inertial pos=".1 0 0" quat="1 1e-7 0 0" mass="2" diaginertia=".03 .02 .04"/>'),
     ),
@@ -194,17 +194,17 @@ CONSTRUCTS: dict[str, tuple[str, str]] = {
     "mesh of some mass": mesh("", 'type="mesh" mass="4"'),
     "box around a mesh": mesh("", 'type="box"'),
     "capsule around a mesh, larger": mesh("", 'type="capsule" fitscale="1.4"'),
-    "ready-made mesh": (
+    "built-in mesh": (
         '<asset><mesh name="meshN" builtin="wedge" params="4 4 30 30 0"/></asset>',
         geom('type="mesh" mesh="meshN" density="3"'),
     ),
-    "mesh that carries nothing": (
+    "mesh without mass": (
         '<asset><mesh name="meshN" file="no_such_file.stl"/></asset>',
         body(INERTIAL + '<geom type="mesh" mesh="meshN"/>'),
     ),
 }  # fmt: skip
 
-# Settings of the whole file.
+# Settings that apply to the whole file.
 HEADS: dict[str, str] = {
     "nothing": "",
     "radians": '<compiler angle="radian"/>',
@@ -213,13 +213,13 @@ HEADS: dict[str, str] = {
     "Euler sequence, mixed": '<compiler eulerseq="yXz"/>',
     "groups with mass": '<compiler inertiagrouprange="0 1"/>',
     "inertia from shapes always": '<compiler inertiafromgeom="true"/>',
-    "mass of the whole": '<compiler settotalmass="7"/>',
+    "total mass": '<compiler settotalmass="7"/>',
     "least mass": '<compiler boundmass="1.5"/>',
     "least moment": '<compiler boundinertia=".2"/>',
     "moments balanced": '<compiler balanceinertia="true"/>',
     "free joints aligned": '<compiler alignfree="true"/>',
-    "still bodies fused": '<compiler fusestatic="true"/>',
-    "what is seen discarded": '<compiler discardvisual="true"/>',
+    "fixed bodies fused": '<compiler fusestatic="true"/>',
+    "visual geoms discarded": '<compiler discardvisual="true"/>',
     "boxes around meshes": '<compiler fitaabb="true"/>',
     "compiler twice": '<compiler angle="radian"/><compiler eulerseq="zxz"/>',
     "gravity": '<option gravity="1 -2 3"/>',
@@ -253,26 +253,30 @@ ROOTS: dict[str, str] = {
 }
 
 
-def robot(heads: str, root: str, arms: list[str], said: str = 'pos="1 2 3" euler="5 6 7"') -> str:
-    """A file with one robot, of a carrying body with arms."""
+def robot(
+    heads: str, root: str, arms: list[str], attributes: str = 'pos="1 2 3" euler="5 6 7"'
+) -> str:
+    """Return a file with one robot: a carrying body with arms."""
     numbered = "".join(arm.replace("N", str(k)) for k, arm in enumerate(arms))
-    carrier = f'<body name="base" {said}>{ROOTS[root]}{BOX}{numbered}</body>'
+    carrier = f'<body name="base" {attributes}>{ROOTS[root]}{BOX}{numbered}</body>'
     return f"<mujoco>{heads}<worldbody>{carrier}</worldbody></mujoco>"
 
 
 def of_construct(name: str, root: str = "free") -> str:
-    """A file with one construct in it, and something hanging behind it."""
+    """Return a file with one construct."""
     head, arm = CONSTRUCTS[name]
     return robot(head.replace("N", "0"), root, [arm])
 
 
 def mixed(rng: np.random.Generator) -> str:
-    """A file with several constructs, settings and a root, at random."""
+    """Return a file with random constructs, settings and root."""
     settings = rng.choice(list(HEADS), 2, replace=False)
-    known = list(CONSTRUCTS)
+    candidates = list(CONSTRUCTS)
     if "inertia from shapes always" in settings:
-        known.remove("mesh that carries nothing")  # for it does then, and has no file
-    names = rng.choice(known, rng.integers(2, 7), replace=False)
+        candidates.remove(
+            "mesh without mass"
+        )  # its mesh file would be needed then, and does not exist
+    names = rng.choice(candidates, rng.integers(2, 7), replace=False)
     heads = [CONSTRUCTS[name][0].replace("N", str(k)) for k, name in enumerate(names)]
     root = str(rng.choice(list(ROOTS)))
     return robot(
@@ -281,8 +285,8 @@ def mixed(rng: np.random.Generator) -> str:
 
 
 FAR = '<site name="far" pos="0 0 2"/>'
-# What acts and is left out: a head, what stands in the body "arm", what is said in the world, and
-# the names of what is listed.
+# Forces and constraints of a file that pinred ignores and reports. For each kind: a head, content
+# of the body "arm", content of the world, and the names that are reported.
 ACTING = {
     "actuators": (
         '<actuator><motor name="m" joint="arm"/><general site="tip"/><motor tendon="line"/>'
@@ -317,7 +321,7 @@ ACTING = {
         "", f'<body name="light" gravcomp="1">{INERTIAL}</body>', "", ("light",),
     ),
 }  # fmt: skip
-# The flags that switch it off.
+# The MuJoCo flags that disable these kinds.
 SWITCHES = {
     "actuators": "actuation", "plastic springs": "spring",
     "joint limits": "limit", "contact": "contact",

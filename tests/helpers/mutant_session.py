@@ -1,7 +1,7 @@
-"""A session of pytest that runs some of its tests on mutants, each in a fork.
+"""A pytest session that runs selected tests on mutants, each mutant in a fork.
 
-Everything is imported and all tests are collected once.  In a fork, functions of the module get
-the code of the mutant; what was compiled without it is not used.
+All modules are imported and all tests are collected once. In a fork, the functions of a module
+get the code of the mutant, and kernels and integrators that were compiled before are not used.
 """
 
 from __future__ import annotations
@@ -22,22 +22,26 @@ from typing import Any
 
 import numba
 import pytest
-from covering import IMPORT, Covering, Recorder, leave_numba_alone
+from line_coverage import IMPORT, LineCoverage, Recorder, leave_numba_alone
 from mutations import Mutant
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 
-LONG = 20.0  # s; tests that take longer are left out
-_IN_KERNELS = ("forces", "kernels", "lie", "reduction")  # what kernels may be made of
-_VALIDATION = ("kernels/validation", "kernels/reference_state")  # never part of a kernel
+LONG = 20.0  # tests that take longer are not run [s]
+_IN_KERNELS = (
+    "forces",
+    "kernels",
+    "lie",
+    "reduction",
+)  # packages whose functions may generate kernels
+_VALIDATION = (
+    "kernels/validation",
+    "kernels/reference_state",
+)  # modules of these packages that never generate a kernel
 
 
 class MutantSession:
-    """The plugin.  ask: is called with it when all tests are collected.
-
-    seconds: of a mutant's tests.  budget: of the tests that are run, quickest first, as they take
-    without a mutant; at least one of them is.
-    """
+    """The pytest plugin."""
 
     def __init__(
         self,
@@ -48,7 +52,16 @@ class MutantSession:
         seconds: float,
         budget: float,
     ) -> None:
-        """Take the package (a folder) and its modules that will be changed."""
+        """Prepare the session.
+
+        Args:
+            package: Folder of the package.
+            modules: Modules of the package that will be mutated.
+            ask: Function that is called with the session when all tests are collected.
+            seconds: Time limit for the tests of one mutant [s].
+            budget: Limit on the total duration of the tests of a mutant [s], measured without it.
+                The quickest tests run first, and at least one test runs.
+        """
         self._package, self._ask = package, ask
         self._seconds, self._budget = seconds, budget
         self._recorder = Recorder(package, modules)
@@ -58,35 +71,40 @@ class MutantSession:
         self._killers: defaultdict[str, Counter[str]] = defaultdict(Counter)
         self._passes: dict[tuple[str, str], bool] = {}
         self._session: pytest.Session
-        self.covering = Covering()
+        self.covering = LineCoverage()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_collection(self, session: pytest.Session) -> Iterator[None]:
-        """Record what is run by imports, before any test."""
+        """Record the lines that run during imports, before any test."""
         self._session = session
         with self._recorder.traced():
             return (yield)
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        """Ask for mutants, instead of running all tests."""
+        """Run mutants instead of all tests."""
         self._items = {item.nodeid: item for item in session.items}
-        known = gc.get_objects()
-        self._functions = [each for each in known if isinstance(each, FunctionType)]
-        self._compiled = [each for each in known if isinstance(each, Dispatcher)]
-        gc.freeze()  # so that forks do not copy what they only look at
+        objects = gc.get_objects()
+        self._functions = [
+            candidate for candidate in objects if isinstance(candidate, FunctionType)
+        ]
+        self._compiled = [candidate for candidate in objects if isinstance(candidate, Dispatcher)]
+        gc.freeze()  # so that forks share these objects instead of copying them
         self._ask(self)
         return True
 
     def cover(self, path: Path) -> None:
-        """Find out what tests cover, or read it from a file; raise SystemExit if one fails."""
+        """Record the lines that each test runs, or read them from a file.
+
+        Raises SystemExit if a test fails without a mutant.
+        """
         if not path.exists():
-            for _ in range(2):  # what the first pass compiles is not the second's time
+            for _ in range(2):  # the second pass measures without compilation
                 failed = self._forked(lambda: self._recorded(path), 3600.0)
                 if failed:
                     raise SystemExit(f"a test fails without a mutant: {failed}")
-                if max(Covering.read(path).seconds.values(), default=0.0) < LONG / 5.0:
+                if max(LineCoverage.read(path).seconds.values(), default=0.0) < LONG / 5.0:
                     break
-        self.covering = Covering.read(path)
+        self.covering = LineCoverage.read(path)
 
     def _recorded(self, path: Path) -> str:
         leave_numba_alone()
@@ -99,28 +117,28 @@ class MutantSession:
         return ""
 
     def tests(self, module: str, mutant: Mutant) -> list[str]:
-        """Return the tests that are run on a mutant, the likeliest to kill it first."""
+        """Return the tests to run on a mutant, those most likely to kill it first."""
         covering = self.covering
-        found = covering.tests(module, mutant.line, mutant.end) if mutant.inside else []
-        if not mutant.inside or (not found and module.startswith("integrators")):
-            found = covering.of_module(module)
-        found = [test for test in found if covering.seconds[test] < LONG]
-        killers = [name for name, _ in self._killers[module].most_common(3) if name in found]
-        left = self._budget
-        out: list[str] = []
-        for name in dict.fromkeys([*killers, *found]):
-            left -= covering.seconds[name]
-            if left > 0.0 or not out:
-                out.append(name)
-        return out
+        candidates = covering.tests(module, mutant.line, mutant.end) if mutant.inside else []
+        if not mutant.inside or (not candidates and module.startswith("integrators")):
+            candidates = covering.of_module(module)
+        candidates = [test for test in candidates if covering.seconds[test] < LONG]
+        killers = [name for name, _ in self._killers[module].most_common(3) if name in candidates]
+        remaining = self._budget
+        selected: list[str] = []
+        for name in dict.fromkeys([*killers, *candidates]):
+            remaining -= covering.seconds[name]
+            if remaining > 0.0 or not selected:
+                selected.append(name)
+        return selected
 
     def killed(self, module: str, test: str) -> None:
-        """Note that a test has killed a mutant of a module: it is the first for the next."""
+        """Record that a test killed a mutant of a module; it runs first on the next mutant."""
         if test in self._items:
             self._killers[module][test] += 1
 
     def outcome(self, module: str, mutant: Mutant) -> str | None:
-        """Return what tests say of a mutant, or None if its module must be imported anew."""
+        """Return the outcome of a mutant, or None if its module must be imported again."""
         tests = self.tests(module, mutant)
         if not tests:
             return "not run"
@@ -138,10 +156,12 @@ class MutantSession:
                 self.killed(module, failed)
                 return f"killed by {failed}"
             tests = [test for test in tests if test != failed]
-        return "survived" if tests else "not run"  # those that fail without it tell nothing
+        return (
+            "survived" if tests else "not run"
+        )  # tests that also fail without the mutant are ignored
 
     def _passes_without(self, module: str, test: str) -> bool:
-        """Whether a test passes with all compiled anew, as for a mutant, but nothing changed."""
+        """Return whether a test passes without a mutant if everything is compiled again."""
         if test not in self._items or not (module.startswith(_IN_KERNELS) or self._woven(module)):
             return True
         key = (module.split("/", maxsplit=1)[0], test)
@@ -152,7 +172,7 @@ class MutantSession:
         return self._passes[key]
 
     def _changed(self, module: str, mutant: Mutant) -> list[tuple[FunctionType, CodeType]] | None:
-        """Return the functions that a mutant changes and what they are then, None if unknown."""
+        """Return the functions that a mutant changes with their new code, or None if unknown."""
         path = str(self._package / module)
         before, after = (
             _codes(compile(source, path, "exec", dont_inherit=True))
@@ -161,62 +181,62 @@ class MutantSession:
         if before.keys() != after.keys():
             return None
         keys = {key for key, code in before.items() if code != after[key]}
-        found = [
-            (each, after[key])
-            for each in self._functions
-            if each.__code__.co_filename == path and (key := _key(each.__code__)) in keys
+        changed = [
+            (function, after[key])
+            for function in self._functions
+            if function.__code__.co_filename == path and (key := _key(function.__code__)) in keys
         ]
-        if any(len(f.__code__.co_freevars) != len(code.co_freevars) for f, code in found):
+        if any(len(f.__code__.co_freevars) != len(code.co_freevars) for f, code in changed):
             return None
-        return found or None
+        return changed or None
 
     def _run(
         self, module: str, changed: list[tuple[FunctionType, CodeType]], tests: list[str]
     ) -> str:
         for function, code in changed:
             function.__code__ = code
-        with tempfile.TemporaryDirectory() as own:
+        with tempfile.TemporaryDirectory() as folder:
             if self._woven(module):
-                for each in self._compiled:
-                    each._cache = NullCache()  # type: ignore[attr-defined]
-                numba.config.CACHE_DIR = own  # type: ignore[attr-defined]  # of those that are made from now on
+                for dispatcher in self._compiled:
+                    dispatcher._cache = NullCache()  # type: ignore[attr-defined]
+                numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]  # for integrators that are compiled from now on
             if module.startswith(_IN_KERNELS) and not module.startswith(_VALIDATION):
-                os.environ["PINRED_CACHE_DIR"] = own
+                os.environ["PINRED_CACHE_DIR"] = folder
             items = [self._items[name] for name in tests]
-            for item, then in zip(items, [*items[1:], None], strict=True):
-                item.config.hook.pytest_runtest_protocol(item=item, nextitem=then)
+            for item, next_item in zip(items, [*items[1:], None], strict=True):
+                item.config.hook.pytest_runtest_protocol(item=item, nextitem=next_item)
                 if self._session.testsfailed:
                     return item.nodeid
         return ""
 
     def _woven(self, module: str) -> bool:
-        """Whether compiled integrators may be made of functions of a module."""
+        """Return whether functions of a module may be compiled into integrators."""
         text = (self._package / module).read_text()
         return module.startswith("integrators") and "compiling import" in text
 
     def _forked(self, work: Callable[[], str], seconds: float) -> str:
-        """Do some work in a fork and return what it returns: the test that failed, or why."""
-        with tempfile.TemporaryDirectory() as place:
-            said = Path(place) / "said"
+        """Call a function in a fork; return its result, or the reason why the fork failed."""
+        with tempfile.TemporaryDirectory() as folder:
+            answer = Path(folder) / "said"
             child = os.fork()
             if not child:
                 code = 70
                 try:
                     os.setsid()
-                    nothing = os.open(os.devnull, os.O_RDWR)
-                    for number in (0, 1, 2):
-                        os.dup2(nothing, number)
-                    said.write_text(work())
+                    devnull = os.open(os.devnull, os.O_RDWR)
+                    for descriptor in (0, 1, 2):
+                        os.dup2(devnull, descriptor)
+                    answer.write_text(work())
                     code = 0
                 except BaseException:
                     with suppress(BaseException):
-                        said.write_text(f"an error: {traceback.format_exc()[-300:]}")
+                        answer.write_text(f"an error: {traceback.format_exc()[-300:]}")
                 finally:
                     os._exit(code)
             end = time.monotonic() + seconds
             while time.monotonic() < end:
                 if os.waitpid(child, os.WNOHANG)[0]:
-                    return said.read_text() if said.exists() else "an error"
+                    return answer.read_text() if answer.exists() else "an error"
                 time.sleep(0.005)
             os.killpg(child, signal.SIGKILL)
             os.waitpid(child, 0)
@@ -224,17 +244,17 @@ class MutantSession:
 
 
 def _codes(code: CodeType) -> dict[tuple[str, int, int], CodeType]:
-    """Return all functions in a module's code by what tells them apart."""
-    out, left = {}, [code]
-    while left:
-        for each in left.pop().co_consts:
-            if isinstance(each, CodeType):
-                out[_key(each)] = each
-                left.append(each)
-    return out
+    """Return the code of all functions of a module by their keys."""
+    codes, pending = {}, [code]
+    while pending:
+        for constant in pending.pop().co_consts:
+            if isinstance(constant, CodeType):
+                codes[_key(constant)] = constant
+                pending.append(constant)
+    return codes
 
 
 def _key(code: CodeType) -> tuple[str, int, int]:
     columns: Any = [first for *_, first, _ in code.co_positions() if first]
-    several = "<" in code.co_name  # of which one line may have several
-    return code.co_qualname, code.co_firstlineno, min(columns, default=0) if several else 0
+    is_ambiguous = "<" in code.co_name  # a line may contain several lambdas or comprehensions
+    return code.co_qualname, code.co_firstlineno, min(columns, default=0) if is_ambiguous else 0

@@ -1,20 +1,23 @@
-"""Mutants of modules, and the tests that kill them: `python tests/helpers/mutants.py MODULE …`.
+"""Create mutants of modules and find the tests that kill them.
 
-Each mutant is one small change of one module (see mutations.py), in a copy of the package.  Of
-the tests of the module's room, those that run the changed line are run, the quickest first and
-further cases of the same later, until one fails (killed) or all pass (survived: the tests do not
-see it, or there is nothing to see).
-Where none runs the line, it is "not run", which is no better.  Options: --table FILE.csv, --sample
-N (so many of each module, at random by --seed), --seconds of a mutant's tests, --budget (seconds
-of tests without a mutant, of which the others are left out), --tests (these instead of the
-room's), --only LINE … (mutants of these lines), --keep FOLDER (works there, and keeps which test
-runs which line, and what is compiled, for the next time).  Tests marked slow are left out, unless
---slow is given.
+    python tests/helpers/mutants.py MODULE …
 
-Tests run in forks of a session that has imported everything (mutant_session.py); where a mutant
-is of what runs at import, in one that imports the package anew.  Compiled kernels and integrators
-are kept in a cache of the run's own; where a mutant may be part of what was compiled, there is
-none.
+Each mutant is one small change of one module (see mutations.py) in a copy of the package. The
+tests of the module's package that run the changed line are run, quickest first, and the further
+cases of a parametrized test later. A mutant is "killed" if a test fails. It has "survived" if all
+tests pass: either the tests do not detect the change, or it has no effect. It is "not run" if no
+test runs the line, which is no better. Tests marked slow run only with --slow.
+
+Options: --table FILE.csv; --sample N (number of random mutants per module, drawn with --seed);
+--seconds (time limit for the tests of a mutant); --budget (limit on the total duration of the tests
+of a mutant, measured without it); --tests (instead of the tests of the package); --only LINE …
+(mutants of these lines); --keep FOLDER (work in this folder, and reuse the line coverage and the
+compiled code of an earlier run).
+
+Tests run in forks of a session that has imported everything (mutant_session.py). If a mutant
+changes code that runs at import, its fork imports the package again. Compiled kernels and
+integrators are cached in a separate folder. If a mutant may affect compiled code, its fork uses
+no cache.
 """
 
 from __future__ import annotations
@@ -80,8 +83,8 @@ TESTS: dict[str, list[str]] = {
         "simulation/test_flow_map.py", "simulation/test_adapters.py",
     ],
     "integrators/explicit": [
-        "integrators/test_steppers.py", "integrators/test_claimed_orders.py",
-        "integrators/test_tableaux.py", "integrators/test_tolerance_of_turns.py",
+        "integrators/test_steppers.py", "integrators/test_measured_orders.py",
+        "integrators/test_tableaux.py", "integrators/test_rotation_tolerance.py",
         "integrators/test_step_control.py",
     ],
     "integrators/gauss/stage_sensitivities": [
@@ -101,7 +104,7 @@ TESTS: dict[str, list[str]] = {
     "integrators/variational": [
         "integrators/test_counted_evaluations.py", "integrators/test_variational.py",
     ],
-    "integrators/lanes": ["integrators/test_lanes.py", "integrators/test_claimed_orders.py"],
+    "integrators/lanes": ["integrators/test_lanes.py", "integrators/test_measured_orders.py"],
     "integrators/methods": [
         "integrators/test_equal_steps.py", "integrators/test_further_method.py",
         "integrators/test_tableaux.py", "integrators/test_steppers.py",
@@ -111,8 +114,8 @@ TESTS: dict[str, list[str]] = {
     "integrators": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_steppers.py", "integrators/test_batches.py",
-        "integrators/test_claimed_orders.py", "integrators/test_further_method.py",
-        "integrators/test_memory.py", "integrators/test_radau.py",
+        "integrators/test_measured_orders.py", "integrators/test_further_method.py",
+        "integrators/test_work_rows.py", "integrators/test_radau.py",
     ],
     "simulation": [
         "simulation/test_balances.py", "judge/test_audit.py", "forces/test_forces.py",
@@ -123,26 +126,28 @@ TESTS: dict[str, list[str]] = {
 
 
 def tests_of(module: str) -> list[str]:
-    """Return the tests that most likely kill a mutant of a module of the package."""
+    """Return the test files that most likely kill a mutant of a module."""
     mirrored = [module.rsplit("/", 1)[0] + "/test_" + module.rsplit("/", 1)[-1]]
-    known = [tests for start, tests in TESTS.items() if module.startswith(start)]
-    tests = [*(known[0] if known else [module.split("/", maxsplit=1)[0]]), *mirrored]
-    found = [f"tests/{name}" for name in dict.fromkeys(tests) if (ROOT / "tests" / name).exists()]
-    folders = [name for name in found if not name.endswith(".py")]
+    listed = [tests for start, tests in TESTS.items() if module.startswith(start)]
+    tests = [*(listed[0] if listed else [module.split("/", maxsplit=1)[0]]), *mirrored]
+    existing = [
+        f"tests/{name}" for name in dict.fromkeys(tests) if (ROOT / "tests" / name).exists()
+    ]
+    folders = [name for name in existing if not name.endswith(".py")]
     return [
-        name for name in found if name in folders or Path(name).parent.as_posix() not in folders
+        name for name in existing if name in folders or Path(name).parent.as_posix() not in folders
     ]
 
 
 class Copy:
-    """A copy of the project in which modules are changed and tests run, one run after the other.
+    """A copy of the project in which modules are mutated and tests run, one run at a time.
 
-    What pinred stands on is imported once, in this process; each run is a fork of it that takes
-    pinred from the copy.
+    The dependencies of pinred are imported once, in this process. Each run is a fork of it that
+    imports pinred from the copy.
     """
 
     def __init__(self, place: Path, *, slow: bool) -> None:
-        """Copy the project to a folder.  slow: run tests that are marked so, too."""
+        """Copy the project to a folder.  slow: also run tests that are marked slow."""
         self.root, self._cache = place / "project", place / "cache"
         self._said, self._writes, self._slow = place / "said", 0, slow
         ignored = shutil.ignore_patterns("__pycache__")
@@ -162,8 +167,8 @@ class Copy:
             with suppress(ImportError):
                 importlib.import_module(name)
 
-    def path_of_covering(self, tests: list[str], modules: list[str]) -> Path:
-        """Return where it is kept what tests cover of modules, as all of them are now."""
+    def coverage_path(self, tests: list[str], modules: list[str]) -> Path:
+        """Return the file of the line coverage of tests for the current sources."""
         digest = sha256(" ".join([*tests, "of", *modules]).encode())
         for folder in ("pinred", "tests"):
             for path in sorted((self.root / folder).rglob("*.py")):
@@ -173,48 +178,48 @@ class Copy:
     def session(self, tests: list[str], plugin: MutantSession) -> None:
         """Run a session of tests with a plugin; raise SystemExit if it fails."""
         if self._forked(tests, plugin, {}, 1e6):
-            said = self._said.read_text(errors="replace")
-            raise SystemExit(f"the session of tests has failed:\n{said[-3000:]}")
+            output = self._said.read_text(errors="replace")
+            raise SystemExit(f"the session of tests has failed:\n{output[-3000:]}")
 
     def outcome(self, module: str, mutant: Mutant, tests: list[str], seconds: float) -> str:
-        """Return what tests say of a mutant when the package is imported with it."""
+        """Return the outcome of a mutant by importing the package with it."""
         target = self.root / "pinred" / module
         text = target.read_text()
         self._write(target, mutant.text)
-        with tempfile.TemporaryDirectory() as own_cache:
+        with tempfile.TemporaryDirectory() as cache:
             files = list(dict.fromkeys(test.split("::")[0] for test in tests))
-            own = "NUMBA" if module.startswith("integrators") else "PINRED"
-            places = {f"{own}_CACHE_DIR": own_cache}
-            code = self._forked(files, Chosen(tests), places, seconds)
+            prefix = "NUMBA" if module.startswith("integrators") else "PINRED"
+            environment = {f"{prefix}_CACHE_DIR": cache}
+            code = self._forked(files, Chosen(tests), environment, seconds)
         self._write(target, text)
         if code == 0:
             return "survived"
-        said = self._said.read_text(errors="replace").splitlines()
-        failed = [line for line in said if line.startswith(("FAILED", "ERROR"))]
+        output = self._said.read_text(errors="replace").splitlines()
+        failed = [line for line in output if line.startswith(("FAILED", "ERROR"))]
         if code is None or not failed:
             return f"killed by {'time' if code is None else 'an error'}"
         return f"killed by {failed[0].split(' - ')[0].split(maxsplit=1)[1]}"
 
     def _write(self, target: Path, text: str) -> None:
-        """Write a module with a time of its own, by which compiled ones are told from others."""
+        """Write a module with a unique modification time, which identifies its bytecode."""
         target.write_text(text)
         self._writes += 1
         os.utime(target, (self._writes, self._writes))
 
     def _forked(
-        self, tests: list[str], plugin: object, places: dict[str, str], seconds: float
+        self, tests: list[str], plugin: object, environment: dict[str, str], seconds: float
     ) -> int | None:
-        """Run tests in a fork until one fails and return its exit code; None if it took longer."""
+        """Run tests in a fork until one fails; return its exit code, or None after a time-out."""
         child = os.fork()
         if not child:
             try:
                 os.setsid()
-                with self._said.open("w") as said:
-                    os.dup2(said.fileno(), 1)
-                    os.dup2(said.fileno(), 2)
+                with self._said.open("w") as output_file:
+                    os.dup2(output_file.fileno(), 1)
+                    os.dup2(output_file.fileno(), 2)
                 os.chdir(self.root)
-                own = {"PINRED_CACHE_DIR": self._cache, "NUMBA_CACHE_DIR": self._cache}
-                os.environ.update({name: str(path) for name, path in own.items()} | places)
+                caches = {"PINRED_CACHE_DIR": self._cache, "NUMBA_CACHE_DIR": self._cache}
+                os.environ.update({name: str(path) for name, path in caches.items()} | environment)
                 os.environ["PYTHONPATH"] = str(self.root)
                 numba.config.reload_config()  # type: ignore[no-untyped-call]
                 sys.path.insert(0, str(self.root))
@@ -230,8 +235,8 @@ class Copy:
                 os._exit(70)
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            found, status = os.waitpid(child, os.WNOHANG)
-            if found:
+            finished, status = os.waitpid(child, os.WNOHANG)
+            if finished:
                 return os.waitstatus_to_exitcode(status)
             time.sleep(0.02)
         os.killpg(child, signal.SIGKILL)
@@ -240,7 +245,7 @@ class Copy:
 
 
 class Chosen:
-    """The plugin that runs these tests only, in this order."""
+    """The pytest plugin that runs only the given tests, in the given order."""
 
     def __init__(self, tests: list[str]) -> None:
         """Take the names of tests as pytest prints them."""
@@ -250,18 +255,28 @@ class Chosen:
     def pytest_collection_modifyitems(
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> None:
-        """Leave the others out."""
-        left_out = [item for item in items if item.nodeid not in self._rank]
+        """Deselect all other tests."""
+        deselected = [item for item in items if item.nodeid not in self._rank]
         items[:] = sorted(
             (item for item in items if item.nodeid in self._rank),
             key=lambda item: self._rank[item.nodeid],
         )
-        config.hook.pytest_deselected(items=left_out)
+        config.hook.pytest_deselected(items=deselected)
 
 
 @dataclass(frozen=True)
 class Row:
-    """What became of a mutant.  tests: those to be run, where it has to be imported."""
+    """The outcome of a mutant.
+
+    Attributes:
+        module: Mutated module.
+        mutant: Number of the mutant.
+        line: Line number of the change.
+        change: Code before and after.
+        outcome: "killed by …", "survived", "not run", or "" while pending.
+        tests: Tests to run if the package must be imported with the mutant.
+        seconds: Duration of the tests [s].
+    """
 
     module: str
     mutant: int
@@ -273,9 +288,9 @@ class Row:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the mutants of modules; return how many survived, at most 1."""
+    """Run the mutants of modules; return 1 if one was not killed, else 0."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("modules", nargs="+", help="such as judge/compare.py")
+    parser.add_argument("modules", nargs="+", help="for example judge/compare.py")
     parser.add_argument("--table", type=Path)
     parser.add_argument("--sample", type=int)
     parser.add_argument("--seed", type=int, default=0)
@@ -293,16 +308,19 @@ def main(arguments: list[str]) -> int:
     with tempfile.TemporaryDirectory() as place:
         copied = Copy((options.keep or Path(place)).resolve(), slow=options.slow)
         for tests, modules in groups.items():
-            every = {name: list(mutants((ROOT / "pinred" / name).read_text())) for name in modules}
-            if options.sample is not None:  # a larger sample holds a smaller one
-                for each in every.values():
-                    Random(options.seed).shuffle(each)
-            rows += _found(copied, list(tests), every, options)
-            for module, each in every.items():
-                of = [row for row in rows if row.module == module]
-                killed = sum(row.outcome.startswith("killed") for row in of)
+            by_module = {
+                name: list(mutants((ROOT / "pinred" / name).read_text())) for name in modules
+            }
+            if options.sample is not None:  # a larger sample contains a smaller one
+                for all_mutants in by_module.values():
+                    Random(options.seed).shuffle(all_mutants)
+            rows += _outcomes(copied, list(tests), by_module, options)
+            for module, all_mutants in by_module.items():
+                tried = [row for row in rows if row.module == module]
+                killed = sum(row.outcome.startswith("killed") for row in tried)
                 print(
-                    f"{module:<40} {len(of):4d} of {len(each):4d}: {killed:4d} killed", flush=True
+                    f"{module:<40} {len(tried):4d} of {len(all_mutants):4d}: {killed:4d} killed",
+                    flush=True,
                 )
             if options.table is not None:
                 with options.table.open("w", newline="") as file:
@@ -314,49 +332,54 @@ def main(arguments: list[str]) -> int:
     return int(any(not row.outcome.startswith("killed") for row in rows))
 
 
-def _found(
-    copied: Copy, tests: list[str], every: dict[str, list[Mutant]], options: argparse.Namespace
+def _outcomes(
+    copied: Copy, tests: list[str], by_module: dict[str, list[Mutant]], options: argparse.Namespace
 ) -> list[Row]:
-    """Return what became of mutants of modules that have the same tests."""
-    covering, kept = copied.path_of_covering(tests, list(every)), copied.root.parent / "rows"
-    told = os.fdopen(os.dup(1), "w")
+    """Return the outcomes of mutants of modules that have the same tests."""
+    coverage_file, rows_file = (
+        copied.coverage_path(tests, list(by_module)),
+        copied.root.parent / "rows",
+    )
+    output = os.fdopen(os.dup(1), "w")
 
-    def asked(session: MutantSession) -> None:
-        session.cover(covering)
+    def run_mutants(session: MutantSession) -> None:
+        session.cover(coverage_file)
         rows = []
-        for module, each in every.items():
-            for k, mutant in enumerate(each[: options.sample]):
+        for module, of_module in by_module.items():
+            for k, mutant in enumerate(of_module[: options.sample]):
                 if options.only is not None and mutant.line not in options.only:
                     continue
-                began = time.monotonic()
-                found = session.outcome(module, mutant) or ""
-                took = round(time.monotonic() - began, 1)
-                left = [] if found else session.tests(module, mutant)
-                rows.append(Row(module, k, mutant.line, mutant.what, found, left, took))
-                _tell(rows[-1], told)
-        kept.write_bytes(pickle.dumps(rows))
+                start = time.monotonic()
+                outcome = session.outcome(module, mutant) or ""
+                seconds = round(time.monotonic() - start, 1)
+                pending_tests = [] if outcome else session.tests(module, mutant)
+                rows.append(
+                    Row(module, k, mutant.line, mutant.what, outcome, pending_tests, seconds)
+                )
+                _print_row(rows[-1], output)
+        rows_file.write_bytes(pickle.dumps(rows))
 
     plugin = MutantSession(
-        copied.root / "pinred", list(every), asked,
+        copied.root / "pinred", list(by_module), run_mutants,
         seconds=options.seconds, budget=options.budget,
     )  # fmt: skip
     copied.session(tests, plugin)
     rows: list[Row] = []
-    for row in pickle.loads(kept.read_bytes()):
+    for row in pickle.loads(rows_file.read_bytes()):
         if not row.outcome:
-            began = time.monotonic()
-            mutant = every[row.module][row.mutant]
-            found = copied.outcome(row.module, mutant, row.tests, options.seconds)
-            row = replace(row, outcome=found, seconds=round(time.monotonic() - began, 1))
-            _tell(row, told)
+            start = time.monotonic()
+            mutant = by_module[row.module][row.mutant]
+            outcome = copied.outcome(row.module, mutant, row.tests, options.seconds)
+            row = replace(row, outcome=outcome, seconds=round(time.monotonic() - start, 1))
+            _print_row(row, output)
         rows.append(row)
     return rows
 
 
-def _tell(row: Row, told: TextIO) -> None:
-    """Print what became of a mutant, unless it is left for later."""
+def _print_row(row: Row, output: TextIO) -> None:
+    """Print the outcome of a mutant, unless it is pending."""
     if row.outcome:
-        print(f"{row.module}:{row.line}: {row.change}: {row.outcome}", file=told, flush=True)
+        print(f"{row.module}:{row.line}: {row.change}: {row.outcome}", file=output, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Mutants of a module: its text with one small change each.
+"""Mutants of a module: its source with one small change each.
 
-Comparisons turned round, constants ten times as large or small, + for −, * for /, `and` for `or`,
-a statement or a returned value left out, an expression set to zero, a condition denied.
+The changes: a comparison is inverted; a constant is multiplied by 10 or 0.1; + becomes −, and *
+becomes /; `and` becomes `or`; a statement or a returned value is removed; an expression is set to
+zero; a condition is negated.
 """
 
 from __future__ import annotations
@@ -25,10 +26,16 @@ _CHANGED = (
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change.
+    """One change of a module.
 
-    line, end: of the module.  inside: it stands in a function.  what: before and after.
-    index, number: which node, and how it is changed.
+    Attributes:
+        source: Source of the module.
+        line: First line of the change.
+        end: Last line of the change.
+        inside: Whether the change is inside a function.
+        what: Code before and after.
+        index: Index of the changed node in the order of `ast.walk`.
+        number: Number of the change among the changes of the node.
     """
 
     source: str
@@ -41,7 +48,7 @@ class Mutant:
 
     @property
     def tree(self) -> ast.Module:
-        """Return the module with the change; lines are those of the source."""
+        """The syntax tree of the mutated module, with the line numbers of the source."""
         tree = ast.parse(self.source)
         twin = next(node for k, node in enumerate(ast.walk(tree)) if k == self.index)
         _change(tree, twin, self.number)
@@ -49,12 +56,12 @@ class Mutant:
 
     @property
     def text(self) -> str:
-        """Return the source of the module with the change."""
+        """The source of the mutated module."""
         return ast.unparse(self.tree)
 
 
 def mutants(source: str) -> Iterator[Mutant]:
-    """Yield every mutant of a module."""
+    """Yield all mutants of a module."""
     tree = ast.parse(source)
     skipped = {id(node) for node in _unseen(tree)}
     inside = {
@@ -80,25 +87,25 @@ def mutants(source: str) -> Iterator[Mutant]:
 
 
 def _unseen(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes that nothing runs: docstrings, annotations, imports, messages."""
+    """Yield the nodes without effect on results: docstrings, annotations, imports, messages."""
     for node in ast.walk(tree):
-        parts: list[ast.AST] = []
+        roots: list[ast.AST] = []
         if isinstance(node, (ast.Import, ast.ImportFrom, ast.Raise, ast.JoinedStr)):
-            parts.append(node)
+            roots.append(node)
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            parts.append(node)
+            roots.append(node)
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            parts.append(node)
+            roots.append(node)
         if isinstance(node, (ast.AnnAssign, ast.arg)) and node.annotation is not None:
-            parts.append(node.annotation)
+            roots.append(node.annotation)
         if isinstance(node, ast.FunctionDef):
-            parts += [*node.decorator_list, *([node.returns] if node.returns else [])]
-        for part in parts:
-            yield from ast.walk(part)
+            roots += [*node.decorator_list, *([node.returns] if node.returns else [])]
+        for root in roots:
+            yield from ast.walk(root)
 
 
 def _change(tree: ast.AST, node: ast.AST, number: int) -> str | None:
-    """Make change `number` of a node in its tree and return it in words; None if there is none."""
+    """Apply change `number` to a node of a tree; return its description, or None if it has none."""
     if isinstance(node, ast.Compare) and number == 0:
         node.ops[0] = _FLIPPED[type(node.ops[0])]()
         return _short(ast.unparse(node))
@@ -114,7 +121,7 @@ def _change(tree: ast.AST, node: ast.AST, number: int) -> str | None:
         node.value = (node.value or 1.0) * (10.0, 0.1)[number]
         return repr(node.value)
     if isinstance(node, (ast.Assign, ast.AugAssign, ast.Expr)) and number == 0:
-        if isinstance(node, ast.Assign):  # what is not set at all is found at once
+        if isinstance(node, ast.Assign):  # removing an assignment would raise a NameError at once
             return None
         return _replaced(tree, node, ast.Pass())
     if isinstance(node, ast.If) and number == 0:
@@ -126,18 +133,18 @@ def _change(tree: ast.AST, node: ast.AST, number: int) -> str | None:
     return None
 
 
-def _replaced(tree: ast.AST, node: ast.AST, other: ast.AST) -> str:
-    """Put another node in a node's place."""
-    words = _short(ast.unparse(ast.fix_missing_locations(copy.deepcopy(other))))
+def _replaced(tree: ast.AST, node: ast.AST, replacement: ast.AST) -> str:
+    """Replace a node in a tree; return the source of the replacement."""
+    text = _short(ast.unparse(ast.fix_missing_locations(copy.deepcopy(replacement))))
     for parent in ast.walk(tree):
         for name, value in ast.iter_fields(parent):
             if value is node:
-                setattr(parent, name, other)
-                return words
-            if isinstance(value, list) and any(each is node for each in value):
-                value[[each is node for each in value].index(True)] = other
-                return words
-    raise AssertionError(words)
+                setattr(parent, name, replacement)
+                return text
+            if isinstance(value, list) and any(item is node for item in value):
+                value[[item is node for item in value].index(True)] = replacement
+                return text
+    raise AssertionError(text)
 
 
 def _short(text: str) -> str:

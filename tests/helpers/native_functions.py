@@ -1,4 +1,4 @@
-"""Compiled CasADi Functions that a test calls with arrays."""
+"""Compiled CasADi functions that tests call with arrays."""
 
 from __future__ import annotations
 
@@ -15,22 +15,25 @@ POINTER = ctypes.POINTER(ctypes.c_double)
 
 
 def callable_of(code: NativeCode, inputs: int, size: int) -> Callable[..., Array]:
-    """Return a function of `inputs` arrays that gives `size` numbers.  It keeps `code`."""
+    """Return a Python function for compiled code with `inputs` inputs and `size` outputs.
+
+    The function keeps the code in memory.
+    """
     raw = ctypes.CFUNCTYPE(None, *[POINTER] * (inputs + 1))(code.address)
 
     def call(*arguments: Array) -> Array:
         assert code.address
         arrays = [np.ascontiguousarray(a, dtype=float) for a in arguments]
-        out = np.full(size + 1, 1234.5)
-        raw(*(a.ctypes.data_as(POINTER) for a in (*arrays, out)))
-        assert out[-1] == 1234.5
-        return out[:-1]
+        outputs = np.full(size + 1, 1234.5)
+        raw(*(a.ctypes.data_as(POINTER) for a in (*arrays, outputs)))
+        assert outputs[-1] == 1234.5
+        return outputs[:-1]
 
     return call
 
 
 def build(*outputs: ca.SX, inputs: list[ca.SX]) -> tuple[Callable[..., Array], ca.Function]:
-    """Compile a function, and return it with CasADi's."""
+    """Compile CasADi expressions; return the compiled function and the CasADi function."""
     function = ca.Function("f", inputs, [ca.densify(ca.vertcat(*outputs))])
     code = load_object(compile_object(function, "f"), "f")
     return callable_of(code, len(inputs), function.numel_out(0)), function

@@ -35,7 +35,7 @@ NEW_FIELD = {
 
 
 class EditingLoader(SourceFileLoader):
-    """Loads a module of NEW_FIELD with its edits."""
+    """Loader of a module in NEW_FIELD with its edits."""
 
     def get_code(self, fullname: str) -> CodeType:
         """Compile the edited source.  Raises ValueError if a text to edit is missing."""
@@ -48,13 +48,13 @@ class EditingLoader(SourceFileLoader):
 
 
 class EditingFinder:
-    """Finds the modules of NEW_FIELD."""
+    """Finder of the modules in NEW_FIELD."""
 
     @staticmethod
     def find_spec(
         name: str, path: Sequence[str] | None = None, _target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module with edits, None for all others."""
+        """Return the spec of a module in NEW_FIELD, None for all others."""
         spec = PathFinder.find_spec(name, path) if name in NEW_FIELD else None
         if spec is not None and spec.origin is not None:
             spec.loader = EditingLoader(name, spec.origin)
@@ -62,17 +62,17 @@ class EditingFinder:
 
 
 def check_trajectories(pinred: Any) -> None:
-    """The field is the same on both engines, in states, files, labelled arrays and members."""
+    """Check the field on both engines, in states, files, labelled arrays and members."""
     cat = pinred.load("falling_cat")
     start: dict[str, Any] = {"x0": [0.1, 0.2, 0.3], "xdot0": [1.0, 0.0, 0.5]}
     start |= {"momentum": [0.0, 0.0, 0.0, 0.1, 0.2, 0.3], "times": [0.0, 0.1, 0.2]}
-    traj, peer = (
+    traj, reference = (
         pinred.simulate(cat, engine=engine, **start) for engine in ("compiled", "pinocchio")
     )
     twist = traj.relative_twist
     assert twist.shape == (3, 6)
     assert np.abs(twist).max() > 0.1
-    np.testing.assert_allclose(peer.relative_twist, twist, atol=1e-7)
+    np.testing.assert_allclose(reference.relative_twist, twist, atol=1e-7)
     assert "relative to the centre of mass" in pinred.State.__doc__
     np.testing.assert_allclose(traj(0.1).relative_twist, twist[1], atol=1e-12)
     shape = pinred.simulate(cat, outputs="shape", **start)
@@ -83,14 +83,14 @@ def check_trajectories(pinred: Any) -> None:
         np.testing.assert_array_equal(recording.relative_twist, motion.relative_twist)
     traj.save("motion.csv")
     assert "relative_twist.6" in Path("motion.csv").read_text(encoding="utf-8")
-    many = pinred.simulate_many(cat, seeds=range(2), duration=0.1, times=[0.0, 0.05, 0.1])
-    assert many.relative_twist.shape == (2, 3, 6)
+    members = pinred.simulate_many(cat, seeds=range(2), duration=0.1, times=[0.0, 0.05, 0.1])
+    assert members.relative_twist.shape == (2, 3, 6)
     if find_spec("xarray"):
-        assert many.to_xarray().relative_twist.dims == ("member", "t", "twist")
+        assert members.to_xarray().relative_twist.dims == ("member", "t", "twist")
 
 
 def check_flow(pinred: Any) -> None:
-    """Derivatives of the field agree with central differences in every mode."""
+    """Compare derivatives of the field with central differences in every mode."""
     cat = pinred.load("falling_cat")
     flow = pinred.flow(cat, wrt=["xdot0"], of=["relative_twist"], duration=0.1, x0=[0.1, 0.2, 0.3])
     J, step = flow.jacobian()["xdot0"], np.array([0.0, 1e-5, 0.0])

@@ -1,4 +1,4 @@
-"""Orbits in closed form."""
+"""The Kepler orbit in closed form."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pinred.common.arrays import Array
 
 
 def kepler_orbit(e: float, t: Array) -> Array:
-    """Return the states (T, 4) of the orbit of period 2π that begins at its pericentre."""
+    """Return the states (T, 4) of an orbit of period 2π and eccentricity e from its pericentre."""
     E = t.copy()
     for _ in range(60):
         E -= (E - e * np.sin(E) - t) / (1.0 - e * np.cos(E))

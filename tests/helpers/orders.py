@@ -1,4 +1,4 @@
-"""Orders of integrators, measured on robots against ABA."""
+"""Convergence orders of integrators, measured on robots against ABA."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pinred.integrators.methods import Method
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 
-# With the time over which a motion is smooth enough for its steps to be in the asymptotic range.
+# Robots, and the durations [s] over which their motions are in the asymptotic range of the order.
 ROBOTS = {
     "planar_chain5": 0.5,
     "double_spherical_pendulum": 0.5,
@@ -19,32 +19,41 @@ ROBOTS = {
     "falling_cat": 1.5,
 }
 
-PARTS = (0.7, 0.85, 1.0)  # of that time: an error that happens to cross zero misleads nobody
+# Fractions of these durations. Averaging avoids an error that crosses zero at one of them.
+FRACTIONS = (0.7, 0.85, 1.0)
 
 
 def measured(errors: list[float], steps: list[float]) -> float:
-    """The order with which errors fall."""
+    """Return the exponent of the step size in the errors, by a fit."""
     return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
 
 
 def errors_at_the_end(
-    robot: str, make: Callable[[float], Method], counts: list[int]
+    robot: str, method_of: Callable[[float], Method], counts: list[int]
 ) -> tuple[list[float], list[float]]:
-    """Errors of shape and rotation with so many steps, by ABA, as a mean over a few ends."""
+    """Return mean final errors of shape and rotation against ABA.
+
+    Args:
+        robot: Name of a robot in ROBOTS.
+        method_of: Function from a step size [s] to an integrator.
+        counts: Numbers of steps.
+    Returns:
+        Shape errors [rad | m] and rotation errors [rad], one per number of steps.
+    """
     system = pinred.load(robot)
     shape, rotation = np.zeros(len(counts)), np.zeros(len(counts))
-    for part in PARTS:
-        end = part * ROBOTS[robot]
+    for fraction in FRACTIONS:
+        end = fraction * ROBOTS[robot]
         full = FullState(pinred.Scene(system=system, seed=3, times=[end]))
-        start = pinred.Scene(system=system, seed=3, times=[end]).start
-        y0 = full.state(start.pose, start.x, start.xi, start.xdot)
-        truth = full.run(y0, np.array([end]), 2e-14, 1e-15)
+        initial = pinred.Scene(system=system, seed=3, times=[end]).start
+        y0 = full.state(initial.pose, initial.x, initial.xi, initial.xdot)
+        reference = full.run(y0, np.array([end]), 2e-14, 1e-15)
         for k, count in enumerate(counts):
-            method = make(end / count)
+            method = method_of(end / count)
             traj = pinred.simulate(system, seed=3, times=[end], method=method)
             assert traj.run.method == method.name
             assert abs(traj.run.steps - count) <= 1
-            found = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
-            shape[k] += float(found.shape[-1]) / len(PARTS)
-            rotation[k] += float(found.rotation[-1]) / len(PARTS)
+            errors = full.distance(reference, FullMotion(x=traj.x, q=traj.q))
+            shape[k] += float(errors.shape[-1]) / len(FRACTIONS)
+            rotation[k] += float(errors.rotation[-1]) / len(FRACTIONS)
     return shape.tolist(), rotation.tolist()

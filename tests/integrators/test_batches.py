@@ -1,4 +1,4 @@
-"""Members of a batch that take turns on the same rows are single runs, bit for bit."""
+"""Members of a batch that reuse work rows equal single runs to the last bit."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ MEMBERS, BROKEN = 24, (3, 4, 12)  # with one thread three of them one after anot
 
 @pytest.mark.parametrize("method", CASES, ids=str)
 @pytest.mark.parametrize("robot", ["coupled_spatial", "planar_chain5"])
-def test_nothing_of_a_member_is_left_for_the_next(robot: str, method: Method) -> None:
-    """Neither states, nor sums, nor what is not finite."""
+def test_reused_work_rows_do_not_affect_next_member(robot: str, method: Method) -> None:
+    """Neither states nor sums nor non-finite numbers remain from the previous member."""
     system = pinred.load(robot)
     flow = CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, seed=1, method=method)))
     layout, rng = flow.kernel.layout, np.random.default_rng(2)
     y0: Array = flow.y0 * (1.0 + 0.2 * rng.normal(size=(MEMBERS, len(flow.y0))))
     params = np.tile(flow.parameters, (MEMBERS, 1))
     y0[list(BROKEN)] *= 1e200  # the squares of such momenta are beyond all numbers
-    given = (method, flow.address(method))
+    kernel_arguments = (method, flow.address(method))
     more: dict[str, Any] = {"tangent": flow.tangent, "canonical": layout.canonical}
-    found = integrate_many(*given, params, y0, 0.3, TIMES, layout.quaternion, 1, **more)
-    assert np.flatnonzero(~found.ok).tolist() == [*BROKEN]
+    batch = integrate_many(*kernel_arguments, params, y0, 0.3, TIMES, layout.quaternion, 1, **more)
+    assert np.flatnonzero(~batch.ok).tolist() == [*BROKEN]
     for k in set(range(MEMBERS)) - set(BROKEN):
-        one = integrate(*given, params[k], y0[k], 0.3, TIMES, layout.quaternion, **more)
-        assert np.array_equal(found.y[k], one.y)
-        assert (found.steps[k], found.rejected[k]) == (one.steps, one.rejected)
-        assert found.evaluations[k] == one.evaluations
-        assert found.end[k] == 0.3
+        one = integrate(*kernel_arguments, params[k], y0[k], 0.3, TIMES, layout.quaternion, **more)
+        assert np.array_equal(batch.y[k], one.y)
+        assert (batch.steps[k], batch.rejected[k]) == (one.steps, one.rejected)
+        assert batch.evaluations[k] == one.evaluations
+        assert batch.end[k] == 0.3

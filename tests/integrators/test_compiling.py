@@ -1,4 +1,4 @@
-"""Machine code on disk: each method loads its own, a second process compiles nothing."""
+"""Cached machine code: each method loads its own, and later processes compile nothing."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ print(sum(event.is_start for _, event in record.buffer))
 
 
 @pytest.mark.slow
-def test_processes_after_the_first_compile_nothing() -> None:
-    """All loops come from disk, and each is its own method's: another would be far off."""
+def test_second_process_loads_all_loops_from_cache() -> None:
+    """All loops come from disk; the code of another method would give large errors."""
     counts = []
     for _ in range(3):  # others may write to the same folder meanwhile
         done = subprocess.run(
@@ -64,8 +64,8 @@ def loops_of(method: Method) -> list[Any]:
     return list(vars(method.stepper().loops).values())
 
 
-def test_every_loop_has_a_file_of_its_own() -> None:
-    """The instructions of the loops are the same to the byte: names alone tell their files."""
+def test_each_loop_has_its_own_cache_file() -> None:
+    """The bytecode of the loops is equal, so only their names distinguish the files."""
     loops = [loop for method in CASES.values() for loop in loops_of(method)]
     codes = {loop.py_func.__code__.co_code for loop in loops}
     files = {loop._cache._cache_file._index_name for loop in loops}
@@ -74,12 +74,12 @@ def test_every_loop_has_a_file_of_its_own() -> None:
 
 
 def one(x: float) -> float:
-    """One, by the name that `loop` looks up."""
+    """The identity, which `loop` looks up by name."""
     return x
 
 
 def loop(x: float) -> float:
-    """What is bound to functions in the tests below."""
+    """The function that the tests below bind."""
     return one(x) + 1.0
 
 
@@ -102,9 +102,9 @@ print(compiling.compiled(chosen)(3.0))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("named", [True, False])
-def test_a_copy_without_a_name_would_run_another(named: bool, tmp_path: Path) -> None:
-    """Two processes, two copies of one function: with names each runs its own."""
-    found = []
+def test_compiled_copies_need_distinct_names(named: bool, tmp_path: Path) -> None:
+    """Two processes bind two copies of one function; with names each runs its own."""
+    results = []
     for name in ("double", "half"):
         code = CODE.format(tests=str(Path(__file__).parent), named=named, name=name)
         done = subprocess.run(
@@ -112,27 +112,29 @@ def test_a_copy_without_a_name_would_run_another(named: bool, tmp_path: Path) ->
             cwd=PACKAGE.parent, capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
-        found.append(float(done.stdout))
-    assert found == ([7.0, 2.5] if named else [7.0, 7.0])
+        results.append(float(done.stdout))
+    assert results == ([7.0, 2.5] if named else [7.0, 7.0])
 
 
-def test_a_name_is_given_once() -> None:
-    """Who would run another's machine code is told so."""
-    bind_globals(loop, "test_a_name_is_given_once")
+def test_duplicate_name_is_rejected() -> None:
+    """A second copy of the same name would load the first one's machine code."""
+    bind_globals(loop, "test_duplicate_name_is_rejected")
     with pytest.raises(RuntimeError, match="two functions cannot both be called"):
-        bind_globals(loop, "test_a_name_is_given_once")
+        bind_globals(loop, "test_duplicate_name_is_rejected")
 
 
-def test_machine_code_on_disk_is_as_old_as_all_sources() -> None:
+def test_cache_stamp_depends_on_all_sources() -> None:
     """A change in one file makes the machine code of all others stale."""
     for method in CASES.values():
-        for held in loops_of(method):
-            assert held._cache._cache_file._source_stamp == SOURCES
+        for compiled_loop in loops_of(method):
+            assert compiled_loop._cache._cache_file._source_stamp == SOURCES
 
 
-@pytest.mark.parametrize("name", ["gauss/tables.py", "stepping/step_loop.py", "methods/tsit5.py"])
-def test_an_edit_in_a_folder_below_is_seen(name: str, tmp_path: Path) -> None:
-    """The stamp is that of all files of the room, wherever they are in it."""
+@pytest.mark.parametrize(
+    "name", ["gauss/tables.py", "stepping/step_loop.py", "methods/explicit_methods.py"]
+)
+def test_stamp_includes_subfolders(name: str, tmp_path: Path) -> None:
+    """The stamp covers all files of the package."""
     assert stamp(PACKAGE / "integrators") == SOURCES
     folder = tmp_path / "integrators"
     copytree(PACKAGE / "integrators", folder)
@@ -142,13 +144,13 @@ def test_an_edit_in_a_folder_below_is_seen(name: str, tmp_path: Path) -> None:
     assert Path(stepping.__file__).parent.parent == PACKAGE / "integrators"
 
 
-def makes_an_array(n: int) -> float:
-    """What compiled functions here do not do."""
+def allocate_array(n: int) -> float:
+    """A function that allocates an array."""
     return float(np.zeros(n).sum())
 
 
-def test_nobody_counts_who_holds_an_array() -> None:
-    """Views of rows cost nothing, as compiled functions have no counts; so none makes an array."""
-    for kind in (compiled, inlined):
+def test_compiled_functions_cannot_allocate_arrays() -> None:
+    """Compiled functions have no reference counts, so allocation is a compile error."""
+    for decorator in (compiled, inlined):
         with pytest.raises(TypingError, match="zeros"):
-            kind(makes_an_array)(3)
+            decorator(allocate_array)(3)

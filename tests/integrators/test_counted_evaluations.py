@@ -1,4 +1,4 @@
-"""Evaluations of implicit methods, as the kernels themselves count how often they are called."""
+"""Evaluation counts of implicit methods, compared with counts by the kernels themselves."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pinred.integrators.methods import Method
 
 
 def _wide(lanes: int) -> tuple[int, Any]:
-    """A soft spring of stiffness p[2], with damping p[3] and an edge at p[4].
+    """Kernel of a soft spring of stiffness p[2] with damping p[3] and an edge at p[4].
 
-    Calls of the rate are counted in p[0], those of its derivative in p[1].
+    It counts calls of the rate in p[0] and calls of the derivative in p[1].
     """
 
     def rate(y: Any, p: Any, d: Any) -> None:
@@ -45,8 +45,8 @@ METHODS: list[Method] = [
 
 
 @pytest.mark.parametrize("method", METHODS, ids=str)
-def test_evaluations_are_counted(method: Method) -> None:
-    """Every stage of every call, those of the derivative, those in vain and those of reports."""
+def test_evaluation_counts_equal_kernel_calls(method: Method) -> None:
+    """Counts include all stages, derivatives, rejected steps and dense output."""
     address, tangent = KERNELS[method.lanes]
     stages = getattr(method, "stages", 1)
     for times in (np.zeros(0), np.linspace(0.0, 1.0, 23)):

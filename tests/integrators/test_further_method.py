@@ -1,4 +1,4 @@
-"""A further explicit method is one file: the one in docs/integrators.md, put beside the others."""
+"""A new explicit method is one file: the example in docs/integrators.md, added to methods/."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ run = { duration = 0.2, method = { name = "BS3", rtol = 1e-5 } }
 
 
 @pytest.mark.slow
-def test_a_further_explicit_method_is_one_file(tmp_path: Path) -> None:
-    """It has its order on a robot; command line, scene files, schema and bench know its name."""
+def test_new_explicit_method_needs_one_file(tmp_path: Path) -> None:
+    """It has its order on a robot; command line, scene files, schema and benchmark know it."""
     code = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)[-1]
     copytree(ROOT / "pinred", tmp_path / "pinred", ignore=ignore_patterns("__pycache__"))
     (tmp_path / "robots").symlink_to(ROOT / "robots")
@@ -67,8 +67,8 @@ def test_a_further_explicit_method_is_one_file(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "of BS3 (compiled)" in done.stdout
     assert (tmp_path / "out.csv").is_file()
-    found: list[Any] = json.loads(done.stdout.splitlines()[-1])
-    errors, about, names = found
+    output: list[Any] = json.loads(done.stdout.splitlines()[-1])
+    errors, about, names = output
     for k in (1, 2):  # within a step, perhaps, and at the end of one
         order = measured([row[k] for row in errors], [1 / 100, 1 / 140, 1 / 200, 1 / 280])
         assert order == pytest.approx(3.0, abs=0.2)
@@ -77,19 +77,19 @@ def test_a_further_explicit_method_is_one_file(tmp_path: Path) -> None:
     assert names == ["auto", *sorted([*METHODS, "BS3"])]
 
 
-def test_the_table_of_the_document_is_what_the_methods_claim() -> None:
-    """Every method has its row, with the defaults, order, steps and symplecticity of its value."""
-    rows = re.findall(r"^\| `(\w+)\((.*?)\)` \|(.*)\|$", DOCUMENT, re.MULTILINE)
-    assert sorted(name for name, *_ in rows) == list(METHODS)
-    for name, written, row in rows:
-        kind: Any = METHODS[name]
-        options = {option.name: option for option in options_of(kind)}
+def test_document_table_matches_method_attributes() -> None:
+    """Each row states the defaults, order, steps and symplecticity of a method."""
+    table_rows = re.findall(r"^\| `(\w+)\((.*?)\)` \|(.*)\|$", DOCUMENT, re.MULTILINE)
+    assert sorted(name for name, *_ in table_rows) == list(METHODS)
+    for name, written, cells in table_rows:
+        method_type: Any = METHODS[name]
+        options = {option.name: option for option in options_of(method_type)}
         for one in written.split(", "):
             option, _, default = one.partition("=")
             assert options[option].default == (float(default) if default else None)
-        given: tuple[Any, ...] = () if kind.adaptive else (0.1,)
-        method = kind(*given, order=16) if name == "Gauss" else kind(*given)
-        order, steps, between, symplectic, _ = (cell.strip() for cell in row.split("|"))
+        arguments: tuple[Any, ...] = () if method_type.adaptive else (0.1,)
+        method = method_type(*arguments, order=16) if name == "Gauss" else method_type(*arguments)
+        order, steps, between, symplectic, _ = (cell.strip() for cell in cells.split("|"))
         assert str(method.order) in order.split(", ")
         assert steps == ("adaptive" if method.adaptive else "fixed")
         assert name == "Gauss" or f"order {method.dense_order}" in between

@@ -1,4 +1,4 @@
-"""Gauss's methods: tables against closed forms, claims measured, structure kept."""
+"""Gauss's methods: tables against closed forms, measured orders, preserved structure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pinred.integrators.gauss.tables import tables
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.kernels import derived_code
@@ -39,7 +39,7 @@ ORDERS = (2, 4, 6, 8)
 
 @cache
 def code(name: str, lanes: int) -> NativeCode:
-    """Machine code of a vector field at so many states at once."""
+    """Compile a vector field at several states at once."""
     y, p = ca.SX.sym("y", 4), ca.SX.sym("p", 1)
     r3 = ca.power(y[0] ** 2 + y[1] ** 2, 1.5)
     fields = {
@@ -61,7 +61,7 @@ def run(name: str, method: Any, y0: Any, end: float, times: Any = None, p: float
 ORBIT = kepler_orbit(0.3, np.zeros(1))[0]
 
 
-def test_tables_of_few_stages() -> None:
+def test_tables_of_one_to_three_stages_equal_closed_forms() -> None:
     """The midpoint rule, and Hammer and Hollingsworth's and Kuntzmann's tables."""
     (one,) = tables(1).mu[:1, 0]
     assert (one, tables(1).c[0], tables(1).b[0]) == (0.5, 0.5, 1.0)
@@ -78,46 +78,46 @@ def test_tables_of_few_stages() -> None:
 
 
 @pytest.mark.parametrize("stages", range(1, 9))
-def test_tables(stages: int) -> None:
-    """Collocation: powers are integrated; the symplectic condition holds in every bit."""
-    found = tables(stages)
-    mu, b, c = found.mu[:stages, :stages], found.b[:stages], found.c[:stages]
+def test_tables_satisfy_collocation_and_symplectic_conditions(stages: int) -> None:
+    """Powers are integrated exactly; the symplectic condition holds in every bit."""
+    table = tables(stages)
+    mu, b, c = table.mu[:stages, :stages], table.b[:stages], table.c[:stages]
     for k in range(stages):
         np.testing.assert_allclose((mu * b) @ c**k, c ** (k + 1) / (k + 1), atol=1e-15)
     for k in range(2 * stages):
         assert b @ c**k == pytest.approx(1 / (k + 1), abs=1e-15)
     assert (mu + mu.T == 1.0).all()
     highest = np.polynomial.legendre.Legendre.basis(stages - 1, domain=[0, 1])
-    assert found.last[:stages] @ (b * (3.0 * highest(c))) == pytest.approx(3.0, rel=1e-12)
+    assert table.last[:stages] @ (b * (3.0 * highest(c))) == pytest.approx(3.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("robot", ["double_spherical_pendulum", "falling_cat"])
-def test_order(robot: str, order: int) -> None:
-    """The order that is claimed, in shape and attitude together, by ABA on the full state."""
+def test_gauss_has_its_order(robot: str, order: int) -> None:
+    """Order in shape and attitude together, against ABA on the full state."""
     counts = {2: [60, 90, 130, 190], 4: [30, 42, 60, 85], 6: [14, 18, 24, 32], 8: [12, 15, 18, 22]}
-    made: Callable[[float], Gauss] = lambda step: Gauss(step, order)  # noqa: E731
-    errors = np.hypot(*errors_at_the_end(robot, made, counts[order]))
-    found = measured(errors.tolist(), [1 / count for count in counts[order]])
-    assert found == pytest.approx(Gauss(0.1, order).order, abs=0.3)
+    make_method: Callable[[float], Gauss] = lambda step: Gauss(step, order)  # noqa: E731
+    errors = np.hypot(*errors_at_the_end(robot, make_method, counts[order]))
+    orders = measured(errors.tolist(), [1 / count for count in counts[order]])
+    assert orders == pytest.approx(Gauss(0.1, order).order, abs=0.3)
 
 
 @pytest.mark.parametrize("order", [2, 6, 16])
-def test_states_between_steps_have_the_order_of_the_method(order: int) -> None:
-    """Reports inside steps are no worse than those at their ends."""
+def test_dense_output_has_order_of_method(order: int) -> None:
+    """States inside steps are as accurate as those at step ends."""
     step = {2: 0.01, 6: 0.1, 16: 0.5}[order]
     end, times = 20 * step, np.linspace(0.0, 20 * step, 41)
-    found = run("kepler", Gauss(step, order), ORBIT, end, times)
-    error = np.abs(found.y - kepler_orbit(0.3, times)).max(axis=1)
+    solution = run("kepler", Gauss(step, order), ORBIT, end, times)
+    error = np.abs(solution.y - kepler_orbit(0.3, times)).max(axis=1)
     assert error[1::2].max() < 2.0 * error[::2].max() + 1e-14
-    np.testing.assert_allclose(found.at(times[::-1]), found.y[::-1], rtol=0, atol=1e-13)
-    assert found.steps == 20
-    assert found.method.dense_order == order
+    np.testing.assert_allclose(solution.at(times[::-1]), solution.y[::-1], rtol=0, atol=1e-13)
+    assert solution.steps == 20
+    assert solution.method.dense_order == order
 
 
 @pytest.mark.parametrize("order", [2, 4, 6, 8, 12])
-def test_kepler_for_a_thousand_orbits(order: int) -> None:
-    """Angular momentum to round-off; the energy's error does not grow."""
+def test_kepler_orbits_keep_momentum_and_energy(order: int) -> None:
+    """Over 1000 orbits angular momentum stays at round-off and the energy error does not grow."""
     steps = {2: 200, 4: 60, 6: 40, 8: 30, 12: 20}[order]
     orbits = 1000
     end = 2 * np.pi * orbits
@@ -138,7 +138,7 @@ def test_kepler_for_a_thousand_orbits(order: int) -> None:
 
 @cache
 def code_alone() -> NativeCode:
-    """Kepler's field at one state."""
+    """Compile Kepler's field at one state."""
     y, p = ca.SX.sym("y", 4), ca.SX.sym("p", 1)
     r3 = ca.power(y[0] ** 2 + y[1] ** 2, 1.5)
     rate = ca.vertcat(y[2], y[3], -p * y[0] / r3, -p * y[1] / r3)
@@ -153,11 +153,11 @@ def flow_of(robot: str, method: Any, **options: Any) -> CompiledFlow:
     )
 
 
-def stepped(flow: CompiledFlow, method: Any, y0: Array, end: float) -> Array:
-    """Return where a method brings a reduced state."""
+def integrate_state(flow: CompiledFlow, method: Any, y0: Array, end: float) -> Array:
+    """Integrate a reduced state with a method."""
     quaternion, address = flow.kernel.layout.quaternion, flow.address(method)
-    found = integrate(method, address, flow.parameters, y0, end, [end], quaternion)
-    return np.asarray(found.y[0])
+    solution = integrate(method, address, flow.parameters, y0, end, [end], quaternion)
+    return np.asarray(solution.y[0])
 
 
 def jacobian(f: Callable[[Array], Array], at: Array) -> Array:
@@ -172,14 +172,14 @@ def jacobian(f: Callable[[Array], Array], at: Array) -> Array:
     return np.transpose(columns)
 
 
-def test_symplectic_on_the_shape() -> None:
-    """DᵀJD = J for the map (x, π) → (x, π) at zero momentum; DOP853's map has it not."""
+def test_gauss_map_is_symplectic_at_zero_momentum() -> None:
+    """DᵀJD = J for the map of (x, π). DOP853's map is not symplectic."""
     flow = flow_of("cartpole", Gauss(0.2, 4), seed=2)
     layout = flow.kernel.layout
     m = len(layout.active)
 
     def defect(method: Any) -> float:
-        D = jacobian(lambda y: stepped(flow, method, y, 1.0), flow.y0)[: 2 * m, : 2 * m]
+        D = jacobian(lambda y: integrate_state(flow, method, y, 1.0), flow.y0)[: 2 * m, : 2 * m]
         J = np.block([[np.zeros((m, m)), np.eye(m)], [-np.eye(m), np.zeros((m, m))]])
         return float(np.abs(D.T @ J @ D - J).max())
 
@@ -199,8 +199,8 @@ def poisson(pi_count: int, mu: Array) -> Array:
     return B
 
 
-def test_a_poisson_map_on_the_reduced_space() -> None:
-    """With momentum: D B(z) Dᵀ = B(φ(z)) for z = (x, π, μ), by the lift; |μ| stays."""
+def test_gauss_map_is_poisson_with_momentum() -> None:
+    """D B(z) Dᵀ = B(φ(z)) for z = (x, π, μ) by the lift, and |μ| is constant."""
     method = Gauss(0.25, 2)
     flow = flow_of("coupled_spatial", method, seed=4)
     layout = flow.kernel.layout
@@ -238,14 +238,14 @@ def test_a_poisson_map_on_the_reduced_space() -> None:
 
 
 def raw_step(flow: CompiledFlow, method: Gauss, y0: Array, end: float) -> Array:
-    """Return where a method brings a reduced state whose quaternion has any length."""
-    found = integrate(method, flow.address(method), flow.parameters, y0, end, [end])
-    y1: Array = found.y[0]
+    """Integrate a reduced state whose quaternion has any length."""
+    solution = integrate(method, flow.address(method), flow.parameters, y0, end, [end])
+    y1: Array = solution.y[0]
     return y1
 
 
-def test_the_lift_is_the_field_of_a_longer_momentum() -> None:
-    """At s q, the lifted field has μ s² times as large, and q̇ s times; at |q| = 1 none differs."""
+def test_lifted_field_scales_with_quaternion_length() -> None:
+    """At s q the lifted field has s² times the μ and s times the q̇; at |q| = 1 it is unchanged."""
     method = Gauss(0.1, 4)
     lifted, plain = (
         flow_of("satellite_two_arms", m, seed=1, momentum=None) for m in (method, "auto")
@@ -258,14 +258,14 @@ def test_the_lift_is_the_field_of_a_longer_momentum() -> None:
         parameters[:3] *= s * s
         expected = plain.kernel.evaluate_rate(plain.y0, parameters)
         expected[at : at + 4] *= s
-        found = lifted.kernel.evaluate_rate(y, lifted.parameters)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        rates = lifted.kernel.evaluate_rate(y, lifted.parameters)
+        np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("robot", [*ROBOTS, "satellite_two_arms", "solo12", "rigid_body"])
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-9, 1e-13])
-def test_the_error_follows_the_tolerance(robot: str, tolerance: float) -> None:
-    """AdaptiveGauss is as exact as it is asked to be, by ABA on the full state."""
+def test_adaptive_gauss_error_follows_tolerance(robot: str, tolerance: float) -> None:
+    """Errors of AdaptiveGauss against ABA on the full state."""
     system = pinred.load(robot)
     end = ROBOTS.get(robot, 1.0)
     method = AdaptiveGauss(rtol=tolerance, atol=tolerance / 100)
@@ -274,70 +274,70 @@ def test_the_error_follows_the_tolerance(robot: str, tolerance: float) -> None:
     full, start = FullState(scene), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     truth = full.run(y0, scene.report_times, 2e-14, 1e-15)
-    found = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
-    error = max(found.shape.max(), found.rotation.max(), found.position.max())
+    errors = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
+    error = max(errors.shape.max(), errors.rotation.max(), errors.position.max())
     assert error < 300 * tolerance + 3e-12
     assert traj.run.method == "AdaptiveGauss"
 
 
-def test_order_sixteen() -> None:
-    """Kepler's error falls with the sixteenth power of the step, fixed or by tolerance."""
+def test_order_16_on_kepler_orbits() -> None:
+    """The error falls with the sixteenth power of the step, fixed or by tolerance."""
     start, end = kepler_orbit(0.6, np.zeros(1))[0], 20.0
     truth = kepler_orbit(0.6, np.array([end]))[0]
     steps = [28, 32, 36, 42, 48]
     errors = []
     for count in steps:
-        found = run("kepler", Gauss(end / count, 16), start, end)
-        errors.append(float(np.abs(found.y[0] - truth).max()))
+        solution = run("kepler", Gauss(end / count, 16), start, end)
+        errors.append(float(np.abs(solution.y[0] - truth).max()))
     assert measured(errors, [1 / n for n in steps]) == pytest.approx(16, abs=1.5)
     counts, errors = [], []
     for tolerance in 10.0 ** -np.arange(4.0, 12.0):
         method = AdaptiveGauss(tolerance, tolerance / 100)
-        found = run("kepler", method, start, end)
-        counts.append(1 / found.steps)
-        errors.append(float(np.abs(found.y[0] - truth).max()))
+        solution = run("kepler", method, start, end)
+        counts.append(1 / solution.steps)
+        errors.append(float(np.abs(solution.y[0] - truth).max()))
     assert measured(errors, counts) > 12  # DOP853: 8
 
 
 @pytest.mark.parametrize("robot", ["falling_cat", "rigid_body"])
 @pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-6])
-def test_every_time_in_a_long_step_is_reached(robot: str, rtol: float) -> None:
-    """Loose steps are so long that a step without a first guess has no solution: it is cut."""
+def test_long_step_is_split_for_dense_output(robot: str, rtol: float) -> None:
+    """A step without a good first guess has no solution, so it is split."""
     system = pinred.load(robot)
     traj = pinred.simulate(system, method=AdaptiveGauss(rtol, rtol / 100))
     times = np.random.default_rng(0).uniform(0.0, traj.t[-1], 2000)
     exact = pinred.simulate(system, times=np.unique(times), rtol=1e-12)
-    found = traj(np.unique(times))
-    assert np.abs(found.q - exact.q).max() < 100 * rtol
-    assert np.abs(found.v - exact.v).max() < 1000 * rtol
+    states = traj(np.unique(times))
+    assert np.abs(states.q - exact.q).max() < 100 * rtol
+    assert np.abs(states.v - exact.v).max() < 1000 * rtol
 
 
-def test_pauses_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run that pauses at every step and grows its store is the same."""
+def test_pauses_do_not_change_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that pauses at every step and enlarges its arrays gives the same bits."""
     for method in (Gauss(0.1), AdaptiveGauss(1e-9, 1e-11)):
         times = np.linspace(0, 6, 17)
-        whole = run("kepler", method, ORBIT, 6.0, times)
+        uninterrupted = run("kepler", method, ORBIT, 6.0, times)
         with monkeypatch.context() as patch:
-            patch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
-            parts: list[float] = []
+            patch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
+            fractions: list[float] = []
             address = code("kepler", method.lanes).address
-            again = integrate(method, address, [1.0], ORBIT, 6.0, times, progress=parts.append)
-        assert (again.y == whole.y).all()
-        assert (again.states == whole.states).all()
-        assert len(parts) >= whole.steps
+            again = integrate(method, address, [1.0], ORBIT, 6.0, times, progress=fractions.append)
+        assert (again.y == uninterrupted.y).all()
+        assert (again.states == uninterrupted.states).all()
+        assert len(fractions) >= uninterrupted.steps
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-9, 1e-13])
-def test_reports_change_no_step(tolerance: float) -> None:
-    """The steps are those of a run without reports, to the last bit."""
+def test_report_times_do_not_change_steps(tolerance: float) -> None:
+    """Steps equal those of a run without reports, to the last bit."""
     method = AdaptiveGauss(tolerance, tolerance / 100)
     alone, many = (run("kepler", method, ORBIT, 20.0, np.linspace(0, 20, k)) for k in (1, 201))
     assert (alone.knots == many.knots).all()
     assert (alone.states == many.states).all()
 
 
-def test_many_are_as_one() -> None:
-    """Members of a batch are bit for bit single runs; one that fails disturbs no other."""
+def test_batch_members_equal_single_runs() -> None:
+    """Members equal single runs to the last bit; a failing member does not affect others."""
     rng = np.random.default_rng(5)
     y0 = kepler_orbit(0.3, rng.uniform(0, 6, 5))
     y0[2, 0] = 0.0
@@ -345,15 +345,15 @@ def test_many_are_as_one() -> None:
     y0[2, 2:] = 0.0
     for method in (Gauss(0.1), AdaptiveGauss(1e-9, 1e-11, max_steps=300)):
         address = code("kepler", method.lanes).address
-        found = integrate_many(method, address, np.ones((5, 1)), y0, 3.0, [1.0, 3.0], threads=2)
-        assert found.ok.tolist() == [True, True, False, True, True]
+        batch = integrate_many(method, address, np.ones((5, 1)), y0, 3.0, [1.0, 3.0], threads=2)
+        assert batch.ok.tolist() == [True, True, False, True, True]
         for k in (0, 1, 3, 4):
             alone = integrate(method, address, [1.0], y0[k], 3.0, [1.0, 3.0])
-            assert (found.y[k] == alone.y).all()
+            assert (batch.y[k] == alone.y).all()
 
 
-def test_failures_are_told() -> None:
-    """No solution of the step, rates that are no numbers, too many steps: each by its name."""
+def test_failures_raise_specific_errors() -> None:
+    """Unsolved steps, non-finite rates and too many steps have their own errors."""
     with pytest.raises(NoConvergence, match="take shorter steps") as stopped:
         run("stiff", Gauss(0.1), [1.0, 0.0, 0.0, 0.0], 1.0, p=1e3)
     assert stopped.value.time == 0.0
@@ -371,17 +371,17 @@ def test_failures_are_told() -> None:
     with pytest.raises(pinred.InputError, match="solver must be one of auto"):
         Gauss(0.1, 6, solver)
     for step in (1e-13, 1e-300, 5e-324):
-        with pytest.raises(pinred.InputError, match="take longer ones"):
+        with pytest.raises(pinred.InputError, match="Choose a longer step"):
             run("kepler", Gauss(step), ORBIT, 1.0)
 
 
 @pytest.mark.parametrize("order", [2, 4, 8, 16])
 @pytest.mark.parametrize("start", [(1.0, 0.0), (0.0, 1.0), (1.0, 1e-9)])
 @pytest.mark.parametrize("coupling", [0.0, 1e-12, 1e-6, 1e-3])
-def test_steps_from_rest_are_solved_to_round_off(
+def test_steps_from_rest_converge_to_round_off(
     order: int, start: tuple[float, float], coupling: float
 ) -> None:
-    """Where position and momentum change by turns, a turn without a change is not the last."""
+    """Positions and momenta change alternately, so one iteration without change is not the last."""
     x0, v0 = start
     method = tables(order // 2)
     mu, b = method.mu[: order // 2, : order // 2], method.b[: order // 2]
@@ -390,56 +390,56 @@ def test_steps_from_rest_are_solved_to_round_off(
         for _ in range(100):
             dx, dv = h * b * v * (1.0 + coupling * x), -h * b * x
             x, v = x0 + mu @ dx, v0 + mu @ dv
-        found = run("spring", Gauss(h, order), [x0, v0, 0.0, 0.0], h, p=coupling).y[0, :2]
-        np.testing.assert_allclose(found, [x0 + dx.sum(), v0 + dv.sum()], rtol=0, atol=1e-15)
+        result = run("spring", Gauss(h, order), [x0, v0, 0.0, 0.0], h, p=coupling).y[0, :2]
+        np.testing.assert_allclose(result, [x0 + dx.sum(), v0 + dv.sum()], rtol=0, atol=1e-15)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "rate"), [(4, 16.0), (4, 24.0), (4, 26.0), (6, 32.0), (16, 80.0)]
 )
-def test_slow_iterations_come_to_round_off(order: int, rate: float) -> None:
-    """Changes that fall in waves: steps, and states between their ends, by linear solution."""
+def test_slow_iterations_converge_to_round_off(order: int, rate: float) -> None:
+    """Changes decrease in waves; step ends and dense output equal the linear solution."""
     times, h = np.linspace(0.0, 1.0, 333), 0.1
     method = Gauss(h, order, "fixed point")
-    found = run("stiff", method, [1.0, 0.0, 0.0, 0.0], 1.0, times, p=rate)
+    solution = run("stiff", method, [1.0, 0.0, 0.0, 0.0], 1.0, times, p=rate)
     table, s = tables(order // 2), order // 2
     A, b, c = table.mu[:s, :s] * table.b[:s], table.b[:s], table.c[:s]
 
-    def stepped(k: int, length: float) -> float:
-        y, t = found.states[k, 0], found.states[k, 3]
+    def integrate_state(k: int, length: float) -> float:
+        y, t = solution.states[k, 0], solution.states[k, 3]
         f = -rate * (y - np.cos(t + length * c))
         return float(y + length * b @ np.linalg.solve(np.eye(s) + length * rate * A, f))
 
-    before = np.minimum(np.searchsorted(found.knots, times, side="right") - 1, 9)
-    exact = [stepped(k, t - found.knots[k]) for k, t in zip(before, times, strict=True)]
-    for y in (found.y, found.at(times)):
+    before = np.minimum(np.searchsorted(solution.knots, times, side="right") - 1, 9)
+    exact = [integrate_state(k, t - solution.knots[k]) for k, t in zip(before, times, strict=True)]
+    for y in (solution.y, solution.at(times)):
         np.testing.assert_allclose(y[:, 0], exact, rtol=0, atol=3e-13)
-    ends = [stepped(k, h) for k in range(10)]
-    np.testing.assert_allclose(found.states[1:, 0], ends, rtol=0, atol=3e-13)
+    ends = [integrate_state(k, h) for k in range(10)]
+    np.testing.assert_allclose(solution.states[1:, 0], ends, rtol=0, atol=3e-13)
 
 
 @pytest.mark.slow
-def test_a_state_without_a_solution_is_an_error() -> None:
-    """Nobody gets NaN for a state at a time."""
-    found = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), params=np.array([np.nan]))
-    assert (found.at([0.0, 0.5]) == found.states[[0, 5]]).all()
+def test_unsolved_dense_output_raises() -> None:
+    """The result is an error instead of NaN."""
+    solution = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), params=np.array([np.nan]))
+    assert (solution.at([0.0, 0.5]) == solution.states[[0, 5]]).all()
     with pytest.raises(NoConvergence, match=r"t = 0.55 s, within a step.*shorter") as stopped:
-        found.at([0.95, 0.55])
-    assert (stopped.value.state == found.states[5]).all()
+        solution.at([0.95, 0.55])
+    assert (stopped.value.state == solution.states[5]).all()
 
 
-def test_a_stiff_decay_is_followed_by_shorter_steps() -> None:
-    """Where the iteration does not converge, the step is cut and not the answer."""
-    found = run("stiff", AdaptiveGauss(1e-9, 1e-11), [1.0, 0.0, 0.0, 0.0], 0.5, p=200.0)
+def test_stiff_decay_shortens_steps() -> None:
+    """Where the iteration does not converge, the step is shortened."""
+    solution = run("stiff", AdaptiveGauss(1e-9, 1e-11), [1.0, 0.0, 0.0, 0.0], 0.5, p=200.0)
     t, k = 0.5, 200.0
     exact = (k * k * np.cos(t) + k * np.sin(t)) / (k * k + 1) + np.exp(-k * t) / (k * k + 1)
-    assert found.y[0, 0] == pytest.approx(exact, abs=1e-8)
+    assert solution.y[0, 0] == pytest.approx(exact, abs=1e-8)
 
 
 @pytest.mark.slow
-def test_wide_kernels_are_judged() -> None:
-    """All lanes give what Pinocchio's equations of motion give."""
+def test_wide_kernels_are_validated() -> None:
+    """All lanes agree with Pinocchio's equations of motion."""
     for robot in ("falling_cat", "solo12"):
         flow = flow_of(robot, Gauss(0.1), seed=2)
         for lanes in (4, 8):
@@ -447,26 +447,26 @@ def test_wide_kernels_are_judged() -> None:
 
 
 @pytest.mark.parametrize("make", [lambda k: wide_rate(k, 4), tangent_of])
-def test_code_that_two_threads_make_is_one(
+def test_two_threads_share_compiled_code(
     make: Callable[[Kernel], NativeCode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Who is second takes what is there: the first may be running it, and nothing else holds it."""
+    """The second thread uses the code of the first, which may already be running."""
     system = pinred.load("coupled_planar")
     kernel = CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, seed=1, times=[1.0]))).kernel
-    found: list[NativeCode] = []
+    codes: list[NativeCode] = []
 
     def load(code: bytes, name: str) -> NativeCode:
         monkeypatch.undo()
-        found.append(make(kernel))  # what another thread does meanwhile
+        codes.append(make(kernel))  # what another thread does meanwhile
         return load_object(code, name)
 
     monkeypatch.setattr(derived_code, "load_object", load)
-    assert make(kernel) is found[0]
-    assert make(kernel) is found[0]
+    assert make(kernel) is codes[0]
+    assert make(kernel) is codes[0]
 
 
-def test_the_module_says_what_it_is() -> None:
-    """A method's claims are its own attributes."""
+def test_gauss_attributes_state_its_properties() -> None:
+    """Name, order, adaptivity and symplecticity."""
     assert (Gauss(0.1, 6).name, Gauss(0.1, 6).symplectic, Gauss(0.1, 6).adaptive) == (
         "Gauss6",
         True,

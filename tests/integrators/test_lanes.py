@@ -1,4 +1,4 @@
-"""Runs in lanes: each is by itself, to the bit, and is what the scalar integrator makes of it."""
+"""Runs in SIMD lanes are independent of each other and equal scalar runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ METHODS: tuple[Explicit, ...] = (DOP853(1e-9, 1e-11), Tsit5(1e-7, 1e-9))
 
 @cache
 def kernel(wide: int) -> NativeCode:
-    """Sines of angles, a root that ends at t = p₀, a turning quaternion, and the time."""
+    """Compile sines of angles, a root that ends at t = p₀, a rotating quaternion, and a clock."""
     y, p = ca.SX.sym("y", 7), ca.SX.sym("p", 2)
     a, b, t, q = y[0], y[1], y[2], y[3:]
     w = ca.vertcat(ca.sin(a), p[1], ca.cos(b))
@@ -37,7 +37,7 @@ def kernel(wide: int) -> NativeCode:
 
 
 def members(count: int) -> tuple[Array, Array]:
-    """Parameters and states; one is far round, and one meets what is not a number on its way."""
+    """Return parameters and states; one angle is 1e7 rad, and one run becomes non-finite."""
     rng = np.random.default_rng(4)
     y0 = np.concatenate([rng.normal(size=(count, 2)), np.zeros((count, 5))], axis=1)
     y0[:, 3:] = rng.normal(size=(count, 4))
@@ -47,32 +47,32 @@ def members(count: int) -> tuple[Array, Array]:
 
 
 def run(method: Explicit, params: Array, y0: Array, threads: int = 1, lanes: int = 8) -> Solutions:
-    """Run them in lanes."""
+    """Run the members in SIMD lanes."""
     address = kernel(lanes).address
     return integrate_in_lanes(method, address, lanes, params, y0, END, TIMES, 3, threads)
 
 
-def same(a: Solutions, rows: Any, b: Solutions) -> None:
-    """Everything that is told of some members of b is what is told of those of a, to the bit."""
+def assert_same(a: Solutions, rows: Any, b: Solutions) -> None:
+    """Assert that some members of b equal those of a in every bit."""
     for name in ("y", "status", "end", "entry", "steps", "rejected", "evaluations"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name)[rows])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS, ids=str)
-def test_a_member_does_not_depend_on_the_others(method: Explicit) -> None:
-    """Alone, in another order, on several threads: neither with 1e7 rad nor NaN beside it."""
+def test_member_is_independent_of_the_others(method: Explicit) -> None:
+    """A member alone, in another order or on several threads has the same bits."""
     params, y0 = members(37)
-    whole = run(method, params, y0)
-    assert [STATUS[k] for k in whole.status.tolist()] == [
+    batch = run(method, params, y0)
+    assert [STATUS[k] for k in batch.status.tolist()] == [
         "not finite" if k == 2 else "done" for k in range(37)
     ]
-    assert abs(whole.end[2] - 0.5) < 1e-6
-    assert whole.entry[2] == 0
+    assert abs(batch.end[2] - 0.5) < 1e-6
+    assert batch.entry[2] == 0
     for k in (0, 2, 5, 30):
-        same(run(method, params[k : k + 1], y0[k : k + 1]), [k], whole)
+        assert_same(run(method, params[k : k + 1], y0[k : k + 1]), [k], batch)
     order = np.random.default_rng(0).permutation(37)
-    same(run(method, params[order], y0[order], threads=3), order, whole)
+    assert_same(run(method, params[order], y0[order], threads=3), order, batch)
 
 
 @pytest.mark.slow
@@ -80,25 +80,25 @@ def test_a_member_does_not_depend_on_the_others(method: Explicit) -> None:
     ("method", "lanes"),
     [(METHODS[0], 8), (METHODS[1], 8), pytest.param(METHODS[0], 16, marks=pytest.mark.by_hand)],
 )
-def test_members_are_those_of_the_scalar_integrator(method: Explicit, lanes: int) -> None:
-    """Steps, trials and evaluations are the same, and states but for round-off."""
+def test_lanes_equal_scalar_runs(method: Explicit, lanes: int) -> None:
+    """Steps, trials and evaluations are equal, and states up to round-off."""
     params, y0 = members(21)
-    found = run(method, params, y0, lanes=lanes)
+    in_lanes = run(method, params, y0, lanes=lanes)
     for k in set(range(21)) - {2}:
         one = integrate(method, kernel(1).address, params[k], y0[k], END, TIMES, 3)
-        np.testing.assert_allclose(found.y[k], one.y, rtol=0.0, atol=1e-12 * abs(y0[k]).max())
-        counts = (found.steps[k], found.rejected[k], found.evaluations[k])
+        np.testing.assert_allclose(in_lanes.y[k], one.y, rtol=0.0, atol=1e-12 * abs(y0[k]).max())
+        counts = (in_lanes.steps[k], in_lanes.rejected[k], in_lanes.evaluations[k])
         assert counts == (one.steps, one.rejected, one.evaluations)
-        norms = np.linalg.norm(found.y[k][:, 3:], axis=1)
+        norms = np.linalg.norm(in_lanes.y[k][:, 3:], axis=1)
         np.testing.assert_allclose(norms, 1.0, atol=4e-16)
     # What the failed one has reached is there, what it has not is nothing.
-    assert np.isfinite(found.y[2, :3]).all()
-    assert np.isnan(found.y[2, 3:]).all()
+    assert np.isfinite(in_lanes.y[2, :3]).all()
+    assert np.isnan(in_lanes.y[2, 3:]).all()
 
 
 @pytest.mark.slow
-def test_limits_and_starts() -> None:
-    """Too many steps, rates that are not finite at once, no member, no times, no such width."""
+def test_lanes_handle_limits_and_edge_cases() -> None:
+    """Step limits, initially non-finite rates, no members, no times, and invalid widths."""
     method = METHODS[0]
     params, y0 = members(9)
     params[4] = np.nan

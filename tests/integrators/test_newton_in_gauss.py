@@ -1,4 +1,4 @@
-"""Newton's method in Gauss's methods: closed forms of stiff motions, and the fixed point's bits."""
+"""Newton's method in Gauss's methods, against closed forms and fixed-point iteration."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pinred.integrators.gauss.tables import MOST_STAGES, tables
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 
 ORDERS = range(2, 17, 2)
 
 
 def _wide(lanes: int) -> tuple[int, Any]:
-    """Two oscillators of rates 1 and p, coupled a little, at so many states at once."""
+    """Compile two coupled oscillators of squared frequencies 1 and p at several states."""
 
     def rate(y: Any, p: Any, d: Any) -> None:
         for j in range(lanes):
@@ -48,7 +48,7 @@ TIMES = np.array([0.0, 0.0, 0.3, 0.301, 1.0, 2.5, 2.5, 4.0])
 
 
 def run(method: Gauss, square: float, times: Any, **more: Any) -> Solution:
-    """The oscillators for 4 s."""
+    """Integrate the oscillators for 4 s."""
     address, tangent = OSCILLATORS[method.lanes]
     return integrate(method, address, [square], Y0, 4.0, times, tangent=tangent, **more)
 
@@ -67,38 +67,38 @@ def pade(A: Array, stages: int) -> Array:
 
 
 @pytest.mark.parametrize("stages", range(1, 9))
-def test_pairs(stages: int) -> None:
-    """Eigenvalues and eigenvectors of diag(b) μ; together they make up what they split."""
+def test_eigenvectors_reproduce_matrix(stages: int) -> None:
+    """Eigenvalues and eigenvectors of diag(b) μ; their sum is the matrix."""
     method, table = tables(stages), pairs(stages)
     G = method.b[:stages, None] * method.mu[:stages, :stages]
-    whole = np.zeros((stages, stages))
-    for row in table:
-        v, vi, w, wi = (row[2 + k * MOST_STAGES :][:stages] for k in range(4))
-        value, right, left = row[0] + 1j * row[1], v + 1j * vi, w + 1j * wi
-        np.testing.assert_allclose(G @ right, value * right, atol=1e-13)
-        whole += 2.0 * np.real(value * np.outer(right, left))
-    np.testing.assert_allclose(whole, G, atol=1e-12)
+    total = np.zeros((stages, stages))
+    for entry in table:
+        v, vi, w, wi = (entry[2 + k * MOST_STAGES :][:stages] for k in range(4))
+        value, right_vector, left_vector = entry[0] + 1j * entry[1], v + 1j * vi, w + 1j * wi
+        np.testing.assert_allclose(G @ right_vector, value * right_vector, atol=1e-13)
+        total += 2.0 * np.real(value * np.outer(right_vector, left_vector))
+    np.testing.assert_allclose(total, G, atol=1e-12)
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("solver", ["auto", "Newton"])
-def test_stiff_oscillator(order: int, solver: str) -> None:
-    """Steps of 40 radians, where a fixed point is none: by Padé's approximation."""
+def test_stiff_oscillator_equals_pade_approximation(order: int, solver: str) -> None:
+    """Steps of 40 rad, where fixed-point iteration diverges."""
     square, count = 1e6, 100
     method = Gauss(0.04, order, solver)
     A = np.array([[0, 1, 0, 0], [-1, 0, 1, 0], [0, 0, 0, 1], [1, 0, -square, 0.0]])
-    found = run(method, square, [4.0])
-    assert found.steps == count
+    solution = run(method, square, [4.0])
+    assert solution.steps == count
     exact = np.linalg.matrix_power(pade(0.04 * A, order // 2), count) @ Y0
     scale = np.array([1.0, 1.0, 1e-3, 1.0])  # of the slow motion, and round-off of the fast one
-    np.testing.assert_allclose(found.y[0] * scale, exact * scale, atol=3e-10)
+    np.testing.assert_allclose(solution.y[0] * scale, exact * scale, atol=3e-10)
     with pytest.raises(NoConvergence, match="take shorter steps"):
         run(Gauss(0.04, order, "fixed point"), square, [4.0])
 
 
 @pytest.mark.parametrize("order", [2, 4, 6, 10, 16])
-def test_the_two_solvers_agree(order: int) -> None:
-    """On a robot, to round-off: both go on until nothing improves."""
+def test_solvers_agree_to_round_off(order: int) -> None:
+    """On a robot, both solvers converge to round-off."""
     system = pinred.load("falling_cat")
     ends = [
         pinred.simulate(system, seed=3, times=[0.0, 2.0], method=Gauss(0.02, order, solver))
@@ -110,8 +110,8 @@ def test_the_two_solvers_agree(order: int) -> None:
 
 
 @pytest.mark.slow
-def test_hard_springs_without_damping() -> None:
-    """Energy and momentum over 20000 steps far beyond the springs' period, and the way back."""
+def test_hard_springs_conserve_energy_and_momentum() -> None:
+    """Over 20000 steps far longer than the springs' period, and reversibly."""
     system = pinred.load("coupled_spatial")
     hard = 1e7
     scene: dict[str, Any] = {
@@ -138,32 +138,32 @@ def test_hard_springs_without_damping() -> None:
 
 
 @pytest.mark.parametrize("method", [Gauss(0.04), Gauss(0.04, 16), Gauss(0.04, 2, "Newton")])
-def test_bits(method: Gauss) -> None:
-    """Neither pauses, nor reports, nor the store change a number; later is as at once."""
-    whole = run(method, 1e6, TIMES)
-    times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 201), whole.knots]))
+def test_pauses_reports_and_storage_do_not_change_results(method: Gauss) -> None:
+    """Dense output after the run equals that during the run."""
+    uninterrupted = run(method, 1e6, TIMES)
+    times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 201), uninterrupted.knots]))
     once = run(method, 1e6, times)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+        patch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
         patch.setattr(drive, "_FIRST_KNOTS", 1)
         paused = run(method, 1e6, TIMES)
     for other in (once, paused):
-        assert np.array_equal(whole.states, other.states)
-    assert np.array_equal(whole.y, paused.y)
-    assert np.array_equal(whole.at(times), once.y)
-    assert np.array_equal(once.at(TIMES), whole.y)
+        assert np.array_equal(uninterrupted.states, other.states)
+    assert np.array_equal(uninterrupted.y, paused.y)
+    assert np.array_equal(uninterrupted.at(times), once.y)
+    assert np.array_equal(once.at(TIMES), uninterrupted.y)
     address, tangent = OSCILLATORS[method.lanes]
     many = integrate_many(
         method, address, [[1e6], [np.nan], [1e6]], [Y0] * 3, 4.0, TIMES, threads=2, tangent=tangent
     )
     assert [STATUS[s] for s in many.status.tolist()] == ["done", "not finite", "done"]
-    assert np.array_equal(many.y[0], whole.y)
-    assert np.array_equal(many.y[2], whole.y)
+    assert np.array_equal(many.y[0], uninterrupted.y)
+    assert np.array_equal(many.y[2], uninterrupted.y)
 
 
 @pytest.mark.parametrize("order", [4, 16])
-def test_members_that_want_the_derivative(order: int) -> None:
-    """Each gets it when it wants it, as it would alone: those before and behind do without."""
+def test_members_request_derivative_independently(order: int) -> None:
+    """Only members that need the derivative use it, and all equal single runs."""
     address, tangent = OSCILLATORS[Gauss(0.04, order).lanes]
     squares = np.array([1.0, 1e6, 4.0, 1e5, 1.0, 9.0] * 4)
     asked: list[int] = []
@@ -185,8 +185,8 @@ def test_members_that_want_the_derivative(order: int) -> None:
             assert many.evaluations[member] == alone.evaluations
 
 
-def test_what_cannot_be_solved() -> None:
-    """Without a derivative the fixed point is all there is; what is no number is named."""
+def test_unsolved_steps_raise() -> None:
+    """Without a derivative only the fixed point remains; non-finite entries are named."""
     address, tangent = OSCILLATORS[4]
     with pytest.raises(NoConvergence):
         integrate(Gauss(0.04), address, [1e6], Y0, 4.0, [])

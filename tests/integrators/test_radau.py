@@ -1,4 +1,4 @@
-"""Radau IIA: order against ABA, stiff systems against SciPy, its failures, its derivative."""
+"""Radau IIA: order against ABA, stiff systems against SciPy, failures, and its derivative."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
@@ -100,7 +100,7 @@ TIMES = np.array([0.0, 0.0, 0.3, 0.301, 1.0, 2.5, 2.5, 4.0])
 
 
 def pol(method: Radau, times: Any, end: float = 4.0, mu: float = 1e4, **more: Any) -> Solution:
-    """Van der Pol's oscillator from (2, 0)."""
+    """Integrate Van der Pol's oscillator from (2, 0)."""
     return integrate(method, POL, [mu], [2.0, 0.0], end, times, tangent=POL_SLOPE, **more)
 
 
@@ -108,55 +108,59 @@ def pol(method: Radau, times: Any, end: float = 4.0, mu: float = 1e4, **more: An
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 8, 9, 30])
-def test_linear_systems(n: int) -> None:
-    """Real and complex ones, as by LAPACK; a singular one is seen."""
+def test_linear_systems_equal_lapack(n: int) -> None:
+    """Real and complex systems; a singular one is detected."""
     rng = np.random.default_rng(n)
     wide = -(-n // 8) * 8
-    rows = np.zeros((2 * n + 1, wide))
-    rows[1:] = rng.normal(size=(2 * n, wide))
-    A, B, b, c = rows[1 : n + 1, :n].copy(), rows[n + 1 :, :n].copy(), *rng.normal(size=(2, n))
+    matrix_rows = np.zeros((2 * n + 1, wide))
+    matrix_rows[1:] = rng.normal(size=(2 * n, wide))
+    A, B, b, c = (
+        matrix_rows[1 : n + 1, :n].copy(),
+        matrix_rows[n + 1 :, :n].copy(),
+        *rng.normal(size=(2, n)),
+    )
     both = np.linalg.solve(A + 1j * B, b + 1j * c)
-    one, x, y, pivots = rows.copy(), b.copy(), c.copy(), np.zeros(n)
+    one, x, y, pivots = matrix_rows.copy(), b.copy(), c.copy(), np.zeros(n)
     assert factor(one, 1, n, pivots)
     solve(one, 1, n, pivots, x)
     np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=1e-10, atol=1e-12)
     x = b.copy()
-    assert factor_complex(rows, 1, n + 1, n, pivots)
-    solve_complex(rows, 1, n + 1, n, pivots, x, y)
+    assert factor_complex(matrix_rows, 1, n + 1, n, pivots)
+    solve_complex(matrix_rows, 1, n + 1, n, pivots, x, y)
     np.testing.assert_allclose(x + 1j * y, both, rtol=1e-10, atol=1e-12)
-    rows[:, 0] = 0.0
-    assert not factor(rows.copy(), 1, n, pivots)
-    assert not factor_complex(rows, 1, n + 1, n, pivots)
-    rows[:, 0] = np.nan
-    assert not factor(rows.copy(), 1, n, pivots)
-    assert not factor_complex(rows, 1, n + 1, n, pivots)
+    matrix_rows[:, 0] = 0.0
+    assert not factor(matrix_rows.copy(), 1, n, pivots)
+    assert not factor_complex(matrix_rows, 1, n + 1, n, pivots)
+    matrix_rows[:, 0] = np.nan
+    assert not factor(matrix_rows.copy(), 1, n, pivots)
+    assert not factor_complex(matrix_rows, 1, n + 1, n, pivots)
 
 
-def test_small_pivots_are_not_taken() -> None:
-    """Where they would cost all digits, in real and in imaginary parts; zeros cost nothing."""
+def test_elimination_avoids_small_pivots() -> None:
+    """Small real or imaginary pivots would cost all digits; zeros cost nothing."""
     for first, below, last in ((1e-20, 1, 1j), (0, 1, 1), (1e-20j, 1, 1j), (2, 1j, 1)):
         M = np.array([[first, 1.0, 0.0], [below, 1.0, 2.0], [0.0, 3.0, last]])
         b, pivots = np.array([1.0, 2.0, 3.0]), np.zeros(3)
         exact = np.linalg.solve(M, b)
-        rows = np.zeros((6, 8))
-        rows[:3, :3], rows[3:, :3] = M.real, M.imag
+        matrix_rows = np.zeros((6, 8))
+        matrix_rows[:3, :3], matrix_rows[3:, :3] = M.real, M.imag
         x, y = b.copy(), np.zeros(3)
-        assert factor_complex(rows, 0, 3, 3, pivots)
-        solve_complex(rows, 0, 3, 3, pivots, x, y)
+        assert factor_complex(matrix_rows, 0, 3, 3, pivots)
+        solve_complex(matrix_rows, 0, 3, 3, pivots, x, y)
         np.testing.assert_allclose(x + 1j * y, exact, rtol=1e-14, atol=1e-14)
-        rows = np.zeros((3, 8))
-        rows[:, :3] = M.real + M.imag
+        matrix_rows = np.zeros((3, 8))
+        matrix_rows[:, :3] = M.real + M.imag
         x = b.copy()
-        assert factor(rows, 0, 3, pivots)
-        solve(rows, 0, 3, pivots, x)
+        assert factor(matrix_rows, 0, 3, pivots)
+        solve(matrix_rows, 0, 3, pivots, x)
         exact = np.linalg.solve(M.real + M.imag, b)
         np.testing.assert_allclose(x, exact, rtol=1e-14, atol=1e-14)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["planar_chain5", "coupled_spatial", "solo12"])
-def test_derivative_by_pinocchio(robot: str) -> None:
-    """Along the motion ẋ changes as ABA says, and that as ABA's derivatives say."""
+def test_kernel_derivative_equals_aba_derivatives(robot: str) -> None:
+    """The derivative along the motion equals that of ABA."""
     system = pinred.load(robot)
     scene = pinred.Scene(system=system, seed=4)
     flow = CompiledFlow.of_plan(plan_of(scene))
@@ -175,15 +179,15 @@ def test_derivative_by_pinocchio(robot: str) -> None:
 
     def bend(s: float) -> Array:
         y = flow.y0 + s * rate + 0.5 * s * s * (J @ rate)
-        moved = flow.kernel.evaluate_rate(y, flow.parameters)
-        return (jacobian_of(flow.kernel, y, flow.parameters) @ moved)[:m]
+        rates = flow.kernel.evaluate_rate(y, flow.parameters)
+        return (jacobian_of(flow.kernel, y, flow.parameters) @ rates)[:m]
 
     slope = (8.0 * (bend(h) - bend(-h)) - (bend(2 * h) - bend(-2 * h))) / (12.0 * h)
     np.testing.assert_allclose(slope, jerk, atol=1e-6 * max(1.0, abs(jerk).max()))
 
 
-def test_derivative_with_forces() -> None:
-    """Time, prescribed joints, limits and given numbers, against differences of the rates."""
+def test_kernel_derivative_with_forces_equals_differences() -> None:
+    """Time, prescribed joints, limits and parameters, against differences of the rates."""
     system = pinred.load("falling_cat")
     scene = pinred.Scene(
         system=system,
@@ -204,10 +208,10 @@ def test_derivative_with_forces() -> None:
         np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h), J[:, j], atol=1e-7)
 
 
-def test_a_wrong_derivative_is_refused(
+def test_wrong_derivative_is_rejected(
     monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """One that is off by a part in a hundred thousand."""
+    """A relative error of 1e-5 is detected."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
     right = native.compile_object
 
@@ -234,8 +238,8 @@ def test_a_wrong_derivative_is_refused(
 @pytest.mark.parametrize(
     "robot", ["double_spherical_pendulum", "falling_cat", "satellite_two_arms"]
 )
-def test_order(robot: str) -> None:
-    """Order 5 in shape and attitude, by ABA, in steps and at their ends; errors as tolerances."""
+def test_radau_has_order_5(robot: str) -> None:
+    """Order in shape and attitude against ABA, in dense output and at step ends."""
     system = pinred.load(robot)
     tolerances, ends = np.geomspace(1e-8, 1e-12, 9), (0.8, 1.0, 1.2)
     steps, errors = np.zeros(len(tolerances)), np.zeros((2, len(tolerances)))
@@ -248,20 +252,20 @@ def test_order(robot: str) -> None:
         for k, rtol in enumerate(tolerances.tolist()):
             traj = pinred.simulate(replace(scene, method=Radau(rtol, 0.01 * rtol)))
             assert traj.run.method == "Radau"
-            apart = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
-            both = np.hypot(apart.shape, apart.rotation)
+            error = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
+            both = np.hypot(error.shape, error.rotation)
             assert both.max() < 30.0 * rtol
             steps[k] += traj.run.steps
             errors[0, k] += both[-1]
             errors[1, k] += both[:-1].max()
     assert Radau.order == Radau.dense_order == 5
-    for row in errors:
-        order = measured(row.tolist(), (1.0 / steps).tolist())
+    for step_errors in errors:
+        order = measured(step_errors.tolist(), (1.0 / steps).tolist())
         assert order == pytest.approx(5.0, abs=0.25)
 
 
-def test_hard_springs() -> None:
-    """A chain with joints of 1e8 N m/rad, well damped: by SciPy on the full state, in few steps."""
+def test_hard_springs_need_few_steps() -> None:
+    """A damped chain with joints of 1e8 N·m/rad, against SciPy on the full state."""
     system, hard, damping = pinred.load("planar_chain5"), 1e8, 1e5
     names = system.shape_names[2:]
     scene = pinred.Scene(
@@ -286,9 +290,9 @@ def test_hard_springs() -> None:
         return np.concatenate([q_rate(y[:nq], v), pin.aba(model, data, q, v, tau)])
 
     y0 = np.concatenate([system.q(start.pose, start.x), start.xi, start.xdot])
-    found = solve_ivp(rate, (0.0, 0.3), y0, "Radau", [0.1, 0.3], rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(traj.v, found.y[nq:].T, atol=1e-7)
-    q = np.array([pin.normalize(model, row) for row in found.y[:nq].T])
+    reference = solve_ivp(rate, (0.0, 0.3), y0, "Radau", [0.1, 0.3], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(traj.v, reference.y[nq:].T, atol=1e-7)
+    q = np.array([pin.normalize(model, column) for column in reference.y[:nq].T])
     assert (
         max(abs(pin.difference(model, a, b)).max() for a, b in zip(q, traj.q, strict=True)) < 1e-7
     )
@@ -299,8 +303,8 @@ def test_hard_springs() -> None:
 
 
 @pytest.mark.slow
-def test_van_der_pol() -> None:
-    """The book's stiff oscillator over its jump, by SciPy."""
+def test_van_der_pol_equals_scipy() -> None:
+    """The stiff oscillator of the book over its jump."""
     end, mu = 1.5, 1e3  # in the book's scaling, ε = 1e-6, it jumps at 0.8 mu
     times = mu * np.array([0.5, end])
 
@@ -319,8 +323,8 @@ def test_van_der_pol() -> None:
 
 
 @pytest.mark.parametrize(("power", "start"), [(20.0, 30.0), (50.0, 100.0), (60.0, 100.0)])
-def test_a_step_is_cut_where_newton_would_take_too_long(power: float, start: float) -> None:
-    """By what Hairer and Wanner's (IV.8) say of a turn's changes, found with Butcher's matrix."""
+def test_step_is_shortened_when_newton_converges_slowly(power: float, start: float) -> None:
+    """By the criterion of Hairer and Wanner (IV.8), with Butcher's matrix."""
     rtol, atol, most = 1e-3, 1.0, 7
     scale, rate = start + atol / rtol, -(start ** (1.0 - power))
 
@@ -340,46 +344,46 @@ def test_a_step_is_cut_where_newton_would_take_too_long(power: float, start: flo
         if len(sizes) > 1:
             ratios.append(sizes[-1] / sizes[-2])
             quotient = np.prod(ratios[-2:]) ** (1.0 / len(ratios[-2:]))
-            left = quotient / (1.0 - quotient) * sizes[-1]
-            assert left > 0.03
-            still = left * quotient ** (most - 1 - len(sizes)) / 0.03
+            remaining = quotient / (1.0 - quotient) * sizes[-1]
+            assert remaining > 0.03
+            still = remaining * quotient ** (most - 1 - len(sizes)) / 0.03
             if still >= 1.0:
                 break
     cut = 0.8 * still ** (-1.0 / (4 + most - 1 - len(sizes)))
-    found = integrate_many(
+    batch = integrate_many(
         Radau(rtol, atol, max_steps=2), POWER, [[rate, power]], [[start]], 1e3, [],
         tangent=POWER_SLOPE,
     )  # fmt: skip
-    assert (found.rejected[0], found.steps[0]) == (1, 1)
-    assert found.end[0] == pytest.approx(cut * h, rel=1e-10)
+    assert (batch.rejected[0], batch.steps[0]) == (1, 1)
+    assert batch.end[0] == pytest.approx(cut * h, rel=1e-10)
 
 
 # --- bits, ends and failures ---------------------------------------------------------------
 
 
-def test_pauses_and_later() -> None:
-    """The same bits with pauses, and for states recomputed from the knots."""
-    whole = pol(Radau(), TIMES)
-    times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 501), whole.knots]))
+def test_pauses_and_dense_output_do_not_change_results() -> None:
+    """States recomputed from stored steps have the same bits."""
+    uninterrupted = pol(Radau(), TIMES)
+    times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 501), uninterrupted.knots]))
     once = pol(Radau(), times)
-    parts: list[float] = []
+    fractions: list[float] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+        patch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
         patch.setattr(drive, "_FIRST_KNOTS", 1)
-        paused = pol(Radau(), TIMES, progress=parts.append)
-    assert len(parts) > whole.steps
+        paused = pol(Radau(), TIMES, progress=fractions.append)
+    assert len(fractions) > uninterrupted.steps
     for other in (paused, once):
-        assert np.array_equal(whole.states, other.states)
-        assert (whole.steps, whole.rejected) == (other.steps, other.rejected)
-    assert whole.evaluations == paused.evaluations
-    assert np.array_equal(whole.y, paused.y)
+        assert np.array_equal(uninterrupted.states, other.states)
+        assert (uninterrupted.steps, uninterrupted.rejected) == (other.steps, other.rejected)
+    assert uninterrupted.evaluations == paused.evaluations
+    assert np.array_equal(uninterrupted.y, paused.y)
     shuffled = np.random.default_rng(0).permutation(len(times))
-    assert np.array_equal(whole.at(times[shuffled]), once.y[shuffled])
-    assert np.array_equal(once.at(TIMES), whole.y)
-    assert np.array_equal(whole.y[[0, -1]], whole.states[[0, -1]])
+    assert np.array_equal(uninterrupted.at(times[shuffled]), once.y[shuffled])
+    assert np.array_equal(once.at(TIMES), uninterrupted.y)
+    assert np.array_equal(uninterrupted.y[[0, -1]], uninterrupted.states[[0, -1]])
 
 
-def test_later_on_a_robot() -> None:
+def test_dense_output_on_a_robot() -> None:
     """With a quaternion, through the simulation."""
     system = pinred.load("falling_cat")
     traj = pinred.simulate(
@@ -390,8 +394,8 @@ def test_later_on_a_robot() -> None:
     np.testing.assert_allclose(np.linalg.norm(traj.pose[:, 3:], axis=1), 1.0, rtol=1e-15)
 
 
-def test_states_between_the_ends_of_a_step() -> None:
-    """The stages' polynomial, and what it lacks of ẏ and ÿ, filtered; that alone without J."""
+def test_dense_output_equals_filtered_polynomial() -> None:
+    """The stage polynomial with filtered corrections of ẏ and ÿ, and alone without J."""
     x = np.linspace(0.05, 0.95, 19)
     for rate in (1.0, 1e3):
         run = integrate(
@@ -416,8 +420,8 @@ def test_states_between_the_ends_of_a_step() -> None:
                 np.testing.assert_allclose(alone, start + P(x), atol=size)
 
 
-def test_what_follows_a_signal_is_exact_at_the_ends_only() -> None:
-    """In closed form: between the ends of long steps it is, too, where `max_step` is given."""
+def test_dense_output_of_signals_needs_max_step() -> None:
+    """In closed form; inside long steps it is accurate only with `max_step`."""
     rate, t = 1e8, np.linspace(0.5, 10.0, 97)
 
     def exact(t: Array) -> Array:
@@ -428,14 +432,14 @@ def test_what_follows_a_signal_is_exact_at_the_ends_only() -> None:
         return integrate(method, SERVO, [rate], [1.0, 0.0], 10.0, [], tangent=SERVO_SLOPE)
 
     for max_step, bounds in ((np.inf, (1e-2, 1.0)), (0.1, (0.0, 1e-5))):
-        found = run(max_step)
-        assert abs(found.states[:, 0] - exact(found.knots)).max() < 1e-5
+        traj = run(max_step)
+        assert abs(traj.states[:, 0] - exact(traj.knots)).max() < 1e-5
         least, most = bounds
-        assert least <= abs(found.at(t)[:, 0] - exact(t)).max() < most
+        assert least <= abs(traj.at(t)[:, 0] - exact(t)).max() < most
 
 
-def test_many_are_as_one() -> None:
-    """Whatever the number of threads; one that fails leaves the others alone."""
+def test_batch_members_equal_single_runs() -> None:
+    """For any number of threads; a failing member does not affect others."""
     rng = np.random.default_rng(1)
     y0, params = rng.normal(size=(9, 2)), 10.0 ** rng.uniform(0.0, 5.0, size=(9, 1))
     params[4] = np.nan
@@ -455,8 +459,8 @@ def test_many_are_as_one() -> None:
         assert np.array_equal(several[k].x, alone.x)
 
 
-def test_failures() -> None:
-    """A blow-up, a rate that is none, too many steps, no derivative."""
+def test_failures_raise_specific_errors() -> None:
+    """A blow-up, a non-finite rate, too many steps, no derivative."""
     with pytest.raises(StepSizeUnderflow, match="singular") as blown:
         integrate(Radau(), POWER, [1.0, 2.0], [1.0], 3.0, [], tangent=POWER_SLOPE)
     assert blown.value.time == pytest.approx(1.0, abs=1e-6)
@@ -480,22 +484,22 @@ def test_failures() -> None:
 
 
 @pytest.mark.parametrize("t_end", [1e-300, 1e-15])
-def test_a_tiny_end_time(t_end: float) -> None:
-    """The state hardly moves."""
+def test_tiny_end_time_hardly_moves_state(t_end: float) -> None:
+    """The run takes few steps."""
     run = integrate(Radau(), POWER, [1.0, 1.0], [1.0], t_end, [0.0, t_end], tangent=POWER_SLOPE)
     assert run.knots[-1] == t_end
     assert abs(run.y - 1.0).max() < 2e-15
 
 
-def test_rest_stays_rest() -> None:
-    """Nothing moves, in few steps."""
+def test_equilibrium_takes_few_steps() -> None:
+    """A state at rest stays at rest."""
     run = integrate(Radau(), POWER, [1.0, 1.0], [0.0], 1e3, [1e3], tangent=POWER_SLOPE)
     assert run.y.tolist() == [[0.0]]
     assert run.steps < 5
 
 
-def test_interruption() -> None:
-    """Ctrl-C comes through soon."""
+def test_ctrl_c_interrupts_soon() -> None:
+    """KeyboardInterrupt leaves the run within a short time."""
     main = threading.main_thread().ident
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

@@ -1,4 +1,4 @@
-"""Step control: units change no bit, and steps are as long as their error lets them be."""
+"""Step control: independent of units, with the longest steps that the error allows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KINDS = [kind for kind in METHODS.values() if issubclass(kind, ErrorControl)]
 
 
 def _wide(lanes: int) -> tuple[int, Any]:
-    """Two oscillators, with angular velocities p[0] and p[1], and a little friction p[2]."""
+    """Compile two oscillators with angular velocities p[0] and p[1] and friction p[2]."""
 
     def rate(y: Any, p: Any, d: Any) -> None:
         for j in range(lanes):
@@ -46,15 +46,15 @@ POWER, _ = kernels(_power, lambda y, p, v, d: None)  # noqa: ARG005
 
 
 def run(method: ErrorControl, rates: Any, y0: Any, times: Any) -> Solution:
-    """The oscillators up to the last of some times."""
+    """Integrate the oscillators to the last of some times."""
     address, tangent = KERNELS[method.lanes]
     return integrate(method, address, rates, y0, times[-1], times, tangent=tangent)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("rtol", [1e-4, 1e-10])
-def test_units_of_powers_of_two_change_no_bit(kind: type[ErrorControl], rtol: float) -> None:
-    """Neither those of states nor that of time: in steps, trials and in states between them."""
+def test_units_of_powers_of_two_do_not_change_steps(kind: type[ErrorControl], rtol: float) -> None:
+    """Scaling states or time changes no bit of steps, trials and dense output."""
     rates, y0 = np.array([1.0, 7.0, 0.5]), np.array([1.0, 0.0, -0.3, 0.4])
     times = np.linspace(0.0, 3.0, 14)
     one = run(kind(rtol, rtol / 8), rates, y0, times)
@@ -63,24 +63,24 @@ def test_units_of_powers_of_two_change_no_bit(kind: type[ErrorControl], rtol: fl
         other = run(method, rates / second, size * y0, second * times)
         assert np.array_equal(other.knots, second * one.knots)
         assert np.array_equal(other.y, size * one.y)
-        told = ("steps", "rejected", "evaluations")
-        assert [getattr(other, name) for name in told] == [getattr(one, name) for name in told]
+        counts = ("steps", "rejected", "evaluations")
+        assert [getattr(other, name) for name in counts] == [getattr(one, name) for name in counts]
 
 
 @pytest.mark.parametrize("kind", [DOP853, Tsit5])
-def test_steps_are_as_long_as_the_error_lets_by_the_book(kind: type[Explicit]) -> None:
-    """Each is the one before times what its error allows: SciPy's estimate for DOP853."""
+def test_explicit_steps_follow_the_error_estimate(kind: type[Explicit]) -> None:
+    """Each step is the previous one times the factor of its error, by SciPy's DOP853."""
     rates, y0 = np.array([1.0, 7.0, 0.5]), np.array([1.0, 0.0, -0.3, 0.4])
     M = np.zeros((4, 4))
     M[0, 1], M[1, 0], M[2, 3], M[3, 2], M[3, 3] = 1.0, -1.0, 7.0, -7.0, -0.5
     rtol, atol, tableau = 1e-9, 1e-9, kind.tableau()
-    found = run(kind(rtol, atol), rates, y0, [5.0])
-    h, order = np.diff(found.knots), kind(1.0, 1.0).order
-    assert found.rejected == 0
+    solution = run(kind(rtol, atol), rates, y0, [5.0])
+    h, order = np.diff(solution.knots), kind(1.0, 1.0).order
+    assert solution.rejected == 0
     assert len(h) > 50
     book = scipy.integrate.DOP853(lambda t, y: M @ y, 0.0, y0, 1.0)  # noqa: ARG005
     for k in range(len(h) - 3):
-        y, end = found.states[k], found.states[k + 1]
+        y, end = solution.states[k], solution.states[k + 1]
         K = np.zeros((tableau.stages + 1, 4))
         for j in range(len(K)):
             K[j] = M @ (y + h[k] * tableau.A[j, : len(K)] @ K)
@@ -97,27 +97,29 @@ def test_steps_are_as_long_as_the_error_lets_by_the_book(kind: type[Explicit]) -
 @pytest.mark.parametrize("kind", [DOP853, Tsit5])
 @pytest.mark.parametrize("power", [0.0, 0.25, 1.0, 4.0])
 @pytest.mark.parametrize("rate", [1.0, 1e6])
-def test_the_first_step(kind: type[Explicit], power: float, rate: float) -> None:
-    """Hairer's, from the first two derivatives, in units of the time that the second tells."""
+def test_first_step_uses_two_derivatives(kind: type[Explicit], power: float, rate: float) -> None:
+    """Hairer's first step in the unit of time of the second derivative."""
     rtol, atol, order = 1e-6, 1e-7, kind(1.0, 1.0).order
-    found = integrate(kind(rtol, atol), POWER, [rate, power], [1.0], 0.3 / rate, [])
+    solution = integrate(kind(rtol, atol), POWER, [rate, power], [1.0], 0.3 / rate, [])
     bend = (1.01**power - 1.0) / 0.01
     unit = 1.0 / np.sqrt(bend) if power else 1.0
     steepest = max(bend * unit**2, unit) / (atol + rtol)
     first = unit * (0.01 / steepest) ** (1.0 / order)
-    assert rate * found.knots[1] == pytest.approx(first, rel=1e-9)
+    assert rate * solution.knots[1] == pytest.approx(first, rel=1e-9)
 
 
-def test_steps_are_as_long_as_their_error_lets() -> None:
-    """Rates along a circle have Legendre coefficients in Bessel functions: so has the error."""
+def test_gauss_steps_follow_the_error_estimate() -> None:
+    """Legendre coefficients of a circular motion are Bessel functions."""
     rtol, least = 1e-12, 1.0  # the absolute tolerance is that of states of size one
-    found = run(AdaptiveGauss(rtol, least * rtol), [1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [100.0])
-    h, t = np.diff(found.knots), found.knots[:-1]
+    solution = run(
+        AdaptiveGauss(rtol, least * rtol), [1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [100.0]
+    )
+    h, t = np.diff(solution.knots), solution.knots[:-1]
     turn = np.exp(1j * (t + h / 2)) * 15.0 * (-1j) * spherical_jn(7, h / 2)  # that of exp(i t)
     sizes = least + abs(np.array([np.cos(t), np.sin(t)]))
     relative = h * np.array([turn.imag, turn.real]) / sizes
     error = np.sqrt((relative**2).sum(axis=0) / 4) ** (17 / 8) / rtol
-    assert found.rejected == 0
+    assert solution.rejected == 0
     assert len(h) > 40
     assert h[0] == pytest.approx(0.1 * np.sqrt(4.0) / 1.0, rel=1e-12)  # of rate 1 in size 1
     allowed = np.clip(0.9 * error ** (-1 / 17), 0.25, 4.0) * h
@@ -127,15 +129,15 @@ def test_steps_are_as_long_as_their_error_lets() -> None:
 
 
 @pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-8, 1e-10])
-def test_what_iterations_leave_and_what_they_cost(rtol: float) -> None:
-    """A part of the tolerance, by Padé's approximation; a turn gains a factor of some 6."""
+def test_iteration_error_and_number_of_iterations(rtol: float) -> None:
+    """The error is a fraction of the tolerance; an iteration gains a factor of about 6."""
     s = 8
     N = Polynomial([factorial(2 * s - k) / (factorial(k) * factorial(s - k)) for k in range(s + 1)])
-    found = run(AdaptiveGauss(rtol, rtol), [1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [100.0])
-    h, z = np.diff(found.knots), found.states[:, 0] - 1j * found.states[:, 1]
+    solution = run(AdaptiveGauss(rtol, rtol), [1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [100.0])
+    h, z = np.diff(solution.knots), solution.states[:, 0] - 1j * solution.states[:, 1]
     assert h[1] == pytest.approx(4.0 * h[0], rel=1e-12)  # whose error is nothing
-    left = abs(z[1:] - z[:-1] * N(1j * h) / N(-1j * h)) / np.sqrt(4) / rtol  # in the mean
-    assert 1e-3 < np.median(left[1:]) < 0.05
-    assert left[1:].max() < 0.15  # the first is guessed badly
+    remaining = abs(z[1:] - z[:-1] * N(1j * h) / N(-1j * h)) / np.sqrt(4) / rtol  # in the mean
+    assert 1e-3 < np.median(remaining[1:]) < 0.05
+    assert remaining[1:].max() < 0.15  # the first is guessed badly
     slowest = 1.0 / abs(N.roots()).min()  # of a turn, for a step of one radian
     assert 0.12 < np.median(h) * slowest < 0.25

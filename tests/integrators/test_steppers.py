@@ -1,4 +1,4 @@
-"""The steppers against closed forms and SciPy: order, bits, failures, interruption."""
+"""The steppers against closed forms and SciPy: order, equal bits, failures, interruption."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.methods import DOP853, RKMK4, Explicit, Method, Tsit5
 from pinred.integrators.methods import METHODS as ALL
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 
 Rate = Callable[[Any, Any, Any], None]
 _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
@@ -56,7 +56,7 @@ def oscillator(y: Any, p: Any, d: Any) -> None:
 
 @kernel
 def counted(y: Any, p: Any, d: Any) -> None:
-    """The oscillator; counts its calls in its parameter."""
+    """The oscillator, which counts its calls in its parameter."""
     p[0] += 1.0
     d[0], d[1] = y[1], -y[0]
 
@@ -69,14 +69,14 @@ def power(y: Any, p: Any, d: Any) -> None:
 
 @kernel
 def kepler(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
-    """Motion in the plane about a mass at the origin."""
+    """Planar motion about a mass at the origin."""
     square = y[0] * y[0] + y[1] * y[1]
     force = 1.0 / (square * np.sqrt(square))
     d[0], d[1], d[2], d[3] = y[2], y[3], -force * y[0], -force * y[1]
 
 
 @kernel
-def kick(y: Any, p: Any, d: Any) -> None:
+def pulse(y: Any, p: Any, d: Any) -> None:
     """A clock, and a velocity that a short force changes at clock time one."""
     s = (y[0] - 1.0) / p[0]
     d[0], d[1] = 1.0, np.exp(-s * s) / p[0]
@@ -84,12 +84,12 @@ def kick(y: Any, p: Any, d: Any) -> None:
 
 @kernel
 def edge(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
-    """A rate that is no number once the clock has passed one half."""
+    """A rate that is not a number after clock time one half."""
     d[0], d[1], d[2] = 1.0, 0.0, np.sqrt(0.5 - y[0])
 
 
 def top_rate(y: Any, p: Any, d: Any) -> None:
-    """A top: ω (3,), attitude (4,); params: inertias (3,), weight times height of the CoM."""
+    """A top: ω (3,), attitude (4,); params: inertias (3,), gravity force times CoM height."""
     a, b, c, x, s, z, w = y[0], y[1], y[2], y[3], y[4], y[5], y[6]
     square = x * x + s * s + z * z + w * w
     up_x, up_y = 2.0 * (x * z - s * w) / square, 2.0 * (s * z + x * w) / square
@@ -108,7 +108,7 @@ TIGHT = DOP853(rtol=1e-13, atol=1e-14)
 
 
 def top_by_scipy(params: Array, y0: Array, times: Array) -> Array:
-    """Return the top's states (T, 7) by SciPy, quaternions of length one."""
+    """Return the top's states (T, 7) by SciPy, with unit quaternions."""
 
     def rate(t: float, y: Array) -> Array:  # noqa: ARG001
         d = np.empty(7)
@@ -125,8 +125,8 @@ def momentum(y: Array) -> Array:
     return np.asarray(Rotation.from_quat(y[:, 3:]).apply(FREE[:3] * y[:, :3]))
 
 
-def slope(steps: list[float], errors: list[float]) -> float:
-    """Return the order with which the errors fall."""
+def order_of(steps: list[float], errors: list[float]) -> float:
+    """Return the order by which errors fall with the step."""
     return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
 
 
@@ -134,7 +134,7 @@ EXPLICIT = [kind for kind in ALL.values() if issubclass(kind, Explicit)]
 
 
 def fixed(kind: type[Explicit], step: float) -> Explicit:
-    """A method with steps that no error makes shorter."""
+    """A method with fixed steps, because the tolerance is never reached."""
     return kind(rtol=100.0, atol=100.0, max_step=step)
 
 
@@ -142,8 +142,8 @@ def fixed(kind: type[Explicit], step: float) -> Explicit:
 
 
 @pytest.mark.parametrize("kind", EXPLICIT)
-def test_order_of_explicit_methods(kind: type[Explicit]) -> None:
-    """The order that is claimed, at the end of many steps of equal length."""
+def test_explicit_methods_have_their_order(kind: type[Explicit]) -> None:
+    """At the end of many equal steps."""
     t_end, steps, errors = 2.0 * np.pi, [], []
     start = kepler_orbit(0.1, np.zeros(1))[0]
     order = kind(1.0, 1.0).order
@@ -154,11 +154,11 @@ def test_order_of_explicit_methods(kind: type[Explicit]) -> None:
         steps.append(t_end / count)
         errors.append(float(np.linalg.norm(run.y - kepler_orbit(0.1, run.times))))
     assert min(errors) > 1e-12
-    assert slope(steps, errors) == pytest.approx(order, abs=0.2)
+    assert order_of(steps, errors) == pytest.approx(order, abs=0.2)
 
 
 @pytest.mark.parametrize("kind", [*EXPLICIT, RKMK4])
-def test_order_of_the_dense_output(kind: type[Explicit] | type[RKMK4]) -> None:
+def test_dense_output_has_its_order(kind: type[Explicit] | type[RKMK4]) -> None:
     """Within one step the error of a polynomial of order p falls with h^(p + 1)."""
     steps, errors = np.geomspace(0.15, 0.4, 6), []
     claimed = (kind(0.1) if kind is RKMK4 else kind(1.0, 1.0)).dense_order  # type: ignore[call-arg]
@@ -169,24 +169,24 @@ def test_order_of_the_dense_output(kind: type[Explicit] | type[RKMK4]) -> None:
         assert run.steps == 1
         exact = top_by_scipy(HEAVY, TOP0, np.append(times, h))[:-1]
         errors.append(float(np.linalg.norm(run.y - exact)))
-    assert slope(list(steps), errors) == pytest.approx(claimed + 1, abs=0.2)
+    assert order_of(list(steps), errors) == pytest.approx(claimed + 1, abs=0.2)
 
 
-def test_order_of_rkmk4() -> None:
-    """Order 4 at the ends of steps and between them, in velocity and in attitude."""
+def test_rkmk4_has_order_4() -> None:
+    """At step ends and inside steps, in velocity and attitude."""
     t_end = 3.0
     times = np.linspace(0.0, t_end, 38)
     exact = top_by_scipy(HEAVY, TOP0, times)
     steps = [t_end / count for count in (80, 120, 180, 270, 400)]
     runs = [integrate(RKMK4(step), top, HEAVY, TOP0, t_end, times, 3) for step in steps]
-    for part in (slice(0, 3), slice(3, 7)):
+    for entries in (slice(0, 3), slice(3, 7)):
         for when in (slice(-1, None), slice(1, -1)):
-            errors = [float(abs(run.y - exact)[when, part].max()) for run in runs]
-            assert slope(steps, errors) == pytest.approx(RKMK4.order, abs=0.2)
+            errors = [float(abs(run.y - exact)[when, entries].max()) for run in runs]
+            assert order_of(steps, errors) == pytest.approx(RKMK4.order, abs=0.2)
 
 
-def test_momentum_of_rkmk4_needs_the_correction() -> None:
-    """The momentum's error has order 4; with plainly weighted body rates it has order 2."""
+def test_rkmk4_momentum_has_order_4_by_correction() -> None:
+    """Without dexp⁻¹ the momentum's error would have order 2."""
     t_end = 2.0
 
     def plain(count: int) -> Array:
@@ -198,8 +198,8 @@ def test_momentum_of_rkmk4_needs_the_correction() -> None:
             return np.append(d[:3], y[:3])
 
         def move(k: Array, h: float) -> Array:
-            turned = Rotation.from_quat(y[3:]) * Rotation.from_rotvec(h * k[3:])
-            return np.append(y[:3] + h * k[:3], turned.as_quat())
+            rotation = Rotation.from_quat(y[3:]) * Rotation.from_rotvec(h * k[3:])
+            return np.append(y[:3] + h * k[:3], rotation.as_quat())
 
         for _ in range(count):
             k1 = rate(y)
@@ -214,15 +214,15 @@ def test_momentum_of_rkmk4_needs_the_correction() -> None:
     ours = [integrate(RKMK4(h), top, FREE, TOP0, t_end, [t_end], 3).y for h in steps]
     drift = [float(np.linalg.norm(momentum(y) - start)) for y in ours]
     naive = [float(np.linalg.norm(momentum(plain(count)) - start)) for count in counts]
-    assert slope(steps, drift) == pytest.approx(4.0, abs=0.2)
-    assert slope(steps, naive) == pytest.approx(2.0, abs=0.2)
+    assert order_of(steps, drift) == pytest.approx(4.0, abs=0.2)
+    assert order_of(steps, naive) == pytest.approx(2.0, abs=0.2)
     assert max(drift) < 1e-2 * min(naive)
 
 
 @pytest.mark.parametrize(
     ("method", "bound"), [(TIGHT, 2e-12), (Tsit5(1e-12, 1e-14), 1e-9), (RKMK4(1e-3), 1e-10)]
 )
-def test_free_top_in_closed_form(method: Method, bound: float) -> None:
+def test_free_top_equals_closed_form(method: Method, bound: float) -> None:
     """ω by Jacobi's elliptic functions, the attitude by the constant spatial momentum."""
     I1, I2, I3 = FREE[:3]
     a = np.array([0.4, 0.0, 1.2])  # ω at the start, on the cn and dn axes
@@ -241,23 +241,23 @@ def test_free_top_in_closed_form(method: Method, bound: float) -> None:
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
 @pytest.mark.parametrize("kind", EXPLICIT)
-def test_heavy_top_against_scipy(kind: type[Explicit], tolerance: float) -> None:
-    """The error follows the tolerance."""
+def test_heavy_top_error_follows_tolerance(kind: type[Explicit], tolerance: float) -> None:
+    """Against SciPy."""
     t = np.linspace(0.0, 10.0, 57)
     run = integrate(kind(tolerance, tolerance), top, HEAVY, TOP0, 10.0, t, 3)
     assert abs(run.y - top_by_scipy(HEAVY, TOP0, t)).max() < 200 * tolerance
 
 
 @pytest.mark.parametrize("kind", EXPLICIT)
-def test_kepler_orbit_in_closed_form(kind: type[Explicit]) -> None:
-    """Between steps too."""
+def test_kepler_orbit_equals_closed_form(kind: type[Explicit]) -> None:
+    """Also inside steps."""
     t = np.linspace(0.0, 20.0, 101)
     run = integrate(kind(1e-13, 1e-14), kepler, [], kepler_orbit(0.6, np.zeros(1))[0], 20.0, t)
     assert abs(run.y - kepler_orbit(0.6, t)).max() < 1e-10
 
 
-def test_decay_against_radau() -> None:
-    """One number, against an implicit method and in closed form."""
+def test_decay_equals_radau_and_closed_form() -> None:
+    """A state of one number, against SciPy's implicit method and the exponential."""
     t = np.linspace(0.0, 3.0, 10)
     run = integrate(DOP853(1e-11, 1e-13), power, [-2.0, 3.0], [1.5], 3.0, t)
     radau = solve_ivp(lambda _, y: -2.0 * y**3, (0, 3), [1.5], "Radau", t, rtol=1e-10, atol=1e-12)
@@ -266,8 +266,8 @@ def test_decay_against_radau() -> None:
 
 
 @pytest.mark.parametrize("omega", [1e-9, 1.0, 1e9])
-def test_time_scales(omega: float) -> None:
-    """The same motion in other units of time takes the same steps, a good first one too."""
+def test_steps_do_not_depend_on_unit_of_time(omega: float) -> None:
+    """The first step is good in each unit."""
     t = np.linspace(0.0, 10.0 / omega, 7)
     run = integrate(DOP853(), oscillator, [omega], [1.0, 0.0], t[-1], t)
     assert abs(run.y[:, 0] - np.cos(omega * t)).max() < 1e-9
@@ -280,10 +280,8 @@ def test_time_scales(omega: float) -> None:
 
 @pytest.mark.parametrize("kind", EXPLICIT)
 @pytest.mark.parametrize("second", [2.0**20, 2.0**-20])
-def test_what_turns_is_measured_by_angles_and_the_rest_by_its_size(
-    kind: type[Explicit], second: float
-) -> None:
-    """A free top in other units of time has other rates and the same attitudes, to the bit."""
+def test_error_of_attitude_is_measured_as_angle(kind: type[Explicit], second: float) -> None:
+    """A free top in other units of time has other rates and bitwise equal attitudes."""
     t, method = np.linspace(0.0, 5.0, 7), kind(1e-9, 1e-300)
     one = integrate(method, top, FREE, TOP0, t[-1], t, 3)
     y0 = np.append(TOP0[:3] / second, TOP0[3:])
@@ -294,18 +292,18 @@ def test_what_turns_is_measured_by_angles_and_the_rest_by_its_size(
 
 
 @pytest.mark.parametrize(("kind", "most"), [(DOP853, 200), (Tsit5, 400)])
-def test_a_kick_makes_steps_shorter(kind: type[Explicit], most: int) -> None:
-    """Steps that run into it are rejected."""
+def test_pulse_shortens_steps(kind: type[Explicit], most: int) -> None:
+    """Steps that meet the pulse are rejected."""
     width, t = 0.02, np.linspace(0.0, 2.0, 41)
-    run = integrate(kind(1e-9, 1e-9, max_step=0.1), kick, [width], [0.0, 0.0], 2.0, t)
+    run = integrate(kind(1e-9, 1e-9, max_step=0.1), pulse, [width], [0.0, 0.0], 2.0, t)
     exact = 0.5 * np.sqrt(np.pi) * (erf((t - 1.0) / width) + erf(1.0 / width))
     assert run.rejected > 0
     assert abs(run.y[:, 1] - exact).max() < 1e-7
     assert run.steps < most
 
 
-def test_evaluations_are_counted() -> None:
-    """Twelve a step, eleven a rejection, three where there is dense output, two to begin."""
+def test_evaluation_counts_equal_kernel_calls() -> None:
+    """DOP853: 12 per step, 11 per rejection, 3 per dense output, 2 for the first step."""
     run = integrate(DOP853(), counted, [0.0], [1.0, 0.0], 10.0, [0.0, 10.0])
     assert run.evaluations == run.params[0] == 12 * run.steps + 11 * run.rejected + 2
     run = integrate(DOP853(), counted, [0.0], [1.0, 0.0], 10.0, [5.0, 5.001, 10.0])
@@ -318,11 +316,11 @@ def test_evaluations_are_counted() -> None:
     assert run.steps == 100
 
 
-def test_steps_do_not_depend_on_the_attitude() -> None:
-    """Nor on the length in which a quaternion is given."""
-    turned = TOP0.copy()
-    turned[3:] = [0.0, 0.0, 0.0, -3.0]
-    one, other = (integrate(DOP853(), top, FREE, y, 20.0, [20.0], 3) for y in (TOP0, turned))
+def test_steps_do_not_depend_on_attitude_or_quaternion_length() -> None:
+    """A rotated initial attitude, and a scaled quaternion."""
+    rotated = TOP0.copy()
+    rotated[3:] = [0.0, 0.0, 0.0, -3.0]
+    one, other = (integrate(DOP853(), top, FREE, y, 20.0, [20.0], 3) for y in (TOP0, rotated))
     assert abs(one.steps - other.steps) <= 1
     assert abs(one.y - other.y)[:, :3].max() < 1e-8
     turn = Rotation.from_quat(TOP0[3:]) * Rotation.from_quat(-other.y[0, 3:])
@@ -344,27 +342,27 @@ def same(one: Solution, other: Solution) -> bool:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("problem", PROBLEMS)
-def test_a_run_that_pauses_has_the_same_bits(
+def test_pauses_do_not_change_results(
     method: Method, problem: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither pauses nor the growth of the store change a number."""
+    """Neither pauses nor larger arrays change a number."""
     address, params, y0, quaternion = problem
-    whole = integrate(method, address, params, y0, 4.0, TIMES, quaternion)
-    monkeypatch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+    uninterrupted = integrate(method, address, params, y0, 4.0, TIMES, quaternion)
+    monkeypatch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
     monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
-    parts: list[float] = []
-    paused = integrate(method, address, params, y0, 4.0, TIMES, quaternion, parts.append)
-    assert len(parts) > whole.steps
-    assert parts == sorted(parts)
-    assert parts[-1] == 1.0
-    assert same(whole, paused)
-    assert whole.evaluations == paused.evaluations
+    fractions: list[float] = []
+    paused = integrate(method, address, params, y0, 4.0, TIMES, quaternion, fractions.append)
+    assert len(fractions) > uninterrupted.steps
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+    assert same(uninterrupted, paused)
+    assert uninterrupted.evaluations == paused.evaluations
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("problem", PROBLEMS)
-def test_later_is_as_at_once(method: Method, problem: Any) -> None:
-    """States recomputed from the knots are those of a run that was asked for them."""
+def test_dense_output_equals_reported_states(method: Method, problem: Any) -> None:
+    """States recomputed from stored steps equal those reported by a run."""
     address, params, y0, quaternion = problem
     later = integrate(method, address, params, y0, 4.0, [], quaternion)
     assert later.y.shape == (0, len(y0))
@@ -378,8 +376,8 @@ def test_later_is_as_at_once(method: Method, problem: Any) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_many_are_as_one(method: Method) -> None:
-    """Whatever the number of threads."""
+def test_batch_members_equal_single_runs(method: Method) -> None:
+    """For any number of threads."""
     rng = np.random.default_rng(1)
     y0, params = rng.normal(size=(23, 7)), np.abs(rng.normal(size=(23, 4))) + 1.0
     runs = [integrate(method, top, p, y, 4.0, TIMES, 3) for p, y in zip(params, y0, strict=True)]
@@ -392,8 +390,8 @@ def test_many_are_as_one(method: Method) -> None:
         assert (many.end == 4.0).all()
 
 
-def test_a_failing_member_leaves_the_others_alone() -> None:
-    """It has a status, and its states as far as it came."""
+def test_failing_member_does_not_affect_others() -> None:
+    """It reports a status, and its states up to the failure."""
     params = np.array([[-1.0, 2.0], [1.0, 2.0], [-0.5, 1.0], [np.nan, 1.0], [2.0, 2.0]])
     times = np.array([0.0, 0.25, 3.0])
     many = integrate_many(DOP853(), power, params, np.ones((5, 1)), 3.0, times)
@@ -412,18 +410,18 @@ def test_a_failing_member_leaves_the_others_alone() -> None:
     assert integrate_many(DOP853(), power, np.ones((0, 2)), np.ones((0, 1)), 1.0, []).ok.all()
 
 
-def test_progress_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The part of the members that is done, from none on."""
+def test_progress_of_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The finished fraction of the members, starting at zero."""
     monkeypatch.setattr(several, "_LOOK", 1e-3)
-    parts: list[float] = []
+    fractions: list[float] = []
     long = DOP853(max_steps=10**6)
     y0 = np.ones((16, 2))
     integrate_many(
-        long, oscillator, np.ones((16, 1)), y0, 1e4, [], threads=1, progress=parts.append
+        long, oscillator, np.ones((16, 1)), y0, 1e4, [], threads=1, progress=fractions.append
     )
-    assert parts == sorted(parts)
-    assert parts[0] < 0.5
-    assert set(parts) <= {k / 16 for k in range(17)}
+    assert fractions == sorted(fractions)
+    assert fractions[0] < 0.5
+    assert set(fractions) <= {k / 16 for k in range(17)}
 
 
 # --- ends and failures ---------------------------------------------------------------------
@@ -431,23 +429,23 @@ def test_progress_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("method", [DOP853(), Tsit5(), RKMK4(1.0)])
 @pytest.mark.parametrize("t_end", [1e-300, 1e-15])
-def test_a_tiny_end_time(method: Method, t_end: float) -> None:
-    """The state hardly moves."""
+def test_tiny_end_time_hardly_moves_state(method: Method, t_end: float) -> None:
+    """The run takes few steps."""
     run = integrate(method, power, [1.0, 1.0], [1.0], t_end, [0.0, t_end])
     assert run.steps >= 1
     assert run.knots[-1] == t_end
     assert abs(run.y - 1.0).max() < 2e-15
 
 
-def test_rkmk4_meets_the_end_with_equal_steps() -> None:
-    """None of them longer than asked for."""
+def test_rkmk4_reaches_end_with_equal_steps() -> None:
+    """No step is longer than requested."""
     run = integrate(RKMK4(0.3), oscillator, [1.0], [1.0, 0.0], 1.0, [1.0])
     np.testing.assert_allclose(np.diff(run.knots), 0.25, rtol=1e-15)
     assert integrate(RKMK4(0.1), oscillator, [1.0], [1.0, 0.0], 0.3, []).steps == 3
 
 
 @pytest.mark.parametrize("kind", EXPLICIT)
-def test_blow_up_is_an_underflow(kind: type[Explicit]) -> None:
+def test_blow_up_raises_step_size_underflow(kind: type[Explicit]) -> None:
     """The solution 1/(1 − t) cannot be followed to t = 1."""
     with pytest.raises(StepSizeUnderflow, match="singular") as caught:
         integrate(kind(1e-10, 1e-12), power, [1.0, 2.0], [1.0], 3.0, [])
@@ -456,17 +454,17 @@ def test_blow_up_is_an_underflow(kind: type[Explicit]) -> None:
     assert error.state.shape == (1,)
     # Steps are parts of what is left, 1/y: they become too short where they are ten bits of t = 1.
     before = integrate(kind(1e-10, 1e-12), power, [1.0, 2.0], [1.0], 1.0 - 1e-7, [])
-    part = (np.diff(before.knots) * before.states[:-1, 0])[-6:-2].mean()
-    assert 0.5 < error.state[0] * 10.0 * np.finfo(float).eps / part < 2.0
+    relative_step = (np.diff(before.knots) * before.states[:-1, 0])[-6:-2].mean()
+    assert 0.5 < error.state[0] * 10.0 * np.finfo(float).eps / relative_step < 2.0
     again = pickle.loads(pickle.dumps(error))
     assert (again.time, str(again)) == (error.time, str(error))
 
 
-def test_what_is_not_finite_is_named() -> None:
-    """At the start, in a step, and where the rate has an edge."""
-    for kind in EXPLICIT:
+def test_non_finite_entry_is_named() -> None:
+    """At the start, inside a step, and at an edge of the rate."""
+    for method_type in EXPLICIT:
         with pytest.raises(NonFiniteState, match="number 2 is not finite") as caught:
-            integrate(kind(1e-10, 1e-12), edge, [], [0.0, 0.0, 0.0], 3.0, [])
+            integrate(method_type(1e-10, 1e-12), edge, [], [0.0, 0.0, 0.0], 3.0, [])
         assert caught.value.entry == 2
         assert caught.value.time == pytest.approx(0.5, abs=1e-6)
         assert caught.value.time <= 0.5
@@ -485,8 +483,8 @@ def test_what_is_not_finite_is_named() -> None:
 
 
 @pytest.mark.parametrize("kind", EXPLICIT)
-def test_too_many_steps(kind: type[Explicit]) -> None:
-    """The error says how far the run came; the limit itself is allowed."""
+def test_too_many_steps_raise(kind: type[Explicit]) -> None:
+    """The error states the time reached; the limit itself is allowed."""
     with pytest.raises(TooManySteps, match="max_steps") as caught:
         integrate(kind(1e-10, 1e-12, max_steps=5), oscillator, [1.0], [1.0, 0.0], 100.0, [])
     error = caught.value
@@ -496,8 +494,8 @@ def test_too_many_steps(kind: type[Explicit]) -> None:
     assert integrate(DOP853(max_steps=33), oscillator, [1.0], [1.0, 0.0], 10.0, []).steps == 33
 
 
-def test_interruption() -> None:
-    """Ctrl-C comes through soon, on several threads too."""
+def test_ctrl_c_interrupts_soon() -> None:
+    """Also on several threads."""
 
     def stop(part: float) -> None:
         assert 0.0 < part < 1.0
@@ -543,20 +541,20 @@ def test_interruption() -> None:
         (InputError, "address", {"address": 0}),
     ],
 )
-def test_what_cannot_be_run_is_refused(
+def test_invalid_arguments_are_rejected(
     error: type[InputError], message: str, changes: dict[str, Any]
 ) -> None:
     """The message names the argument."""
-    given: dict[str, Any] = {
+    arguments: dict[str, Any] = {
         "method": DOP853(), "address": oscillator, "params": [1.0], "y0": [1.0, 0.0],
         "t_end": 2.0, "times": [1.0],
     }  # fmt: skip
     with pytest.raises(error, match=message):
-        integrate(**(given | changes))
+        integrate(**(arguments | changes))
 
 
-def test_other_refusals() -> None:
-    """Of methods, of `at`, and of many."""
+def test_invalid_methods_and_batches_are_rejected() -> None:
+    """Invalid options, times of `at`, and batches."""
     for make in (
         lambda: DOP853(rtol=0.0),
         lambda: DOP853(atol=-1.0),

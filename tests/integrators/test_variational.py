@@ -23,7 +23,7 @@ from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.signals import Fourier
@@ -38,7 +38,7 @@ STIFFNESS, REST = 3.0, 0.2
 class Action:
     """The discrete action of points (x, R) at equal times, from Pinocchio's mass matrix.
 
-    In the frame of the centre of mass: what is linear is eliminated from the mass matrix.
+    In the frame of the centre of mass: the translation is eliminated from the mass matrix.
     """
 
     def __init__(self, system: System, h: float) -> None:
@@ -81,7 +81,7 @@ class Action:
 def points_of(
     system: System, method: Variational | Gauss, count: int, **start: Any
 ) -> list[tuple[Array, Any]]:
-    """Shape and attitude at the ends of steps."""
+    """Return shape and attitude at the step ends."""
     end = count * method.step
     traj = pinred.simulate(
         system,
@@ -107,27 +107,27 @@ def points_of(
         ("coupled_spatial", {"seed": 5}),
     ],
 )
-def test_the_discrete_action_is_stationary(robot: str, start: dict[str, Any]) -> None:
-    """Under any variation of any inner point; not so for another method of order 2."""
+def test_discrete_action_is_stationary(robot: str, start: dict[str, Any]) -> None:
+    """Under variations of inner points. Another method of order 2 fails this test."""
     system, h, count = pinred.load(robot), 0.02, 12
     action, rng = Action(system, h), np.random.default_rng(0)
     points = points_of(system, Variational(h), count, **start)
     other = points_of(system, Gauss(h, 2), count, **start)
-    found, by_other = 0.0, 0.0
+    largest, by_other = 0.0, 0.0
     size = 0.0
     for k in range(1, count):
-        along = rng.normal(size=system.n - system.group.linear)
-        found = max(found, abs(action.slope(points, k, along, 1e-4)))
-        by_other = max(by_other, abs(action.slope(other, k, along, 1e-4)))
+        variation = rng.normal(size=system.n - system.group.linear)
+        largest = max(largest, abs(action.slope(points, k, variation, 1e-4)))
+        by_other = max(by_other, abs(action.slope(other, k, variation, 1e-4)))
         # What cancels: the momentum at the end of one step, and at the begin of the next.
         one = (points[k][0] - points[k - 1][0]) / h
         size = max(size, float(abs(action.metric(points[k][0])[:, -system.m :] @ one).max()))
-    assert found < 1e-9 * max(size, 0.1)
-    assert by_other > 1e3 * found
+    assert largest < 1e-9 * max(size, 0.1)
+    assert by_other > 1e3 * largest
 
 
 @pytest.mark.parametrize("robot", ["planar_chain5", "coupled_spatial", "falling_cat"])
-def test_order(robot: str) -> None:
+def test_variational_has_order_2(robot: str) -> None:
     """Order 2 in shape and attitude, by ABA."""
     counts = [150, 200, 270, 360]
     for errors in errors_at_the_end(robot, Variational, counts):
@@ -135,8 +135,8 @@ def test_order(robot: str) -> None:
         assert order == pytest.approx(Variational.order, abs=0.1)
 
 
-def test_order_with_forces_and_a_plan() -> None:
-    """What has no potential acts in the stages: order 2 by ABA, at the ends and between them."""
+def test_order_2_with_forces_and_prescribed_joint() -> None:
+    """Forces without a potential act in the stages; order 2 also inside steps."""
     system = pinred.load("falling_cat")
     scene = pinred.Scene(
         system=system,
@@ -154,14 +154,14 @@ def test_order_with_forces_and_a_plan() -> None:
     steps, errors = [1 / 100, 1 / 140, 1 / 200, 1 / 280], []
     for h in steps:
         traj = pinred.simulate(replace(scene, method=Variational(h)))
-        apart = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
-        errors.append(np.hypot(apart.shape, apart.rotation))
+        error = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
+        errors.append(np.hypot(error.shape, error.rotation))
     for k in range(2):
         assert measured([float(e[k]) for e in errors], steps) == pytest.approx(2.0, abs=0.15)
 
 
-def test_momentum_and_energy() -> None:
-    """Over 1e5 steps: the one at round-off, the other bounded and without a slope."""
+def test_momentum_is_constant_and_energy_bounded() -> None:
+    """Over 1e5 steps momentum stays at round-off and the energy shows no trend."""
     system = pinred.load("falling_cat")
     springs = dict.fromkeys(system.shape_names, (STIFFNESS, REST))
     traj = pinred.simulate(
@@ -185,8 +185,8 @@ def test_momentum_and_energy() -> None:
     assert abs(slope) < 0.2 * abs(energy).max()
 
 
-def test_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pauses, reports and the store change no number; later is as at once; many are as one."""
+def test_pauses_reports_and_storage_do_not_change_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dense output and batch members have the same bits, too."""
     system = pinred.load("coupled_spatial")
     flow = CompiledFlow.of_plan(
         plan_of(pinred.Scene(system=system, seed=1, method=Variational(0.02)))
@@ -200,17 +200,17 @@ def test_bits(monkeypatch: pytest.MonkeyPatch) -> None:
             layout.quaternion, canonical=layout.canonical,
         )  # fmt: skip
 
-    whole = run([0.0, 0.3, 2.0])
-    times = np.sort(np.concatenate([np.linspace(0.0, 2.0, 333), whole.knots]))
+    uninterrupted = run([0.0, 0.3, 2.0])
+    times = np.sort(np.concatenate([np.linspace(0.0, 2.0, 333), uninterrupted.knots]))
     once = run(times)
-    monkeypatch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+    monkeypatch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
     monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
     paused = run([0.0, 0.3, 2.0])
     for other in (once, paused):
-        assert np.array_equal(whole.states, other.states)
-    assert np.array_equal(whole.y, paused.y)
-    assert np.array_equal(whole.at(times), once.y)
-    assert np.array_equal(paused.at([0.3]), whole.y[1:2])
+        assert np.array_equal(uninterrupted.states, other.states)
+    assert np.array_equal(uninterrupted.y, paused.y)
+    assert np.array_equal(uninterrupted.at(times), once.y)
+    assert np.array_equal(paused.at([0.3]), uninterrupted.y[1:2])
     several = pinred.simulate_many(system, seeds=range(3), duration=0.5, method=Variational(0.01))
     for k in range(3):
         alone = pinred.simulate(system, seed=k, duration=0.5, method=Variational(0.01))
@@ -230,20 +230,20 @@ def _no_slope(y: Any, p: Any, v: Any, d: Any) -> None:
     pass
 
 
-def test_a_report_that_cannot_be_found_is_an_error() -> None:
-    """The step goes over a gap in which the rates are no numbers, a report falls into it."""
+def test_unsolved_report_raises() -> None:
+    """The step crosses an interval of non-finite rates, and a report time lies in it."""
     address, _ = kernels(_gap, _no_slope)
-    given: dict[str, Any] = {"canonical": (1, 0)}
+    options: dict[str, Any] = {"canonical": (1, 0)}
     start, method = [1.0, 0.0, 0.0], Variational(0.1)
-    over = integrate(method, address, [], start, 0.3, [0.0, 0.1, 0.25, 0.3], **given)
+    over = integrate(method, address, [], start, 0.3, [0.0, 0.1, 0.25, 0.3], **options)
     assert np.isfinite(over.y).all()
     with pytest.raises(NoConvergence, match="take shorter steps") as caught:
-        integrate(method, address, [], start, 0.3, [0.0, 0.05, 0.3], **given)
+        integrate(method, address, [], start, 0.3, [0.0, 0.05, 0.3], **options)
     assert caught.value.time == 0.0
     with pytest.raises(NoConvergence, match=r"t = 0\.05 s, within a step"):
         over.at([0.05])
     many = integrate_many(
-        method, address, np.zeros((2, 0)), [start, [1.0, 0.0, 0.5]], 0.3, [0.0, 0.05], **given
+        method, address, np.zeros((2, 0)), [start, [1.0, 0.0, 0.5]], 0.3, [0.0, 0.05], **options
     )
     assert [STATUS[s] for s in many.status.tolist()] == [
         "without a solution of its implicit step", "done",
@@ -251,21 +251,21 @@ def test_a_report_that_cannot_be_found_is_an_error() -> None:
     assert np.isnan(many.y[0, 1]).all()
 
 
-def test_there_and_back() -> None:
-    """The method is its own adjoint: with all velocities turned round it goes back."""
+def test_method_is_self_adjoint() -> None:
+    """With all velocities reversed, the motion returns to its start."""
     system = pinred.load("satellite_two_arms")
-    there = pinred.simulate(system, seed=1, times=[0.0, 5.0], method=Variational(0.02))
+    forward = pinred.simulate(system, seed=1, times=[0.0, 5.0], method=Variational(0.02))
     back = pinred.simulate(
-        system, x0=there.x[-1], xdot0=-there.xdot[-1], pose0=there.pose[-1], xi0=-there.xi[-1],
-        times=[0.0, 5.0], method=Variational(0.02),
+        system, x0=forward.x[-1], xdot0=-forward.xdot[-1], pose0=forward.pose[-1],
+        xi0=-forward.xi[-1], times=[0.0, 5.0], method=Variational(0.02),
     )  # fmt: skip
-    np.testing.assert_allclose(back.x[-1], there.x[0], atol=1e-10)
-    turn = Rotation.from_quat(there.pose[0, 3:]).inv() * Rotation.from_quat(back.pose[-1, 3:])
+    np.testing.assert_allclose(back.x[-1], forward.x[0], atol=1e-10)
+    turn = Rotation.from_quat(forward.pose[0, 3:]).inv() * Rotation.from_quat(back.pose[-1, 3:])
     assert turn.magnitude() < 1e-10
 
 
-def test_refusals() -> None:
-    """Momentum that changes, steps that are too long, and numbers that are none."""
+def test_invalid_runs_are_rejected() -> None:
+    """A momentum that changes, steps that are too long, and non-finite rates."""
     top = pinred.load(ROOT / "examples/heavy_top.urdf", group="SO3")
     with pytest.raises(InputError, match="Variational needs a constant angular momentum"):
         pinred.simulate(top, seed=1, duration=0.1, method=Variational(0.01))

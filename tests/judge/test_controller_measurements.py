@@ -12,7 +12,7 @@ import pytest
 
 import pinred
 from pinred.forces import Command, Controller
-from pinred.judge.controller_measurements import measurement_error
+from pinred.judge.audit import measurement_error
 from pinred.judge.reference_solution import FullState
 
 CAT = pinred.load("falling_cat")

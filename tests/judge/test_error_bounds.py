@@ -14,7 +14,7 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.judge import compare as judge
-from pinred.judge.cannot_tell import (
+from pinred.judge.compare import (
     count_informative_times,
     explain_rest,
     explain_uninformative_times,

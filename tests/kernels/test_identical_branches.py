@@ -20,7 +20,7 @@ from pinred.kernels.layout import Structure
 from pinred.kernels.machine.native import compile_object, load_object
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
-from pinred.reduction.tree.limbs import Lanes, links_of
+from pinred.reduction.tree.identical_branches import Lanes, links_of
 from pinred.reduction.tree.scalars import Turn
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from nearness import close
+from assertions import close
 
 import pinred
 from pinred.common.arrays import Array

@@ -8,7 +8,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from nearness import close
+from assertions import close
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred

@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 import pytest
+from assertions import close
 from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
-from nearness import close
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred

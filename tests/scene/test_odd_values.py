@@ -13,7 +13,7 @@ from robot_texts import FLOATING, write
 
 import pinred
 from pinred.forces import PotentialEnergy, Torque
-from pinred.scene.angles import large_angles
+from pinred.scene.initial_state import large_angles
 
 HUGE = 10**400
 

@@ -487,7 +487,7 @@ def test_method_options_of_command_line_match_scene(
         (["--method", "Radau", "--order", "4"], "--order P goes with --method Gauss"),
         (["--method", "Gauss", "--step", "0.1", "--order", "5"], "order must be one of 2"),
         (["--outputs", "base"], "outputs must be one of all, shape"),
-        ([*extra, "--engine", "pinocchio"], "give no method"),
+        ([*extra, "--engine", "pinocchio"], "expected none with engine"),
     ):
         assert main([*arguments, *wrong]) == 2
         assert words in capsys.readouterr().err

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from kicked_cat import AT, BATCH, flow_of
+from perturbed_cat import AT, BATCH, flow_of
 
 import pinred
 from pinred import InputError, IntegrationError, ShapeError

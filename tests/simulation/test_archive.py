@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.simulation import archive
-from pinred.simulation.recording import read_recording
+from pinred.simulation.recording import read_arrays, read_recording
 
 
 @pytest.fixture
@@ -53,7 +52,7 @@ def test_header_with_wrong_size_is_rejected(length: int, tmp_path: Path) -> None
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("t.npy", header.getvalue() + bytes(80))
     with pytest.raises(pinred.LoadError, match=r"no \.npz file of plain arrays"):
-        archive.read_arrays(path)
+        read_arrays(path)
 
 
 def test_member_that_is_no_array_is_named(saved: Path) -> None:

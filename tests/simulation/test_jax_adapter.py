@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kicked_cat import AT, BATCH, flow_of
+from perturbed_cat import AT, BATCH, flow_of
 
 import pinred
 from pinred import InputError, ShapeError

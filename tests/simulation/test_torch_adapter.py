@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kicked_cat import AT, BATCH, flow_of
+from perturbed_cat import AT, BATCH, flow_of
 
 from pinred import InputError, ShapeError
 from pinred.simulation.flow_map.flow_columns import Columns

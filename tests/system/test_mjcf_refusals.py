@@ -17,7 +17,7 @@ from test_mjcf_loading import SIDE, arm, base, loaded, text, with_warning, write
 import pinred
 from pinred import InputError, LoadError, ModelError, PinredError
 from pinred.system.contents import Coupling
-from pinred.system.mjcf import text as mjcf_text
+from pinred.system.mjcf import compile as mjcf_compilation
 from pinred.system.mjcf.constraints import constraints_of
 
 TWO = base(arm("left") + arm("right"))
@@ -284,9 +284,9 @@ def test_too_much_text_in_all_files_is_refused(
     """The limit counts all files together."""
     content = text(base())
     path = write(tmp_path, content)
-    monkeypatch.setattr(mjcf_text, "_MOST_LETTERS", len(content))
+    monkeypatch.setattr(mjcf_compilation, "_MOST_LETTERS", len(content))
     assert pinred.load(path).m == 0
-    monkeypatch.setattr(mjcf_text, "_MOST_LETTERS", len(content) - 1)
+    monkeypatch.setattr(mjcf_compilation, "_MOST_LETTERS", len(content) - 1)
     with pytest.raises(LoadError, match="letters of MJCF"):
         pinred.load(path)
 

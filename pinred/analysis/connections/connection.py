@@ -1,4 +1,4 @@
-"""Connection: the rule by which a motion of the shape moves the body, wherever it comes from."""
+"""Connection: the rule by which a motion of the shape moves the body, from any physics."""
 
 from __future__ import annotations
 
@@ -23,16 +23,21 @@ from .other_frames import from_link, in_section
 from .viscous import Rod, viscous_form
 from .wheels import Rolling, Wheel, kinematic_form
 
-_EXPLAINED = 16.0 * np.finfo(float).eps  # least own part of an inertia that is not singular
-_WHEELS = 1e-9  # least health of a form that is not symmetric
+# Least health of P_b at which A is defined, for symmetric and for other forms.
+_LEAST_SYMMETRIC = 16.0 * np.finfo(float).eps
+_LEAST_OTHER = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class ConnectionField:
-    """A connection at shapes x (..., m), the leading axes first in every array.
+    """A connection at many shapes, with the leading axes of x first in every array.
 
-    Each array is computed when it is first looked at, kept, and read-only.  Everything raises
+    Each array is computed at first use, cached, and read-only.  Every array raises
     SingularInertiaError, naming the first shape at which A is not defined.
+
+    Attributes:
+        connection: The connection.
+        x: Shapes, (..., m) [rad | m].
     """
 
     connection: Connection = field(repr=False)
@@ -40,32 +45,29 @@ class ConnectionField:
 
     @property
     def local(self) -> Array:
-        """A, (..., r, m)."""
+        """Local connection A, (..., r, m)."""
         return self._locals[0]
 
     @property
     def metric(self) -> Array:
-        """M, (..., m, m).  Raises InputError if the connection has no metric."""
-        found = self._locals[1]
-        if found is None:
-            raise InputError(f"{self.connection.form.what} give no metric on shape space")
-        return found
+        """Metric M, (..., m, m).  Raises InputError if the connection has no metric."""
+        return self.connection.checked_metric(self._locals[1])
 
     @cached_property
     def curvature(self) -> Array:
-        """B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m)."""
+        """Curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m)."""
         B, health = self.connection.code.curvature(self._flat)
         self.connection.refuse_singular(self._flat, health)
         return self._shaped(B)
 
     @property
     def exterior(self) -> Array:
-        """∂_αA_β − ∂_βA_α, (..., r, m, m): the part that a commutative group has, too."""
+        """Exterior derivative ∂_αA_β − ∂_βA_α, (..., r, m, m): B of a commutative group."""
         return self._parts[0]
 
     @property
     def bracket(self) -> Array:
-        """[A_α, A_β], (..., r, m, m): curvature = exterior − bracket."""
+        """Bracket [A_α, A_β], (..., r, m, m); curvature = exterior − bracket."""
         return self._parts[1]
 
     @cached_property
@@ -75,8 +77,8 @@ class ConnectionField:
 
     @cached_property
     def _parts(self) -> tuple[Array, Array]:
-        found = self.connection.curvatures_at(self._flat)
-        return self._shaped(found.exterior), self._shaped(found.bracket)
+        terms = self.connection.curvatures_at(self._flat)
+        return self._shaped(terms.exterior), self._shaped(terms.bracket)
 
     @property
     def _flat(self) -> Array:
@@ -90,12 +92,19 @@ class ConnectionField:
 class Connection:
     """A local connection on G × B: horizontal motion is ξ = −A(x) ẋ.
 
-    ξ: body twist of the base, (r,), [linear; angular].  Its curvature is
-    B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] (r, m, m), with the bracket of body twists.  It comes from
-    momenta, drag or fluid (then it has a metric M on shape space as well: inertia, or
-    dissipation), or from wheels.  Everything is evaluated by machine code that Pinocchio has
-    judged; it is compiled when it is first used.  turned_by_gravity: why momenta are not
-    conserved, so that A is geometry alone and no motion follows it; empty if they are.
+    ξ is the body twist of the base, (r,) [linear; angular].  The curvature is
+    B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (r, m, m), with the bracket of body twists.  Connections
+    from momenta, drag or fluid also define a metric M on shape space: inertia or dissipation.
+    Connections from wheels do not.  Values are computed by machine code, which is compiled at
+    first use and validated against Pinocchio.
+
+    Attributes:
+        form: Form of velocities that vanishes on horizontal motions.
+        code: Its machine code.
+        system: The system, if the connection was built from one.
+        is_mechanical: Whether horizontal motion has zero momentum, without fluid.
+        turned_by_gravity: Reason why gravity changes the momenta, so that no motion is horizontal;
+            empty if it does not.
     """
 
     form: ConnectionForm = field(repr=False)
@@ -111,18 +120,27 @@ class Connection:
 
     @classmethod
     def mechanical(cls, system: System) -> Connection:
-        """Return the mechanical connection of a system: A = I⁻¹ H_bs, metric M (kg m², …)."""
+        """Return the mechanical connection of a system, A = I⁻¹ H_bs.
+
+        Args:
+            system: The system.
+        Returns:
+            The connection, with the reduced metric [kg m² | kg m | kg].
+        """
         code = mechanical_code(system)
         gravity = broken_by_gravity(system)
         return cls(code.form, code, system, is_mechanical=True, turned_by_gravity=gravity)
 
     @classmethod
     def viscous(cls, system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connection:
-        """Return the connection of a robot at low Reynolds number, where drag rules.
+        """Return the connection of a robot at low Reynolds number, where drag dominates.
 
-        drag: of links by name, a Rod, or a symmetric tensor (6, 6) from twists to what resists
-        them [N s/m, N s, N m s], in the link's frame about its origin.  With the metric
-        M, ẋᵀ M ẋ is the power that is dissipated [W].
+        Args:
+            system: The system.
+            drag: {link: Rod or tensor}.  A tensor (6, 6) is symmetric and maps the link's twist to
+                the drag force and moment [N s/m, N s, N m s], in the link's frame about its origin.
+        Returns:
+            The connection.  Its metric gives the dissipated power ẋᵀ M ẋ [W].
         """
         return replace(cls.of(viscous_form(system, drag)), system=system)
 
@@ -132,9 +150,16 @@ class Connection:
     ) -> Connection:
         """Return the connection of a robot in a perfect fluid, by added masses.
 
-        density: of the fluid [kg/m³]; of an Ellipse [kg/m²] if masses are per metre of height.
-        bodies: of links by name, an Ellipsoid, an Ellipse, or the added inertia per density as a
-        symmetric tensor (6, 6) in the link's frame.  Bodies do not see each other's flow.
+        The flow around each body is computed as if there were no other body.
+
+        Args:
+            system: The system.
+            density: Density of the fluid [kg/m³]; with an Ellipse [kg/m²], if the masses of the
+                robot are per metre of height.
+            bodies: {link: Ellipsoid, Ellipse or tensor}.  A tensor (6, 6) is symmetric and is the
+                added inertia per density in the link's frame.
+        Returns:
+            The connection, with a metric.
         """
         return replace(
             cls.of(fluid_form(system, density, bodies)), system=system,
@@ -143,17 +168,30 @@ class Connection:
 
     @classmethod
     def kinematic(cls, system: System, wheels: Sequence[Wheel | Rolling]) -> Connection:
-        """Return the connection of wheels, as many as the group has dimensions: A = W_b⁻¹ W_s.
+        """Return the connection of wheels, A = W_b⁻¹ W_s.
 
-        It has no metric.  Shapes at which the wheels leave a motion open are refused.
+        Args:
+            system: The system.
+            wheels: Wheels, as many as the group has dimensions.
+        Returns:
+            The connection, without metric.  Its methods raise SingularInertiaError at shapes where
+            the wheels do not determine the motion of the body.
         """
         return replace(cls.of(kinematic_form(system, wheels)), system=system)
 
     def seen_from(self, link: str) -> Connection:
-        """Return the same connection with another link as the base, whose twist ξ then is.
+        """Return the same connection with another link as the base; ξ is then its twist.
 
-        A cycle that begins at x₀ has the phase h(x₀)⁻¹ g h(x₀), h the pose of the link as the old
-        base sees it.  Raises InputError for a link that there is not, or that leaves the group.
+        A cycle from x₀ has the phase h(x₀)⁻¹ g h(x₀), where h is the pose of the link relative to
+        the old base.
+
+        Args:
+            link: Name of the link.
+        Returns:
+            The connection.
+        Raises:
+            InputError: The connection has no system, there is no such link, or its motions are
+                not in the group.
         """
         if self.system is None:
             raise InputError("only a connection made from a System can be seen from a link")
@@ -162,7 +200,10 @@ class Connection:
     def in_section(self, pose: Callable[[ca.SX], ca.SX]) -> Connection:
         """Return the same connection in the frame h(x): A′ = Ad_{h⁻¹} A − h⁻¹∂h.
 
-        pose: writes the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+        Args:
+            pose: Function of CasADi symbols x (m,) that returns the pose coordinates of h, (size,).
+        Returns:
+            The connection.
         """
         return self._moved(in_section(self.form, pose))
 
@@ -195,32 +236,68 @@ class Connection:
         return self.form.symmetric
 
     def local(self, x: ArrayLike) -> Array:
-        """A(x), (r, m).  Raises ShapeError; SingularInertiaError where A is not defined."""
+        """Compute the local connection A(x).
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (r, m).  Raises SingularInertiaError if A is not defined there.
+        """
         return read_only(self.locals_at(self._one(x))[0][0])
 
     def locked(self, x: ArrayLike) -> Array:
-        """P_b(x), (r, r): locked inertia, drag of the frozen shape, or rows of the wheels."""
+        """Compute P_b(x): locked inertia, drag of the frozen shape, or rows of the wheels.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (r, r).
+        """
         return read_only(self.locals_at(self._one(x))[2][0])
 
     def metric(self, x: ArrayLike) -> Array:
-        """M(x), (m, m), symmetric and positive.  Raises InputError if there is no metric."""
-        found = self.locals_at(self._one(x))[1]
-        if found is None:
-            raise InputError(f"{self.form.what} give no metric on shape space")
-        return read_only(found[0])
+        """Compute the metric M(x).
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (m, m), symmetric and positive.  Raises InputError if there is no metric.
+        """
+        return read_only(self.checked_metric(self.locals_at(self._one(x))[1])[0])
 
     def curvature(self, x: ArrayLike) -> Array:
-        """B(x), (r, m, m), antisymmetric in the last two axes; errors as of `local`."""
-        found = self.curvatures_at(self._one(x))
-        return read_only((found.exterior - found.bracket)[0])
+        """Compute the curvature B(x).
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (r, m, m), antisymmetric in the last two axes; errors as in `local`.
+        """
+        terms = self.curvatures_at(self._one(x))
+        return read_only((terms.exterior - terms.bracket)[0])
 
     def grid(self, shapes: ArrayLike) -> ConnectionField:
-        """Return the connection at shapes (..., m), as a field over the leading axes."""
+        """Return the connection at many shapes, as a field over the leading axes.
+
+        Args:
+            shapes: Shapes, (..., m) [rad | m].
+        Returns:
+            The field.
+        """
         x = vectors(shapes, self.m, f"shapes of {self.form.what}", self.joints).copy()
         return ConnectionField(self, read_only(x))
 
     def velocity(self, x: ArrayLike, xdot: ArrayLike) -> Array:
-        """ξ = −A ẋ at shapes and rates (..., m), (..., r); errors as of `local`."""
+        """Compute the body twist ξ = −A ẋ.
+
+        Args:
+            x: Shapes, (..., m) [rad | m].
+            xdot: Shape rates, (..., m) [rad/s | m/s].
+        Returns:
+            (..., r); errors as in `local`.
+        Raises:
+            InputError: x and xdot differ in shape.
+        """
         x = vectors(x, self.m, "x", self.joints)
         xdot = vectors(xdot, self.m, "xdot", self.joints)
         if x.shape != xdot.shape:
@@ -230,54 +307,60 @@ class Connection:
         )
 
     def horizontal(self, x: Array, xdot: Array) -> tuple[Array, Array]:
-        """Return ξ (N, r) and ẋᵀ M ẋ (N,) at shapes and rates (N, m); errors as of `local`.
+        """Return ξ (N, r) and ẋᵀ M ẋ (N,) at shapes and rates (N, m); errors as in `local`.
 
-        The squares are NaN where there is no metric.
+        The squares are NaN without a metric.
         """
-        found = self.code.velocities(x, xdot)
-        self.refuse_singular(x, found.health)
-        return found.xi, found.square
+        values = self.code.velocities(x, xdot)
+        self.refuse_singular(x, values.health)
+        return values.xi, values.square
 
     def horizontal_slopes(self, x: Array, xdot: Array) -> Array:
         """Return the exact derivatives of (ξ, ẋᵀ M ẋ) by (x, ẋ), (N, r + 1, 2m).
 
-        r rows where there is no metric.
+        Without a metric, there are r rows.
         """
         return self.code.velocity_slopes(x, xdot)
 
     def locals_at(self, x: Array) -> tuple[Array, Array | None, Array]:
-        """Return A (N, r, m), M (N, m, m) or None, and P_b (N, r, r); errors as of `local`."""
-        found = self.code.locals(x)
-        self.refuse_singular(x, found.health)
-        return found.A, found.M, found.P
+        """Return A (N, r, m), M (N, m, m) or None, and P_b (N, r, r); errors as in `local`."""
+        terms = self.code.locals(x)
+        self.refuse_singular(x, terms.health)
+        return terms.A, terms.M, terms.P
 
     def curvatures_at(self, x: Array) -> Curvatures:
-        """Return the curvature in its two parts at shapes (N, m); errors as of `local`."""
-        found = self.code.curvatures(x)
-        self.refuse_singular(x, found.health)
-        return found
+        """Return both terms of the curvature at shapes (N, m); errors as in `local`."""
+        terms = self.code.curvatures(x)
+        self.refuse_singular(x, terms.health)
+        return terms
+
+    def checked_metric(self, M: Array | None) -> Array:
+        """Return the metric.  Raises InputError if there is none."""
+        if M is None:
+            raise InputError(f"{self.form.what} give no metric on shape space")
+        return M
 
     def refuse_gravity(self) -> None:
         """Raise SymmetryError if gravity changes the momenta, so that no motion is horizontal."""
         if self.turned_by_gravity:
-            raise SymmetryError(f"momenta do not stay what they are: {self.turned_by_gravity}")
+            raise SymmetryError(f"momenta are not conserved: {self.turned_by_gravity}")
 
     def refuse_singular(self, x: Array, health: Array) -> None:
         """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular."""
-        least = _EXPLAINED if self.form.symmetric else _WHEELS
+        least = _LEAST_SYMMETRIC if self.form.symmetric else _LEAST_OTHER
         size = health if self.form.symmetric else np.abs(health)
-        wrong = ~(size > least)
-        if wrong.any():
-            at = x[int(np.argmax(wrong))]
+        singular = ~(size > least)
+        if singular.any():
+            shape = x[int(np.argmax(singular))]
             raise SingularInertiaError(
-                f"A is not defined at the shape {at}: {self.form.what} leave a motion of the "
+                f"A is not defined at the shape {shape}: {self.form.what} leave a motion of the "
                 "body open there; keep the joints away from it"
             )
 
     def refuse_crossing(self, health: Array) -> None:
-        """Raise SingularInertiaError if P_b is singular between the shapes (N,) of a path.
+        """Raise SingularInertiaError if P_b is singular between the shapes of a path.
 
-        A form that is not symmetric changes its sign there.
+        If the form is not symmetric, its health (N,) changes sign there.
         """
         if not self.form.symmetric and health.min() < 0.0 < health.max():
             raise SingularInertiaError(

@@ -1,4 +1,4 @@
-"""The connection of a body in a perfect fluid: its momentum and the fluid's vanish together."""
+"""The connection of a body in a perfect fluid: the momentum of body and fluid vanishes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,22 @@ from ...kernels.connection.form import ConnectionForm
 from ...reduction.tree.link_motions import inertia_tensors
 from ...system.system import System, checked_system
 from .links import tensors_by_body
-from .viscous import moved, tensor_form
+from .viscous import in_link_frame, tensor_form
 
 
 @dataclass(frozen=True)
 class Ellipsoid:
     """An ellipsoid in a perfect fluid, by Lamb's Hydrodynamics, §114 and §373.
 
-    semi_axes: (3,) a, b, c [m].  centre: (3,) in its link's frame [m].  axis: (3,) of a; b and c
-    stand across it.  Its added masses per density are V α/(2 − α), V the volume, and on turns
-    about a  (V/5) (b² − c²)² (γ − β) / (2 (b² − c²) + (b² + c²) (β − γ)), and so on in turn.
+    With the volume V, its added mass per density along a is V α/(2 − α), and its added moment of
+    inertia about a is (V/5) (b² − c²)² (γ − β) / (2 (b² − c²) + (b² + c²) (β − γ)); the others
+    follow by cyclic permutation.
+
+    Attributes:
+        semi_axes: a, b, c, (3,) [m].
+        centre: Centre in its link's frame, (3,) [m].
+        axis: Direction of a in its link's frame, (3,).
+        tensor: Added inertia per density, (6, 6), in its link's frame about the origin.
     """
 
     semi_axes: ArrayLike
@@ -36,18 +42,24 @@ class Ellipsoid:
         axes = vector(self.semi_axes, 3, "semi_axes", ("a", "b", "c"))
         if not (axes > 0.0).all():
             raise InputError(f"semi_axes must be above zero, got {axes}")
-        own = np.diag(np.concatenate(added_masses(axes)))
-        object.__setattr__(self, "tensor", moved(own, self.centre, self.axis))
+        about_centre = np.diag(np.concatenate(added_masses(axes)))
+        object.__setattr__(self, "tensor", in_link_frame(about_centre, self.centre, self.axis))
 
 
 @dataclass(frozen=True)
 class Ellipse:
     """An elliptic cylinder across the plane of a planar robot, per metre of its height.
 
-    a, b: semi-axes along and across its link's x axis [m].  centre, axis: as of an Ellipsoid.
-    convention: of the added moment of inertia per density, "textbook" π/8 (a² − b²)² (Lamb,
-    §71; Kelly and Murray), or "sysplotter" (a² − b²)², as that program has it.
-    Added masses are π b² along and π a² across.
+    Its added masses per density are π b² along a, and π a² along b.
+
+    Attributes:
+        a: Semi-axis along `axis` [m].
+        b: Semi-axis across it [m].
+        centre: Centre in its link's frame, (3,) [m].
+        axis: Direction of a in its link's frame, (3,).
+        convention: Added moment of inertia per density: "textbook", π/8 (a² − b²)² (Lamb, §71;
+            Kelly and Murray), or "sysplotter", (a² − b²)², as in that program.
+        tensor: Added inertia per density, (6, 6), in its link's frame about the origin.
     """
 
     a: float
@@ -62,18 +74,18 @@ class Ellipse:
         factors = {"textbook": np.pi / 8.0, "sysplotter": 1.0}
         if self.convention not in factors:
             raise InputError(f"convention must be {' or '.join(factors)}, got {self.convention!r}")
-        turn = factors[self.convention] * (a**2 - b**2) ** 2
-        own = np.diag([np.pi * b**2, np.pi * a**2, 0.0, 0.0, 0.0, turn])
-        object.__setattr__(self, "tensor", moved(own, self.centre, self.axis))
+        moment = factors[self.convention] * (a**2 - b**2) ** 2
+        about_centre = np.diag([np.pi * b**2, np.pi * a**2, 0.0, 0.0, 0.0, moment])
+        object.__setattr__(self, "tensor", in_link_frame(about_centre, self.centre, self.axis))
 
 
 def added_masses(semi_axes: Array) -> tuple[Array, Array]:
-    """Return the added masses and moments of an ellipsoid per density, (3,) each [m³, m⁵]."""
+    """Return the added masses [m³] and moments [m⁵] of an ellipsoid per density, (3,) each."""
     from scipy.special import elliprd
 
     a, b, c = semi_axes
     volume = 4.0 / 3.0 * np.pi * a * b * c
-    # α = abc ∫ dλ / ((a² + λ) Δ): Carlson's R_D, symmetric in the other two.
+    # α = abc ∫ dλ / ((a² + λ) Δ) is Carlson's R_D, symmetric in its first two arguments.
     squares = semi_axes**2
     alpha = np.array(
         [
@@ -86,21 +98,28 @@ def added_masses(semi_axes: Array) -> tuple[Array, Array]:
     moment = np.zeros(3)
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
-        apart, both, slope = squares[i] - squares[j], squares[i] + squares[j], alpha[i] - alpha[j]
-        # (b² − c²)² over the rest tends to zero with b − c: then nothing is dragged along.
-        if abs(apart) > 1e-12 * both:
-            moment[k] = volume / 5.0 * apart**2 * -slope / (2.0 * apart + both * slope)
+        difference, total = squares[i] - squares[j], squares[i] + squares[j]
+        dalpha = alpha[i] - alpha[j]
+        # The moment tends to zero with b − c: a rotationally symmetric body drags no fluid along.
+        if abs(difference) > 1e-12 * total:
+            denominator = 2.0 * difference + total * dalpha
+            moment[k] = volume / 5.0 * difference**2 * -dalpha / denominator
     return mass, moment
 
 
 def fluid_form(
     system: System, density: float, bodies: Mapping[str, Ellipsoid | Ellipse | ArrayLike]
 ) -> ConnectionForm:
-    """Return the form of the momenta of a robot and of the fluid around it, symmetric.
+    """Return the symmetric form of the momenta of a robot and the fluid around it.
 
-    density: of the fluid [kg/m³]; for an Ellipse [kg/m²] if masses are per metre of height.
-    bodies: of links by name, an Ellipsoid, an Ellipse, or added inertia per density as a symmetric
-    tensor (6, 6) in the link's frame.  Bodies do not see each other's flow.
+    Args:
+        system: The system.
+        density: Density of the fluid, see `Connection.fluid`.
+        bodies: Bodies by link, see `Connection.fluid`.
+    Returns:
+        The form.
+    Raises:
+        InputError: There are no bodies.
     """
     system = checked_system(system, "Connection.fluid")
     rho = positive(density, "density")
@@ -108,10 +127,10 @@ def fluid_form(
         raise InputError("bodies must be {link: Ellipsoid, Ellipse or tensor (6, 6)}, at least one")
     by_link = {
         name: rho
-        * (each.tensor if isinstance(each, (Ellipsoid, Ellipse)) else np.asarray(each, dtype=float))
-        for name, each in bodies.items()
+        * (body.tensor if isinstance(body, (Ellipsoid, Ellipse)) else np.asarray(body, dtype=float))
+        for name, body in bodies.items()
     }
     added = tensors_by_body(system, by_link, "bodies")
-    whole = [own + more for own, more in zip(inertia_tensors(system), added, strict=True)]
+    tensors = [a + b for a, b in zip(inertia_tensors(system), added, strict=True)]
     what = f"the momenta of '{system.name}' and the fluid around it"
-    return tensor_form(system, whole, what, rotors=True)
+    return tensor_form(system, tensors, what, rotors=True)

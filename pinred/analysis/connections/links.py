@@ -1,4 +1,4 @@
-"""Links of a robot by name, and what Pinocchio says of their motion."""
+"""Links of a robot by name, and their Jacobians by Pinocchio."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ from ...system.system import System
 class Link:
     """A link, or any other frame of the model.
 
-    joint: index in the model of the joint that moves it, 1 the root's.  placement: in the frame
-    of that joint.
+    Attributes:
+        joint: Index in the model of the joint that moves it; 1 is the root joint.
+        placement: Placement in the frame of that joint.
     """
 
     joint: int
@@ -28,7 +29,17 @@ class Link:
 
 
 def link_named(system: System, name: str, what: str) -> Link:
-    """Return a link by name.  Raises InputError naming `what` and listing the links."""
+    """Return a moving link by name.
+
+    Args:
+        system: The system.
+        name: Name of the link, or of another frame.
+        what: Argument that the message names.
+    Returns:
+        The link.
+    Raises:
+        InputError: There is no such link that moves; the message lists the links.
+    """
     model = system.model
     moving = {
         frame.name: frame
@@ -37,48 +48,63 @@ def link_named(system: System, name: str, what: str) -> Link:
     }
     frame = moving.get(name)
     if frame is None and isinstance(name, str) and model.existFrame(name):
-        found = model.frames[model.getFrameId(name)]
-        frame = found if found.parentJoint >= 1 else None
+        candidate = model.frames[model.getFrameId(name)]
+        frame = candidate if candidate.parentJoint >= 1 else None
     if frame is None:
-        known = list(moving)
+        names = list(moving)
         raise InputError(
-            f"{what}: no link {quoted(str(name))} that moves; {nearest(str(name), known)}"
-            f"the links are {listed(known)}"
+            f"{what}: no link {quoted(str(name))} that moves; {nearest(str(name), names)}"
+            f"the links are {listed(names)}"
         )
     return Link(frame.parentJoint, pin.SE3(frame.placement))
 
 
 def tensors_by_body(system: System, by_link: Mapping[str, Array], what: str) -> list[Array]:
-    """Return what links have, (6, 6) each in its own frame, summed by bodies in joint frames.
+    """Sum the tensors of links for each body.
 
-    Raises InputError for a link that there is not, or a tensor that is not symmetric.
+    Args:
+        system: The system.
+        by_link: Symmetric tensors (6, 6), each in its link's frame.
+        what: Argument that messages name.
+    Returns:
+        Tensors (6, 6) of all bodies in their joint frames, root first.
+    Raises:
+        InputError: There is no such link, or a tensor is not symmetric.
     """
-    out = [np.zeros((6, 6)) for _ in range(1, system.model.njoints)]
+    tensors = [np.zeros((6, 6)) for _ in range(1, system.model.njoints)]
     for name, tensor in by_link.items():
         link = link_named(system, name, what)
         D = np.asarray(tensor, dtype=float)
         if D.shape != (6, 6) or not np.isfinite(D).all() or not np.allclose(D, D.T, atol=0.0):
             raise InputError(f"{what}: the tensor of {quoted(name)} must be symmetric, (6, 6)")
         X = link.placement.inverse().toActionMatrix()
-        out[link.joint - 1] += X.T @ D @ X
-    return out
+        tensors[link.joint - 1] += X.T @ D @ X
+    return tensors
 
 
 def summed(system: System, tensors: Sequence[Array], x: Array) -> Array:
-    """Return Σ JᵀDJ, (n, n), of tensors of all bodies, by Pinocchio's Jacobians."""
+    """Compute Σ JᵀDJ by Pinocchio's Jacobians.
+
+    Args:
+        system: The system.
+        tensors: Tensors D (6, 6) of all bodies in their joint frames, root first.
+        x: Shape, (m,).
+    Returns:
+        (n, n).
+    """
     model, data = system.model, system.data
     pin.computeJointJacobians(model, data, system.model_q(system.group.identity(), x))
-    out = np.zeros((model.nv, model.nv))
+    total = np.zeros((model.nv, model.nv))
     for i, D in enumerate(tensors):
         J = pin.getJointJacobian(model, data, i + 1, pin.LOCAL)
-        out += J.T @ D @ J
-    return system.coupled_matrix(out)
+        total += J.T @ D @ J
+    return system.coupled_matrix(total)
 
 
 def link_jacobian(system: System, link: Link, x: Array) -> Array:
-    """Return the Jacobian (6, n) of a link's twist in its own frame, by Pinocchio."""
+    """Compute the Jacobian of a link's twist in its frame, (6, n), at shape x (m,)."""
     model, data = system.model, system.data
     pin.computeJointJacobians(model, data, system.model_q(system.group.identity(), x))
     J = pin.getJointJacobian(model, data, link.joint, pin.LOCAL)
-    own = link.placement.inverse().toActionMatrix() @ J
-    return np.asarray(system.on_shape(own))
+    in_frame = link.placement.inverse().toActionMatrix() @ J
+    return np.asarray(system.on_shape(in_frame))

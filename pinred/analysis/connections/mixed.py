@@ -1,7 +1,7 @@
-"""The mixed connection: wheels hold some motions of the body, momentum moves it along the rest.
+"""The mixed connection: wheels constrain some motions of the body, momentum moves the others.
 
-With fewer wheels than the group has dimensions, W_b ξ + W_s ẋ = 0 leaves the body motions S(x)
-free, the columns of S spanning the kernel of W_b.  Along them there is a momentum p = Sᵀ μ, and
+With fewer wheels than the group has dimensions, W_b ξ + W_s ẋ = 0 leaves some body motions free.
+The columns of S(x) span the kernel of W_b.  Along them there is a momentum p = Sᵀ μ, and
 
     ξ = −A ẋ + Γ p,   [W_b; SᵀI] (A, Γ) = ([W_s; SᵀI_a], [0; 1]),
     ṗ = Sᵀ ad*_ξ μ + (∂S ẋ)ᵀ μ,   −Aᵀ (μ̇ − ad*_ξ μ) + π̇ − ½ ∂ₓ(vᵀHv) = τ,
@@ -36,10 +36,14 @@ _NAME = "mixed"
 
 @dataclass(frozen=True, eq=False)
 class MixedConnection:
-    """The connection and the momentum equation of a robot on fewer wheels than dimensions.
+    """The connection and the momentum equation of a robot with k < r wheels.
 
-    connection: A, without a metric, for motions with p = 0.  free: (r, r − k), the constant C of
-    S = (1 − W_bᵀ (W_b W_bᵀ)⁻¹ W_b) C, or no rows where S is the cross product of two rows in SE(2).
+    Attributes:
+        system: The system.
+        connection: The connection A of motions with p = 0, without metric.
+        slips: The constraints of the wheels.
+        free: The constant C in S = (1 − W_bᵀ (W_b W_bᵀ)⁻¹ W_b) C, (r, r − k).  It has no rows if S
+            is the cross product of the two rows of W_b in SE(2).
     """
 
     system: System
@@ -53,70 +57,105 @@ class MixedConnection:
         return self.system.r - len(self.slips)
 
     def local(self, x: ArrayLike) -> Array:
-        """A(x), (r, m).  Raises SingularInertiaError where two wheels hold the same."""
+        """Compute the local connection A(x).
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (r, m).  Raises SingularInertiaError if two wheels constrain the same motion there.
+        """
         return self.connection.local(x)
 
     def gain(self, x: ArrayLike) -> Array:
-        """Γ(x), (r, r − k): body twist per unit of momentum p; errors as of `local`."""
+        """Compute Γ(x), the body twist per unit of momentum p.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (r, r − k); errors as in `local`.
+        """
         P = self.connection.locked(x)
         return read_only(np.asarray(np.linalg.inv(P)[:, len(self.slips) :]))
 
     def free_motions(self, x: ArrayLike) -> Array:
-        """S(x), (r, r − k): body twists that the wheels leave free with frozen joints."""
-        at = vector(x, self.system.m, "x", self.system.shape_names)
-        return read_only(
-            _kernel(slip_matrix(self.system, self.slips, at)[:, : self.system.r], self.free)
-        )
+        """Compute S(x), the body twists that the wheels allow with frozen joints.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (r, r − k).
+        """
+        shape = vector(x, self.system.m, "x", self.system.shape_names)
+        W = slip_matrix(self.system, self.slips, shape)
+        return read_only(_kernel(W[:, : self.system.r], self.free))
 
     def momentum(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
-        """P = Sᵀ μ, (r − k,), of a body twist ξ (r,) that the wheels allow.
+        """Compute the generalised momentum p = Sᵀ μ.
 
-        Raises InputError if they slip.
+        Args:
+            x: Shape, (m,) [rad | m].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            xi: Body twist, (r,) [m/s; rad/s].
+        Returns:
+            (r − k,).
+        Raises:
+            InputError: The wheels slip at these velocities.
         """
         system = self.system
-        at = vector(x, system.m, "x", system.shape_names)
+        shape = vector(x, system.m, "x", system.shape_names)
         v = np.concatenate([vector(xi, system.r, "xi"), vector(xdot, system.m, "xdot")])
-        W = slip_matrix(system, self.slips, at)
+        W = slip_matrix(system, self.slips, shape)
         slip, size = np.abs(W @ v), np.abs(W) @ np.abs(v)
         if (slip > 1e-9 * np.maximum(size, 1e-300)).any():
             raise InputError(f"the wheels slip with this twist, at {W @ v} m/s; see `velocity`")
-        mu = mass_matrix(system, at)[: system.r] @ v
-        return np.asarray(self.free_motions(at).T @ mu)
+        mu = mass_matrix(system, shape)[: system.r] @ v
+        return np.asarray(self.free_motions(shape).T @ mu)
 
     def velocity(self, x: ArrayLike, xdot: ArrayLike, p: ArrayLike) -> Array:
-        """ξ = −A ẋ + Γ p, (r,)."""
+        """Compute the body twist ξ = −A ẋ + Γ p.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            p: Generalised momentum, (r − k,).
+        Returns:
+            (r,) [m/s; rad/s].
+        """
         rate = vector(xdot, self.system.m, "xdot", self.system.shape_names)
         return np.asarray(-self.local(x) @ rate + self.gain(x) @ vector(p, self.size, "p"))
 
     @cached_property
     def equations(self) -> NativeCode:
-        """Machine code (x, ẋ, p), τ → health of P_b, ξ, ṗ, ẍ, energy; τ (m,) torques [N m | N]."""
+        """Machine code (x, ẋ, p), τ → health of P_b, ξ, ṗ, ẍ, energy; τ: torques (m,) [N m | N]."""
         return load_object(compile_object(self._graph(), _NAME), _NAME)
 
     @cached_property
     def driven(self) -> NativeCode:
-        """Machine code (x, ẋ, p), nothing → health, ξ, ṗ, of joints whose motion is given."""
+        """Machine code (x, ẋ, p) → health of P_b, ξ, ṗ, for joints with a prescribed motion."""
         return load_object(compile_object(self._driven_graph(), "driven"), "driven")
 
-    def _parts(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    def _motion_terms(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
         """Return x, ẋ, p, and ξ, ṗ, A as expressions."""
         system, r, k = self.system, self.system.r, len(self.slips)
         x, xdot = ca.SX.sym("x", system.m), ca.SX.sym("xdot", system.m)
         p = ca.SX.sym("p", self.size)
         form = self.connection.form
         P = ca.reshape(form.locked(x), r, r)
-        moved = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
-        xi = ca.solve(P, ca.vertcat(ca.SX.zeros(k, 1), p) - moved)
+        of_shape = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
+        xi = ca.solve(P, ca.vertcat(ca.SX.zeros(k, 1), p) - of_shape)
         A = -ca.jacobian(xi, xdot)
         mu = momenta(system, x, ca.vertcat(xi, xdot))[:r]
-        eta = ca.SX.sym("eta", r)
-        turned = ca.gradient(ca.dot(mu, bracket(system.group, xi, eta)), eta)  # ad*_ξ μ
         S = self._kernel_graph(x)
         Sdot = ca.reshape(ca.jtimes(ca.vec(S), x, xdot), r, self.size)
-        return x, xdot, p, xi, S.T @ turned + Sdot.T @ mu, A
+        return x, xdot, p, xi, S.T @ self._coadjoint(xi, mu) + Sdot.T @ mu, A
+
+    def _coadjoint(self, xi: ca.SX, mu: ca.SX) -> ca.SX:
+        """Return ad*_ξ μ."""
+        eta = ca.SX.sym("eta", self.system.r)
+        return ca.gradient(ca.dot(mu, bracket(self.system.group, xi, eta)), eta)
 
     def _driven_graph(self) -> ca.Function:
-        x, xdot, p, xi, pdot, _ = self._parts()
+        x, xdot, p, xi, pdot, _ = self._motion_terms()
         y = ca.vertcat(x, xdot, p)
         return ca.Function(
             "driven", [y, ca.SX.sym("none")], [ca.densify(ca.vertcat(self._health(x), xi, pdot))]
@@ -124,24 +163,23 @@ class MixedConnection:
 
     def _graph(self) -> ca.Function:
         system, r = self.system, self.system.r
-        x, xdot, p, xi, pdot, A = self._parts()
+        x, xdot, p, xi, pdot, A = self._motion_terms()
         tau = ca.SX.sym("tau", system.m)
-        both = momenta(system, x, ca.vertcat(xi, xdot))
-        mu, pi = both[:r], both[r:]
-        # Rates of the momenta without ẍ, and what ẍ adds.
-        known = ca.jtimes(both, x, xdot) + ca.jtimes(both, p, pdot)
-        gained = ca.jacobian(both, xdot)
-        eta = ca.SX.sym("eta", r)
-        turned = ca.gradient(ca.dot(mu, bracket(system.group, xi, eta)), eta)
+        momentum = momenta(system, x, ca.vertcat(xi, xdot))
+        mu, pi = momentum[:r], momentum[r:]
+        # The rate of the momentum is `without_xddot` + `by_xddot` ẍ.
+        without_xddot = ca.jtimes(momentum, x, xdot) + ca.jtimes(momentum, p, pdot)
+        by_xddot = ca.jacobian(momentum, xdot)
         v = ca.SX.sym("v", system.n)
         kinetic = 0.5 * ca.dot(v, momenta(system, x, v))
-        slope = ca.substitute(ca.gradient(kinetic, x), v, ca.vertcat(xi, xdot))
-        right = tau + slope - known[r:] + A.T @ (known[:r] - turned)
-        xddot = ca.solve(gained[r:, :] - A.T @ gained[:r, :], right)
+        force = ca.substitute(ca.gradient(kinetic, x), v, ca.vertcat(xi, xdot))
+        constraint = without_xddot[:r] - self._coadjoint(xi, mu)
+        force = tau + force - without_xddot[r:] + A.T @ constraint
+        xddot = ca.solve(by_xddot[r:, :] - A.T @ by_xddot[:r, :], force)
         energy = 0.5 * (ca.dot(xi, mu) + ca.dot(xdot, pi))
-        out = ca.densify(ca.vertcat(self._health(x), xi, pdot, xddot, energy))
+        outputs = ca.densify(ca.vertcat(self._health(x), xi, pdot, xddot, energy))
         y = ca.vertcat(x, xdot, p)
-        return ca.Function(_NAME, [y, tau], [out], {"cse": True})
+        return ca.Function(_NAME, [y, tau], [outputs], {"cse": True})
 
     def _health(self, x: ca.SX) -> ca.SX:
         r = self.system.r
@@ -152,10 +190,15 @@ class MixedConnection:
 
 
 def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> MixedConnection:
-    """Return the mixed connection of a robot on wheels, fewer than the group has dimensions.
+    """Return the mixed connection of a robot with fewer wheels than the group has dimensions.
 
-    Raises InputError for as many wheels or more (see Connection.kinematic), or for a potential
-    in which the joints would move.
+    Args:
+        system: The system.
+        wheels: The wheels.
+    Returns:
+        The connection and the momentum equation.
+    Raises:
+        InputError: There are no wheels, or too many (see Connection.kinematic).
     """
     system = checked_system(system, "Connection.mixed")
     slips = tuple(slips_of(system, list(wheels)))
@@ -173,8 +216,9 @@ def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> Mixed
 
     def values(x: ca.SX, v: ca.SX) -> ca.SX:
         S = kernel_graph(system, slips, free, x)
-        held: ca.SX = ca.vertcat(slip_rows(system, slips, x, v), S.T @ momenta(system, x, v)[:r])
-        return held
+        momentum = S.T @ momenta(system, x, v)[:r]
+        rows: ca.SX = ca.vertcat(slip_rows(system, slips, x, v), momentum)
+        return rows
 
     def reference(x: Array) -> Array:
         W = slip_matrix(system, slips, x)
@@ -189,16 +233,26 @@ def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> Mixed
 
 
 def kernel_graph(system: System, slips: Sequence[Slip], free: Array, x: ca.SX) -> ca.SX:
-    """Return S(x) as an expression, (r, r − k)."""
+    """Return S(x) as a CasADi expression, (r, r − k).
+
+    Args:
+        system: The system.
+        slips: The constraints.
+        free: See `MixedConnection`.
+        x: Shape symbols, (m,).
+    Returns:
+        The expression.
+    """
     v = ca.SX.sym("v", system.n)
     W = ca.densify(ca.jacobian(slip_rows(system, slips, x, v), v)[:, : system.r])
     if not len(free):
         return ca.cross(W[0, :].T, W[1, :].T)
-    held = W.T @ ca.solve(W @ W.T, W @ ca.DM(free))
-    return ca.DM(free) - held
+    constrained = W.T @ ca.solve(W @ W.T, W @ ca.DM(free))
+    return ca.DM(free) - constrained
 
 
 def _kernel(W: Array, free: Array) -> Array:
+    """Return S, (r, r − k), from W_b (k, r)."""
     if not len(free):
         return np.asarray(np.cross(W[0], W[1])[:, None])
     return np.asarray(free - W.T @ np.linalg.solve(W @ W.T, W @ free))

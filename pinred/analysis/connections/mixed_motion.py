@@ -1,4 +1,4 @@
-"""Motions on wheels with momentum: of joints driven by torques, or along a given path."""
+"""Motions on wheels with momentum: joints are driven by torques, or follow a gait."""
 
 from __future__ import annotations
 
@@ -15,16 +15,21 @@ from ..gaits.gait import Gait
 from .mixed import MixedConnection
 
 _RTOL, _ATOL = 5e-14, 1e-15
-_HEALTHY = 1e-3  # least health of P_b, where ±1 is best
-_LOOKED_AT = 4096  # shapes of a gait
+_LEAST_HEALTH = 1e-3  # least admissible health of P_b; ±1 is best
+_SHAPES = 4096  # shapes of a path that are checked
 
 
 @dataclass(frozen=True)
 class MixedMotion:
     """A motion on wheels, time first.
 
-    t: (T,) [s].  pose: (T, size).  x, xdot: (T, m).  p: (T, r − k) generalised momenta.
-    energy: (T,) kinetic [J].
+    Attributes:
+        t: Times, (T,) [s].
+        pose: Pose coordinates of the base, (T, size).
+        x: Shapes, (T, m) [rad | m].
+        xdot: Shape rates, (T, m) [rad/s | m/s].
+        p: Generalised momenta, (T, r − k).
+        energy: Kinetic energy, (T,) [J].
     """
 
     t: Array
@@ -47,121 +52,137 @@ def simulate_mixed(
     times: ArrayLike,
     torques: Callable[[float], ArrayLike] | None = None,
 ) -> MixedMotion:
-    """Return the motion from a state with momentum p0, under joint torques τ(t), (m,) [N m | N].
+    """Simulate the motion under joint torques, without gravity.
 
-    times: (T,) increasing, the first that of the start [s].  Without gravity.
-    Raises SingularInertiaError where it passes a singular shape, IntegrationError where it ends at
-    one.
+    Args:
+        mixed: The mixed connection.
+        x0: Initial shape, (m,) [rad | m].
+        xdot0: Initial shape rate, (m,) [rad/s | m/s].
+        p0: Initial generalised momentum, (r − k,).
+        times: Increasing times, (T,) [s]; the first is that of the initial state.
+        torques: Function of time that returns the joint torques, (m,) [N m | N]; zero if None.
+    Returns:
+        The motion.  Raises SingularInertiaError if it passes a singular shape, IntegrationError if
+        it stops at one.
     """
     system, names = mixed.system, mixed.system.shape_names
     m, r, k = system.m, system.r, mixed.size
-    start = [vector(x0, m, "x0", names), vector(xdot0, m, "xdot0", names), vector(p0, k, "p0")]
+    initial = [vector(x0, m, "x0", names), vector(xdot0, m, "xdot0", names), vector(p0, k, "p0")]
     t = _times(times)
-    code, none = mixed.equations.address, np.zeros(m)
+    code, zero = mixed.equations.address, np.zeros(m)
 
-    def torque(at: float) -> Array:
-        return none if torques is None else vector(torques(at), m, "torques", names)
+    def torque(time: float) -> Array:
+        return zero if torques is None else vector(torques(time), m, "torques", names)
 
-    side = _side(mixed, start[0])
+    side = _sign_of_health(mixed, initial[0])
 
-    def rate(at: float, y: Array) -> Array:
-        out = evaluate(code, torque(at), y[None, : 2 * m + k], r + k + m + 2)[0]
-        out = _held(mixed, at, out, side)
-        g = system.group.normalize(y[2 * m + k :])
-        turned = system.group.rate(g, out[:r])
-        return np.concatenate([y[m : 2 * m], out[r + k : r + k + m], out[r : r + k], turned])
+    def rate(time: float, y: Array) -> Array:
+        values = evaluate(code, torque(time), y[None, : 2 * m + k], r + k + m + 2)[0]
+        _require_regular(mixed, time, values[0] * side)
+        xi, pdot, xddot = np.split(values[1:-1], [r, r + k])
+        pose_rate = system.group.rate(system.group.normalize(y[2 * m + k :]), xi)
+        return np.concatenate([y[m : 2 * m], xddot, pdot, pose_rate])
 
-    y, dense = _solved(rate, np.concatenate([*start, system.group.identity()]), t)
-    fine = np.linspace(t[0], t[-1], _LOOKED_AT)
-    _refuse_near(mixed, np.asarray(dense(fine)).T[:, :m])  # steps may have jumped over it
+    y, dense = _integrate(rate, np.concatenate([*initial, system.group.identity()]), t)
+    fine = np.linspace(t[0], t[-1], _SHAPES)
+    # A step may have jumped over a singular shape.
+    _require_regular_path(mixed, np.asarray(dense(fine)).T[:, :m])
     return _motion(mixed, t, y[:, :m], y[:, m : 2 * m], y[:, 2 * m : 2 * m + k], y[:, 2 * m + k :])
 
 
 def follow_mixed(
     mixed: MixedConnection, gait: Gait, p0: ArrayLike = 0, *, times: ArrayLike
 ) -> MixedMotion:
-    """Return the motion of the body while the joints follow a gait, from momentum p0.
+    """Compute the motion of the body while the joints follow a gait.
 
-    times: as of `simulate_mixed`.  Errors as there.
+    Args:
+        mixed: The mixed connection.
+        gait: The gait.
+        p0: Initial generalised momentum, (r − k,); 0 for zero momentum.
+        times: Increasing times, (T,) [s]; the first is that of the initial state.
+    Returns:
+        The motion; errors as in `simulate_mixed`.
     """
     system, k = mixed.system, mixed.size
     p = np.zeros(k) if np.ndim(p0) == 0 and p0 == 0 else vector(p0, k, "p0")
     t = _times(times)
-    side = _side(mixed, gait.at(t[0])[0])
-    _refuse_near(mixed, gait.samples(_LOOKED_AT)[0])
+    side = _sign_of_health(mixed, gait.at(t[0])[0])
+    _require_regular_path(mixed, gait.samples(_SHAPES)[0])
     code, none = mixed.driven.address, np.zeros(1)
 
-    def rate(at: float, y: Array) -> Array:
-        x, xdot = gait.at(at)
-        out = evaluate(code, none, np.concatenate([x, xdot, y[:k]])[None], system.r + k + 1)[0]
-        out = _held(mixed, at, out, side)
-        g = system.group.normalize(y[k:])
-        return np.concatenate([out[system.r :], system.group.rate(g, out[: system.r])])
+    def rate(time: float, y: Array) -> Array:
+        state = np.concatenate([*gait.at(time), y[:k]])
+        values = evaluate(code, none, state[None], system.r + k + 1)[0]
+        _require_regular(mixed, time, values[0] * side)
+        xi, pdot = np.split(values[1:], [system.r])
+        return np.concatenate([pdot, system.group.rate(system.group.normalize(y[k:]), xi)])
 
-    y, _ = _solved(rate, np.concatenate([p, system.group.identity()]), t)
+    y, _ = _integrate(rate, np.concatenate([p, system.group.identity()]), t)
     x, xdot = gait.at(t)
     return _motion(mixed, t, x, xdot, y[:, :k], y[:, k:])
 
 
-def _side(mixed: MixedConnection, x: Array) -> float:
-    """Return the sign of P_b at the start.  Raises SingularInertiaError where it is singular."""
-    found = mixed.connection.code.locals(x[None])
-    mixed.connection.refuse_singular(x[None], found.health)
-    return float(np.sign(found.health[0]))
+def _sign_of_health(mixed: MixedConnection, x: Array) -> float:
+    """Return the sign of P_b's health at a shape.  Raises SingularInertiaError if it is zero."""
+    health = mixed.connection.code.locals(x[None]).health
+    mixed.connection.refuse_singular(x[None], health)
+    return float(np.sign(health[0]))
 
 
-def _refuse_near(mixed: MixedConnection, x: Array) -> None:
-    """Raise SingularInertiaError if a path (N, m) comes near a singular shape."""
-    found = np.abs(mixed.connection.code.locals(x).health)
-    if not found.min() > _HEALTHY:
+def _require_regular_path(mixed: MixedConnection, x: Array) -> None:
+    """Raise SingularInertiaError if a path (N, m) has a nearly singular shape."""
+    health = np.abs(mixed.connection.code.locals(x).health)
+    if not health.min() > _LEAST_HEALTH:
         raise SingularInertiaError(
-            f"the joints pass the shape {x[int(np.argmin(found))]}, where "
+            f"the joints pass the shape {x[int(np.argmin(health))]}, where "
             f"{mixed.connection.form.what} leave a motion of the body open; keep away from it"
         )
 
 
-def _held(mixed: MixedConnection, at: float, out: Array, side: float) -> Array:
-    """Return what follows the health of P_b.  Raises IntegrationError where that is nearly lost."""
-    if not out[0] * side > _HEALTHY:
+def _require_regular(mixed: MixedConnection, time: float, health: float) -> None:
+    """Raise IntegrationError if the health of P_b, with its initial sign, is nearly lost."""
+    if not health > _LEAST_HEALTH:
         raise IntegrationError(
-            f"at {at:g} s {mixed.connection.form.what} come to a shape at which they leave a "
+            f"at {time:g} s {mixed.connection.form.what} come to a shape at which they leave a "
             "motion of the body open; the motion is not defined beyond it"
         )
-    return out[1:]
 
 
 def _times(times: ArrayLike) -> Array:
+    """Return increasing times.  Raises InputError for others."""
     t = np.asarray(times, dtype=float)
     t = vector(t, t.size, "times")
     positive(float(np.diff(t).min(initial=np.inf)) if len(t) > 1 else 0.0, "the step of times")
     return t
 
 
-def _solved(
-    rate: Callable[[float, Array], Array], start: Array, t: Array
+def _integrate(
+    rate: Callable[[float, Array], Array], initial: Array, t: Array
 ) -> tuple[Array, Callable[[Array], Array]]:
+    """Return the states at times t (T,), and the dense output.  Raises IntegrationError."""
     from scipy.integrate import solve_ivp
 
-    out = solve_ivp(
+    result = solve_ivp(
         rate,
         (t[0], t[-1]),
-        start,
+        initial,
         method="DOP853",
         rtol=_RTOL,
         atol=_ATOL,
         t_eval=t,
         dense_output=True,
     )
-    if out.status != 0 or not np.isfinite(out.y).all():
-        raise IntegrationError(f"the motion cannot be followed to {t[-1]:g} s: {out.message}")
-    return np.asarray(out.y.T), out.sol
+    if result.status != 0 or not np.isfinite(result.y).all():
+        raise IntegrationError(f"the motion cannot be followed to {t[-1]:g} s: {result.message}")
+    return np.asarray(result.y.T), result.sol
 
 
 def _motion(
     mixed: MixedConnection, t: Array, x: Array, xdot: Array, p: Array, pose: Array
 ) -> MixedMotion:
+    """Return the motion with its energies."""
     m, r, k = mixed.system.m, mixed.system.r, mixed.size
-    rows = np.hstack([x, xdot, p])
-    energy = evaluate(mixed.equations.address, np.zeros(m), rows, r + k + m + 2)[:, -1]
+    states = np.hstack([x, xdot, p])
+    energy = evaluate(mixed.equations.address, np.zeros(m), states, r + k + m + 2)[:, -1]
     pose = mixed.system.group.normalize(pose)
     return MixedMotion(t, pose, x.copy(), xdot.copy(), p.copy(), energy.copy())

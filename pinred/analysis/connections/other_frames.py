@@ -1,10 +1,10 @@
-"""A connection seen from another frame: another link as the base, or another section of the bundle.
+"""A connection in another frame: another link as the base, or another section of the bundle.
 
-A frame h(x) ∈ G, seen from the base, moves with g′ = g h, so that
+A frame with the pose h(x) ∈ G relative to the base moves with g′ = g h, so that
 
     ξ′ = Ad_{h⁻¹} ξ + h⁻¹ḣ,   A′ = Ad_{h⁻¹} A − h⁻¹∂h,   B′ = Ad_{h⁻¹} B,
 
-and a cycle that begins at x₀ has the phase h(x₀)⁻¹ g h(x₀).
+and a cycle from x₀ has the phase h(x₀)⁻¹ g h(x₀).
 """
 
 from __future__ import annotations
@@ -27,23 +27,30 @@ from .links import link_jacobian, link_named
 
 Twist = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
 _STEP = 5e-3  # of differences of order 6
-_OUTSIDE = 1e-9
-_SAMPLES = 5
+_OUTSIDE = 1e-9  # tolerance for motions outside the group, relative to the Jacobian
+_SAMPLES = 5  # random shapes at which motions are checked
 
 
 def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm:
-    """Return the form with the twist of a link in the place of the root's.
+    """Return the form in terms of the twist of a link, instead of the root's.
 
-    Raises InputError for a link that there is not, or whose motions are not all in the group.
+    Args:
+        form: The form.
+        system: The system.
+        name: Name of the link.
+    Returns:
+        The new form.
+    Raises:
+        InputError: There is no such link, or its motions are not in the group.
     """
     link, group = link_named(system, name, "the base"), system.group
     axes = list(group.axes)
 
     def entries(x: Array) -> Array:
-        """Return ξ′ by (ξ, ẋ), (r, n)."""
+        """Return the matrix of ξ′ by (ξ, ẋ), (r, n)."""
         J = link_jacobian(system, link, x)
-        others = [k for k in range(6) if k not in axes]
-        if np.abs(J[others]).max(initial=0.0) > _OUTSIDE * np.abs(J).max():
+        outside = [k for k in range(6) if k not in axes]
+        if np.abs(J[outside]).max(initial=0.0) > _OUTSIDE * np.abs(J).max():
             raise InputError(
                 f"'{name}' cannot be the base of '{system.name}': it has motions that are not in "
                 f"{group.name}"
@@ -57,13 +64,13 @@ def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm
     def old(x: ca.SX, xi: ca.SX, xdot: ca.SX) -> ca.SX:
         return root_twist(system, x, link.joint - 1, link.placement, xi, xdot)
 
-    return _seen(form, old, entries, f"{form.what}, seen from '{name}'")
+    return _transformed(form, old, entries, f"{form.what}, seen from '{name}'")
 
 
 def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> ConnectionForm:
-    """Return the form with the twist of a frame h(x) in the place of the root's.
+    """Return the form in terms of the twist of a frame h(x), instead of the root's.
 
-    pose: writes the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+    pose: returns the pose coordinates of h, (size,), as CasADi expressions in x (m,).
     """
     group, m = form.group, form.m
     y = ca.SX.sym("x", m)
@@ -78,36 +85,45 @@ def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> Connecti
         return np.asarray(h(x)).ravel()
 
     def entries(x: Array) -> Array:
-        back = group.inverse(at(x))
+        inverse = group.inverse(at(x))
 
         def log_from(y: Array) -> Array:
-            return group.log(group.compose(back, at(y)))
+            return group.log(group.compose(inverse, at(y)))
 
-        return np.hstack([group.Ad(back), central_differences(log_from, x, _STEP)])
+        return np.hstack([group.Ad(inverse), central_differences(log_from, x, _STEP)])
 
     def old(x: ca.SX, xi: ca.SX, xdot: ca.SX) -> ca.SX:
         value = h(x)
         R, p = _rotation(group, value), _translation(group, value)
-        turned = R.T @ ca.reshape(ca.jtimes(ca.vec(R), x, xdot), 3, 3)
+        skew = R.T @ ca.reshape(ca.jtimes(ca.vec(R), x, xdot), 3, 3)
         linear, angular = in_space(group, xi)
-        w = ca.vertcat(*angular) - ca.vertcat(turned[2, 1], turned[0, 2], turned[1, 0])
+        w = ca.vertcat(*angular) - ca.vertcat(skew[2, 1], skew[0, 2], skew[1, 0])
         v = ca.vertcat(*linear) - R.T @ ca.jtimes(p, x, xdot)
-        both = ca.vertcat(R @ v + ca.cross(p, R @ w), R @ w)
-        return both[list(group.axes)]
+        twist = ca.vertcat(R @ v + ca.cross(p, R @ w), R @ w)
+        return twist[list(group.axes)]
 
-    return _seen(form, old, entries, f"{form.what}, in another section")
+    return _transformed(form, old, entries, f"{form.what}, in another section")
 
 
-def _seen(
+def _transformed(
     form: ConnectionForm, old: Twist, entries: Callable[[Array], Array], what: str
 ) -> ConnectionForm:
-    """Return a form of (ξ′, ẋ).  old: writes ξ of x, ξ′, ẋ.  entries: (r, n) of ξ′ by (ξ, ẋ)."""
+    """Return the form in terms of (ξ′, ẋ).
+
+    Args:
+        form: The form in terms of (ξ, ẋ).
+        old: Returns ξ from x, ξ′ and ẋ, as CasADi expressions.
+        entries: Returns the matrix of ξ′ by (ξ, ẋ), (r, n), at a shape.
+        what: Short description for messages.
+    Returns:
+        The new form.
+    """
     r = form.r
 
     def values(x: ca.SX, v: ca.SX) -> ca.SX:
-        whole = ca.vertcat(old(x, v[:r], v[r:]), v[r:])
-        F = form.values(x, whole)
-        return ca.jtimes(whole, v, F, True) if form.symmetric else F
+        old_velocity = ca.vertcat(old(x, v[:r], v[r:]), v[r:])
+        F = form.values(x, old_velocity)
+        return ca.jtimes(old_velocity, v, F, True) if form.symmetric else F
 
     def reference(x: Array) -> Array:
         n = form.r + form.m
@@ -130,7 +146,7 @@ def _seen(
 
 
 def link_pose(system: System, name: str, x: Array) -> Array:
-    """Return h(x), the pose (size,) of a link as the root sees it, by Pinocchio."""
+    """Return h(x), the pose (size,) of a link relative to the root, by Pinocchio."""
     link, model, data = link_named(system, name, "the base"), system.model, system.data
     pin.forwardKinematics(model, data, system.model_q(system.group.identity(), x))
     place = data.oMi[1].actInv(data.oMi[link.joint]) * link.placement
@@ -139,7 +155,7 @@ def link_pose(system: System, name: str, x: Array) -> Array:
 
 
 def _pose_of(group: Group, matrix: Array) -> Array:
-    """Return the pose of a homogeneous matrix of space, (4, 4), that is in the group."""
+    """Return the pose coordinates of a homogeneous matrix (4, 4) in the group."""
     axes = [axis for axis in group.axes if axis < 3]
     linear = matrix[axes, 3]
     if group.turns == 3:
@@ -166,8 +182,9 @@ def _rotation(group: Group, pose: ca.SX) -> ca.SX:
 
 
 def _translation(group: Group, pose: ca.SX) -> ca.SX:
-    out = [ca.SX(0)] * 3
+    """Return the translation of a pose, (3,)."""
+    entries = [ca.SX(0)] * 3
     for k, axis in enumerate(group.axes[: group.linear]):
-        out[axis] = pose[k]
-    column: ca.SX = ca.vertcat(*out)
+        entries[axis] = pose[k]
+    column: ca.SX = ca.vertcat(*entries)
     return column

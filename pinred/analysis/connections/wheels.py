@@ -1,4 +1,4 @@
-"""The kinematic connection: wheels leave the body no motion but what the shape makes."""
+"""The kinematic connection: wheels that do not slip determine the motion of the body."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ from .links import Link, link_jacobian, link_named
 class Wheel:
     """A wheel, or a pair on one axle, that does not slip along its axle.
 
-    link: that carries it.  at: (3,) where it touches the ground, in the link's frame [m].  axle:
-    (3,) its direction there.
+    Attributes:
+        link: Name of the link that carries it.
+        at: Contact point in the link's frame, (3,) [m].
+        axle: Direction of the axle in the link's frame, (3,).
     """
 
     link: str
@@ -34,11 +36,14 @@ class Wheel:
 
 @dataclass(frozen=True)
 class Rolling:
-    """A wheel that rolls without slipping: its link goes at radius times the rate of its joint.
+    """A wheel that rolls without slipping: its centre moves at radius times its joint's rate.
 
-    joint: that turns the wheel.  radius: [m].  link, at: whose point moves so, the wheel's centre
-    in the frame of the link that carries it.  heading: (3,) direction in which positive rates
-    take it.
+    Attributes:
+        joint: Name of the joint that rotates the wheel.
+        radius: Radius [m].
+        link: Name of the link that carries the wheel.
+        at: Centre of the wheel in the link's frame, (3,) [m].
+        heading: Direction of motion at positive rates in the link's frame, (3,).
     """
 
     joint: str
@@ -50,9 +55,14 @@ class Rolling:
 
 @dataclass(frozen=True)
 class Slip:
-    """A row of constraints: a speed of a point, less `radius` times the rate of a coordinate.
+    """A constraint: the speed of a point minus `radius` times the rate of a coordinate vanishes.
 
-    direction, point: (3,) in the joint frame of the link's body.
+    Attributes:
+        link: The link.
+        direction: Direction of the speed, (3,), in the joint frame of the link's body.
+        point: The point, (3,) [m], in the same frame.
+        coordinate: Index of the shape coordinate, −1 for none.
+        radius: Radius [m].
     """
 
     link: Link
@@ -63,15 +73,15 @@ class Slip:
 
 
 def slips_of(system: System, wheels: Sequence[Wheel | Rolling]) -> list[Slip]:
-    """Return the constraints of wheels.  Raises InputError for what is not there."""
-    out = []
+    """Return the constraints of wheels.  Raises InputError for unknown links or joints."""
+    slips = []
     for wheel in wheels:
         if not isinstance(wheel, (Wheel, Rolling)):
             raise InputError(f"wheels must be Wheel or Rolling, got {wheel!r}")
         rolls = isinstance(wheel, Rolling)
         link = link_named(system, wheel.link, "wheels")
-        given = wheel.heading if isinstance(wheel, Rolling) else wheel.axle
-        d = vector(given, 3, "heading" if rolls else "axle")
+        direction = wheel.heading if isinstance(wheel, Rolling) else wheel.axle
+        d = vector(direction, 3, "heading" if rolls else "axle")
         if not np.linalg.norm(d) > 0.0:
             raise InputError(f"the direction of a wheel on '{wheel.link}' must not be zero")
         coordinate, radius = -1, 0.0
@@ -79,7 +89,7 @@ def slips_of(system: System, wheels: Sequence[Wheel | Rolling]) -> list[Slip]:
             coordinate = joint_index(wheel.joint, system.shape_names, "wheels")
             radius = positive(wheel.radius, "radius")
         placement = link.placement
-        out.append(
+        slips.append(
             Slip(
                 link,
                 placement.rotation @ (d / np.linalg.norm(d)),
@@ -88,11 +98,20 @@ def slips_of(system: System, wheels: Sequence[Wheel | Rolling]) -> list[Slip]:
                 radius,
             )
         )
-    return out
+    return slips
 
 
 def slip_rows(system: System, slips: Sequence[Slip], x: ca.SX, v: ca.SX) -> ca.SX:
-    """Return the slips of all wheels for v = (ξ, ẋ), (k,); they vanish where nothing slips."""
+    """Return the slips of all wheels, (k,), which vanish if no wheel slips.
+
+    Args:
+        system: The system.
+        slips: The constraints.
+        x: Shape symbols, (m,).
+        v: Velocity symbols (ξ, ẋ), (n,).
+    Returns:
+        The slips [m/s].
+    """
     bodies, twists = bodies_of(system), twists_at(system, x, v)
     rows = []
     for slip in slips:
@@ -106,7 +125,7 @@ def slip_rows(system: System, slips: Sequence[Slip], x: ca.SX, v: ca.SX) -> ca.S
 
 
 def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
-    """Return W = (W_b, W_s), (k, n), by Pinocchio's Jacobians."""
+    """Return W = (W_b, W_s), (k, n), at shape x (m,), by Pinocchio's Jacobians."""
     rows = []
     for slip in slips:
         body = Link(slip.link.joint, slip.link.placement.Identity())
@@ -119,7 +138,7 @@ def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
 
 
 def kinematic_form(system: System, wheels: Sequence[Wheel | Rolling]) -> ConnectionForm:
-    """Return the form of the slips of as many wheels as the group has dimensions."""
+    """Return the form of slips; there must be as many wheels as the group has dimensions."""
     system = checked_system(system, "Connection.kinematic")
     slips = slips_of(system, list(wheels))
     if len(slips) != system.r:

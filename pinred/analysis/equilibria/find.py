@@ -84,11 +84,7 @@ def relative_equilibria(
 
 
 def checked_starts(starts: int) -> int:
-    """Validate a number of starts.
-
-    Raises:
-        InputError: It is not a whole number from 1.
-    """
+    """Validate a number of starts: a whole number from 1."""
     if isinstance(starts, bool) or not (isinstance(starts, (int, np.integer)) and starts > 0):
         raise InputError(f"starts must be a whole number from 1, got {starts!r}")
     return int(starts)

@@ -10,6 +10,10 @@ with R ← R exp φ), and p is a linear least-squares solution. Source: R. Hatto
 "Geometric motion
 planning: the local connection, Stokes' theorem, and the importance of coordinate choice", Int. J.
 Robotics Research 30 (2011); for SO(3), Faraji et al.
+
+`corrected_integral` compares surface integrals of the curvature in such a frame with the phase. If
+the group were commutative, Stokes' theorem would give the phase exp(−∬B). For other groups, the
+error depends on the frame.
 """
 
 from __future__ import annotations
@@ -20,19 +24,22 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, read_only, vectors
+from ...common.arrays import Array, freeze, read_only, vectors
 from ...common.errors import InputError, NoConvergence
 from ...lie.group import Group
 from ...lie.rotations import hat, quaternion_exp, quaternion_product, rotation
 from ..connections.connection import Connection
 from ..gaits.gait import Gait
 from ..phases.lift import in_space
+from ..phases.phase import phase
 from .patches import Basis, Disc, Patch, box_of
 
 _DEGREES = {1: 20, 2: 14, 3: 6}  # polynomial degree by number of joints
 _MORE_NODES = 6  # quadrature nodes per parameter beyond the polynomial degree
 _ITERATIONS = 60  # of the attitude
 _STILL = 1e-10  # relative change of ∫|A′_ω|² at which the iteration stops
+
+_TRUSTED = 0.05  # relative error below which the integral is trusted
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,3 +335,59 @@ def _right_slope(phi: Array) -> Array:
     b = np.where(small, series, (safe - np.sin(safe)) / safe**3)
     H = hat(phi)
     return np.asarray(np.eye(3) - a * H + b * (H @ H))
+
+
+@dataclass(frozen=True)
+class CorrectedIntegral:
+    """The corrected body-velocity integral −∬B of a gait, and the true phase.
+
+    Attributes:
+        integral: −∬B, a twist, (r,).
+        phase: Phase of the gait in the same frame, (size,).
+        log: Logarithm of the phase, (r,).
+        error: |integral − log| / |log|, of the translations, or of the rotations if there are none.
+        trusted: Whether the error is below five per cent.
+    """
+
+    integral: Array
+    phase: Array
+    log: Array
+    error: float
+    trusted: bool
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def corrected_integral(
+    connection: Connection, gait: Gait, frame: OptimalFrame | None = None
+) -> CorrectedIntegral:
+    """Compute −∬B over the disc spanned by a Fourier gait, and the true phase.
+
+    Args:
+        connection: Connection that lifts the gait.
+        gait: Gait that is one Fourier series.
+        frame: Frame of the curvature, B′ = Ad_{h⁻¹}B; by default that of the base.
+    Returns:
+        Integral, phase and relative error.
+    """
+    group, disc = connection.group, Disc(gait)
+    u = disc.nodes
+    x = disc.shapes(u)
+    slopes = disc.slopes(u)
+    # Pull the curvature back to the two parameters of the disc.
+    B = connection.grid(x).curvature
+    density = np.einsum("niab,na,nb->ni", B, slopes[..., 0], slopes[..., 1])
+    pose = phase(connection, gait).pose
+    if frame is not None:
+        is_disc = isinstance(frame.patch, Disc)
+        frame_poses = frame.pose_at(u) if is_disc else frame.pose(x)
+        density = (group.Ad(group.inverse(frame_poses)) @ density[..., None])[..., 0]
+        h = frame.pose_at(np.array([[1.0, 0.0]]))[0] if is_disc else frame.pose(gait.at(0.0)[0])
+        pose = group.compose(group.compose(group.inverse(h), pose), h)
+    integral = -(disc.weights @ density)
+    log = group.log(pose)
+    components = slice(0, group.linear) if group.linear else slice(0, None)
+    size = float(np.linalg.norm(log[components]))
+    error = float(np.linalg.norm((integral - log)[components])) / size if size > 0.0 else np.inf
+    return CorrectedIntegral(integral, pose, log, error, bool(error < _TRUSTED))

@@ -103,10 +103,14 @@ def _outer(moments: Array, J: float, energy: float) -> tuple[int, int, int]:
 
 
 def _curve(moments: Array, J: float, energy: float) -> tuple[float, Array]:
-    """Compute the period, and the curve of μ/|J| over one period, (N, 3).
+    """Compute the period and the curve of μ/|J| over one period.
 
-    The axes are (i, j, k) of `_outer`, made right-handed. The curve circles +z in the direction of
-    time.
+    The axes are (i, j, k) of `_outer`, made right-handed. The curve circles +z as time increases.
+
+    Returns:
+        The period [s], and the curve, (N, 3).
+    Raises:
+        InputError: The motion has no period.
     """
     from scipy.special import ellipj, ellipk
 
@@ -135,10 +139,7 @@ def _curve(moments: Array, J: float, energy: float) -> tuple[float, Array]:
 
 
 def _solid_angle(curve: Array) -> float:
-    """Compute the oriented solid angle of a closed curve around +z.
-
-    A curve around −z is rotated by π about x, which does not change the angle.
-    """
+    """Compute the oriented solid angle of a closed curve around +z."""
     x, y, z = curve.T
     angle = np.unwrap(np.arctan2(y, x))
     windings = float(np.round((angle[-1] - angle[0]) / TAU))

@@ -16,9 +16,11 @@ from math import cos, sin, sqrt, tan
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_record import DONE, NOT_FINITE, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DONE,
     NEW,
+    NOT_FINITE,
+    Run,
     Y,
     copy_an_end,
     first_not_finite,
@@ -26,8 +28,7 @@ from ..stepping.state_rows import (
     padded_rows,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, equal_steps, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .row_programs import row_sum
 
 # Rows of `work` after the two state rows: the state of a stage, the weighted mean of the stage

@@ -18,11 +18,17 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ..stepping.compiling import Bindings
+from ..stepping.compiling import Bindings, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_record import DENSE, DONE, ENDS, NOT_FINITE, STAGES_KEPT, STEP, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DENSE,
+    DONE,
+    ENDS,
     NEW,
+    NOT_FINITE,
+    STAGES_KEPT,
+    STEP,
+    Run,
     Y,
     copy_an_end,
     first_not_finite,
@@ -32,8 +38,7 @@ from ..stepping.state_rows import (
     unit,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, loops
 from .row_programs import Rate, Sum, Terms, row_program
 from .step_formulas import (
     BEGIN_RATE,
@@ -62,30 +67,11 @@ from .tableau import Tableau
 
 STAGES = 1
 
-
-def fill_step(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the rates of a step h from row Y, and row NEW; return the number of evaluations."""
-    raise NotImplementedError
-
-
-def fill_end(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the rate at the end of a step unless `fill_step` does; return the evaluations."""
-    raise NotImplementedError
-
-
-def fill_errors(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the error rows."""
-    raise NotImplementedError
-
-
-def fill_dense(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the dense-output terms beyond the cubic; return the number of evaluations."""
-    raise NotImplementedError
-
-
-def estimate(run: Run, work: Array, h: float) -> float:
-    """Return the estimated error of a step in units of the tolerance."""
-    raise NotImplementedError
+# Row programs, each (address, params, work, h) -> number of evaluations: fill_step fills the rates
+# of a step h from row Y, and row NEW; fill_end the rate at its end; fill_errors the error rows;
+# fill_dense the rates and terms of the dense output. estimate(run, work, h) returns the error of
+# the step, relative to its tolerance.
+fill_step = fill_end = fill_errors = fill_dense = estimate = unbound
 
 
 # --- hooks of the step loop ---------------------------------------------------------------------

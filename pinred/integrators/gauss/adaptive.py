@@ -17,8 +17,11 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import compiled, inlined
-from ..stepping.run_record import DONE, NOT_FINITE, STAGES_KEPT, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DONE,
+    NOT_FINITE,
+    STAGES_KEPT,
+    Run,
     Y,
     entry_size,
     first_step_by_rate,
@@ -26,8 +29,7 @@ from ..stepping.state_rows import (
     reject_step,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, loops
 from .fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
 from .newton import rows_of_stages
 from .stages import (

@@ -12,28 +12,25 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import compiled, inlined
-from ..stepping.run_record import (
+from ..stepping.run_state import (
     AGAIN,
     AUTO,
     DIVERGED,
     DONE,
     FIXED_POINT,
+    NEW,
     NEWTON,
     NOT_FINITE,
     STEP,
     WANTED,
     Run,
-)
-from ..stepping.state_rows import (
-    NEW,
     Y,
     copy_an_end,
     first_not_finite,
     keep_state,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, equal_steps, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .newton import MAIN, prepare, refine, rows_of_stages
 from .newton import SUB as REPORT
 from .stages import (

@@ -18,8 +18,7 @@ from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, jacobian, solve
-from ..stepping.run_record import DENSE, DONE, Run
-from ..stepping.state_rows import NEW, Y, copy_an_end, unit, unit_alone
+from ..stepping.run_state import DENSE, DONE, NEW, Run, Y, copy_an_end, unit, unit_alone
 
 # Rows of `work`: rates at both ends of a step; stages minus the state; corrections at the ends;
 # free rows; rows of Newton's method and of the Jacobian.

@@ -17,9 +17,11 @@ from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..stepping.run_record import DONE, NOT_FINITE, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DONE,
     NEW,
+    NOT_FINITE,
+    Run,
     Y,
     entry_size,
     first_not_finite,
@@ -27,8 +29,7 @@ from ..stepping.state_rows import (
     reject_step,
     unit,
 )
-from ..stepping.step_loop import Hooks, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, loops
 from .dense import (
     ALONG,
     END_RATE,

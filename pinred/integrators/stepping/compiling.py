@@ -73,6 +73,15 @@ def bind_globals(function: _Function, name: str, **values: Any) -> _Function:
     return typed
 
 
+def unbound(*arguments: Any) -> Any:
+    """Stand for a function that `bind_globals` replaces.
+
+    Raises:
+        NotImplementedError: always, as only bound copies can be called.
+    """
+    raise NotImplementedError
+
+
 class Bindings:
     """Global names of one method, and compiled copies of functions that use them.
 

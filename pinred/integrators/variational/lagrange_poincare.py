@@ -30,9 +30,12 @@ import numpy as np
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_record import DIVERGED, DONE, NOT_FINITE, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DIVERGED,
+    DONE,
     NEW,
+    NOT_FINITE,
+    Run,
     Y,
     copy_an_end,
     first_not_finite,
@@ -40,8 +43,7 @@ from ..stepping.state_rows import (
     padded_rows,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, equal_steps, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 
 # Rows of `work` after the state: six for the step and six for a step to a report time. Each six
 # are the end, the two stages with p and a quaternion for m, their rates, and u with h Ω₁ / 2.

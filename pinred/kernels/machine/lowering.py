@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from ...common.errors import UnsupportedOperationError
-from ...reduction.tree.limbs import Mark
+from ...reduction.tree.identical_branches import Mark
 from .operations import BODIES, CALLS, FLAGS, LINES, NAMES, PURE, declaration, helper, templates
 from .sincos import LANES, constant, sincos_ir, vector
 

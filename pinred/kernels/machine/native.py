@@ -18,7 +18,7 @@ import casadi as ca
 import llvmlite.binding as llvm
 
 from ...common.errors import InputError, NotCopyable
-from ...reduction.tree.limbs import Mark
+from ...reduction.tree.identical_branches import Mark
 from .lowering import lower
 from .operations import RESERVED
 

@@ -1,4 +1,7 @@
-"""All joints of a tree from the shape, x = G y + b, in scalars of the sweep (see coupling.py)."""
+"""Values, rates and momenta of all tree joints from those of the shape, x = G y + b.
+
+The shape has m coordinates, and the tree has M ≥ m joints if some follow others (see coupling.py).
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,8 @@ def joint_values(system: System, x: Sequence[Scalar]) -> list[Scalar]:
     coupled = system.coupled
     if coupled is None:
         return list(x)
-    followed = zip(coupled.of, coupled.ratio.tolist(), coupled.offset.tolist(), strict=True)
-    return [add(mul(ratio, x[k]), offset) for k, ratio, offset in followed]
+    joints = zip(coupled.of, coupled.ratio.tolist(), coupled.offset.tolist(), strict=True)
+    return [add(mul(ratio, x[k]), offset) for k, ratio, offset in joints]
 
 
 def joint_rates(system: System, xdot: Sequence[Scalar]) -> list[Scalar]:
@@ -22,16 +25,16 @@ def joint_rates(system: System, xdot: Sequence[Scalar]) -> list[Scalar]:
     coupled = system.coupled
     if coupled is None:
         return list(xdot)
-    followed = zip(coupled.of, coupled.ratio.tolist(), strict=True)
-    return [mul(ratio, xdot[k]) for k, ratio in followed]
+    joints = zip(coupled.of, coupled.ratio.tolist(), strict=True)
+    return [mul(ratio, xdot[k]) for k, ratio in joints]
 
 
 def on_shape(system: System, momenta: Sequence[Scalar]) -> list[Scalar]:
-    """Return what momenta or forces of all M joints are to the shape, Gᵀ, (m)."""
+    """Return the shape momenta or forces Gᵀ p, (m), from those of all M joints."""
     coupled = system.coupled
     if coupled is None:
         return list(momenta)
-    out: list[Scalar] = [0.0] * system.m
+    sums: list[Scalar] = [0.0] * system.m
     for k, ratio, value in zip(coupled.of, coupled.ratio.tolist(), momenta, strict=True):
-        out[k] = add(out[k], mul(ratio, value))
-    return out
+        sums[k] = add(sums[k], mul(ratio, value))
+    return sums

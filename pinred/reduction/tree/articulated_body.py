@@ -1,4 +1,4 @@
-"""Articulated inertias and the steps between bodies: what the sweep carries from joint to joint."""
+"""Articulated inertias, and the steps between body frames that transform them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,16 @@ from .scalars import INDEX, Mat, Scalar, Sym, Turn, Vec, add, cross, mul, plus, 
 
 @dataclass
 class Articulated:
-    """Momentum of a subtree from the twist (v, ω) of its root body.
+    """Momentum of a subtree as a function of the twist (v, ω) of its root body.
 
-    It is (M v + Bᵀ ω + lin, B v + I ω + ang).  M: linear from linear.  B: angular from
-    linear.  I: angular from angular.
+    The momentum is (M v + Bᵀ ω + lin, B v + I ω + ang).
+
+    Attributes:
+        M: Linear momentum per linear velocity, symmetric.
+        B: Angular momentum per linear velocity.
+        I: Angular momentum per angular velocity, symmetric.
+        lin: Constant linear momentum, (3,).
+        ang: Constant angular momentum, (3,).
     """
 
     M: Sym
@@ -25,29 +31,35 @@ class Articulated:
 
 @dataclass
 class Step:
-    """The way from a parent's frame to a body's, at a joint value."""
+    """The transformation from a parent's frame to a body's frame at a joint value.
 
-    turns: list[Turn]  # from the parent's axes to the body's: β, α, δ, θ
-    shift: Vec  # r in the parent's axes
-    slide: Scalar  # along the body's z, of a prismatic joint
+    Attributes:
+        turns: Rotations from the parent's axes to the body's, by β, α, δ and θ.
+        shift: Translation r in the parent's axes.
+        slide: Translation along the body's z by a prismatic joint.
+    """
+
+    turns: list[Turn]
+    shift: Vec
+    slide: Scalar
 
     @property
     def slides(self) -> bool:
-        """Whether there is a shift along the body's z."""
+        """Whether there is a translation along the body's z."""
         return not (isinstance(self.slide, float) and self.slide == 0.0)
 
     @property
     def fixed(self) -> Step:
-        """The part that the joint does not move; the moving part comes after it."""
+        """The constant part of the step, before the joint moves."""
         return Step(self.turns[:-1], self.shift, 0.0)
 
     @property
     def moving(self) -> Step:
-        """The part about or along the joint's axis."""
+        """The motion of the joint, after the constant part."""
         return Step(self.turns[-1:], [0.0, 0.0, 0.0], self.slide)
 
     def inward(self, lin: Vec, ang: Vec) -> tuple[Vec, Vec]:
-        """Return a momentum at the body's origin, taken at the parent's, in its axes."""
+        """Transform a momentum from the body's frame and origin to the parent's."""
         if self.slides:
             ang = plus(ang, cross([0.0, 0.0, self.slide], lin))
         for turn in reversed(self.turns):
@@ -56,7 +68,7 @@ class Step:
         return lin, plus(ang, cross(self.shift, lin))
 
     def outward(self, v: Vec, w: Vec) -> tuple[Vec, Vec]:
-        """Return the parent's twist at the body's origin, in the body's axes."""
+        """Transform a twist from the parent's frame and origin to the body's."""
         v = plus(v, cross(w, self.shift))
         for turn in self.turns:
             if not turn.is_none:
@@ -67,7 +79,7 @@ class Step:
 
 
 def rigid(body: Body) -> Articulated:
-    """Return the inertia of one body, with no momentum of its own."""
+    """Return the inertia of one body, without constant momentum."""
     x, y, z = body.moment
     m = body.mass
     return Articulated(
@@ -80,7 +92,7 @@ def rigid(body: Body) -> Articulated:
 
 
 def carried(a: Articulated, step: Step) -> Articulated:
-    """Return a subtree turned into the axes before a step and shifted to the origin there."""
+    """Transform the inertia of a subtree to the axes and origin before a step."""
     M, B, I = a.M, a.B, a.I
     if step.slides:
         B, I = shifted(M, B, I, [0.0, 0.0, step.slide])
@@ -92,18 +104,27 @@ def carried(a: Articulated, step: Step) -> Articulated:
 
 
 def shifted(M: Sym, B: Mat, I: Sym, r: Vec) -> tuple[Mat, Sym]:
-    """Return B′ = B + r̂M and I − B r̂ + r̂ B′ᵀ: taken about a point at −r."""
+    """Return the inertia about a point at −r: B′ = B + r̂M, and I − B r̂ + r̂ B′ᵀ.
+
+    Args:
+        M: Linear from linear.
+        B: Angular from linear.
+        I: Angular from angular.
+        r: Position of the present point from the new one, (3,).
+    Returns:
+        The new B and I.
+    """
     if all(isinstance(c, float) and c == 0.0 for c in r):
         return B, I
     columns = [cross(r, [M[INDEX[k][j]] for k in range(3)]) for j in range(3)]
-    moved = [[add(B[i][j], columns[j][i]) for j in range(3)] for i in range(3)]
+    new_B = [[add(B[i][j], columns[j][i]) for j in range(3)] for i in range(3)]
     left = [cross(r, B[i]) for i in range(3)]  # row i of −B r̂
-    right = [cross(r, moved[j]) for j in range(3)]  # column j of r̂ B′ᵀ
-    shifted = list(I)
+    right = [cross(r, new_B[j]) for j in range(3)]  # column j of r̂ B′ᵀ
+    new_I = list(I)
     for i in range(3):
         for j in range(i, 3):
-            shifted[INDEX[i][j]] = add(I[INDEX[i][j]], add(left[i][j], right[j][i]))
-    return moved, shifted
+            new_I[INDEX[i][j]] = add(I[INDEX[i][j]], add(left[i][j], right[j][i]))
+    return new_B, new_I
 
 
 def linear_row(a: Articulated, k: int, v: Vec, w: Vec) -> Scalar:
@@ -119,12 +140,12 @@ def angular_row(a: Articulated, k: int, v: Vec, w: Vec) -> Scalar:
 
 
 def momentum_of_rate(body: Body, a: Articulated) -> tuple[Vec, Vec]:
-    """Return the momentum of a subtree, linear and angular, per unit rate of its joint."""
+    """Return the linear and angular momentum of a subtree per unit rate of its joint."""
     if body.prismatic:
         return [a.M[INDEX[k][2]] for k in range(3)], [a.B[k][2] for k in range(3)]
     return [a.B[2][k] for k in range(3)], [a.I[INDEX[k][2]] for k in range(3)]
 
 
 def along_joint(body: Body, lin: Vec, ang: Vec) -> Scalar:
-    """Return the component of a momentum along a joint's axis, in its body's frame."""
+    """Return the component of a momentum along the joint's axis, in its body's frame."""
     return (lin if body.prismatic else ang)[2]

@@ -1,15 +1,16 @@
-"""H(x) [ξ; ẋ] = [μ; π] and π̇, in one sweep over the tree: O(n), no mass matrix.
+"""Solution of H(x) [ξ; ẋ] = [μ; π], and π̇, in one sweep over the tree: O(n), no mass matrix.
 
 Inward, each joint is eliminated from the articulated inertia of its subtree, as in
-Featherstone's algorithm but without bias forces, for only momenta are wanted.  At the
-root a system of the group's size is solved.  The twists follow outward; the momentum of
-a subtree is its articulated inertia times the twist it is carried with, so that
+Featherstone's algorithm.  There are no bias forces, because only momenta are needed.  At the
+root a linear system of the group's dimension is solved.  Then the twists are computed outward.
+The momentum h_j of a subtree is its articulated inertia times the twist before its joint moves,
+so that
 
     π̇_j = (v_j × S_j) · h_j
 
-needs no second inward sweep, and only two or four entries of h_j.  Joints that move together
-are eliminated together (see coupled_groups.py).  Source: R. Featherstone, "Rigid Body Dynamics
-Algorithms", 2008, ch. 7.
+needs no second inward sweep, and only two or four entries of h_j.  Joints that follow a common
+coordinate are eliminated together (see coupled_groups.py).  Source: R. Featherstone, "Rigid Body
+Dynamics Algorithms", 2008, ch. 7.
 """
 
 from __future__ import annotations
@@ -32,26 +33,39 @@ from .articulated_body import (
 )
 from .body_frames import Body, cosine, sine
 from .coupled_groups import Groups
-from .limbs import Lanes, Link, links_of
+from .identical_branches import Lanes, Link, links_of
 from .scalars import INDEX, Scalar, Turn, Vec, add, dot, mul, solve_ldl, sub
 
 
 @dataclass
 class Eliminated:
-    """An eliminated joint, for the outward sweep, in its body's frame at joint value zero."""
+    """An eliminated joint, for the outward sweep, in its body's frame at joint value zero.
 
-    inner: Articulated  # of the subtree with the joint's velocity eliminated
-    gain: Vec  # U/D, linear
-    gain_angular: Vec  # U/D, angular
-    drive: Scalar  # u/D
+    Attributes:
+        inner: Inertia of the subtree with the joint's velocity eliminated.
+        gain: U/D, linear.
+        gain_angular: U/D, angular.
+        drive: u/D.
+        step: Step from the parent.
+    """
+
+    inner: Articulated
+    gain: Vec
+    gain_angular: Vec
+    drive: Scalar
     step: Step
 
 
 @dataclass
 class Swept:
-    """Velocities and rates.  root_linear, root_angular: twist of the root body.
+    """Results of the sweep.
 
-    xdot, pi, pidot: per shape joint; π of a joint whose rate is prescribed is found here.
+    Attributes:
+        root_linear: Linear velocity of the root body.
+        root_angular: Angular velocity of the root body.
+        xdot: Shape rates.
+        pi: Canonical momenta; those of prescribed coordinates are computed by the sweep.
+        pidot: Their rates without forces.
     """
 
     root_linear: Vec
@@ -72,16 +86,24 @@ def sweep(
     lanes: Lanes | None = None,
     coupled: Coupled | None = None,
 ) -> Swept:
-    """Solve H v = p and return velocities and π̇ (without forces).
+    """Solve H v = p, and compute π̇ without forces.
 
-    x: per joint of the tree.  pi: per shape coordinate.  mu: (r,).  axes: of the group (see
-    Group).  root_armature: added to the diagonal of SO(2)'s locked inertia.  rates: ẋ of the
-    coordinates that are prescribed, whose π is not read.  lanes: if given, limbs of one build are
-    computed at once, and marked there.  coupled: how joints follow others, if some do.
+    Args:
+        bodies: Bodies of the tree, root first.
+        x: Values of all tree joints.
+        pi: Canonical momenta of the shape coordinates.
+        mu: Body momentum, (r,).
+        axes: Axes of the group (see Group).
+        root_armature: Armature that is added to SO(2)'s locked inertia.
+        rates: Rates of the prescribed coordinates, by index; their π is not read.
+        lanes: If given, identical branches are computed together in SIMD lanes and marked here.
+        coupled: How joints follow others, if some do.
+    Returns:
+        Velocities, momenta and rates.
     """
     groups = Groups(bodies, rates, coupled)
     links = links_of(bodies, lanes, groups.driven, groups.members)
-    lanes = lanes or Lanes()  # that nothing is marked in
+    lanes = lanes or Lanes()
     groups.meet(links)
     inertia = [rigid(link.body) for link in links]
     joints: list[Eliminated | None] = [None] * len(links)
@@ -89,8 +111,8 @@ def sweep(
         link, k = links[i], links[i].lanes[0]
         groups.close(i, inertia[i], pi)
         step = _packed_step(link, bodies, x, lanes)
-        # The step about or along the joint's own axis comes first: the division by D need not
-        # wait for it, and outward nothing waits for the rate that it does not move.
+        # The joint's motion is separated from the rest of the step, since it leaves its axis
+        # fixed: the division by D then need not wait for sine and cosine of the joint angle.
         inner = carried(inertia[i], step.moving)
         groups.carry(i, step.moving)
         if k in groups.driven:
@@ -108,7 +130,7 @@ def sweep(
         joints[i] = joint
         width = len(link.lanes) if len(links[link.parent].lanes) == 1 else 1
         _add(inertia[link.parent], carried(joint.inner, step.fixed), lanes, width)
-        groups.hand_on(i, link.parent, step.fixed)
+        groups.add_to_parent(i, link.parent, step.fixed)
     groups.close(0, inertia[0], pi)
     linear, angular = _solve_root(inertia[0], mu, [divmod(k, 3) for k in axes], root_armature)
     v, w = [linear], [angular]
@@ -117,17 +139,17 @@ def sweep(
     momenta = [0.0 if k in rates else momentum for k, momentum in enumerate(pi)]
     pidot: list[Scalar] = [0.0] * len(pi)
     for i in range(1, len(links)):
-        link, body, known = links[i], links[i].body, joints[i]
-        assert known is not None
-        vi, wi = known.step.fixed.outward(v[link.parent], w[link.parent])
-        rate = sub(known.drive, add(dot(known.gain, vi), dot(known.gain_angular, wi)))
+        link, body, solved = links[i], links[i].body, joints[i]
+        assert solved is not None
+        vi, wi = solved.step.fixed.outward(v[link.parent], w[link.parent])
+        rate = sub(solved.drive, add(dot(solved.gain, vi), dot(solved.gain_angular, wi)))
         rate = groups.rate(i, rate)
-        h = known.inner
-        along: Scalar = 0.0
+        h = solved.inner
+        along: Scalar = 0.0  # momentum of the subtree along a prescribed joint
         if link.lanes[0] in groups.driven:
-            own = linear_row(h, 2, vi, wi) if body.prismatic else angular_row(h, 2, vi, wi)
-            own = add(own, groups.momentum(i, 2, angular=not body.prismatic))
-            along = add(own, mul(body.armature, rate))
+            along = linear_row(h, 2, vi, wi) if body.prismatic else angular_row(h, 2, vi, wi)
+            along = add(along, groups.momentum(i, 2, angular=not body.prismatic))
+            along = add(along, mul(body.armature, rate))
         hx, hy = (add(linear_row(h, k, vi, wi), groups.momentum(i, k)) for k in (0, 1))
         if body.prismatic:
             # v × S = (ω × e_z, 0)
@@ -140,7 +162,7 @@ def sweep(
             )
             force = add(sub(mul(vi[1], hx), mul(vi[0], hy)), sub(mul(wi[1], ax), mul(wi[0], ay)))
             wi = [wi[0], wi[1], add(wi[2], rate)]
-        vi, wi = known.step.moving.outward(vi, wi)
+        vi, wi = solved.step.moving.outward(vi, wi)
         groups.find_rates(i, vi, wi)
         v.append(vi)
         w.append(wi)
@@ -155,27 +177,27 @@ def sweep(
 
 
 def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated:
-    """Solve the joint's own momentum equation for its velocity and put that into the rest."""
+    """Eliminate a joint's velocity by its momentum equation; a: inertia of the subtree."""
     U, Ua = momentum_of_rate(body, a)
     D = add(along_joint(body, U, Ua), body.armature)
     u = sub(pi, along_joint(body, a.lin, a.ang))
     inverse = 1.0 / D
     gain, gain_angular = [mul(c, inverse) for c in U], [mul(c, inverse) for c in Ua]
     drive = mul(u, inverse)
-    # Without armature, what the joint moves along carries no inertia any more.
+    # Without armature, the eliminated inertia vanishes exactly along the joint's axis.
     free = isinstance(body.armature, float) and body.armature == 0.0
     pris = body.prismatic
     M, I = list(a.M), list(a.I)
     B = [list(row) for row in a.B]
     for i in range(3):
         for j in range(i, 3):
-            gone = free and j == 2
+            vanishes = free and j == 2
             k = INDEX[i][j]
-            M[k] = 0.0 if gone and pris else sub(a.M[k], mul(U[i], gain[j]))
-            I[k] = 0.0 if gone and not pris else sub(a.I[k], mul(Ua[i], gain_angular[j]))
+            M[k] = 0.0 if vanishes and pris else sub(a.M[k], mul(U[i], gain[j]))
+            I[k] = 0.0 if vanishes and not pris else sub(a.I[k], mul(Ua[i], gain_angular[j]))
         for j in range(3):
-            gone = free and (j == 2 if pris else i == 2)
-            B[i][j] = 0.0 if gone else sub(a.B[i][j], mul(gain_angular[i], U[j]))
+            vanishes = free and (j == 2 if pris else i == 2)
+            B[i][j] = 0.0 if vanishes else sub(a.B[i][j], mul(gain_angular[i], U[j]))
     lin = [add(a.lin[k], mul(U[k], drive)) for k in range(3)]
     ang = [add(a.ang[k], mul(Ua[k], drive)) for k in range(3)]
     if free:
@@ -184,7 +206,7 @@ def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated
 
 
 def _drive(body: Body, a: Articulated, rate: Scalar, step: Step) -> Eliminated:
-    """Carry a joint at a prescribed rate: its subtree is rigid, with the momentum of the rate."""
+    """Prescribe a joint's rate: its momentum is added to that of the subtree, of inertia a."""
     U, Ua = momentum_of_rate(body, a)
     lin = [add(a.lin[k], mul(U[k], rate)) for k in range(3)]
     ang = [add(a.ang[k], mul(Ua[k], rate)) for k in range(3)]
@@ -193,20 +215,20 @@ def _drive(body: Body, a: Articulated, rate: Scalar, step: Step) -> Eliminated:
 
 
 def step_of(body: Body, x: Scalar) -> Step:
-    """Return the way to a body from its parent at joint value x."""
-    return _step(body, _turned(body, x), x)
+    """Return the step to a body from its parent at joint value x."""
+    return _step(body, _cosine_and_sine(body, x), x)
 
 
 def _packed_step(link: Link, bodies: list[Body], x: list[Scalar], lanes: Lanes) -> Step:
-    """Return the way to a link from its parent."""
+    """Return the step to a link from its parent, packed into lanes; x: of all joints."""
     values = [x[k - 1] for k in link.lanes]
-    turned = [_turned(bodies[k], value) for k, value in zip(link.lanes, values, strict=True)]
-    c, s = (lanes.pack(numbers) for numbers in zip(*turned, strict=True))
+    pairs = [_cosine_and_sine(bodies[k], x) for k, x in zip(link.lanes, values, strict=True)]
+    c, s = (lanes.pack(numbers) for numbers in zip(*pairs, strict=True))
     return _step(link.body, (c, s), lanes.pack(values) if link.body.prismatic else 0.0)
 
 
-def _turned(body: Body, x: Scalar) -> tuple[Scalar, Scalar]:
-    """Return cosine and sine of the angle about the body's z."""
+def _cosine_and_sine(body: Body, x: Scalar) -> tuple[Scalar, Scalar]:
+    """Return cosine and sine of the angle about the body's z at joint value x."""
     none = isinstance(body.offset, float) and body.offset == 0.0
     angle = body.offset if body.prismatic else x if none else x + body.offset
     if isinstance(angle, float):
@@ -214,21 +236,17 @@ def _turned(body: Body, x: Scalar) -> tuple[Scalar, Scalar]:
     return ca.cos(angle), ca.sin(angle)
 
 
-def _step(body: Body, turned: tuple[Scalar, Scalar], slide: Scalar) -> Step:
+def _step(body: Body, angle: tuple[Scalar, Scalar], slide: Scalar) -> Step:
+    """Return a step; angle: cosine and sine of the angle about the body's z."""
     return Step(
-        turns=[
-            Turn(2, *body.beta),
-            Turn(0, *body.alpha),
-            Turn(1, *body.delta),
-            Turn(2, *turned),
-        ],
+        turns=[Turn(2, *body.beta), Turn(0, *body.alpha), Turn(1, *body.delta), Turn(2, *angle)],
         shift=body.r,
         slide=slide if body.prismatic else 0.0,
     )
 
 
 def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
-    """Add a subtree to its parent, or those in all lanes."""
+    """Add the inertia of a subtree to its parent's, summed over the lanes."""
 
     def both(p: Vec, q: Vec) -> Vec:
         return [add(x, lanes.sum(y, width)) for x, y in zip(p, q, strict=True)]
@@ -243,7 +261,7 @@ def _solve_root(
 ) -> tuple[Vec, Vec]:
     """Return the root's twist (linear, angular) from its momentum.
 
-    axes: which entries of a twist there are, each as (0 or 1, axis): linear, or angular.
+    axes: entries of the group's twists, each as (0 for linear or 1 for angular, axis).
     """
 
     def entry(p: tuple[int, int], q: tuple[int, int]) -> Scalar:

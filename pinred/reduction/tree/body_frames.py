@@ -1,10 +1,10 @@
-"""Body frames in which the sweep is cheap: Denavit–Hartenberg's, for a tree.
+"""Body frames that minimise the operations of the sweep: Denavit–Hartenberg's, for a tree.
 
-Every shape joint turns about or slides along the z axis of its body's frame, and the
-step from the parent is Rz(β) Rx(α) after a shift r.  Frames may still turn about their
-joint axis and slide along it; that freedom makes β zero for the heaviest child of each
-joint (its parent's angle takes it over) and removes a component of r.  Constants
-that are zero or one up to round-off are made exactly so, and arithmetic on them folds away.
+Every shape joint rotates about, or slides along, the z axis of its body's frame.  The step from the
+parent is Rz(β) Rx(α) after a shift r.  A frame may still be rotated about its joint axis and moved
+along it.  This freedom makes β zero for the heaviest child of each joint, because its parent's
+angle takes it over, and removes one component of r.  Constants that are 0 or ±1 up to round-off are
+set exactly, so that arithmetic with them is simplified.
 """
 
 from __future__ import annotations
@@ -22,20 +22,28 @@ from ...system.system import System
 from ...system.variants import nominal
 from .scalars import Scalar, Sym, Vec
 
-_SNAP = 4e-16  # relative: what is round-off of a rotation's entries
-_TURNED = 4e-15  # rad: what is round-off of an angle of a product of rotations
+_SNAP = 4e-16  # round-off of the entries of a rotation matrix
+_ANGLE = 4e-15  # round-off of an angle of a product of rotations [rad]
 
 
 @dataclass(frozen=True)
 class Body:
     """One body in its frame.
 
-    parent: index of the parent body, −1 for the root.  prismatic: kind of its joint.
-    alpha, beta, r: cosine and sine of the angles of Rz(β) Rx(α), and shift r (3,), from the
-    parent's frame at joint value zero.  delta: of a turn Ry(δ) that comes after these where a
-    placement is not that of the frames.  offset: angle added to the joint's.  mass, moment,
-    inertia: mass, mass times centre of mass (3,), and inertia about the origin in this frame.
-    armature: added to the joint's inertia.  frame: this frame in Pinocchio's joint frame.
+    Attributes:
+        parent: Index of the parent body, −1 for the root.
+        prismatic: Whether its joint is prismatic.
+        alpha: Cosine and sine of the angle of Rx(α), from the parent's frame at joint value zero.
+        beta: Cosine and sine of the angle of Rz(β), which is applied first.
+        r: Shift from the parent's origin, (3,) [m].
+        offset: Angle that is added to the joint's [rad].
+        mass: Mass [kg].
+        moment: Mass times centre of mass, (3,) [kg m].
+        inertia: Inertia about the frame's origin [kg m²].
+        armature: Inertia that is added to the joint's.
+        frame: This frame in Pinocchio's joint frame.
+        delta: Cosine and sine of a further rotation Ry(δ) after Rx(α), if the joint's placement
+            was changed after loading.
     """
 
     parent: int
@@ -55,78 +63,81 @@ class Body:
 def bodies_of(system: System) -> list[Body]:
     """Return the bodies of a system, root first, shape joints in order.
 
-    One that was given other inertias or placements keeps the frames it had.
+    A variant with other inertias or placements has the frames of the nominal system.
     """
-    own = nominal(system)
-    bodies = once(own, bodies_of, lambda: tuple(_bodies_of(own)))
-    if own is system:
+    original = nominal(system)
+    bodies = once(original, bodies_of, lambda: tuple(_make_bodies(original)))
+    if original is system:
         return list(bodies)
-    out = [
+    changed = [
         replace(body, **_inertia_in(body.frame, system.model.inertias[i + 1]))
         for i, body in enumerate(bodies)
     ]
-    for i in range(1, len(out)):
-        place = system.model.jointPlacements[i + 1]
-        if place != own.model.jointPlacements[i + 1]:
-            parent = bodies[out[i].parent]
-            step = step_at(parent, bodies[i], own.model.jointPlacements[i + 1], place)
-            out[i] = replace(out[i], **step)
-    return out
+    for i in range(1, len(changed)):
+        place, old = (s.model.jointPlacements[i + 1] for s in (system, original))
+        if place != old:
+            step = step_at(bodies[changed[i].parent], bodies[i], old, place)
+            changed[i] = replace(changed[i], **step)
+    return changed
 
 
-def step_at(parent: Body, body: Body, own: pin.SE3, place: pin.SE3) -> dict[str, Any]:
-    """Return what of a body, in its frame, another placement than its own changes.
+def step_at(parent: Body, body: Body, old: pin.SE3, place: pin.SE3) -> dict[str, Any]:
+    """Compute the step of a body after its joint's placement has changed.
 
-    R = Rz(β) Rx(α) Ry(δ) Rz(ε), with the β that it has: regular for |δ| < π/2.
+    R = Rz(β) Rx(α) Ry(δ) Rz(ε) at the present β is regular for |δ| < π/2.
+
+    Args:
+        parent: Parent body.
+        body: The body with its old placement.
+        old: Old placement.
+        place: New placement.
+    Returns:
+        The fields of the body that change.
     """
-    moved = parent.frame.rotation.T @ (place.translation - own.translation)
-    carried = body.frame.translation
-    if not np.array_equal(place.rotation, own.rotation):
-        moved += parent.frame.rotation.T @ ((place.rotation - own.rotation) @ carried)
-    size = float(np.linalg.norm(place.translation) + np.linalg.norm(carried))
-    r = _snap(np.array(body.r, dtype=float) + moved, size)
-    out: dict[str, Any] = {"r": [float(c) for c in r]}
-    if np.array_equal(place.rotation, own.rotation):
-        return out
-    turned = parent.frame.rotation.T @ place.rotation @ body.frame.rotation
+    shift = parent.frame.rotation.T @ (place.translation - old.translation)
+    origin = body.frame.translation
+    if not np.array_equal(place.rotation, old.rotation):
+        shift += parent.frame.rotation.T @ ((place.rotation - old.rotation) @ origin)
+    size = float(np.linalg.norm(place.translation) + np.linalg.norm(origin))
+    r = _snap(np.array(body.r, dtype=float) + shift, size)
+    step: dict[str, Any] = {"r": [float(c) for c in r]}
+    if np.array_equal(place.rotation, old.rotation):
+        return step
+    rotation = parent.frame.rotation.T @ place.rotation @ body.frame.rotation
     c, s = body.beta
-    R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ turned
-    alpha = _near_quarter(float(np.arctan2(-R[1, 2], R[2, 2])))
-    delta = _near_quarter(float(np.arcsin(np.clip(R[0, 2], -1.0, 1.0))))
+    R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ rotation
+    alpha = _snap_angle(float(np.arctan2(-R[1, 2], R[2, 2])), _ANGLE)
+    delta = _snap_angle(float(np.arcsin(np.clip(R[0, 2], -1.0, 1.0))), _ANGLE)
     epsilon = float(np.arctan2(-R[0, 1], R[0, 0]))
-    near = epsilon - float(body.offset)
-    if abs(near) <= _TURNED:
+    if abs(epsilon - float(body.offset)) <= _ANGLE:
         epsilon = float(body.offset)
-    return out | {
+    return step | {
         "alpha": (cosine(alpha), sine(alpha)),
         "delta": (cosine(delta), sine(delta)),
         "offset": epsilon,
     }
 
 
-def _bodies_of(system: System) -> list[Body]:
+def _make_bodies(system: System) -> list[Body]:
+    """Choose the frames, and return the bodies in them."""
     model = system.model
     count = model.njoints - 1
     parents = [model.parents[i + 1] - 1 for i in range(count)]
     heavy = _heaviest_children(parents)
-    frames: list[pin.SE3] = [_root_frame(system, axes_of(model.joints[1]))]
-    steps: list[tuple[float, float, Array]] = [(0.0, 0.0, np.zeros(3))]
+    steps: dict[int, tuple[float, float, Array]] = {0: (0.0, 0.0, np.zeros(3))}
     offsets = [0.0] * count
     order = sorted(range(1, count), key=lambda i: (parents[i], heavy[parents[i]] != i))
-    placed = {0: frames[0]}
-    kinds = [False] + [is_prismatic(model.joints[i + 1]) for i in range(1, count)]
-    made: dict[int, tuple[float, float, Array]] = {}
+    frames = {0: _root_frame(system, axes_of(model.joints[1]))}
+    prismatic = [False] + [is_prismatic(model.joints[i + 1]) for i in range(1, count)]
     for i in order:
         p = parents[i]
         S = axes_of(model.joints[i + 1]).ravel()
-        axis = S[:3] if kinds[i] else S[3:]
-        turn = p > 0 and heavy[p] == i and not kinds[p]
-        if turn:
-            beta = _beta(placed[p], model.jointPlacements[i + 1], axis)
+        axis = S[:3] if prismatic[i] else S[3:]
+        if p > 0 and heavy[p] == i and not prismatic[p]:
+            beta = _beta(frames[p], model.jointPlacements[i + 1], axis)
             offsets[p] = beta
-            placed[p] = placed[p] * pin.SE3(_rz(beta), np.zeros(3))
-        made[i], placed[i] = _place(placed[p], model.jointPlacements[i + 1], axis)
-    steps += [made[i] for i in range(1, count)]
+            frames[p] = frames[p] * pin.SE3(_rz(beta), np.zeros(3))
+        steps[i], frames[i] = _place(frames[p], model.jointPlacements[i + 1], axis)
     bodies = []
     for i in range(count):
         alpha, beta, r = steps[i]
@@ -134,21 +145,21 @@ def _bodies_of(system: System) -> list[Body]:
         bodies.append(
             Body(
                 parent=parents[i],
-                prismatic=kinds[i],
+                prismatic=prismatic[i],
                 alpha=(cosine(alpha), sine(alpha)),
                 beta=(cosine(beta), sine(beta)),
                 r=[float(c) for c in r],
                 offset=offsets[i],
-                **_inertia_in(placed[i], model.inertias[i + 1]),
+                **_inertia_in(frames[i], model.inertias[i + 1]),
                 armature=float(rotor),
-                frame=placed[i],
+                frame=frames[i],
             )
         )
     return bodies
 
 
 def _inertia_in(frame: pin.SE3, inertia: pin.Inertia) -> dict[str, Any]:
-    """Return mass, moment and inertia of a body about the origin of a frame, in its axes."""
+    """Return the mass, moment and inertia of a body about a frame's origin, in its axes."""
     Y = frame.actInv(inertia)
     moment = _snap(Y.mass * Y.lever, Y.mass)
     about = Y.inertia + Y.mass * (Y.lever @ Y.lever * np.eye(3) - np.outer(Y.lever, Y.lever))
@@ -161,7 +172,7 @@ def _inertia_in(frame: pin.SE3, inertia: pin.Inertia) -> dict[str, Any]:
 
 
 def _heaviest_children(parents: list[int]) -> dict[int, int]:
-    """Return for each body the child with the most bodies behind it."""
+    """Return the child with the most bodies in its subtree, for each body."""
     size = [1] * len(parents)
     for i in range(len(parents) - 1, 0, -1):
         size[parents[i]] += size[i]
@@ -174,7 +185,7 @@ def _heaviest_children(parents: list[int]) -> dict[int, int]:
 
 
 def _root_frame(system: System, S: Array) -> pin.SE3:
-    """Return the root body's frame: its joint's own, where there is one axis with that along z."""
+    """Return the root body's frame, with z along the joint axis if there is only one."""
     if system.r == 1:
         axis = S.ravel()[3:] if system.group.turns else S.ravel()[:3]
         return pin.SE3(_to_z(axis), np.zeros(3))
@@ -182,7 +193,7 @@ def _root_frame(system: System, S: Array) -> pin.SE3:
 
 
 def _beta(parent: pin.SE3, placement: pin.SE3, axis: Array) -> float:
-    """Return the turn about the parent's z that puts a child's axis, or origin, in its xz plane."""
+    """Return the angle about the parent's z that brings a child's axis, or origin, to its plane."""
     step = parent.actInv(placement)
     z = step.rotation @ axis
     if np.hypot(z[0], z[1]) > 1e-12:
@@ -195,7 +206,10 @@ def _beta(parent: pin.SE3, placement: pin.SE3, axis: Array) -> float:
 def _place(
     parent: pin.SE3, placement: pin.SE3, axis: Array
 ) -> tuple[tuple[float, float, Array], pin.SE3]:
-    """Return (α, β, r) from the parent's frame, and the child's frame in its joint frame."""
+    """Return the step (α, β, r) to a child, and the child's frame in its joint frame.
+
+    parent: frame of the parent in its joint frame.  placement, axis: of the child's joint.
+    """
     step = parent.actInv(placement)
     z = step.rotation @ axis
     across = float(np.hypot(z[0], z[1]))
@@ -211,7 +225,7 @@ def _place(
 
 
 def _to_z(axis: Array) -> Array:
-    """Return a rotation that takes e_z to the axis."""
+    """Return a rotation that maps e_z to the axis."""
     x, y, z = axis
     across = np.hypot(x, y)
     beta = np.arctan2(x, -y) if across > 0 else 0.0
@@ -229,12 +243,12 @@ def _rx(angle: float) -> Array:
 
 
 def cosine(angle: float) -> float:
-    """Return cos, exactly 0 or ±1 at quarter turns."""
+    """Return the cosine, exactly 0 or ±1 at quarter turns."""
     return _snap_unit(float(np.cos(angle)))
 
 
 def sine(angle: float) -> float:
-    """Return sin, exactly 0 or ±1 at quarter turns."""
+    """Return the sine, exactly 0 or ±1 at quarter turns."""
     return _snap_unit(float(np.sin(angle)))
 
 
@@ -243,15 +257,10 @@ def _snap_unit(value: float) -> float:
     return float(nearest) if abs(value - nearest) <= _SNAP else value
 
 
-def _snap_angle(angle: float) -> float:
-    quarters = round(angle / (np.pi / 2))
-    return quarters * np.pi / 2 if abs(angle - quarters * np.pi / 2) <= 4 * _SNAP else angle
-
-
-def _near_quarter(angle: float) -> float:
-    """Return a quarter turn where an angle of a product of rotations is one."""
-    quarters = round(angle / (np.pi / 2))
-    return quarters * np.pi / 2 if abs(angle - quarters * np.pi / 2) <= _TURNED else angle
+def _snap_angle(angle: float, tolerance: float = 4 * _SNAP) -> float:
+    """Return the nearest quarter turn if the angle is within the tolerance of it."""
+    quarter = round(angle / (np.pi / 2)) * np.pi / 2
+    return quarter if abs(angle - quarter) <= tolerance else angle
 
 
 def _snap(values: Array, scale: float) -> Array:

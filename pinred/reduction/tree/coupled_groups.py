@@ -1,15 +1,16 @@
-"""Joints that move together, as the sweep eliminates them: with one column of momentum each.
+"""Groups of joints that follow a common coordinate, eliminated together by the sweep.
 
-The joints j of a group move at k_j ẏ.  Inward, from its first member on, a group is open: beside
-its articulated inertia and momentum a subtree then has the momentum u per unit of ẏ, and the
-group has an inertia D and a momentum s of its own, so that the part of the subtree in
-π = ∂L/∂ẏ is u · v + D ẏ + s.  At a member with axis S,
+The joints j of a group move at k_j ẏ.  In the inward sweep, a group is open from its first member
+on.  A subtree then has, beside its articulated inertia and momentum, the momentum u per unit of ẏ,
+and the group has an inertia D and a momentum s, so that the subtree's part of π = ∂L/∂ẏ is
+u · v + D ẏ + s.  At a member with axis S,
 
     D += 2 k S·u + k² (S·I S + armature),   s += k S·p,   u += k I S,
 
-and any other joint on the way that is eliminated takes its share of u, D and s.  At the deepest
-body that carries all members the group is eliminated as a joint is: I −= u uᵀ/D.  Of groups that
-are open at once, D is a matrix.  Outward, π̇ = Σ k_j (v_j × S_j) · h_j, with u ẏ in h_j.
+and every other joint that is eliminated on the way removes its share from u, D and s.  At the
+deepest body that carries all members the group is eliminated like a joint: I −= u uᵀ/D.  If several
+groups are open, D is a matrix.  In the outward sweep, π̇ = Σ k_j (v_j × S_j) · h_j, where h_j
+includes u ẏ.
 """
 
 from __future__ import annotations
@@ -20,13 +21,18 @@ from dataclasses import dataclass
 from ...system.coupling import Coupled
 from .articulated_body import Articulated, Step, along_joint, momentum_of_rate
 from .body_frames import Body
-from .limbs import Link
+from .identical_branches import Link
 from .scalars import INDEX, Scalar, Vec, add, dot, mul, plus, sub
 
 
 @dataclass
 class Column:
-    """Momentum of a subtree per unit rate of a group, at its root body."""
+    """Momentum of a subtree per unit rate of a group, in the frame of its root body.
+
+    Attributes:
+        lin: Linear momentum, (3,).
+        ang: Angular momentum, (3,).
+    """
 
     lin: Vec
     ang: Vec
@@ -34,7 +40,14 @@ class Column:
 
 @dataclass
 class Closed:
-    """An eliminated group: ẏ = drive − gain · v − Σ shares · ẏ of the groups still open."""
+    """An eliminated group: ẏ = drive − gain · v − Σ shares · ẏ, summed over open groups.
+
+    Attributes:
+        group: Index of the group's coordinate.
+        gain: u/D.
+        drive: Rate at zero twist.
+        shares: Coupling to each open group.
+    """
 
     group: int
     gain: Column
@@ -45,15 +58,23 @@ class Closed:
 class Groups:
     """The groups of one sweep.
 
-    of, ratio: of the joint of each body, the shape coordinate it follows, and by what factor; at
-    the root, nothing.  driven: rates of the joints whose rates are known.  members: the bodies
-    whose joints move together with others, at rates that are not known.
+    Attributes:
+        of: Shape coordinate that the joint of each body follows; −1 at the root.
+        ratio: Rate of the joint of each body per unit rate of this coordinate.
+        driven: Rates of joints whose rates are prescribed, by body.
+        members: Groups of the bodies whose joints share a free coordinate with others.
     """
 
     def __init__(
         self, bodies: Sequence[Body], rates: Mapping[int, Scalar], coupled: Coupled | None
     ) -> None:
-        """Sort the joints."""
+        """Assign the joints to groups.
+
+        Args:
+            bodies: Bodies of the tree, root first.
+            rates: Rates of the prescribed coordinates, by index.
+            coupled: How joints follow others, if some do.
+        """
         count = range(1, len(bodies))
         self.of = [-1, *(k - 1 for k in count)]
         self.ratio = [1.0] * len(bodies)
@@ -62,22 +83,22 @@ class Groups:
             self.ratio[1:] = coupled.ratio.tolist()
         self._leads = {1 + j for j in coupled.leads.tolist()} if coupled else set(count)
         self.driven: dict[int, Scalar] = {}
-        moved: dict[int, list[int]] = {}
+        followers: dict[int, list[int]] = {}
         for i in count:
             if self.of[i] in rates:
                 self.driven[i] = mul(self.ratio[i], rates[self.of[i]])
             elif self.ratio[i] == 0.0:
                 self.driven[i] = 0.0
             else:
-                moved.setdefault(self.of[i], []).append(i)
-        together = {k: group for k, group in moved.items() if len(group) > 1}
+                followers.setdefault(self.of[i], []).append(i)
+        together = {k: group for k, group in followers.items() if len(group) > 1}
         self.members = {i: k for k, group in together.items() for i in group}
         self._homes = {k: _home(bodies, group) for k, group in together.items()}
         self._open: list[dict[int, Column]] = []
         self._shares: list[dict[int, Scalar]] = []
         self._closing: list[list[int]] = []
         self._closed: list[list[Closed]] = []
-        self._inertia: dict[tuple[int, int], Scalar] = {}  # D, first index not above the second
+        self._inertia: dict[tuple[int, int], Scalar] = {}  # D, with ordered indices
         self._momentum: dict[int, Scalar] = {}  # s
         self._rates: dict[int, Scalar] = {}
         self._links: list[Link] = []
@@ -87,7 +108,7 @@ class Groups:
         return body in self._leads
 
     def meet(self, links: list[Link]) -> None:
-        """Learn which links there are."""
+        """Store the links of the sweep, and where each group is eliminated."""
         self._links = links
         self._open = [{} for _ in links]
         self._shares = [{} for _ in links]
@@ -100,42 +121,48 @@ class Groups:
     # Inward.
 
     def close(self, i: int, a: Articulated, pi: list[Scalar]) -> None:
-        """Eliminate the groups whose members all hang on link i, of inertia a in its frame."""
+        """Eliminate the groups whose members are all in the subtree of link i.
+
+        Args:
+            i: Index of the link.
+            a: Its inertia in its frame, which is changed.
+            pi: Canonical momenta of the shape coordinates.
+        """
         for k in self._closing[i]:
-            own = self._open[i].pop(k)
+            u = self._open[i].pop(k)
             inverse = 1.0 / self._inertia[k, k]
-            gain = Column([mul(c, inverse) for c in own.lin], [mul(c, inverse) for c in own.ang])
+            gain = Column([mul(c, inverse) for c in u.lin], [mul(c, inverse) for c in u.ang])
             drive = mul(sub(pi[k], self._momentum[k]), inverse)
             shared = {g: self._between(k, g) for g in self._open[i]}
-            self._give(i, shared, own, inverse, drive)
+            self._eliminate_rate(i, shared, u, inverse, drive)
             shares = {g: mul(share, inverse) for g, share in shared.items()}
             self._closed[i].append(Closed(k, gain, drive, shares))
             for p in range(3):
                 for q in range(p, 3):
                     j = INDEX[p][q]
-                    a.M[j] = sub(a.M[j], mul(own.lin[p], gain.lin[q]))
-                    a.I[j] = sub(a.I[j], mul(own.ang[p], gain.ang[q]))
-                a.B[p] = [sub(a.B[p][q], mul(gain.ang[p], own.lin[q])) for q in range(3)]
-            a.lin = plus(a.lin, [mul(c, drive) for c in own.lin])
-            a.ang = plus(a.ang, [mul(c, drive) for c in own.ang])
+                    a.M[j] = sub(a.M[j], mul(u.lin[p], gain.lin[q]))
+                    a.I[j] = sub(a.I[j], mul(u.ang[p], gain.ang[q]))
+                a.B[p] = [sub(a.B[p][q], mul(gain.ang[p], u.lin[q])) for q in range(3)]
+            a.lin = plus(a.lin, [mul(c, drive) for c in u.lin])
+            a.ang = plus(a.ang, [mul(c, drive) for c in u.ang])
 
     def carry(self, i: int, step: Step) -> None:
-        """Take the columns that are open at link i to the frame before a step."""
+        """Transform the columns that are open at link i to the frame before a step."""
         self._open[i] = {k: Column(*step.inward(c.lin, c.ang)) for k, c in self._open[i].items()}
 
     def drive(self, i: int, body: Body, rate: Scalar) -> None:
-        """Pass a joint whose rate is known."""
+        """Add the momentum of a joint with a prescribed rate to the open groups at link i."""
         for k, column in self._open[i].items():
-            own = mul(along_joint(body, column.lin, column.ang), rate)
-            self._momentum[k] = add(self._momentum[k], own)
+            momentum = mul(along_joint(body, column.lin, column.ang), rate)
+            self._momentum[k] = add(self._momentum[k], momentum)
 
     def join(self, i: int, body: Body, a: Articulated) -> None:
-        """Let a member join its group, which it opens if it is the first on its way."""
+        """Add a member to its group; the first one opens it.  a: inertia of its subtree."""
         number = self._links[i].lanes[0]
         k, ratio, columns = self.members[number], self.ratio[number], self._open[i]
         U, Ua = momentum_of_rate(body, a)
         zero: Vec = [0.0, 0.0, 0.0]
-        own = columns.get(k, Column(zero, zero))
+        column = columns.get(k, Column(zero, zero))
         along = {g: along_joint(body, c.lin, c.ang) for g, c in columns.items()}
         for g, share in along.items():
             twice = 2.0 if g == k else 1.0
@@ -145,39 +172,44 @@ class Groups:
         momentum = mul(ratio, along_joint(body, a.lin, a.ang))
         self._momentum[k] = add(self._momentum.get(k, 0.0), momentum)
         columns[k] = Column(
-            plus(own.lin, [mul(ratio, c) for c in U]), plus(own.ang, [mul(ratio, c) for c in Ua])
+            plus(column.lin, [mul(ratio, c) for c in U]),
+            plus(column.ang, [mul(ratio, c) for c in Ua]),
         )
 
     def eliminate(self, i: int, body: Body, a: Articulated, drive: Scalar) -> None:
-        """Pass a joint that is eliminated; a: the inertia with its velocity still in it."""
+        """Remove the share of an eliminated joint from the open groups at link i.
+
+        Args:
+            i: Index of the link.
+            body: Its body.
+            a: Inertia of the subtree before the elimination.
+            drive: Rate of the joint at zero twist.
+        """
         columns = self._open[i]
         if not columns:
             return
         U, Ua = momentum_of_rate(body, a)
         inverse = 1.0 / add(along_joint(body, U, Ua), body.armature)
         along = {g: along_joint(body, c.lin, c.ang) for g, c in columns.items()}
-        self._give(i, along, Column(U, Ua), inverse, drive)
+        self._eliminate_rate(i, along, Column(U, Ua), inverse, drive)
         self._shares[i] = {g: mul(share, inverse) for g, share in along.items()}
         if isinstance(body.armature, float) and body.armature == 0.0:
-            for column in columns.values():  # what the joint moves along is left without momentum
+            for column in columns.values():  # exactly zero along the axis
                 (column.lin if body.prismatic else column.ang)[2] = 0.0
 
-    def hand_on(self, i: int, parent: int, step: Step) -> None:
-        """Add the columns of link i to those of its parent, at whose origin the step begins."""
-        onto = self._open[parent]
+    def add_to_parent(self, i: int, parent: int, step: Step) -> None:
+        """Add the columns of link i to those of its parent; step: from the parent."""
+        columns = self._open[parent]
         for k, column in self._open[i].items():
             lin, ang = step.inward(column.lin, column.ang)
-            there = onto.get(k)
-            onto[k] = (
-                Column(lin, ang)
-                if there is None
-                else Column(plus(there.lin, lin), plus(there.ang, ang))
-            )
+            if k in columns:
+                lin, ang = plus(columns[k].lin, lin), plus(columns[k].ang, ang)
+            columns[k] = Column(lin, ang)
 
     # Outward.
 
     def find_rates(self, i: int, v: Vec, w: Vec) -> None:
-        """Find the rates of the groups that were eliminated at link i, from its twist."""
+        """Compute the rates of the groups that were eliminated at link i, from its twist."""
         for closed in reversed(self._closed[i]):
             gain = closed.gain
             rate = sub(closed.drive, add(dot(gain.lin, v), dot(gain.ang, w)))
@@ -186,7 +218,7 @@ class Groups:
             self._rates[closed.group] = rate
 
     def rate(self, i: int, alone: Scalar) -> Scalar:
-        """Return the rate of the joint of link i, which would be `alone` without groups."""
+        """Return the rate of the joint of link i; alone: its rate without open groups."""
         number = self._links[i].lanes[0]
         if number in self.members:
             return mul(self.ratio[number], self._rates[self.members[number]])
@@ -195,30 +227,35 @@ class Groups:
         return alone
 
     def momentum(self, i: int, k: int, *, angular: bool = False) -> Scalar:
-        """Return entry k of the momentum that open groups give the subtree of link i."""
-        out: Scalar = 0.0
+        """Return entry k of the momentum of link i's subtree due to the rates of open groups."""
+        sum_: Scalar = 0.0
         for g, column in self._open[i].items():
-            out = add(out, mul((column.ang if angular else column.lin)[k], self._rates[g]))
-        return out
+            sum_ = add(sum_, mul((column.ang if angular else column.lin)[k], self._rates[g]))
+        return sum_
 
-    def _give(
-        self, i: int, shared: dict[int, Scalar], own: Column, inverse: Scalar, drive: Scalar
+    def _eliminate_rate(
+        self, i: int, shared: dict[int, Scalar], momentum: Column, inverse: Scalar, drive: Scalar
     ) -> None:
-        """Take an eliminated rate, with momentum `own`, out of the groups open at link i.
+        """Eliminate a rate from the groups that are open at link i.
 
-        shared: the inertia that it has in common with each of them.
+        Args:
+            i: Index of the link.
+            shared: Inertia that couples the rate to each open group.
+            momentum: Momentum of the subtree per unit of the rate.
+            inverse: Inverse of the rate's inertia.
+            drive: The rate at zero twist and zero rates of the open groups.
         """
-        numbers = sorted(shared)
-        for g in numbers:
-            gone, column = mul(shared[g], inverse), self._open[i][g]
+        groups = sorted(shared)
+        for g in groups:
+            ratio, column = mul(shared[g], inverse), self._open[i][g]
             self._open[i][g] = Column(
-                [sub(c, mul(u, gone)) for c, u in zip(column.lin, own.lin, strict=True)],
-                [sub(c, mul(u, gone)) for c, u in zip(column.ang, own.ang, strict=True)],
+                [sub(c, mul(u, ratio)) for c, u in zip(column.lin, momentum.lin, strict=True)],
+                [sub(c, mul(u, ratio)) for c, u in zip(column.ang, momentum.ang, strict=True)],
             )
             self._momentum[g] = add(self._momentum[g], mul(shared[g], drive))
-            for other in numbers:
-                if other >= g:
-                    self._add_between(g, other, mul(-1.0, mul(gone, shared[other])))
+            for k in groups:
+                if k >= g:
+                    self._add_between(g, k, mul(-1.0, mul(ratio, shared[k])))
 
     def _between(self, g: int, k: int) -> Scalar:
         return self._inertia.get((min(g, k), max(g, k)), 0.0)
@@ -229,11 +266,11 @@ class Groups:
 
 def _home(bodies: Sequence[Body], members: Sequence[int]) -> int:
     """Return the deepest body that carries all members."""
-    ways: list[list[int]] = []
+    paths: list[list[int]] = []
     for i in members:
-        way, at = [], bodies[i].parent
-        while at >= 0:
-            way.append(at)
-            at = bodies[at].parent
-        ways.append(way)
-    return max(i for i in ways[0] if all(i in way for way in ways))
+        path, body = [], bodies[i].parent
+        while body >= 0:
+            path.append(body)
+            body = bodies[body].parent
+        paths.append(path)
+    return max(i for i in paths[0] if all(i in path for path in paths))

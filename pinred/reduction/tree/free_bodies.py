@@ -1,7 +1,8 @@
-"""Bodies whose inertias, steps from their parents and links are symbols, in the sweep's frames.
+"""Bodies with variable inertias, steps and links: parameters that are inputs of a kernel.
 
-In these frames inertias are linear in those in the joint's own frame, so that a kernel takes them
-as they come and no division or sine of them is in it.  Of a step, it takes cosines and sines.
+In the frames of the sweep, inertias are linear in those in the joint's frame.  A kernel therefore
+takes inertias in the sweep's frames, without divisions or trigonometric functions.  Of a step, it
+takes cosines and sines.
 """
 
 from __future__ import annotations
@@ -19,23 +20,25 @@ from ...system.variants import nominal
 from .body_frames import Body, bodies_of, cosine, sine
 from .scalars import Scalar, add
 
-NUMBERS = 10  # of an inertia: mass, moment (3,), inertia about the origin (6,)
-STEP = 8  # of a step: cosine and sine of α and of δ, the joint's offset, shift (3,)
-LINK = 12  # of a link's place on its body: rotation, row by row, and origin (3,)
+NUMBERS = 10  # parameters of an inertia: mass, moment (3,), inertia about the origin (6,)
+STEP = 8  # parameters of a step: cosine and sine of α and of δ, the joint's offset, shift (3,)
+LINK = 12  # parameters of a link's placement on its body: rotation, row by row, and origin (3,)
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_ANGLES, _OFFSET, _SHIFT = (slice(0, 2), slice(2, 4)), slice(4, 5), slice(5, 8)  # of a step
-_FOLDED = {"0": 0.0, "+": 1.0, "-": -1.0}
-_FOLDED_AS = {number: word for word, number in _FOLDED.items()}
+_ANGLES, _OFFSET, _SHIFT = (slice(0, 2), slice(2, 4)), slice(4, 5), slice(5, 8)  # in a step
+_FOLDED = {"0": 0.0, "+": 1.0, "-": -1.0}  # constants by their letters
+_FOLDED_AS = {number: letter for letter, number in _FOLDED.items()}
 
 
 @dataclass(frozen=True)
 class Freed:
-    """The numbers of bodies that are inputs of a kernel.
+    """The parameters of bodies that are inputs of a kernel.
 
-    inertias: indices of the bodies, 0 for the root, whose inertias are.  steps: of those whose
-    steps from their parents are, with the pattern of each: for its STEP numbers, "x" for an
-    input, "0", "+" and "-" for 0, 1 and −1, "n" for the number that the robot has.  links: frames
-    of the model whose places on their bodies are, of those that forces act on.
+    Attributes:
+        inertias: Indices of the bodies with variable inertias, 0 for the root.
+        steps: Indices of the bodies with variable steps from their parents, each with a pattern of
+            STEP letters: "x" for an input, "0", "+" and "-" for 0, 1 and −1, "n" for the robot's
+            number.
+        links: Frames of the model, on which forces act, with variable placements on their bodies.
     """
 
     inertias: tuple[int, ...] = ()
@@ -44,7 +47,7 @@ class Freed:
 
     @property
     def size(self) -> int:
-        """How many numbers the kernel takes: of all bodies, then of all steps, then of links."""
+        """Number of inputs: first those of all inertias, then of all steps, then of all links."""
         return self._links_at + LINK * len(self.links)
 
     @property
@@ -55,18 +58,18 @@ class Freed:
         return bool(self.inertias or self.steps or self.links)
 
     def of_inertia(self, body: int) -> slice:
-        """Return the place of a body's inertia among the numbers."""
+        """Return the slice of a body's inertia among the inputs."""
         first = NUMBERS * self.inertias.index(body)
         return slice(first, first + NUMBERS)
 
     def of_step(self, body: int) -> slice:
-        """Return the place of a body's step among the numbers."""
+        """Return the slice of a body's step among the inputs."""
         at = [i for i, _ in self.steps].index(body)
         first = NUMBERS * len(self.inertias) + STEP * at
         return slice(first, first + STEP)
 
     def of_link(self, frame: int) -> slice:
-        """Return the place of a link's place among the numbers."""
+        """Return the slice of a link's placement among the inputs."""
         first = self._links_at + LINK * self.links.index(frame)
         return slice(first, first + LINK)
 
@@ -83,101 +86,109 @@ def freed_of(
     *,
     generic: bool,
 ) -> Freed:
-    """Return what a kernel takes as inputs for these bodies and links.
+    """Return the inputs of a kernel for some bodies and links.
 
-    turned: of `placed`, those whose axes turn.  generic: whether placements may become any; else
-    the pattern is that of the system's own numbers.
+    Args:
+        system: The system.
+        inertias: Bodies with variable inertias.
+        placed: Bodies with variable joint placements.
+        turned: Bodies among `placed` whose axes rotate.
+        links: Frames with variable placements.
+        generic: Whether placements may take any value.  Otherwise the pattern is that of the
+            system's numbers.
+    Returns:
+        The inputs.
     """
     if not generic:
-        bodies, own = bodies_of(system), bodies_of(nominal(system))
-        steps = [(i, _pattern(bodies[i], own[i])) for i in placed]
+        bodies, originals = bodies_of(system), bodies_of(nominal(system))
+        steps = [(i, _pattern(bodies[i], originals[i])) for i in placed]
     else:
         steps = [(i, "x" * STEP if i in turned else "nnnnnxxx") for i in placed]
     return Freed(tuple(inertias), tuple(steps), tuple(links))
 
 
-def _pattern(body: Body, own: Body) -> str:
-    """Return the pattern of a step's numbers.  own: the body as it was loaded."""
-    now, first, words = step_of_body(body), step_of_body(own), _words(body)
+def _pattern(body: Body, original: Body) -> str:
+    """Return the pattern of a step's numbers.  original: the body as it was loaded."""
+    step, original_step, letters = step_of_body(body), step_of_body(original), _letters(body)
     return "".join(
-        "n" * (part.stop - part.start) if part is not _SHIFT and same else words[part]
-        for part in (*_ANGLES, _OFFSET, _SHIFT)
-        for same in [np.array_equal(now[part], first[part])]
+        "n" * (block.stop - block.start) if block is not _SHIFT and same else letters[block]
+        for block in (*_ANGLES, _OFFSET, _SHIFT)
+        for same in [np.array_equal(step[block], original_step[block])]
     )
 
 
 def pattern_of(system: System, body: int) -> str:
-    """Return the pattern that leaves all numbers of a body's step free which are no 0 or ±1."""
-    words = _words(bodies_of(system)[body])
-    return words[: _OFFSET.start] + "n" + words[_SHIFT]
+    """Return the pattern in which all numbers of a body's step except 0 and ±1 are inputs."""
+    letters = _letters(bodies_of(system)[body])
+    return letters[: _OFFSET.start] + "n" + letters[_SHIFT]
 
 
-def _words(body: Body) -> str:
-    """Return the pattern of a step none of whose numbers is what it was."""
-    step, words = step_of_body(body), ""
-    for angle in _ANGLES:  # a turn by any angle, or by quarters
+def _letters(body: Body) -> str:
+    """Return the pattern of a step all of whose numbers have changed."""
+    step, letters = step_of_body(body), ""
+    for angle in _ANGLES:  # quarter turns are constants
         pair = [_FOLDED_AS.get(number, "x") for number in step[angle].tolist()]
-        words += "xx" if "x" in pair else "".join(pair)
-    return words + "x" + "".join("0" if number == 0.0 else "x" for number in step[_SHIFT])
+        letters += "xx" if "x" in pair else "".join(pair)
+    return letters + "x" + "".join("0" if number == 0.0 else "x" for number in step[_SHIFT])
 
 
 def with_free(bodies: Sequence[Body], freed: Freed, numbers: Sequence[Scalar]) -> list[Body]:
-    """Return the bodies, those that are freed with these numbers, (freed.size,)."""
-    out = list(bodies)
+    """Return the bodies with variable parameters replaced by `numbers`, (freed.size,)."""
+    changed = list(bodies)
     for i in freed.inertias:
-        mass, *rest = numbers[freed.of_inertia(i)]
-        out[i] = replace(out[i], mass=mass, moment=list(rest[:3]), inertia=list(rest[3:]))
+        mass, *moments = numbers[freed.of_inertia(i)]
+        moment, inertia = list(moments[:3]), list(moments[3:])
+        changed[i] = replace(changed[i], mass=mass, moment=moment, inertia=inertia)
     for i, pattern in freed.steps:
-        own = step_of_body(bodies[i])
+        constants, inputs = step_of_body(bodies[i]), numbers[freed.of_step(i)]
         step = [
-            given if word == "x" else float(number) if word == "n" else _FOLDED[word]
-            for word, given, number in zip(pattern, numbers[freed.of_step(i)], own, strict=True)
+            value if letter == "x" else float(constant) if letter == "n" else _FOLDED[letter]
+            for letter, value, constant in zip(pattern, inputs, constants, strict=True)
         ]
-        out[i] = replace(
-            out[i], alpha=(step[0], step[1]), delta=(step[2], step[3]), offset=step[4], r=step[5:]
-        )
-    return out
+        alpha, delta = (step[0], step[1]), (step[2], step[3])
+        changed[i] = replace(changed[i], alpha=alpha, delta=delta, offset=step[4], r=step[5:])
+    return changed
 
 
 def total_mass(bodies: Sequence[Body]) -> Scalar:
     """Return the mass of all bodies."""
-    total: Scalar = 0.0
+    mass: Scalar = 0.0
     for body in bodies:
-        total = add(total, body.mass)
-    return total
+        mass = add(mass, body.mass)
+    return mass
 
 
 def frame_map(body: Body) -> Array:
-    """Return the map, (10, 10), from a body's moments in its joint's frame to those in its own.
+    """Return the map, (10, 10), from inertial parameters in the joint frame to the body's frame.
 
-    Both are m, m c, and the inertia about the frame's origin, xx, xy, xz, yy, yz, zz.
+    They are m, m c, and the inertia about the frame's origin, xx, xy, xz, yy, yz, zz.
     """
     R, p = np.asarray(body.frame.rotation), np.asarray(body.frame.translation)
-    out = np.zeros((NUMBERS, NUMBERS))
+    columns = np.zeros((NUMBERS, NUMBERS))
     for k, unit in enumerate(np.eye(NUMBERS)):
         m, h = unit[0], unit[1:4]
         I = np.zeros((3, 3))
         for value, (i, j) in zip(unit[4:], _PAIRS, strict=True):
             I[i, j] = I[j, i] = value
-        moved = I - 2.0 * (h @ p) * np.eye(3) + np.outer(h, p) + np.outer(p, h)
-        moved += m * (p @ p * np.eye(3) - np.outer(p, p))
-        turned = R.T @ moved @ R
-        out[0, k], out[1:4, k] = m, R.T @ (h - m * p)
-        out[4:, k] = [turned[i, j] for i, j in _PAIRS]
-    return out
+        about_p = I - 2.0 * (h @ p) * np.eye(3) + np.outer(h, p) + np.outer(p, h)
+        about_p += m * (p @ p * np.eye(3) - np.outer(p, p))
+        in_frame = R.T @ about_p @ R
+        columns[0, k], columns[1:4, k] = m, R.T @ (h - m * p)
+        columns[4:, k] = [in_frame[i, j] for i, j in _PAIRS]
+    return columns
 
 
 def step_slopes(parent: Body, body: Body) -> Array:
-    """Return the slopes, (STEP, 6), of a body's numbers by the twist that moves its placement.
+    """Return the derivatives, (STEP, 6), of a body's step by a twist of its joint's placement.
 
-    body: with the placement that it has.  The twist is in the frame of the parent's joint, taken
-    at its origin.
+    body: with its present placement.  The twist is in the frame of the parent's joint, about its
+    origin.
     """
     (ca, sa), (cd, sd) = body.alpha, body.delta
     c, s = body.beta
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     in_frame = parent.frame.toActionMatrixInverse()
-    # ω = e_x α̇ + Rx e_y δ̇ + Rx Ry e_z ε̇, after the turn by β.
+    # ω = e_x α̇ + Rx e_y δ̇ + Rx Ry e_z ε̇, after the rotation by β.
     axes = np.array([[1.0, 0.0, sd], [0.0, ca, -sa * cd], [0.0, sa, ca * cd]])
     rates = np.linalg.solve(axes, turn @ in_frame[3:])
     shift = in_frame[:3] - pin.skew(np.array(body.r, dtype=float)) @ in_frame[3:]
@@ -186,7 +197,7 @@ def step_slopes(parent: Body, body: Body) -> Array:
 
 
 def step_of_body(body: Body) -> Array:
-    """Return the numbers (STEP,) of a body's step."""
+    """Return the parameters (STEP,) of a body's step."""
     return np.array(_step_of(body), dtype=float)
 
 
@@ -195,7 +206,16 @@ def _step_of(body: Body) -> list[Scalar]:
 
 
 def other_placement(parent: Body, body: Body, pattern: str, rng: np.random.Generator) -> pin.SE3:
-    """Return a random placement of a body's joint whose numbers have a pattern."""
+    """Return a random placement of a body's joint that differs as the pattern of its step allows.
+
+    Args:
+        parent: Parent body.
+        body: The body.
+        pattern: Pattern of its step, see `Freed`.
+        rng: Random generator.
+    Returns:
+        The placement.
+    """
     step, size = step_of_body(body), 0.1 + float(np.linalg.norm(np.asarray(body.r, dtype=float)))
     angles = [np.arctan2(step[1], step[0]), np.arctan2(step[3], step[2])]
     for k in (0, 1):
@@ -212,37 +232,41 @@ def other_placement(parent: Body, body: Body, pattern: str, rng: np.random.Gener
         (body.beta, a, d, (np.cos(step[4]), np.sin(step[4]))), "zxyz", strict=True
     ):
         R = R @ pin.utils.rotate(axis, float(np.arctan2(s, c)))
-    there = pin.SE3(R, step[5:])
-    return parent.frame * there * body.frame.inverse()
+    return parent.frame * pin.SE3(R, step[5:]) * body.frame.inverse()
 
 
 def of_bodies(bodies: Sequence[Body], freed: Freed) -> list[Scalar]:
-    """Return the numbers of freed inertias and steps as these bodies have them, symbols or not."""
-    inertias = [bodies[i] for i in freed.inertias]
-    out = [n for body in inertias for n in (body.mass, *body.moment, *body.inertia)]
-    return out + [number for i, _ in freed.steps for number in _step_of(bodies[i])]
+    """Return the variable parameters of inertias and steps of bodies, numbers or symbols."""
+    variable = [bodies[i] for i in freed.inertias]
+    inertias = [n for body in variable for n in (body.mass, *body.moment, *body.inertia)]
+    return inertias + [number for i, _ in freed.steps for number in _step_of(bodies[i])]
 
 
 def link_numbers(body: Body, place: pin.SE3) -> Array:
-    """Return the numbers (LINK,) of a link with a place in the frame of its body's joint."""
-    there = body.frame.actInv(place)
-    return np.concatenate([np.asarray(there.rotation).ravel(), there.translation])
+    """Return the parameters (LINK,) of a link; place: in the frame of its body's joint."""
+    in_frame = body.frame.actInv(place)
+    return np.concatenate([np.asarray(in_frame.rotation).ravel(), in_frame.translation])
 
 
 def link_slopes(body: Body, place: pin.SE3, twists: Array) -> Array:
-    """Return the slopes (LINK, N) of a link's numbers by twists (6, N) that move its place.
+    """Return the derivatives (LINK, N) of a link's parameters by twists of its placement.
 
-    The twists are in the frame of the body's joint, taken at its origin.
+    Args:
+        body: Its body.
+        place: Its placement in the frame of the body's joint.
+        twists: Twists in this frame, about its origin, (6, N).
+    Returns:
+        (LINK, N).
     """
-    turn, out = body.frame.rotation.T, np.empty((LINK, twists.shape[1]))
+    R, derivatives = body.frame.rotation.T, np.empty((LINK, twists.shape[1]))
     for k, (v, w) in enumerate(zip(twists[:3].T, twists[3:].T, strict=True)):
-        out[:9, k] = (turn @ pin.skew(w) @ place.rotation).ravel()
-        out[9:, k] = turn @ (v + np.cross(w, place.translation))
-    return out
+        derivatives[:9, k] = (R @ pin.skew(w) @ place.rotation).ravel()
+        derivatives[9:, k] = R @ (v + np.cross(w, place.translation))
+    return derivatives
 
 
 def free_numbers(system: System, freed: Freed) -> Array:
-    """Return the numbers of bodies that are freed, (freed.size,), as a kernel takes them."""
+    """Return the variable parameters of a system, (freed.size,), as inputs of a kernel."""
     if not freed:
         return np.empty(0)
 

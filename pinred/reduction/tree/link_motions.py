@@ -1,4 +1,4 @@
-"""Tensors, points and frames that are fixed to bodies, in the body frames of the sweep."""
+"""Tensors, points and frames fixed to bodies, transformed to the body frames of the sweep."""
 
 from __future__ import annotations
 
@@ -18,15 +18,18 @@ from .scalars import Vec, add, cross, dot, plus, sub
 
 
 def tensors_of(system: System, tensors: Sequence[Array]) -> list[Articulated]:
-    """Return symmetric tensors (6, 6), each in the joint frame of its body, root first."""
-    out = []
+    """Return the tensors of all bodies in the body frames of the sweep, root first.
+
+    tensors: symmetric, (6, 6), each in the joint frame of its body.
+    """
+    transformed = []
     for body, tensor in zip(bodies_of(system), tensors, strict=True):
         X = body.frame.toActionMatrix()
         D = X.T @ tensor @ X
         D = np.where(np.abs(D) <= 4e-16 * np.abs(D).max(initial=0.0), 0.0, 0.5 * (D + D.T))
         none = [0.0, 0.0, 0.0]
         upper = [(i, j) for i in range(3) for j in range(i, 3)]
-        out.append(
+        transformed.append(
             Articulated(
                 M=[float(D[i, j]) for i, j in upper],
                 B=[[float(D[3 + i, j]) for j in range(3)] for i in range(3)],
@@ -35,7 +38,7 @@ def tensors_of(system: System, tensors: Sequence[Array]) -> list[Articulated]:
                 ang=none,
             )
         )
-    return out
+    return transformed
 
 
 def inertia_tensors(system: System) -> list[Array]:
@@ -52,9 +55,17 @@ def twists_at(system: System, x: ca.SX, v: ca.SX) -> list[tuple[Vec, Vec]]:
 
 
 def speed_along(body: Body, twist: tuple[Vec, Vec], direction: Array, point: Array) -> ca.SX:
-    """Return the speed along a direction of a point, both (3,) in the joint frame of a body."""
-    own = body.frame.rotation.T
-    d: Vec = [float(c) for c in own @ direction]
+    """Return the speed of a point of a body along a direction.
+
+    Args:
+        body: The body.
+        twist: Its twist in its frame.
+        direction: Direction, (3,), in the joint frame of the body.
+        point: Point, (3,) [m], in the joint frame of the body.
+    Returns:
+        The speed [m/s].
+    """
+    d: Vec = [float(c) for c in body.frame.rotation.T @ direction]
     p: Vec = [float(c) for c in body.frame.actInv(point)]
     speed: ca.SX = dot(d, plus(twist[0], cross(twist[1], p)))
     return speed
@@ -63,24 +74,29 @@ def speed_along(body: Body, twist: tuple[Vec, Vec], direction: Array, point: Arr
 def root_twist(
     system: System, x: ca.SX, number: int, placement: pin.SE3, xi: ca.SX, xdot: ca.SX
 ) -> ca.SX:
-    """Return the root's body twist, (r,), if a frame on a body has the twist xi (r,).
+    """Return the root's body twist, (r,), from the twist of a frame on another body.
 
-    number: of the body, 0 the root.  placement: of the frame in the body's joint frame.  The
-    frame's motions are those of the group: its twist has the group's entries only.
+    Args:
+        system: The system.
+        x: Shape symbols, (m,).
+        number: Index of the body, 0 for the root.
+        placement: Placement of the frame in the body's joint frame.
+        xi: Body twist of the frame, (r,); all its motions are in the group.
+        xdot: Shape rate, (m,).
+    Returns:
+        (r,).
     """
     bodies, r = bodies_of(system), system.r
     steps = steps_at(system, bodies, x)
     zero = ca.SX.zeros(r, 1)
     v, w = in_space(system.group, xi)
-    # From the frame to the body's own.
-    held = bodies[number].frame.actInv(placement)
-    v, w = _carried(held, v, w)
+    v, w = _to_outer_frame(bodies[number].frame.actInv(placement), v, w)
     dv, dw = twists_at(system, x, ca.vertcat(zero, xdot))[number]
     v, w = [sub(a, b) for a, b in zip(v, dv, strict=True)], [
         sub(a, b) for a, b in zip(w, dw, strict=True)
     ]  # fmt: skip
     while number:
-        # A twist goes inward as a momentum does, with its two parts in each other's places.
+        # A twist transforms inward like a momentum with linear and angular parts swapped.
         w, v = steps[number].inward(w, v)
         number = bodies[number].parent
     both = [*v, *w]
@@ -88,8 +104,8 @@ def root_twist(
     return column
 
 
-def _carried(placement: pin.SE3, v: Vec, w: Vec) -> tuple[Vec, Vec]:
-    """Return the twist (v, w) of a frame, in the frame in which its placement is given."""
+def _to_outer_frame(placement: pin.SE3, v: Vec, w: Vec) -> tuple[Vec, Vec]:
+    """Transform a twist (v, w) to the frame in which its frame has the given placement."""
     R = [[float(c) for c in row] for row in placement.rotation]
     p: Vec = [float(c) for c in placement.translation]
     v, w = [dot(row, v) for row in R], [dot(row, w) for row in R]

@@ -1,4 +1,4 @@
-"""Momenta of the bodies of a tree, the bracket of its group, its centre of mass."""
+"""Expressions of momenta, locked inertia and centre of mass of a tree, and of group brackets."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from .scalars import INDEX, Scalar, Vec, add, cross, mul, plus, sub, times, tota
 def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
     """Return the centre of mass in Pinocchio's root body frame, (3,).
 
-    x: of all joints of the tree.
+    x: values of all tree joints.
     """
     mass: list[Scalar] = [body.mass for body in bodies]
     moment: list[Vec] = [list(body.moment) for body in bodies]
     for i in range(len(bodies) - 1, 0, -1):
         p, step = bodies[i].parent, step_of(bodies[i], x[i - 1])
-        moved = plus(moment[i], [0.0, 0.0, mul(mass[i], step.slide)])
+        first = plus(moment[i], [0.0, 0.0, mul(mass[i], step.slide)])
         for turn in reversed(step.turns):
-            moved = turn.vector(moved)
-        moved = plus(moved, [mul(mass[i], c) for c in step.shift])
-        moment[p] = plus(moment[p], moved)
+            first = turn.vector(first)
+        first = plus(first, [mul(mass[i], c) for c in step.shift])
+        moment[p] = plus(moment[p], first)
         mass[p] = add(mass[p], mass[i])
-    own = bodies[0].frame.rotation
+    R = bodies[0].frame.rotation
     com = [mul(1.0 / mass[0], c) for c in moment[0]]
-    return [total([mul(float(own[i, k]), com[k]) for k in range(3)]) for i in range(3)]
+    return [total([mul(float(R[i, k]), com[k]) for k in range(3)]) for i in range(3)]
 
 
 def momenta(
@@ -44,11 +44,18 @@ def momenta(
     bodies: list[Body] | None = None,
     rotors: bool = True,
 ) -> ca.SX:
-    """Return the momenta H(x) v, (n,), of velocities v = (ξ, ẋ), in one sweep.
+    """Return the momenta H(x) v, (n,), from one sweep over the tree.
 
-    tensors: of each body in its frame, root first, what stands in the place of its inertia (a
-    drag, say).  bodies: with other inertias than the system's, if given.  rotors: whether joints
-    have their armature.
+    Args:
+        system: The system.
+        x: Shape symbols, (m,).
+        v: Velocity symbols (ξ, ẋ), (n,).
+        tensors: Tensors that replace the inertias, such as drag, each in its body's frame, root
+            first.
+        bodies: Bodies with other inertias than the system's.
+        rotors: Whether joints have armature.
+    Returns:
+        (μ, π).
     """
     group, r = system.group, system.r
     bodies = bodies_of(system) if bodies is None else bodies
@@ -56,21 +63,21 @@ def momenta(
     steps = steps_at(system, bodies, x)
     twists = twists_of(bodies, steps, in_space(group, v), rates)
     if tensors is None:
-        held = [_momentum(body, *twist) for body, twist in zip(bodies, twists, strict=True)]
+        wrenches = [_momentum(body, *twist) for body, twist in zip(bodies, twists, strict=True)]
     else:
-        held = [_push(tensor, *twist) for tensor, twist in zip(tensors, twists, strict=True)]
+        wrenches = [_apply(tensor, *twist) for tensor, twist in zip(tensors, twists, strict=True)]
     pi: list[Scalar] = [0.0] * len(rates)
     for i in range(len(bodies) - 1, 0, -1):
-        body, (lin, ang) = bodies[i], held[i]
+        body, (lin, ang) = bodies[i], wrenches[i]
         pi[i - 1] = (lin if body.prismatic else ang)[2]
         if rotors:
             pi[i - 1] = pi[i - 1] + body.armature * rates[i - 1]
         up, about = steps[i].inward(lin, ang)
-        lin0, ang0 = held[body.parent]
-        held[body.parent] = plus(lin0, up), plus(ang0, about)
-    lin, ang = held[0]
+        lin0, ang0 = wrenches[body.parent]
+        wrenches[body.parent] = plus(lin0, up), plus(ang0, about)
+    lin, ang = wrenches[0]
     mu = [[*lin, *ang][axis] for axis in group.axes]
-    if rotors:  # only about one axis
+    if rotors:  # only a root joint with one axis has armature
         mu[0] = add(mu[0], mul(float(system.model.armature[0]), v[0]))
     column: ca.SX = ca.vertcat(*mu, *on_shape(system, pi))
     return column
@@ -83,19 +90,28 @@ def locked(
     *,
     rotors: bool = True,
 ) -> ca.SX:
-    """Return the inertia with all joints frozen, (r, r), of bodies or of their `tensors`."""
+    """Return the inertia with frozen joints, (r, r).
+
+    Args:
+        system: The system.
+        x: Shape symbols, (m,).
+        tensors: Tensors that replace the inertias, see `momenta`.
+        rotors: Whether joints have armature.
+    Returns:
+        The locked inertia, or the same sum of the tensors.
+    """
     bodies, axes = bodies_of(system), system.group.axes
     steps = steps_at(system, bodies, x)
-    whole = [rigid(body) for body in bodies] if tensors is None else list(tensors)
+    subtrees = [rigid(body) for body in bodies] if tensors is None else list(tensors)
     for i in range(len(bodies) - 1, 0, -1):
-        p, own = bodies[i].parent, carried(whole[i], steps[i])
-        whole[p] = Articulated(
-            [add(a, b) for a, b in zip(whole[p].M, own.M, strict=True)],
-            [plus(a, b) for a, b in zip(whole[p].B, own.B, strict=True)],
-            [add(a, b) for a, b in zip(whole[p].I, own.I, strict=True)],
-            own.lin, own.ang,
+        p, child = bodies[i].parent, carried(subtrees[i], steps[i])
+        subtrees[p] = Articulated(
+            [add(a, b) for a, b in zip(subtrees[p].M, child.M, strict=True)],
+            [plus(a, b) for a, b in zip(subtrees[p].B, child.B, strict=True)],
+            [add(a, b) for a, b in zip(subtrees[p].I, child.I, strict=True)],
+            child.lin, child.ang,
         )  # fmt: skip
-    root, out = whole[0], ca.SX(len(axes), len(axes))
+    root, inertia = subtrees[0], ca.SX(len(axes), len(axes))
     for a, i in enumerate(axes):
         for b, j in enumerate(axes):
             if i < 3 and j < 3:
@@ -104,28 +120,37 @@ def locked(
                 entry = root.I[INDEX[i - 3][j - 3]]
             else:
                 entry = root.B[i - 3][j] if i >= 3 else root.B[j - 3][i]
-            out[a, b] = entry
+            inertia[a, b] = entry
     if rotors:
-        out[0, 0] += float(system.model.armature[0])
-    return ca.densify(out)
+        inertia[0, 0] += float(system.model.armature[0])
+    return ca.densify(inertia)
 
 
 def steps_at(system: System, bodies: Sequence[Body], x: ca.SX) -> list[Step]:
-    """Return the steps from parent to body at a shape; the root has none, and a step in place."""
+    """Return the steps from parent to body at shape x (m,); the root's is the identity."""
     joints = joint_values(system, [x[k] for k in range(system.m)])
-    none = Step([], [0.0, 0.0, 0.0], 0.0)
-    return [none, *(step_of(bodies[i], joints[i - 1]) for i in range(1, len(bodies)))]
+    identity = Step([], [0.0, 0.0, 0.0], 0.0)
+    return [identity, *(step_of(bodies[i], joints[i - 1]) for i in range(1, len(bodies)))]
 
 
 def twists_of(
     bodies: Sequence[Body], steps: Sequence[Step], root: tuple[Vec, Vec], rates: Sequence[Scalar]
 ) -> list[tuple[Vec, Vec]]:
-    """Return the twists of all bodies in their frames, of that of the root and the joint rates."""
+    """Return the twists of all bodies in their frames.
+
+    Args:
+        bodies: Bodies of the tree, root first.
+        steps: Steps from their parents.
+        root: Twist of the root body, linear and angular.
+        rates: Rates of all tree joints.
+    Returns:
+        Linear and angular velocities.
+    """
     twists = [root]
     for i in range(1, len(bodies)):
         vi, wi = steps[i].outward(*twists[bodies[i].parent])
-        part = vi if bodies[i].prismatic else wi
-        part[2] = part[2] + rates[i - 1]
+        moved = vi if bodies[i].prismatic else wi
+        moved[2] = moved[2] + rates[i - 1]
         twists.append((vi, wi))
     return twists
 
@@ -135,8 +160,8 @@ def _momentum(body: Body, v: Vec, w: Vec) -> tuple[Vec, Vec]:
     return lin, plus(cross(body.moment, v), times(body.inertia, w))
 
 
-def _push(tensor: Articulated, v: Vec, w: Vec) -> tuple[Vec, Vec]:
-    """Return what a tensor makes of a twist: its force and moment, or momentum."""
+def _apply(tensor: Articulated, v: Vec, w: Vec) -> tuple[Vec, Vec]:
+    """Return a tensor times a twist: force and moment, or momentum."""
     return (
         [linear_row(tensor, k, v, w) for k in range(3)],
         [angular_row(tensor, k, v, w) for k in range(3)],
@@ -144,17 +169,17 @@ def _push(tensor: Articulated, v: Vec, w: Vec) -> tuple[Vec, Vec]:
 
 
 def bracket(group: Group, a: ca.SX, b: ca.SX) -> ca.SX:
-    """Return [a, b] in the group's algebra, which is a part of se(3)."""
+    """Return [a, b] in the group's algebra, a subalgebra of se(3)."""
     (v, w), (dv, dw) = in_space(group, a), in_space(group, b)
-    moved = [sub(p, q) for p, q in zip(cross(w, dv), cross(dw, v), strict=True)]
-    both = [*moved, *cross(w, dw)]
-    column: ca.SX = ca.vertcat(ca.SX(0, 1), *(both[axis] for axis in group.axes))
+    linear = [sub(p, q) for p, q in zip(cross(w, dv), cross(dw, v), strict=True)]
+    twist = [*linear, *cross(w, dw)]
+    column: ca.SX = ca.vertcat(ca.SX(0, 1), *(twist[axis] for axis in group.axes))
     return column
 
 
 def in_space(group: Group, xi: ca.SX) -> tuple[Vec, Vec]:
-    """Return a twist of the root, (r,), as one of space: linear, angular."""
-    both: Vec = [0.0] * 6
+    """Return a twist of the group, (r,), as linear and angular velocity in space."""
+    twist: Vec = [0.0] * 6
     for k, axis in enumerate(group.axes):
-        both[axis] = xi[k]
-    return both[:3], both[3:]
+        twist[axis] = xi[k]
+    return twist[:3], twist[3:]

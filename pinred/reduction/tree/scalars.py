@@ -1,7 +1,7 @@
-"""Scalar arithmetic of the sweep: small vectors, symmetric matrices, turns about an axis.
+"""Scalar arithmetic of the sweep: small vectors, symmetric matrices, rotations about an axis.
 
-Entries are floats or CasADi SX scalars; products with 0 and 1 disappear, so that constants
-of a robot and the zeros of a planar one leave nothing behind.
+Entries are floats or CasADi SX scalars.  Products with 0 and 1 are simplified, so that constants of
+a robot and the zeros of a planar one cost no operations.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ Vec: TypeAlias = list[Scalar]  # 3
 Sym: TypeAlias = list[Scalar]  # xx, xy, xz, yy, yz, zz
 Mat: TypeAlias = list[list[Scalar]]  # 3 × 3
 
-INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # where entry (i, j) stands in Sym
+INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # index of entry (i, j) in Sym
 
 
 def mul(a: Scalar, b: Scalar) -> Scalar:
-    """Return a b; an exact zero or one costs no operation."""
+    """Return a b, without an operation if one factor is exactly 0 or ±1."""
     if isinstance(a, float) and isinstance(b, float):
         return a * b
     for x, y in ((a, b), (b, a)):
@@ -32,7 +32,7 @@ def mul(a: Scalar, b: Scalar) -> Scalar:
 
 
 def add(a: Scalar, b: Scalar) -> Scalar:
-    """Return a + b, or one of them where the other is exactly zero."""
+    """Return a + b, or one of them if the other is exactly zero."""
     if isinstance(a, float) and a == 0.0:
         return b
     if isinstance(b, float) and b == 0.0:
@@ -41,7 +41,7 @@ def add(a: Scalar, b: Scalar) -> Scalar:
 
 
 def sub(a: Scalar, b: Scalar) -> Scalar:
-    """Return a − b, or ±one of them where the other is exactly zero."""
+    """Return a − b, or a or −b if the other is exactly zero."""
     if isinstance(b, float) and b == 0.0:
         return a
     if isinstance(a, float) and a == 0.0:
@@ -77,33 +77,33 @@ def plus(a: Vec, b: Vec) -> Vec:
 
 
 class Turn:
-    """A rotation about a coordinate axis by an angle given as its cosine and sine."""
+    """A rotation R about a coordinate axis, by the cosine and sine of its angle."""
 
     def __init__(self, axis: int, c: Scalar, s: Scalar) -> None:
-        """Take the axis (0, 1, 2) and the angle."""
+        """Store the axis (0, 1, 2) and cosine and sine of the angle."""
         self.c, self.s = c, s
         self.z = axis
         self.x, self.y = (axis + 1) % 3, (axis + 2) % 3
 
     @property
     def is_none(self) -> bool:
-        """Whether the angle is known to be zero."""
-        known = isinstance(self.c, float) and isinstance(self.s, float)
-        return known and self.s == 0.0 and self.c == 1.0
+        """Whether the rotation is the constant identity."""
+        constant = isinstance(self.c, float) and isinstance(self.s, float)
+        return constant and self.s == 0.0 and self.c == 1.0
 
     def vector(self, v: Vec) -> Vec:
-        """Return R v: from the turned frame to the frame it was turned in."""
-        out = list(v)
-        out[self.x] = sub(mul(self.c, v[self.x]), mul(self.s, v[self.y]))
-        out[self.y] = add(mul(self.s, v[self.x]), mul(self.c, v[self.y]))
-        return out
+        """Return R v: from the rotated frame to the fixed one."""
+        rotated = list(v)
+        rotated[self.x] = sub(mul(self.c, v[self.x]), mul(self.s, v[self.y]))
+        rotated[self.y] = add(mul(self.s, v[self.x]), mul(self.c, v[self.y]))
+        return rotated
 
     def back(self, v: Vec) -> Vec:
-        """Return Rᵀ v: into the turned frame."""
+        """Return Rᵀ v: from the fixed frame to the rotated one."""
         return Turn(self.z, self.c, mul(-1.0, self.s)).vector(v)
 
     def _block(self, xx: Scalar, xy: Scalar, yy: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        """Turn a symmetric 2 × 2 block: 11 operations in place of the 17 of the product."""
+        """Rotate a symmetric 2 × 2 block in 11 operations, instead of 17 for the product."""
         d = sub(yy, xx)
         k = sub(mul(self.s, d), mul(mul(2.0, self.c), xy))
         sk = mul(self.s, k)
@@ -112,28 +112,28 @@ class Turn:
     def symmetric(self, m: Sym) -> Sym:
         """Return R m Rᵀ."""
         x, y, z = self.x, self.y, self.z
-        out = list(m)
+        rotated = list(m)
         xx, xy, yy = self._block(m[INDEX[x][x]], m[INDEX[x][y]], m[INDEX[y][y]])
-        out[INDEX[x][x]], out[INDEX[x][y]], out[INDEX[y][y]] = xx, xy, yy
+        rotated[INDEX[x][x]], rotated[INDEX[x][y]], rotated[INDEX[y][y]] = xx, xy, yy
         a, b = m[INDEX[x][z]], m[INDEX[y][z]]
-        out[INDEX[x][z]] = sub(mul(self.c, a), mul(self.s, b))
-        out[INDEX[y][z]] = add(mul(self.s, a), mul(self.c, b))
-        return out
+        rotated[INDEX[x][z]] = sub(mul(self.c, a), mul(self.s, b))
+        rotated[INDEX[y][z]] = add(mul(self.s, a), mul(self.c, b))
+        return rotated
 
     def matrix(self, m: Mat) -> Mat:
         """Return R m Rᵀ for a full matrix."""
         x, y, z = self.x, self.y, self.z
-        out = [list(row) for row in m]
-        # As in _block; the two entries off the diagonal keep their difference.
+        rotated = [list(row) for row in m]
+        # As in _block: a rotation keeps the difference of the two off-diagonal entries.
         k = sub(mul(self.s, sub(m[y][y], m[x][x])), mul(self.c, add(m[x][y], m[y][x])))
         sk, ck = mul(self.s, k), mul(self.c, k)
-        out[x][x], out[y][y] = add(m[x][x], sk), sub(m[y][y], sk)
-        out[x][y], out[y][x] = mul(-1.0, add(ck, m[y][x])), mul(-1.0, add(ck, m[x][y]))
-        out[x][z] = sub(mul(self.c, m[x][z]), mul(self.s, m[y][z]))
-        out[y][z] = add(mul(self.s, m[x][z]), mul(self.c, m[y][z]))
-        out[z][x] = sub(mul(self.c, m[z][x]), mul(self.s, m[z][y]))
-        out[z][y] = add(mul(self.s, m[z][x]), mul(self.c, m[z][y]))
-        return out
+        rotated[x][x], rotated[y][y] = add(m[x][x], sk), sub(m[y][y], sk)
+        rotated[x][y], rotated[y][x] = mul(-1.0, add(ck, m[y][x])), mul(-1.0, add(ck, m[x][y]))
+        rotated[x][z] = sub(mul(self.c, m[x][z]), mul(self.s, m[y][z]))
+        rotated[y][z] = add(mul(self.s, m[x][z]), mul(self.c, m[y][z]))
+        rotated[z][x] = sub(mul(self.c, m[z][x]), mul(self.s, m[z][y]))
+        rotated[z][y] = add(mul(self.s, m[z][x]), mul(self.c, m[z][y]))
+        return rotated
 
 
 def times(m: Sym, v: Vec) -> Vec:
@@ -142,7 +142,7 @@ def times(m: Sym, v: Vec) -> Vec:
 
 
 def factor_ldl(A: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scalar], list[Scalar]]:
-    """Return L, below its diagonal of ones, D and 1/D of A = L D Lᵀ, A symmetric and positive."""
+    """Factor a symmetric positive definite A = L D Lᵀ; return L below the diagonal, D, and 1/D."""
     n = len(A)
     L = [[0.0 for _ in range(n)] for _ in range(n)]
     inverse: list[Scalar] = []
@@ -165,7 +165,7 @@ def solve_ldl(A: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
 
 
 def solve_factored(L: list[list[Scalar]], inverse: list[Scalar], b: list[Scalar]) -> list[Scalar]:
-    """Return A⁻¹ b for A = L D Lᵀ, of L and 1/D."""
+    """Return A⁻¹ b for A = L D Lᵀ; L: below its diagonal of ones.  inverse: 1/D."""
     n = len(b)
     y = list(b)
     for i in range(n):

@@ -1,16 +1,16 @@
 """Mass matrix and centre of mass with first and second derivatives, at many shapes at once.
 
-Everything is in the frame of the root body.  S_k is the screw of joint k, J_k the inertia (6 × 6)
-of the composite body behind it, F_j = J_j S_j its momentum at unit rate, and
+All terms are in the frame of the root body.  S_k is the screw of joint k, J_k the inertia (6 × 6)
+of the composite body of its subtree, F_j = J_j S_j its momentum at unit rate, and
 
     H_ij = S_i · F_j,     i from the root to j.
 
-A joint a carries all that hangs on it: screws by [S_a, ·], momenta by −ad_aᵀ, inertias by
-X_a J = −(ad_aᵀ J + J ad_a).  Of what hangs on several joints of one path, the last one moves first:
+A joint a moves its whole subtree: screws change by [S_a, ·], momenta by −ad_aᵀ, and inertias by
+X_a J = −(ad_aᵀ J + J ad_a).  If several joints of one path move a term, the last one acts first:
 
-    ∂_a F_j = −ad_aᵀ F_j  (a up to j),     (X_a J_a) S_j  (a behind j)
+    ∂_a F_j = −ad_aᵀ F_j  (a up to j),     (X_a J_a) S_j  (a after j)
 
-and H_ij does not depend on joints before i.  Joints of different branches do not see each other.
+H_ij does not depend on joints before i, and joints of different branches are independent.
 Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2 and 6; differentiated here.
 """
 
@@ -22,17 +22,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...common.arrays import Array, freeze
-from ...lie.se3 import SE3
+from ...lie.spatial_groups import SE3
 from ...system.joints import axes_of, is_prismatic
 from ...system.system import System
 
 
 @dataclass(frozen=True)
 class InertiaDerivatives:
-    """H(x) and the centre of mass c(x) with two derivatives, last; arrays are read-only.
+    """H(x) and the centre of mass c(x) with two derivatives; arrays are read-only.
 
-    H: (N, n, n), base rows first, with dH: (N, n, n, m) and d2H: (N, n, n, m, m).
-    com: (N, 3) in the root body's frame [m], with dcom: (N, 3, m) and d2com: (N, 3, m, m).
+    Attributes:
+        H: Mass matrix, (N, n, n), base rows first.
+        dH: Its derivative, (N, n, n, m), derivative index last.
+        d2H: Its second derivative, (N, n, n, m, m), derivative indices last.
+        com: Centre of mass in the root body's frame, (N, 3) [m].
+        dcom: Its derivative, (N, 3, m).
+        d2com: Its second derivative, (N, 3, m, m).
     """
 
     H: Array
@@ -49,17 +54,22 @@ class InertiaDerivatives:
 def inertia_derivatives(
     system: System, x: Array, *, of: Collection[int] | None = None
 ) -> InertiaDerivatives:
-    """Return mass matrix and centre of mass with their derivatives at shapes x (N, m).
+    """Compute the mass matrix and the centre of mass with their derivatives.
 
-    of: joints whose entries of H with each other and with the base are differentiated, all if None,
-    which saves most of the work; what dH and d2H have between others says nothing.
+    Args:
+        system: The system.
+        x: Shapes, (N, m) [rad | m].
+        of: Joints whose columns of H are differentiated; all if None.  A small set saves most of
+            the work.  Entries of dH and d2H between other joints are then undefined.
+    Returns:
+        The values and derivatives.
     """
     tree = system.workspace(_Tree, lambda: _Tree(system))
     return tree.derivatives(x, None if system.coupled is not None else of)
 
 
 class _Tree:
-    """The constants of a tree, and its recursion."""
+    """The constants of a tree, and the recursion over it."""
 
     def __init__(self, system: System) -> None:
         model = system.model
@@ -70,13 +80,13 @@ class _Tree:
         self._steps = [np.array(place.translation) for place in placements]
         self._slides = [is_prismatic(model.joints[i]) for i in range(2, model.njoints)]
         self._axes = [axes_of(model.joints[i])[:, 0] for i in range(2, model.njoints)]
-        self._root = axes_of(model.joints[1])  # screws of the base, constant in its own frame
+        self._root = axes_of(model.joints[1])  # screws of the base, constant in its frame
         self._bodies = [model.inertias[i] for i in range(1, model.njoints)]
         self._armature = np.array(model.armature)
         self._paths = [self._path(k) for k in range(self._count + 1)]
 
     def _path(self, k: int) -> list[int]:
-        """Return the joints from the root (left out) to body k, numbered from 1."""
+        """Return the joints on the path from the root, excluded, to body k, numbered from 1."""
         path = []
         while k:
             path.append(k)
@@ -84,19 +94,19 @@ class _Tree:
         return path[::-1]
 
     def derivatives(self, x: Array, of: Collection[int] | None) -> InertiaDerivatives:
-        """Return the sums over the tree at shapes x (N, m); of: joints to differentiate, or all."""
+        """Compute the sums over the tree; see `inertia_derivatives`."""
         N, M, r = len(x), self._count, self._root.shape[1]
         screws, composites = self._composites(self._system.joint_values(x))
-        ad = SE3.ad(screws)  # (N, M + 1, 6, 6); the root's is not looked at
+        ad = SE3.ad(screws)  # (N, M + 1, 6, 6); the root's is not used
         H, dH = np.zeros((N, r + M, r + M)), np.zeros((N, r + M, r + M, M))
         d2H = np.zeros((N, r + M, r + M, M, M))
         first, second = np.zeros((N, M, 6, 6)), np.zeros((N, M, M, 6, 6))
-        moved, twice = {}, {}
+        dJ, twice = {}, {}
         for b in range(1, M + 1):
-            moved[b] = _carried(ad[:, b], composites[:, b])
-            first[:, b - 1] = moved[b]
+            dJ[b] = _inertia_change(ad[:, b], composites[:, b])
+            first[:, b - 1] = dJ[b]
             for a in self._paths[b]:
-                twice[a, b] = _carried(ad[:, a], moved[b])
+                twice[a, b] = _inertia_change(ad[:, a], dJ[b])
                 second[:, a - 1, b - 1] = second[:, b - 1, a - 1] = twice[a, b]
         E, J = self._root, composites[:, 0]
         H[:, :r, :r] = E.T @ J @ E
@@ -105,27 +115,27 @@ class _Tree:
         for j in range(1, M + 1):
             S = screws[:, j, :, None]
             F = composites[:, j] @ S
-            on = self._paths[j]
-            rows = np.concatenate([np.broadcast_to(E.T, (N, r, 6)), screws[:, on]], axis=1)
-            at = [*range(r), *(r + k - 1 for k in on)]
+            path = self._paths[j]
+            path_screws = np.concatenate([np.broadcast_to(E.T, (N, r, 6)), screws[:, path]], axis=1)
+            indices = [*range(r), *(r + k - 1 for k in path)]
             c = r + j - 1
-            H[:, at, c] = (rows @ F)[..., 0]
+            H[:, indices, c] = (path_screws @ F)[..., 0]
             if of is not None and j - 1 not in of:
                 continue
-            for b, dF in self._slopes(j, ad, moved, S, F):
+            for b, dF in self._momentum_derivatives(j, ad, dJ, S, F):
                 # H_ij does not depend on the joints before i.
-                some = len(at) if b not in on else r + on.index(b) + 1
-                dH[:, at[:some], c, b - 1] = (rows[:, :some] @ dF)[..., 0]
+                count = len(indices) if b not in path else r + path.index(b) + 1
+                dH[:, indices[:count], c, b - 1] = (path_screws[:, :count] @ dF)[..., 0]
                 for a in self._paths[b]:
-                    if a in on:
+                    if a in path:
                         d2F = -np.swapaxes(ad[:, a], 1, 2) @ dF
                     elif j in self._paths[a]:
                         d2F = twice[a, b] @ S
                     else:
                         continue
-                    few = some if a not in on else r + on.index(a) + 1
-                    entry = (rows[:, :few] @ d2F)[..., 0]
-                    d2H[:, at[:few], c, a - 1, b - 1] = d2H[:, at[:few], c, b - 1, a - 1] = entry
+                    last = count if a not in path else r + path.index(a) + 1
+                    entry, i = (path_screws[:, :last] @ d2F)[..., 0], indices[:last]
+                    d2H[:, i, c, a - 1, b - 1] = d2H[:, i, c, b - 1, a - 1] = entry
         for c in range(r, r + M):
             H[:, c, :c] = H[:, :c, c]
             if of is None or c - r in of:
@@ -137,18 +147,26 @@ class _Tree:
             H,
             dH,
             d2H,
-            *(_moment(part) / mass for part in (J[:, None, None], first[:, None], second)),
+            *(_moment(inertia) / mass for inertia in (J[:, None, None], first[:, None], second)),
         )
 
-    def _slopes(
-        self, j: int, ad: Array, moved: dict[int, Array], S: Array, F: Array
+    def _momentum_derivatives(
+        self, j: int, ad: Array, dJ: dict[int, Array], S: Array, F: Array
     ) -> Iterator[tuple[int, Array]]:
-        """Yield the joints b on whose angle F_j depends, with ∂_b F_j, (N, 6, 1)."""
+        """Yield the joints b on whose angle F_j depends, with ∂_b F_j, (N, 6, 1).
+
+        Args:
+            j: Joint.
+            ad: ad of all screws, (N, M + 1, 6, 6).
+            dJ: Derivative of each composite inertia by its joint.
+            S: Screw of joint j, (N, 6, 1).
+            F: Its momentum at unit rate, (N, 6, 1).
+        """
         for b in range(1, self._count + 1):
             if b in self._paths[j]:
                 yield b, -np.swapaxes(ad[:, b], 1, 2) @ F
             elif j in self._paths[b]:
-                yield b, moved[b] @ S
+                yield b, dJ[b] @ S
 
     def _composites(self, x: Array) -> tuple[Array, Array]:
         """Return screws (N, M + 1, 6) and composite inertias (N, M + 1, 6, 6); x: all joints."""
@@ -167,7 +185,7 @@ class _Tree:
                 screws[:, k, :3] = axis
             else:
                 axis = R[:, k] @ self._axes[i][3:]
-                R[:, k] = R[:, k] @ _turned(self._axes[i][3:], x[:, i])
+                R[:, k] = R[:, k] @ _rotations(self._axes[i][3:], x[:, i])
                 screws[:, k, :3], screws[:, k, 3:] = np.cross(p[:, k], axis), axis
             inertias[:, k] = _in_root(self._bodies[k].matrix(), R[:, k], p[:, k])
         for k in range(M, 0, -1):
@@ -175,28 +193,28 @@ class _Tree:
         return screws, inertias
 
     def _on_shape(self, H: Array, dH: Array, d2H: Array, *com: Array) -> InertiaDerivatives:
-        """Return the derivatives by the shape of those by all joints, x = G y + b."""
+        """Return derivatives by the shape from those by all joints, x = G y + b."""
         coupled, r = self._system.coupled, self._root.shape[1]
         c, dc, d2c = com[0][:, 0, 0], np.moveaxis(com[1][:, 0], 1, -1), np.moveaxis(com[2], 3, 1)
         if coupled is None:
             return InertiaDerivatives(H, dH, d2H, c, dc, d2c)
-        lead = np.moveaxis
+        # Coupling acts on the last axes, so the derivative axes are moved to the front and back.
+        move = np.moveaxis
         H = coupled.matrix(H, r)
-        dH = lead(coupled.matrix(lead(coupled.forces(dH, 0), -1, 1), r), 1, -1)
-        d2H = lead(
-            coupled.matrix(lead(coupled.matrix(d2H, 0), (-2, -1), (1, 2)), r), (1, 2), (-2, -1)
-        )
+        dH = move(coupled.matrix(move(coupled.forces(dH, 0), -1, 1), r), 1, -1)
+        by_shape = move(coupled.matrix(d2H, 0), (-2, -1), (1, 2))
+        d2H = move(coupled.matrix(by_shape, r), (1, 2), (-2, -1))
         return InertiaDerivatives(H, dH, d2H, c, coupled.forces(dc, 0), coupled.matrix(d2c, 0))
 
 
-def _carried(ad: Array, J: Array) -> Array:
+def _inertia_change(ad: Array, J: Array) -> Array:
     """Return X J = −(adᵀ J + J ad), (N, 6, 6), for a symmetric J."""
     half = J @ ad
     return np.asarray(-(half + np.swapaxes(half, -1, -2)))
 
 
-def _turned(axis: Array, angle: Array) -> Array:
-    """Return rotations about an axis, (N, 3, 3) (Rodrigues)."""
+def _rotations(axis: Array, angle: Array) -> Array:
+    """Return rotations about an axis by angles (N,), (N, 3, 3) (Rodrigues)."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
@@ -204,16 +222,19 @@ def _turned(axis: Array, angle: Array) -> Array:
 
 
 def _in_root(J: Array, R: Array, p: Array) -> Array:
-    """Return a body's inertia (6, 6) in the root's frame, (N, 6, 6), at rotations and places."""
-    back = np.zeros((len(p), 6, 6))  # twists of the root's frame in the body's
-    back[:, :3, :3] = back[:, 3:, 3:] = T = np.swapaxes(R, 1, 2)
+    """Return a body's inertia J (6, 6) in the root's frame, (N, 6, 6).
+
+    R, p: rotations (N, 3, 3) and positions (N, 3) of the body.
+    """
+    to_body = np.zeros((len(p), 6, 6))  # twists of the root's frame in the body's
+    to_body[:, :3, :3] = to_body[:, 3:, 3:] = T = np.swapaxes(R, 1, 2)
     x, y, z = p.T
     zero = np.zeros_like(x)
     hat = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-    back[:, :3, 3:] = -T @ np.moveaxis(hat, -1, 0)
-    return np.asarray(np.swapaxes(back, 1, 2) @ J @ back)
+    to_body[:, :3, 3:] = -T @ np.moveaxis(hat, -1, 0)
+    return np.asarray(np.swapaxes(to_body, 1, 2) @ J @ to_body)
 
 
 def _moment(J: Array) -> Array:
-    """Return mass times centre of mass, (..., 3), that an inertia (..., 6, 6) holds."""
+    """Return mass times centre of mass, (..., 3), from an inertia (..., 6, 6)."""
     return np.stack([J[..., 5, 1], J[..., 3, 2], J[..., 4, 0]], axis=-1)

@@ -17,7 +17,7 @@ from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import wild_steps
 from ..plan import Plan, Span
-from .batch import Batch, Failure
+from .trajectories import Batch, Failure
 
 # Number of instructions up to which the state of sixteen lanes stays in registers.
 _SMALL = 400

@@ -3,22 +3,66 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...scene.scene import Scene
+from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System
 from ..over_time import OverTime
 from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory
-from .batch import Batch, Failure
+
+if TYPE_CHECKING:
+    from ..compiled.compiled_flow import CompiledFlow
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A member of simulate_many that did not reach its end time.
+
+    Attributes:
+        member: Index of the member.
+        time: Last time that it reached [s].
+        reason: The cause, in words.
+    """
+
+    member: int
+    time: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Members that were integrated together under one kernel.
+
+    Attributes:
+        members: Their indices, (N,) sorted.
+        flow: Their flow; None for members that were unpickled.
+        method: Name of the integrator.
+        y: Reduced states at the report times, (N, T, k); NaN at times that were not reached.
+        steps: Number of accepted steps of each, (N,).
+        evaluations: Number of evaluations of the vector field for each, (N,).
+        failures: Members that did not come to their end.
+        wall: Mean wall time of one member [s].
+    """
+
+    members: Indices
+    flow: CompiledFlow | None
+    method: str
+    y: Array
+    steps: NDArray[np.int64]
+    evaluations: NDArray[np.int64]
+    failures: list[Failure]
+    wall: float
 
 
 class Trajectories(OverTime):

@@ -1,4 +1,4 @@
-"""Joints by name in forces and controllers: x["bend"] is where Pinocchio has that joint."""
+"""Entries by joint name in forces and controllers, such as x["bend"]."""
 
 # ruff: noqa: ARG005 (what forces are functions of, used or not)
 
@@ -26,17 +26,17 @@ SIZE = 0.02  # N·m, and so on; the cat is light
 
 
 def at(q: Array, name: str) -> float:
-    """The angle of a joint in Pinocchio's q, or its rate in v with the base's entry less."""
+    """Return the angle of a joint in Pinocchio's q, or its rate in v."""
     return float(q[CAT.model.joints[CAT.model.getJointId(name)].idx_q])
 
 
 def rate(v: Array, name: str) -> float:
-    """The rate of a joint in Pinocchio's v."""
+    """Return the rate of a joint in Pinocchio's v."""
     return float(v[CAT.model.joints[CAT.model.getJointId(name)].idx_v])
 
 
-def along(name: str, torque: float) -> Array:
-    """Pinocchio's torques with one at a joint."""
+def unit_torque(name: str, torque: float) -> Array:
+    """Return Pinocchio's torques with one at a joint."""
     tau = np.zeros(CAT.model.nv)
     tau[CAT.model.joints[CAT.model.getJointId(name)].idx_v] = torque
     return tau
@@ -45,17 +45,17 @@ def along(name: str, torque: float) -> Array:
 NAMED: dict[str, tuple[Force, Any]] = {
     "torques": (
         Torque(lambda t, x, xdot, mu: {"twist": SIZE * (x["bend"] * ca.cos(t) - xdot["sway"])}),
-        lambda t, q, v: along("twist", SIZE * (at(q, "bend") * np.cos(t) - rate(v, "sway"))),
+        lambda t, q, v: unit_torque("twist", SIZE * (at(q, "bend") * np.cos(t) - rate(v, "sway"))),
     ),
     "a torque": (
         Torque({"sway": lambda t, x, xdot, mu: SIZE * (xdot["twist"] - x["twist"] ** 2)}),
-        lambda t, q, v: along("sway", SIZE * (rate(v, "twist") - at(q, "twist") ** 2)),
+        lambda t, q, v: unit_torque("sway", SIZE * (rate(v, "twist") - at(q, "twist") ** 2)),
     ),
     "a potential": (
         PotentialEnergy(lambda x: 0.5 * SIZE * x["sway"] ** 2 * x["bend"]),
         lambda t, q, v: (
-            -SIZE * along("sway", at(q, "sway") * at(q, "bend"))
-            - 0.5 * SIZE * along("bend", at(q, "sway") ** 2)
+            -SIZE * unit_torque("sway", at(q, "sway") * at(q, "bend"))
+            - 0.5 * SIZE * unit_torque("bend", at(q, "sway") ** 2)
         ),
     ),
     "a wrench": (
@@ -73,8 +73,8 @@ NAMED: dict[str, tuple[Force, Any]] = {
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("name", NAMED)
-def test_forces_by_name(name: str, engine: Engine) -> None:
-    """The motion is that of ABA under the same law, written in Pinocchio's own indices."""
+def test_forces_by_name_equal_aba(name: str, engine: Engine) -> None:
+    """The same law in Pinocchio's own indices gives the same motion."""
     force, tau = NAMED[name]
     traj = pinred.simulate(CAT, forces=[force], engine=engine, **OPTIONS)
     assert against_aba(traj, tau) < 1e-6
@@ -84,8 +84,8 @@ def test_forces_by_name(name: str, engine: Engine) -> None:
 
 @pytest.mark.parametrize("period", [0.125])
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_controller_by_name(engine: Engine, period: float) -> None:
-    """Numbers by name, held over each period, against ABA under held torques."""
+def test_controller_by_name_equals_aba(engine: Engine, period: float) -> None:
+    """Commands by name with a zero-order hold, against ABA under constant torques."""
     traj = pinred.simulate(
         CAT,
         forces=[
@@ -96,16 +96,16 @@ def test_a_controller_by_name(engine: Engine, period: float) -> None:
     )
     samples = period * np.arange(4)
     states = [traj(float(t)) for t in samples]
-    held = [SIZE * (at(s.q, "twist") - rate(s.v, "sway")) for s in states]
+    commands = [SIZE * (at(s.q, "twist") - rate(s.v, "sway")) for s in states]
 
     def tau(t: float, q: Array, v: Array) -> Array:  # noqa: ARG001
-        return along("bend", held[int(t / period)])
+        return unit_torque("bend", commands[int(t / period)])
 
     assert against_aba(traj, tau, tuple(samples[1:])) < 1e-6
 
 
-def test_names_cost_nothing_in_kernels() -> None:
-    """The expressions are the very same as with numbers, so that the machine code is."""
+def test_names_do_not_change_kernels() -> None:
+    """Expressions by name and by index are identical, and so is the machine code."""
 
     def scene(bend: Any, twist: Any) -> pinred.Scene:
         forces: list[Force] = [
@@ -135,45 +135,45 @@ UNKNOWN = r"{}: no shape joint 'bnd'; did you mean 'bend'\? the joints are bend,
     ],
     ids=["torques", "torque", "potential", "wrench", "controller"],
 )
-def test_unknown_names(force: Force) -> None:
-    """Refused with the joints that there are, before anything moves."""
+def test_unknown_joint_names_are_rejected(force: Force) -> None:
+    """The message lists the joints, and nothing is simulated."""
     with pytest.raises(pinred.InputError, match=UNKNOWN.format("x")):
         pinred.simulate(CAT, forces=[force], duration=0.3)
 
 
-def test_unknown_names_of_rates() -> None:
-    """The message says which of the two it is."""
+def test_unknown_names_state_shape_or_rate() -> None:
+    """The message names the array, x or xdot."""
     force = Torque(lambda t, x, xdot, mu: {"sway": xdot["bnd"]})
     with pytest.raises(pinred.InputError, match=UNKNOWN.format("xdot")):
         pinred.Scene(system=CAT, forces=[force])
 
 
-def test_what_controllers_get_is_a_vector_like_any_other() -> None:
-    """Numbers, slices and what NumPy makes of it are plain, and have no names to be wrong by."""
-    given = np.array([3.0, 1.0, 2.0])
-    x = Vector.of(given, ("a", "b", "c"), "x")
+def test_named_vectors_behave_as_numpy_arrays() -> None:
+    """Numbers, slices and NumPy results are plain and have no names."""
+    numbers = np.array([3.0, 1.0, 2.0])
+    x = Vector.of(numbers, ("a", "b", "c"), "x")
     assert (x["a"], x["b"], x["c"], x[0], x[-1]) == (3.0, 1.0, 2.0, 3.0, 2.0)
     assert type(x["a"]) is type(x[0]) is np.float64
-    for made in (x[1:], x[::-1], x[[0, 1]], x[x > 1], 2 * x, x + x, -x, np.sin(x), np.round(x)):
-        assert type(made) is np.ndarray
+    for derived in (x[1:], x[::-1], x[[0, 1]], x[x > 1], 2 * x, x + x, -x, np.sin(x), np.round(x)):
+        assert type(derived) is np.ndarray
     assert type(np.concatenate([x, x])) is np.ndarray
     for number in (x @ x, x.sum(), np.linalg.norm(x)):
         assert isinstance(number, np.float64)
-    np.testing.assert_array_equal(2 * x - 1, 2 * given - 1)
-    assert x.tolist() == given.tolist()
-    for made in (np.sort(x), x.copy()):
+    np.testing.assert_array_equal(2 * x - 1, 2 * numbers - 1)
+    assert x.tolist() == numbers.tolist()
+    for derived in (np.sort(x), x.copy()):
         with pytest.raises(pinred.InputError, match=r"only the arguments x and xdot .* 'a'"):
-            made["a"]  # type: ignore[call-overload]
+            derived["a"]  # type: ignore[call-overload]
     x += 1.0
     x[0] = 7.0
     assert (x["a"], x["b"]) == (7.0, 2.0)
-    np.testing.assert_array_equal(given, [3.0, 1.0, 2.0])
+    np.testing.assert_array_equal(numbers, [3.0, 1.0, 2.0])
     with pytest.raises(pinred.InputError, match="x: no shape joint 'd'; the joints are a, b, c"):
         x["d"]
 
 
-def test_a_controller_may_write_into_what_it_gets() -> None:
-    """It is its own: the motion is that of one which does not."""
+def test_controller_may_modify_its_arguments() -> None:
+    """The arguments are copies, so the motion does not change."""
 
     def writes(t: float, x: Array, xdot: Array, mu: Array) -> list[float]:  # noqa: ARG001
         x *= 0.0

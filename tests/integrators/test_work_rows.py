@@ -1,4 +1,4 @@
-"""Machine code stays within the rows that it works on: nothing is written behind them."""
+"""Machine code stays within its work rows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pinred.integrators.methods import (
     Tsit5,
     Variational,
 )
-from pinred.integrators.stepping.stepper import Stepper
+from pinred.integrators.stepping.step_loop import Stepper
 
 MARK = 8.25e-77
 METHODS: tuple[Method, ...] = (
@@ -41,27 +41,27 @@ ROBOTS = ("rigid_body", "cartpole", "coupled_planar", "elroys_beanie", "falling_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [*METHODS, *FURTHER], ids=str)
-def test_rows_are_enough(method: Method, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Marks behind the rows survive steps, reports between them, and states asked for later."""
-    made: list[Array] = []
+def test_steppers_write_within_work_rows(method: Method, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Marks after the rows survive steps, reports inside steps, and later dense output."""
+    allocated: list[Array] = []
     real = Stepper.work
 
     def with_marks(*asked: Any, **options: Any) -> Array:
-        rows = real(*asked, **options)
-        larger = np.full((rows.shape[0] + 2, rows.shape[1]), MARK)
-        larger[:-2] = rows
-        made.append(larger)
+        work = real(*asked, **options)
+        larger = np.full((work.shape[0] + 2, work.shape[1]), MARK)
+        larger[:-2] = work
+        allocated.append(larger)
         return larger[:-2]
 
     monkeypatch.setattr(Stepper, "work", with_marks)
     for name in ROBOTS:
-        system, before = pinred.load(name), len(made)
+        system, before = pinred.load(name), len(allocated)
         traj = pinred.simulate(
             system, seed=0, times=[0.033, 0.1, 0.3], method=method, outputs="shape"
         )
         traj = pinred.simulate(system, seed=0, times=[0.033, 0.1, 0.3], method=method)
         traj(np.linspace(0.0, 0.3, 11))
         pinred.simulate_many(system, seeds=[0, 1], times=[0.033, 0.3], method=method, threads=1)
-        assert len(made) > before + 2
-        for rows in made[before:]:
-            assert (rows[-2:] == MARK).all(), name
+        assert len(allocated) > before + 2
+        for work in allocated[before:]:
+            assert (work[-2:] == MARK).all(), name

@@ -1,4 +1,4 @@
-"""The faces of the package: every name once, in a stub that types and imports both follow."""
+"""The public namespaces: every name is listed once, in a stub for type checkers and imports."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from commands import python
 
 import pinred
 
-FACES = ("pinred", "pinred.forces", "pinred.laboratory.bench", "pinred.views.plots")
+NAMESPACES = ("pinred", "pinred.forces", "pinred.laboratory.bench", "pinred.views.plots")
 
 
-@pytest.mark.parametrize("face", FACES)
-def test_every_name_can_be_imported(face: str) -> None:
-    """The names that a face lists are there, and nothing else is."""
-    module = import_module(face)
+@pytest.mark.parametrize("namespace", NAMESPACES)
+def test_namespace_provides_exactly_its_listed_names(namespace: str) -> None:
+    """Every name in `__all__` can be imported, and no other name exists."""
+    module = import_module(namespace)
     assert dir(module) == sorted(module.__all__)
     for name in dir(module):
         assert getattr(module, name) is not None
-    with pytest.raises(AttributeError, match=f"No {face} attribute nope"):
+    with pytest.raises(AttributeError, match=f"No {namespace} attribute nope"):
         _ = module.nope
 
 
-def test_type_checkers_know_the_names() -> None:
-    """A name that there is not is an error of types: mypy refuses an ignore without need."""
+def test_type_checkers_reject_an_unknown_name() -> None:
+    """Mypy reports an unused `ignore`, so this test fails to type-check if `nope` were known."""
     with pytest.raises(AttributeError):
         _ = pinred.nope  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
-def test_a_function_is_not_hidden_by_its_module() -> None:
-    """Functions stay functions, in any order of imports."""
+def test_function_is_not_hidden_by_the_module_of_its_name() -> None:
+    """A function remains callable after its module was imported, in any order of imports."""
     code = (
         "import pinred.judge.compare, pinred.simulation.simulate\n"
         "import pinred.simulation.simulate_many, pinred.system.load, pinred\n"
@@ -42,8 +42,8 @@ def test_a_function_is_not_hidden_by_its_module() -> None:
 
 
 @pytest.mark.slow
-def test_aliases_of_folders() -> None:
-    """The short paths of what stands deeper: as modules, and to import from."""
+def test_aliases_provide_the_same_objects() -> None:
+    """The short module paths can be imported, and their names are those of the deeper modules."""
     code = (
         "import pinred.plots, pinred.signals, pinred.equations\n"
         "from pinred.signals import Spline\n"
@@ -55,15 +55,15 @@ def test_aliases_of_folders() -> None:
 
 
 @pytest.mark.slow
-def test_all_at_once() -> None:
-    """No name needs another to be imported first: with EAGER_IMPORT, all are, in any order."""
+def test_eager_import_of_all_names_succeeds() -> None:
+    """No name requires that another was imported before; EAGER_IMPORT imports all of them."""
     for seed in "01":
-        code = f"import {', '.join(FACES)}; print('ok')"
+        code = f"import {', '.join(NAMESPACES)}; print('ok')"
         assert python(code, EAGER_IMPORT="1", PYTHONHASHSEED=seed) == "ok\n"
 
 
-def test_errors_of_integrators_can_be_caught() -> None:
-    """Why an integrator stopped can be told apart by name."""
+def test_integration_errors_can_be_caught_by_name() -> None:
+    """Each reason for which an integrator stops has its own exception class."""
     for name in ("NoConvergence", "NonFiniteState", "StepSizeUnderflow", "TooManySteps"):
         assert issubclass(getattr(pinred, name), pinred.IntegrationError)
     assert issubclass(pinred.UnsupportedOperationError, pinred.PinredError)

@@ -1,4 +1,4 @@
-"""Attitudes are held to the tolerance by steps that nothing but the quaternion sets."""
+"""The attitude follows the tolerance in steps that only the quaternion controls."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ RTOL, TURNED = 1e-8, 100.0
 @pytest.mark.parametrize(
     ("method", "part"), [("DOP853", 1.0), ("Tsit5", 1.0), ("Radau", 0.03), ("AdaptiveGauss", 0.1)]
 )
-def test_a_sphere_turns_to_the_tolerance(method: str, part: float) -> None:
-    """After 100 rad its angle is off by a part of rtol; ten times looser steps leave more.
+def test_rotation_error_of_sphere_follows_tolerance(method: str, part: float) -> None:
+    """After 100 rad the angle's error is a fraction of rtol, larger for looser tolerances.
 
-    That is 1.5 and 3 for the explicit methods, 0.12 and 0.35 for the others.
+    Bounds: 1.5 and 3 for the explicit methods, 0.12 and 0.35 for the others.
     """
     traj = pinred.simulate(
         single([1.0, 1.0, 1.0]), xi0=[0.0, 0.0, 1.0], duration=TURNED, method=method,

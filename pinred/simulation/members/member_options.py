@@ -1,0 +1,320 @@
+"""Members given as arrays of options and parameters that differ between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...common.arrays import Array, as_floats, dimensions, vectors
+from ...common.errors import InputError, ShapeError, SymmetryError
+from ...common.plain_names import brief, listed
+from ...integrators.methods import Method
+from ...reduction.potential import acting_gravity, falling
+from ...scene import input_formats
+from ...scene.initial_state import GivenStates, refuse_vague
+from ...scene.random_state import random_state
+from ...scene.scene import Scene
+from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
+from ...system.system import System
+from ...system.variants import in_gravity, nominal
+from ..plan import MemberParameters
+from ..robot_columns import RobotColumns, with_own
+from ..simulate import as_scene
+from .member_groups import Group, Members, members_plan
+
+STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
+# Options that follow from a configuration, a velocity, or a random state, with its fields.
+_OF_Q = (("pose0", "pose"), ("x0", "x"))
+_OF_V = (("xi0", "xi"), ("xdot0", "xdot"))
+_OF_SEED = ("x", "xdot", "xi")
+_OPTIONS = f"{', '.join(STATES)}, gravity or a parameter"
+
+
+class MemberOptions:
+    """The options of N members: those that differ between them, and those that all share.
+
+    Attributes:
+        system: The robot as it was loaded.
+        base: The System or Scene whose options all members share.
+        seeds: Seeds of random initial states, (N,), or None.
+        common: Options that all members share.
+        states: Initial states by option, (N, …).
+        parameters: Values of parameters by name, (N,) or (N, k).
+        gravity: Gravity in the world frame, (N, 3) [m/s²], or None.
+        robot: Lengths of the given robot parameters by name.
+        count: Number of members.
+    """
+
+    def __init__(
+        self,
+        base: System | Scene,
+        options: Mapping[str, Any],
+        members: Mapping[str, Any] | None,
+        seeds: Sequence[int] | None,
+    ) -> None:
+        """Separate the options that differ between members from the others.
+
+        Args:
+            base: A System, or a Scene whose options are used where none are given.
+            options: Options of Scene, some of them with a leading axis (N, …).
+            members: Values of initial states, parameters and gravity by name, (N, …).
+            seeds: Seeds of random initial states, (N,).
+        Raises:
+            InputError: A name is given twice, is unknown, or there are no members.
+            ShapeError: A value has the wrong shape, or another number of members.
+        """
+        self.seeds = seeds
+        own = dict(base.parameters)
+        self.system = system = nominal(base.system if isinstance(base, Scene) else base)
+        self.base: System | Scene = system
+        if isinstance(base, Scene):
+            self.base = replace(base, system=system, parameters={})
+        self.common = dict(options)
+        values = _parameter_values(system, self.common.pop("parameters", None), own)
+        for name, value in _checked_members(members).items():
+            if name in (*self.common, *values):
+                raise InputError(f"'{name}' is given among the members and beside them")
+            if name == "gravity" and vectors(value, 3, "gravity").ndim != 2:
+                raise ShapeError(f"gravity must have shape (N, 3), got {np.shape(value)}")
+            (self.common if name in STATES else values)[name] = value
+        for name in ("x0", "xdot0"):
+            if name in self.common:
+                self.common[name] = input_formats.order_by_joint(self.common[name], system, name)
+        self.states = {
+            name: as_floats(self.common.pop(name), name)
+            for name in STATES
+            if self.common.get(name) is not None and dimensions(self.common[name]) == 2
+        }
+        self.gravity = self._member_gravity(values, own)
+        sizes = {name: size_of(system, name) for name in values}
+        self.robot = {name: size for name, size in sizes.items() if size is not None}
+        self.parameters = {
+            name: _column(value, name)
+            for name, value in values.items()
+            if dimensions(value) == (2 if self.robot.get(name, 1) > 1 else 1)
+        }
+        if self.gravity is not None:
+            own = {name: value for name, value in own.items() if name not in GRAVITY}
+        fixed = {name: value for name, value in values.items() if name not in self.parameters}
+        self.common["parameters"] = {n: v for n, v in own.items() if n not in values} | fixed
+        self.count = self._count()
+
+    def _member_gravity(self, values: dict[str, Any], own: Mapping[str, Any]) -> Array | None:
+        """Return the gravity of the members, (N, 3), and remove it from the values."""
+        if "gravity" in values and dimensions(values["gravity"]) == 2:
+            return vectors(values.pop("gravity"), 3, "gravity")
+        if dimensions(values.get("gravity.strength", 0.0)) == 1:
+            g = np.asarray(own.get("gravity", self.system.gravity))
+            unit = g / np.linalg.norm(g) if g.any() else g
+            return np.outer(_column(values.pop("gravity.strength"), "gravity.strength"), unit)
+        return None
+
+    def _count(self) -> int:
+        sizes = {n: len(v) for n, v in (self.states | self.parameters).items()}
+        if self.gravity is not None:
+            sizes["gravity"] = len(self.gravity)
+        if self.seeds is not None:
+            if "seed" in self.common:
+                raise InputError("give seeds or seed, not both")
+            both = [name for name in self.states if name != "pose0"]
+            if both:
+                raise InputError(f"seeds stands for whole random states; do not give {both[0]}")
+            sizes["seeds"] = len(self.seeds)
+        if len(set(sizes.values())) != 1:
+            lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items()) or "none"
+            shared = ", ".join(self.common["parameters"])
+            raise ShapeError(
+                f"at least one of {_OPTIONS} must have shape (N, …), all with the same N; "
+                f"the lengths are {lengths}" + (f", and one for all {shared}" if shared else "")
+            )
+        count = next(iter(sizes.values()))
+        if not count:
+            raise InputError("simulate_many needs at least one member")
+        return count
+
+    def scene(self, member: int, *, common_parameters: bool = False) -> Scene:
+        """Return the scene of one member, or one with only the parameters that all share."""
+        options: dict[str, Any] = {name: values[member] for name, values in self.states.items()}
+        own = {name: values[member] for name, values in self.parameters.items()}
+        options |= self.common
+        if not common_parameters:
+            options["parameters"] = {**self.common["parameters"], **own}
+        if self.seeds is not None:
+            options["seed"] = self.seeds[member]
+        base = self.base
+        if self.gravity is not None:
+            system = in_gravity(self.system, self.gravity[member])
+            base = replace(base, system=system) if isinstance(base, Scene) else system
+        return as_scene(base, options, "simulate_many")
+
+    def _scene_by(self, method: Method | str, member: int) -> Scene:
+        """Return the scene of one member with the method that members are integrated by."""
+        return replace(self.scene(member), method=method)
+
+    def members(self) -> Members:
+        """Return the members in groups.  Raises InputError for invalid scenes."""
+        # Use common parameters only, so that results do not depend on member order.
+        template = self.scene(0, common_parameters=True)
+        model = template.force_model
+        names = [] if model is None else [parameter.name for parameter in model.parameters]
+        for name in self.parameters:
+            if name not in (*names, *self.robot):
+                raise InputError(
+                    f"members: nothing called {brief(name)} varies in these scenes; "
+                    f"{kinds_near(self.system, name, [*STATES, *names])}; of the scenes "
+                    f"{_OPTIONS}: {listed(names, 60) or 'none'}"
+                )
+        first = self.scene(0)  # validates all that is common
+        varying = [name for name in self.robot if name in self.parameters]
+        if varying:
+            template = with_own(template, varying)
+        elif self.gravity is not None:
+            template = replace(template, system=self.system)
+        numbers = self._numbers(template)
+        given = self._given(template, numbers)
+        own = MemberParameters(numbers, self._robot_numbers(template) if varying else None)
+        scene_of = partial(self._scene_by, members_plan(first).scene.method)
+        if self.gravity is None:
+            groups = [Group(np.arange(self.count), members_plan(template), given, own)]
+        else:
+            groups = self._by_gravity(template, given, own)
+        return Members(self.count, groups, scene_of)
+
+    def _by_gravity(
+        self, template: Scene, given: GivenStates, own: MemberParameters
+    ) -> list[Group]:
+        """Return members in groups by the axes along which gravity acts."""
+        assert self.gravity is not None
+        rows, which = np.unique(self.gravity, axis=0, return_inverse=True)
+        which = which.reshape(-1)
+        systems = [in_gravity(self.system, row) for row in rows]
+        acting = np.array([acting_gravity(system) for system in systems])
+        fall = np.array([falling(system) for system in systems])
+        groups = []
+        for axes in np.unique(acting != 0.0, axis=0):
+            kinds = np.flatnonzero(((acting != 0.0) == axes).all(axis=1))
+            members = np.flatnonzero(np.isin(which, kinds))
+            system = systems[kinds[0]]
+            # The robot's own kernel serves if its gravity acts along these axes.
+            with suppress(SymmetryError):
+                if np.array_equal(acting_gravity(template.system) != 0.0, axes):
+                    system = template.system
+            plan = members_plan(replace(template, system=system))
+            rows_of = which[members]
+            parameters = replace(own[members], gravity=acting[rows_of], fall=fall[rows_of])
+            groups.append(Group(members, plan, given[members], parameters))
+        return groups
+
+    def _numbers(self, template: Scene) -> Array | None:
+        """Return the force parameters of each member, (N, p); None if all share them."""
+        model = template.force_model
+        if not self.parameters or model is None:
+            return None
+        # Entry by entry, so that the bits of a member do not depend on the number of members.
+        numbers = np.repeat(model.numbers_from(0.0, template.end)[None], self.count, axis=0)
+        for k, parameter in enumerate(model.parameters):
+            if parameter.name in self.robot or parameter.name not in self.parameters:
+                shifts = np.zeros(self.count)
+            else:
+                shifts = self.parameters[parameter.name] - parameter.value
+            numbers += shifts[:, None] * model.slopes[:, k]
+        return numbers
+
+    def _robot_numbers(self, template: Scene) -> Array:
+        """Return the variable parameters of the bodies of each member, (N, s).
+
+        An InputError for an unphysical robot names the member.
+        """
+        layout = members_plan(template).kind(zero_momentum=False, generic=True).layout
+        columns = RobotColumns(template, layout, 0)
+        first, size = len(layout.gravity), layout.freed.size
+        numbers = np.empty((self.count, size))
+        constants = np.zeros(first + size + len(falling(template.system)))
+        names = self.robot.keys() & self.parameters.keys()
+        for k in range(self.count):
+            try:
+                values = columns.now({name: self.parameters[name][k] for name in names})
+            except InputError as error:
+                raise type(error)(f"member {k}: {error}") from None
+            columns.put(constants, values, values)
+            numbers[k] = constants[first : first + size]
+        return numbers
+
+    def _given(self, scene: Scene, numbers: Array | None) -> GivenStates:
+        """Return the initial states of all members: the scene's where they do not differ."""
+        system, own = scene.system, scene.given
+        states = dict(self.states)
+        if self.seeds is not None:
+            random = [random_state(system, seed) for seed in self.seeds]
+            states |= {f"{n}0": np.array([getattr(s, n) for s in random]) for n in _OF_SEED}
+        for option, read, fields in (
+            ("q0", input_formats.parse_configuration, _OF_Q),
+            ("v0", input_formats.parse_velocity, _OF_V),
+        ):
+            if option in states:
+                parts = [read(row, system) for row in states.pop(option)]
+                states |= {
+                    n: np.array([getattr(part, field) for part in parts]) for n, field in fields
+                }
+
+        def rows(name: str, size: int, common: Array | None) -> Array | None:
+            if name in states:
+                return vectors(states[name], size, name)
+            return None if common is None else np.repeat(common, self.count, axis=0)
+
+        x, xdot = rows("x0", system.m, own.x), rows("xdot0", system.m, own.xdot)
+        assert x is not None
+        assert xdot is not None
+        pose = np.repeat(own.pose, self.count, axis=0)
+        if "pose0" in states:
+            pose = np.array([system.group.pose(row) for row in states["pose0"]])
+        refuse_vague(np.abs(x).max(axis=0), system)
+        x, xdot = _with_prescribed(scene, x, xdot, numbers)
+        xi, momentum = rows("xi0", system.r, own.xi), rows("momentum", system.r, own.mu)
+        return GivenStates(pose, x, xdot, xi, momentum)
+
+
+def _parameter_values(system: System, parameters: Any, own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of parameters= by name; names alone have the values of the scene."""
+    if parameters is None or isinstance(parameters, Mapping):
+        return dict(parameters or {})
+    values, others = requested(system, parameters)
+    if others:
+        raise InputError(
+            f"parameters: {brief(others[0])} is no number of the robot, and has no value "
+            "here; give {name: value}"
+        )
+    return values | {name: own[name] for name in values if name in own}
+
+
+def _checked_members(members: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    if members is None:
+        return {}
+    if not (isinstance(members, Mapping) and all(isinstance(name, str) for name in members)):
+        raise InputError(f"members must be {{name: (N, …) values}}, got {brief(members)}")
+    return members
+
+
+def _column(value: Any, name: str) -> Array:
+    """Return the values (N,), or (N, k), of a parameter.  Raises ShapeError."""
+    column = as_floats(value, name)
+    return vectors(column, column.shape[-1], f"parameters['{name}']")
+
+
+def _with_prescribed(
+    scene: Scene, x: Array, xdot: Array, numbers: Array | None
+) -> tuple[Array, Array]:
+    """Return initial shapes and rates (N, m) with the planned values of prescribed joints."""
+    model = scene.force_model
+    if model is None or not model.joints or numbers is None:
+        return scene.with_prescribed(x, xdot)
+    x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
+    for k, row in enumerate(numbers):
+        planned = model.prescribed(0.0, row)
+        x[k, joints], xdot[k, joints] = planned.x, planned.xdot
+    return x, xdot
