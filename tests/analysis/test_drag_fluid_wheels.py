@@ -1,4 +1,4 @@
-"""Connections of drag, fluid and wheels against closed forms and published numbers."""
+"""Connections of drag, fluid and wheels, against closed forms and published numbers."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ RODS = {name: pinred.Rod(LENGTH, 2.0, 1.0, centre=(CENTRES[name], 0.0, 0.0)) for
 
 
 def swimmer() -> pinred.Connection:
-    """Purcell's, with drag ratio 2."""
+    """Purcell's swimmer, with drag ratio 2."""
     return pinred.Connection.viscous(pinred.load("purcell_swimmer"), RODS)
 
 
 @pytest.mark.parametrize("x", SHAPES)
-def test_resistive_force_theory(x: Array) -> None:
-    """Drag of three links, written by hand: A to round-off, and the dissipation metric."""
+def test_viscous_connection_matches_resistive_force_theory(x: Array) -> None:
+    """A and the dissipation metric of three links match a manual computation to round-off."""
     drag = np.diag([LENGTH, 2.0 * LENGTH, 2.0 * LENGTH**3 / 12.0])
     G = three_links.form(x, drag)
     A = swimmer()
@@ -35,8 +35,8 @@ def test_resistive_force_theory(x: Array) -> None:
     close(A.metric(x), G[3:, 3:] - G[3:, :3] @ three_links.local(G), 1e-15)
 
 
-def test_purcells_circle() -> None:
-    """The published displacement of a circle of radius 1, ratio 2, base in the middle link."""
+def test_purcell_circle_matches_published_displacement() -> None:
+    """The gait is a circle of radius 1, with ratio 2 and the middle link as base."""
     p = pinred.phase(swimmer(), CIRCLE, tolerance=1e-12)
     assert float(np.hypot(*p.pose[:2])) == pytest.approx(0.0512808243, abs=5e-11)
     assert abs(p.pose[2]) < 1e-13
@@ -44,15 +44,15 @@ def test_purcells_circle() -> None:
     assert p.screw.slide == pytest.approx(0.0512808243, abs=5e-11)
 
 
-def test_tensors_are_taken_as_rods_are() -> None:
-    """A tensor in the link's frame says the same."""
+def test_drag_tensor_equals_rod() -> None:
+    """A drag tensor in the link's frame gives the same connection as a rod."""
     by_hand = {name: np.array(rod.tensor) for name, rod in RODS.items()}
     A = pinred.Connection.viscous(pinred.load("purcell_swimmer"), by_hand)
     close(A.local(SHAPES[1]), swimmer().local(SHAPES[1]), 1e-16)
 
 
-def test_a_rod_across_space() -> None:
-    """Along any axis: the drag of its middle, integrated over its length by hand."""
+def test_rod_along_any_axis_matches_integral() -> None:
+    """The drag about the middle of the rod equals its integral along the length."""
     axis, centre = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.1, -0.2])
     tensor = pinred.Rod(0.8, 3.0, 1.5, centre, axis).tensor
     u = axis / np.linalg.norm(axis)
@@ -66,8 +66,8 @@ def test_a_rod_across_space() -> None:
 
 
 @pytest.mark.parametrize("convention", ["textbook", "sysplotter"])
-def test_three_ellipses(convention: str) -> None:
-    """Added masses π b², π a² and moment π/8 (a² − b²)², or (a² − b²)² as sysplotter has it."""
+def test_added_masses_of_ellipses(convention: str) -> None:
+    """Added masses are π b², π a² and the moment π/8 (a² − b²)², or (a² − b²)² as in sysplotter."""
     a, b, rho = 0.5 * LENGTH, 0.04, 1.3
     factor = np.pi / 8.0 if convention == "textbook" else 1.0
     added = rho * np.diag([np.pi * b**2, np.pi * a**2, factor * (a**2 - b**2) ** 2])
@@ -87,8 +87,8 @@ def test_three_ellipses(convention: str) -> None:
     assert ratio == pytest.approx(8.0 / np.pi if other == "sysplotter" else np.pi / 8.0)
 
 
-def test_lambs_ellipsoids() -> None:
-    """A sphere has half its mass; 2:1:1 has Lamb's 0.209, 0.702 (his table) and 0.240 in turns."""
+def test_added_masses_of_ellipsoids_match_lamb() -> None:
+    """A sphere adds half its mass; 2:1:1 has Lamb's 0.209, 0.702 and 0.240."""
     mass, moment = added_masses(np.array([0.7, 0.7, 0.7]))
     close(mass, np.full(3, 0.5 * 4.0 / 3.0 * np.pi * 0.7**3), 1e-14)
     close(moment, np.zeros(3), 1e-14)
@@ -107,21 +107,21 @@ def test_lambs_ellipsoids() -> None:
     close(moment / (volume * (a**2 + b**2) / 5.0), [0.0, turn, turn], 1e-13)
 
 
-def test_a_long_ellipsoid_has_the_textbooks_moment() -> None:
-    """Sliced across, it is ellipses: π/8 (b² − c²)² integrated along it, 16 a/15 times that."""
+def test_long_ellipsoid_matches_strip_theory() -> None:
+    """The moment equals π/8 (b² − c²)² of its elliptic slices, integrated along the axis."""
     a, b, c = 3000.0, 0.9, 0.4
     _, moment = added_masses(np.array([a, b, c]))
     assert moment[0] == pytest.approx(np.pi / 8.0 * (b**2 - c**2) ** 2 * 16.0 / 15.0 * a, rel=1e-5)
 
 
 def snake() -> pinred.Connection:
-    """Three links with a wheel each."""
+    """Three links with one wheel each."""
     wheels = [pinred.Wheel(name, (CENTRES[name], 0.0, 0.0)) for name in LINKS]
     return pinred.Connection.kinematic(pinred.load("purcell_swimmer"), wheels)
 
 
-def test_the_wheels_of_a_snake() -> None:
-    """A = W_b⁻¹ W_s, W the sideways speeds of the links' centres."""
+def test_snake_connection_matches_wheel_constraints() -> None:
+    """A = W_b⁻¹ W_s, where W gives the lateral velocities of the link centres."""
     A = snake()
     for x in (np.array([0.9, -0.4]), np.array([-1.3, 2.1])):
         J = three_links.centre_jacobians(x)
@@ -142,8 +142,8 @@ def test_the_wheels_of_a_snake() -> None:
         pinred.phase(A, gait, [1.0, 0.0, 0.0])
 
 
-def test_singular_wheels_are_refused() -> None:
-    """On one arc, straight included, the wheels leave a motion open; no gait crosses that."""
+def test_singular_wheel_configuration_is_refused() -> None:
+    """If all wheels touch one arc or line, the base is not determined, and gaits fail there."""
     A = snake()
     for x in ([0.0, 0.0], [0.6, 0.6]):
         with pytest.raises(pinred.SingularInertiaError, match="leave a motion of the body open"):
@@ -155,7 +155,7 @@ def test_singular_wheels_are_refused() -> None:
 
 
 def car(trailers: int) -> pin.Model:
-    """A car in the plane: a driven wheel, steering, and trailers hitched at their axles."""
+    """A planar car: a driven wheel, steering, and trailers hitched at their axles."""
     model = pin.Model()
     model.gravity.setZero()
     body = pin.Inertia(2.0, np.zeros(3), np.diag([0.1, 0.2, 0.3]))
@@ -175,8 +175,8 @@ def car(trailers: int) -> pin.Model:
     return model
 
 
-def test_the_kinematic_car() -> None:
-    """It goes at R φ̇ and turns at R φ̇ tan(steering)/ℓ."""
+def test_car_connection_matches_kinematic_car() -> None:
+    """Its speed is R φ̇ and its yaw rate R φ̇ tan(steering)/ℓ."""
     wheels: list[pinred.Wheel | pinred.Rolling] = [
         pinred.Wheel("chassis"),
         pinred.Wheel("axle"),
@@ -192,8 +192,8 @@ def test_the_kinematic_car() -> None:
         close(A.local(x), expected, 1e-14)
 
 
-def test_a_car_with_a_trailer() -> None:
-    """Without an engine: steering and hitch move it, as ω = ḣ-rate of the hitch says."""
+def test_unpowered_car_with_trailer_moves_by_steering() -> None:
+    """Steering and hitch move the car, in agreement with the hitch rate."""
     system = pinred.load(car(1), lock={"drive": 0.0})
     wheels = [pinred.Wheel("chassis"), pinred.Wheel("axle"), pinred.Wheel("trailer", (-0.5, 0, 0))]
     A = pinred.Connection.kinematic(system, wheels)
@@ -209,8 +209,8 @@ def test_a_car_with_a_trailer() -> None:
     close(A.local(x), expected, 1e-13)
 
 
-def test_refusals() -> None:
-    """Links, wheels and numbers that are not there, by name."""
+def test_invalid_links_and_wheels_are_refused() -> None:
+    """Invalid links, wheels and numbers are refused by name."""
     system = pinred.load("purcell_swimmer")
     with pytest.raises(pinred.InputError, match=r"did you mean 'rear'.*the links are"):
         pinred.Connection.viscous(system, {"raer": RODS["rear"]})
