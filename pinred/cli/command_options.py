@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from ..common.plain_names import quoted
+from ..common.names import quoted
 
 if TYPE_CHECKING:
     from ..scene.event import Event

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
-from ..common.plain_names import quoted
+from ..common.names import quoted
 from .command_options import (
     add_options,
     add_parameters,
@@ -18,7 +18,7 @@ from .command_options import (
 )
 
 if TYPE_CHECKING:
-    from ..planning.gait_files.load_gait import GaitFile
+    from ..planning.gait_file import GaitFile
 
 
 def add_source(sub: argparse.ArgumentParser) -> None:
@@ -44,7 +44,7 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
     from ..analysis.connections.connection import Connection
     from ..analysis.gaits.gait import Gait
     from ..common.names import joint_index
-    from ..planning.gait_files.load_gait import GaitFile, load_gait
+    from ..planning.gait_file import GaitFile, load_gait
     from ..system.load import load
 
     if Path(arguments.source).suffix == ".toml":

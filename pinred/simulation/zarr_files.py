@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ..common.errors import MissingPackageError, OutputError
-from ..common.plain_names import quoted_path
+from ..common.names import quoted_path
 
 
 def write_zarr(path: Path, arrays: dict[str, Any]) -> None:

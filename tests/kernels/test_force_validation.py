@@ -12,9 +12,9 @@ from trees import placement, random_model
 import pinred
 from pinred.forces import ComputedTorque, Wrench, force_model, inverse_dynamics
 from pinred.forces.force_model import ForceModel
-from pinred.forces.robot_symbols import RobotSymbols
+from pinred.forces.force_numbers import RobotSymbols
 from pinred.kernels.build import build_kernel
-from pinred.kernels.layout import Structure
+from pinred.kernels.kernel import Structure
 from pinred.kernels.object_cache import ObjectCache
 from pinred.reduction.tree.free_bodies import Freed
 
