@@ -146,7 +146,7 @@ class Trajectory(OverTime):
     @cached_property
     def driving_torques(self) -> Array:
         """Torques that the prescribed joints need, (T, k) [N·m | N], in their order."""
-        from .driving_torques import driving_torques
+        from .balances import driving_torques
 
         return driving_torques(self.plan, self.t, self.motion.samples(self.t))
 

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import mathieu_b
 
 import pinred
-from pinred.analysis.stability.variational import variational
+from pinred.analysis.stability.along_motions import variational
 from pinred.common.arrays import Array
 from pinred.forces import Controller, Damper
 from pinred.reduction.canonical_form import CanonicalForm

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...analysis.phases.drift import Drift
 from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
+from ...analysis.phases.path_basis import Drift
 from ...common.arrays import Array, vector
 from ...common.errors import InputError
 from ...system.system import System
