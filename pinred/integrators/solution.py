@@ -101,8 +101,7 @@ class Solution:
             time = float(asked[order][lost[0]])
             last_state = self.states[np.searchsorted(self.knots, time) - 1]
             raise NoConvergence(
-                f"the state at t = {time:g} s, within a step, has no solution that could be "
-                "found: take shorter steps",
+                f"the state at t = {time:g} s, within a step, was not solved: take shorter steps",
                 time,
                 last_state,
             )

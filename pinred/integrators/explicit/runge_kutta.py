@@ -78,7 +78,7 @@ fill_step = fill_end = fill_errors = fill_dense = estimate = unbound
 
 
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
-    """Implement the hook `begin_run`."""
+    """Evaluate the initial rates and choose the first step (hook of the step loop)."""
     keep_state(run, work, 0.0, end_times, end_states)
     call(run.address, work[Y], params, work[BEGIN_RATE])
     run.evaluations += 1
@@ -92,12 +92,12 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 
 
 def next_end_time(run: Run) -> float:
-    """Implement the hook `next_end_time`."""
+    """Return t + h, or the end time if it is almost reached (hook)."""
     return run.t_end if run.t + 1.01 * run.h >= run.t_end else run.t + run.h
 
 
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Implement the hook `attempt_step`."""
+    """Compute a step and its error; return DONE, or AGAIN with a shorter step (hook)."""
     h = t_new - run.t  # includes the round-off of the clock, as the state must follow the clock
     run.evaluations += fill_step(run.address, params, work, h)
     fill_errors(run.address, params, work, 1.0)
@@ -114,7 +114,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
 
 
 def accept_step(run: Run, work: Array, t_new: float) -> None:
-    """Implement the hook `accept_step`."""
+    """Continue from the end of the step, and choose the next length by the error (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[BEGIN_RATE, i] = work[END_RATE, i]
@@ -148,13 +148,13 @@ def load_step(
     end_states: Array,  # noqa: ARG001
     k: int,  # noqa: ARG001
 ) -> None:
-    """Implement the hook `load_step`."""
+    """Evaluate the rates at the start of a stored step (hook)."""
     call(run.address, work[Y], params, work[BEGIN_RATE])
     unit(work[Y], work[BEGIN_RATE], run.quaternion)
 
 
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Implement the hook `write_state` by a polynomial (II.6)."""
+    """Write a state in the step by the dense-output polynomial, section II.6 (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
         h = t_new - run.t
         if run.known == ENDS:

@@ -86,7 +86,7 @@ class Bindings:
     """Global names of one method, and compiled copies of functions that use them.
 
     Attributes:
-        values: Values of the global names. Each copy that `add` makes joins them.
+        values: Values of the global names, including the copies that `add` has made.
     """
 
     def __init__(self, prefix: str, **values: Any) -> None:
