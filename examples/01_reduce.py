@@ -1,4 +1,4 @@
-"""Reduce a robot by hand: split the mass matrix, read the terms of the equations."""
+"""Reduce a robot: print the blocks of its mass matrix and the terms of its equations."""
 
 import numpy as np
 

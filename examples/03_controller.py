@@ -1,7 +1,7 @@
-"""A controller in plain Python, sampled at 50 Hz: its torques are held between the samples.
+"""A controller in plain Python, sampled at 50 Hz with zero-order hold of its torques.
 
-The cat has some spin; the controller damps its joints and pulls them to a pose.  Energy changes
-by the work that the controller does, and the full simulation is given the same torques.
+The cat spins slowly; the controller damps its joints and moves them to a goal. The change of
+energy equals the work of the controller. The reference simulation by ABA applies the same torques.
 """
 
 import numpy as np
@@ -29,6 +29,6 @@ traj = pinred.simulate(
     forces=[Controller(control, period=0.02, limit=Limit(1.0, smooth=True))],
 )
 balance = traj.energy_balance
-print("left of the way to the goal:", np.abs(traj.x[-1] - goal).max(), "rad")
-print("work of the controller:", balance.work[-1, 0], "J; left over:", balance.residual[-1], "J")
+print("remaining distance to the goal:", np.abs(traj.x[-1] - goal).max(), "rad")
+print("work of the controller:", balance.work[-1, 0], "J; residual:", balance.residual[-1], "J")
 print(pinred.compare(traj))

@@ -12,7 +12,7 @@ from hypothesis import settings
 import pinred
 from pinred.views.playback.headless_browser import Browser, browser, find_browser
 
-# The default run tries the same examples every time, so that no test fails by chance.
+# The default run uses the same examples every time, so that no test fails by chance.
 settings.register_profile(
     "repeatable", deadline=None, print_blob=True, max_examples=20, derandomize=True, database=None
 )
@@ -76,7 +76,7 @@ def _set_examples(item: pytest.Item, count: int) -> bool:
 
 @pytest.fixture(scope="module")
 def screen() -> Iterator[Browser]:
-    """Share one browser between the tests of a file; skip them where there is none."""
+    """Share one browser between the tests of a file; skip them if no browser is installed."""
     try:
         find_browser()
     except pinred.InputError as error:

@@ -1,4 +1,4 @@
-"""What the documents say is what the code does."""
+"""Code, tables and file names in the documents agree with the package."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CODE: list[str] = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 @pytest.mark.slow
 @pytest.mark.parametrize("code", CODE)
 def test_readme_examples_run(code: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """The examples of the README run as they stand and pass their comparison."""
+    """The Python examples of the README run unchanged and pass their comparison."""
     exec(compile(code, "README.md", "exec"), {})
     assert "verdict: PASSED" in capsys.readouterr().out
 
@@ -37,9 +37,9 @@ def test_readme_examples_run(code: str, capsys: pytest.CaptureFixture[str]) -> N
         *("adapters/casadi.md", "adapters/jax.md", "adapters/pytorch.md", "adapters/scipy.md"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:`torch.jit")  # PyTorch warns of its own ways
+@pytest.mark.filterwarnings("ignore:`torch.jit")  # PyTorch warns about its own API
 def test_code_of_documents_runs(name: str) -> None:
-    """All blocks of code in a row, with what they assert."""
+    """All code blocks of a document run in order, with their assertions."""
     for package in ("jax", "torch"):
         if f"adapters/{'py' * (package == 'torch')}{package}.md" == name:
             pytest.importorskip(package)
@@ -50,21 +50,21 @@ def test_code_of_documents_runs(name: str) -> None:
 
 
 def test_formulas_are_closed() -> None:
-    """Every displayed formula ends, and inline ones have both of their marks."""
+    """Displayed formulas are closed, and inline formulas have both delimiters."""
     text = (ROOT / "docs/theory.md").read_text(encoding="utf-8")
     assert text.count("```") % 2 == 0
-    inside = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
-    assert inside.count("$`") == inside.count("`$") > 10
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    assert prose.count("$`") == prose.count("`$") > 10
 
 
-def test_ten_lines_are_ten_lines() -> None:
-    """The first example is what its heading says, but for its imports."""
+def test_first_readme_example_has_ten_lines() -> None:
+    """The first example has at most ten lines and two imports."""
     assert len(CODE[0].strip().splitlines()) <= 12
 
 
 @pytest.mark.slow
 def test_readme_scene_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The scene of the README runs as it stands and passes its comparison."""
+    """The scene file of the README runs unchanged and passes its comparison."""
     (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
     path = tmp_path / "scene.toml"
     path.write_text(text, encoding="utf-8")
@@ -73,28 +73,28 @@ def test_readme_scene_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_scene_keys_are_documented(tmp_path: Path) -> None:
-    """docs/scenes.md has the tables of the schema, and its error is what the reader says."""
+    """docs/scenes.md has the tables of the schema and the error message of the reader."""
     text = scene_tables.DOCUMENT.read_text(encoding="utf-8")
     assert text == scene_tables.document(), "run tests/helpers/scene_tables.py"
-    (said,) = re.findall(r"```text\n(.*?)\n```", text)
+    (message,) = re.findall(r"```text\n(.*?)\n```", text)
     head = 'robot = "falling_cat"\n' + "\n" * 7
     spring = '[[forces]]\nkind = "spring"\njoint = "bend"\nstifness = 1\n'
     path = tmp_path / "scene.toml"
     path.write_text(head + spring, encoding="utf-8")
     with pytest.raises(pinred.InputError) as caught:
         pinred.load_scene(path)
-    assert str(caught.value) == f"{tmp_path}/{said}"
+    assert str(caught.value) == f"{tmp_path}/{message}"
 
 
 def test_ci_runs_the_test_command_of_the_readme() -> None:
-    """The second command block of the README is the line that CI runs."""
+    """CI runs the second console command of the README."""
     commands = re.findall(r"```console\n\$ (.*?)\n", README)
     assert (ROOT / ".ci/run").read_text(encoding="utf-8").strip().endswith(commands[1])
     assert "pinred compare" in commands[0]
 
 
 def test_concept_table_names_code_that_exists() -> None:
-    """Every name in the column `code` of the concept table can be called or read."""
+    """Every name in the column `code` of the concept table exists."""
     system = pinred.load("falling_cat")
     red = pinred.Reduction(system)
     traj = pinred.simulate(system, duration=0.1)
@@ -110,7 +110,7 @@ def test_concept_table_names_code_that_exists() -> None:
         assert value is not None
 
 
-def test_robots_readme_is_the_catalogue() -> None:
+def test_robots_readme_lists_the_catalogue() -> None:
     """robots/README.md has one row per robot, with its group and description."""
     text = (bundled_folder() / "README.md").read_text(encoding="utf-8")
     rows = {}
@@ -127,14 +127,14 @@ def test_robots_readme_is_the_catalogue() -> None:
     assert files == {robot.path.name for robot in bundled_robots().values()}
 
 
-def test_what_is_left_out_of_mjcf_is_documented() -> None:
-    """docs/robots.md names each kind of thing that can be left out, and each group of a base."""
+def test_ignored_mjcf_elements_are_documented() -> None:
+    """docs/robots.md names every ignored kind of MJCF element and every group of a base."""
     text = (ROOT / "docs/robots.md").read_text(encoding="utf-8")
     assert [kind for kind in (*ACTING, *GROUPS) if kind not in text] == []
 
 
-def test_groups_of_the_readme_are_those_there_are() -> None:
-    """Each has a row, with the coordinates of a pose and of a twist in their order."""
+def test_readme_lists_all_groups() -> None:
+    """Each group has a row with its pose and twist coordinates in their order."""
     rows = {}
     for line in README[README.index("| `group` |") :].split("\n\n")[0].splitlines()[2:]:
         name, *cells = (cell.strip().strip("`()") for cell in line.strip("|").split("|"))
@@ -146,7 +146,7 @@ def test_groups_of_the_readme_are_those_there_are() -> None:
 
 
 def test_errata_name_tests_that_exist() -> None:
-    """Each line of the errata points to a test."""
+    """Each test that the errata name exists."""
     text = (ROOT / "docs/errata.md").read_text(encoding="utf-8")
     names = re.findall(r"`(?:(tests/\w+/\w+\.py)::)?(test_\w+)`", text)
     assert len(names) >= 10
@@ -160,7 +160,7 @@ def test_errata_name_tests_that_exist() -> None:
     "path", sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")]), ids=lambda p: p.name
 )
 def test_files_that_documents_name_exist(path: Path) -> None:
-    """A path in a document is from the top of the checkout, the package, or its own folder."""
+    """Paths in a document are relative to the project, the package or the document."""
     text = path.read_text(encoding="utf-8")
     for name in re.findall(r"`((?:\w+/)+\w*\.?\w*)`", text):
         folders = (ROOT, ROOT / "pinred", path.parent)
@@ -170,7 +170,7 @@ def test_files_that_documents_name_exist(path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
 def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every example runs from anywhere."""
+    """Every example runs in any folder."""
     monkeypatch.chdir(tmp_path)
     if path.name == "05_shooting.py":
         pytest.importorskip("crocoddyl")

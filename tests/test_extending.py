@@ -1,4 +1,4 @@
-"""The examples of docs/extending.md, run as they stand there, and judged by other routes."""
+"""Run the examples of docs/extending.md and compare their results with other routes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from pinred.laboratory.bench.solvers import SOLVERS
 from pinred.lie import GROUPS
 
 ROOT = Path(__file__).parents[1]
-BEFORE = """
+# Names that the examples assume to be defined.
+PREAMBLE = """
 import numpy as np
 import pinocchio as pin
 import pinred
@@ -30,7 +31,7 @@ DOCUMENT = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
 
 
 def code_of(section: str) -> list[str]:
-    """The blocks of code in a section, in order."""
+    """Return the code blocks of a section, in order."""
     (text,) = re.findall(rf"^## {section}\n(.*?)(?=^## |\Z)", DOCUMENT, re.DOTALL | re.MULTILINE)
     return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
 
@@ -39,20 +40,20 @@ def code_of(section: str) -> list[str]:
 def names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> Iterator[dict[str, Any]]:
-    """What the code of a section, run in order in an empty folder, has defined."""
+    """Run the code of a section in an empty folder; return the names that it defines."""
     monkeypatch.chdir(tmp_path)
     before = dict(GROUPS)
-    module = ModuleType("example")  # dataclasses look their module up
+    module = ModuleType("example")  # dataclasses look up their module by name
     monkeypatch.setitem(sys.modules, "example", module)
-    for block in [BEFORE, *code_of(request.param)]:
+    for block in [PREAMBLE, *code_of(request.param)]:
         exec(compile(block, "docs/extending.md", "exec"), vars(module))
     yield vars(module)
     GROUPS.clear()
     GROUPS.update(before)
 
 
-def test_every_section_is_run() -> None:
-    """The sections are those of the tests here; an integrator has its example on its own page."""
+def test_sections_of_extending_page_are_tested() -> None:
+    """All sections of the page have a test here; the integrator example is on its own page."""
     sections = re.findall(r"^## (.*)$", DOCUMENT, re.MULTILINE)
     assert sections == ["A force", "An integrator", "A group", "A figure", "A benchmark peer"]
     assert [bool(code_of(section)) for section in sections] == [True, False, True, True, True]
@@ -61,13 +62,13 @@ def test_every_section_is_run() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("names", ["A force"], indirect=True)
-def test_force(names: dict[str, Any]) -> None:
-    """The same motion as of a torque that says the same; its work is what it took."""
+def test_force_example_matches_equivalent_torque(names: dict[str, Any]) -> None:
+    """The force gives the same motion as an equivalent torque, and its work is balanced."""
     torque = Torque(lambda t, x, xdot, mu: {"bend": -0.3 * ca.fabs(xdot[0]) * xdot[0]})  # noqa: ARG005
     cat, traj = pinred.load("falling_cat"), names["traj"]
     assert cat.shape_names[0] == "bend"
-    same = pinred.simulate(cat, seed=1, duration=1.0, forces=[torque])
-    np.testing.assert_allclose(traj.x, same.x, rtol=0, atol=1e-9)
+    equivalent = pinred.simulate(cat, seed=1, duration=1.0, forces=[torque])
+    np.testing.assert_allclose(traj.x, equivalent.x, rtol=0, atol=1e-9)
     assert np.abs(traj.x - pinred.simulate(cat, seed=1, duration=1.0).x).max() > 1e-3
     assert traj.energy_balance.work[-1, 0] < -1e-3
     assert abs(traj.energy_balance.residual).max() < 1e-8
@@ -76,8 +77,8 @@ def test_force(names: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("names", ["A group"], indirect=True)
-def test_group(names: dict[str, Any]) -> None:
-    """Falls along its axis as a stone does, and keeps its angular momentum."""
+def test_group_example_falls_freely(names: dict[str, Any]) -> None:
+    """The system is in free fall along its axis, and its angular momentum is constant."""
     motion = names["motion"]
     assert motion.system.group is names["CYLINDER"]
     t, J = motion.t, motion.spatial_momentum
@@ -86,26 +87,26 @@ def test_group(names: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("names", ["A figure"], indirect=True)
-def test_figure(names: dict[str, Any], tmp_path: Path) -> None:
-    """The lines are the rates, named by their joints; the file is written."""
+def test_figure_example_plots_rates(names: dict[str, Any], tmp_path: Path) -> None:
+    """The figure shows the rates with their joint names, and its file is written."""
     traj, (axes,) = names["traj"], names["rates"](names["traj"]).axes
     for k, name in enumerate(traj.system.shape_names):
-        drawn = axes.lines[k]
-        assert drawn.get_label() == name
+        curve = axes.lines[k]
+        assert curve.get_label() == name
         np.testing.assert_array_equal(
-            np.transpose(drawn.get_data()), np.stack([traj.t, traj.xdot[:, k]], axis=1)
+            np.transpose(curve.get_data()), np.stack([traj.t, traj.xdot[:, k]], axis=1)
         )
     assert (tmp_path / "rates.png").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("names", ["A benchmark peer"], indirect=True)
-def test_peer(names: dict[str, Any]) -> None:
-    """Its error falls with its step, as of order one; its name is free."""
+def test_peer_example_converges_with_order_one(names: dict[str, Any]) -> None:
+    """The error of the peer decreases linearly with its step, and its name is unique."""
     problem, solver = names["problem"], names["EULER"]
-    assert solver.name not in {each.name for each in SOLVERS}
-    truth = pinred.simulate(problem.scene()).x[-1]
+    assert solver.name not in {known.name for known in SOLVERS}
+    reference = pinred.simulate(problem.scene()).x[-1]
     errors = []
-    for part in solver.tolerances:
-        ready = solver.prepare(problem, part)
-        errors.append(np.abs(ready.end(ready.run()).x - truth).max())
+    for step in solver.tolerances:
+        prepared = solver.prepare(problem, step)
+        errors.append(np.abs(prepared.end(prepared.run()).x - reference).max())
     assert errors[-1] < 0.7 * errors[-2] < 0.7 * 0.7 * errors[-3]

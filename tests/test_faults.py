@@ -1,4 +1,4 @@
-"""Inputs at random: none of them crashes, hangs, ends in a traceback, or is taken unsoundly."""
+"""Random invalid inputs cause no crash, hang, traceback or unsound result."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fault_inputs import KINDS
 
 from pinred.common.errors import InputError
 
-_FEW, _SEED = 40, 1
+_COUNT, _SEED = 40, 1
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -24,18 +24,18 @@ def _prepared() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_faults(kind: str) -> None:
+def test_random_inputs_cause_no_fault(kind: str) -> None:
     """A short form of `python tests/helpers/faults.py --long`."""
-    found = faults.tried(kind, _FEW, seed=_SEED)
-    assert found.faults == []
-    assert found.counts.total() == _FEW
+    tally = faults.tried(kind, _COUNT, seed=_SEED)
+    assert tally.faults == []
+    assert tally.counts.total() == _COUNT
 
 
 @pytest.mark.parametrize("kind", ["urdf", "mjcf", "scene", "recording"])
-def test_what_is_not_changed_is_taken(
+def test_unmutated_inputs_are_accepted(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The inputs that are changed are sound themselves, so that what is tried is what is read."""
+    """Without mutations the same inputs are accepted, so the mutations reach the readers."""
     monkeypatch.setattr(fault_inputs, "mutated", lambda _, text: text)
     monkeypatch.setattr(fault_inputs, "_odd", lambda _: "falling_cat")
     outcomes = []
@@ -47,12 +47,12 @@ def test_what_is_not_changed_is_taken(
 
 
 @pytest.mark.parametrize("fault", ["crash", "hang", "traceback", "silent"])
-def test_faults_are_seen(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A child that dies, hangs, raises something else or gives nonsense counts as a fault."""
+def test_each_kind_of_fault_is_counted(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A child that dies, hangs, raises another error or returns a message counts as a fault."""
 
     def attempt(rng: np.random.Generator, _: Path) -> str:
         if rng.random() < 0.5:
-            raise InputError("as it should be")
+            raise InputError("a correct rejection")
         if fault == "crash":
             os.kill(os.getpid(), signal.SIGSEGV)
         elif fault == "hang":
@@ -63,7 +63,7 @@ def test_faults_are_seen(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(faults, "_PATIENCE", 0.2 if fault == "hang" else 20.0)
     monkeypatch.setitem(KINDS, "urdf", attempt)
-    found = faults.tried("urdf", 6)
-    assert found.counts.total() == 6
-    assert found.counts[fault] >= 1
-    assert {outcome for _, outcome, _ in found.faults} == {fault}
+    tally = faults.tried("urdf", 6)
+    assert tally.counts.total() == 6
+    assert tally.counts[fault] >= 1
+    assert {outcome for _, outcome, _ in tally.faults} == {fault}

@@ -1,4 +1,4 @@
-"""The tutorials run as a student would run them, and their numbers are those of other routes."""
+"""Run the tutorials and compare their printed numbers with independent results."""
 
 from __future__ import annotations
 
@@ -33,38 +33,38 @@ NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a tutorial printed, and the names in it at its end."""
+class Output:
+    """The text that a tutorial printed, and its global names after the run."""
 
     text: str
     names: dict[str, Any]
 
     def numbers(self, pattern: str) -> list[float]:
-        """Return the numbers in the one place where the text matches; N stands for each."""
-        (found,) = re.findall(pattern.replace("N", NUMBER), self.text)
-        return [float(text) for text in ([found] if isinstance(found, str) else found)]
+        """Return the numbers at the only match of a pattern, in which N stands for a number."""
+        (match,) = re.findall(pattern.replace("N", NUMBER), self.text)
+        return [float(text) for text in ([match] if isinstance(match, str) else match)]
 
 
 @pytest.fixture(scope="module")
-def tell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Told]:
-    """Run a tutorial once, in an empty folder, where it leaves nothing."""
-    told: dict[str, Told] = {}
+def run_tutorial(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Output]:
+    """Run each requested tutorial once, in an empty folder, and check that it writes no files."""
+    outputs: dict[str, Output] = {}
 
-    def run(start: str) -> Told:
+    def run(start: str) -> Output:
         (path,) = (path for path in PATHS if path.name.startswith(start))
         if start == "04" and not has_example_robots():
             pytest.skip("example-robot-data is not installed")
-        if start not in told:
+        if start not in outputs:
             folder, before = tmp_path_factory.mktemp("student"), Path.cwd()
             os.chdir(folder)
             try:
-                with redirect_stdout(StringIO()) as out:
+                with redirect_stdout(StringIO()) as stream:
                     names = runpy.run_path(str(path), run_name="__main__")
             finally:
                 os.chdir(before)
             assert list(folder.iterdir()) == []
-            told[start] = Told(out.getvalue(), names)
-        return told[start]
+            outputs[start] = Output(stream.getvalue(), names)
+        return outputs[start]
 
     return run
 
@@ -72,15 +72,21 @@ def tell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Told]:
 def turned_by_momentum_map(
     system: pinred.System, shape: Callable[[float], Array], duration: float, steps: int = 2000
 ) -> Array:
-    """Return the rotation vector by which a prescribed shape turns the base, (3,) [rad].
+    """Return the rotation of the base under a prescribed shape, (3,) [rad].
 
-    By Pinocchio's centroidal momentum matrix, A_G v = 0, and the middle of each step.
+    Uses Pinocchio's centroidal momentum matrix at the midpoint of each step, with A_G v = 0.
+
+    Args:
+        system: A floating robot.
+        shape: Shape as a function of time [rad | m].
+        duration: Duration of the motion [s].
+        steps: Number of steps.
     """
     model, data = system.model, system.model.createData()
     q, h = pin.neutral(model), duration / steps
     first = pin.Quaternion(q[3:7])
     for k in range(steps):
-        before, middle, after = (shape((k + part) * h) for part in (0.0, 0.5, 1.0))
+        before, middle, after = (shape((k + fraction) * h) for fraction in (0.0, 0.5, 1.0))
         xdot = (after - before) / h
         q = system.q(q[:7], middle)
         map_ = pin.computeCentroidalMap(model, data, q)
@@ -90,8 +96,8 @@ def turned_by_momentum_map(
 
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.name)
-def test_form(path: Path) -> None:
-    """Short, in cells, with text first; and everything that is compared is checked."""
+def test_tutorial_has_standard_structure(path: Path) -> None:
+    """Each tutorial has at most 120 lines, starts with a text cell and contains assertions."""
     text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 120
     assert text.startswith(f"# %% [markdown]\n# # {int(path.name[:2])}. ")
@@ -100,63 +106,71 @@ def test_form(path: Path) -> None:
     assert f"tutorials/{path.name}" in (ROOT / "docs/tutorials.md").read_text(encoding="utf-8")
 
 
-def test_they_are_numbered() -> None:
-    """From 1 on, none left out."""
+def test_tutorials_are_numbered_consecutively() -> None:
+    """The numbers are consecutive, starting at 1."""
     assert [int(path.name[:2]) for path in PATHS] == list(range(1, len(PATHS) + 1))
 
 
-def test_elroys_beanie(tell: Callable[[str], Told]) -> None:
-    """I = 3, A = 1/3, M = 2/3; three periods of 2π/3 s at μ = 0.7; a turn of the propeller."""
-    told = tell("01")
+def test_tutorial_elroys_beanie_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """I = 3, A = 1/3, M = 2/3; three periods of 2π/3 s at μ = 0.7; one turn of the propeller."""
+    output = run_tutorial("01")
     for name, value in (("I", 3.0), ("A", 1 / 3), ("M", 2 / 3)):
-        assert told.numbers(rf"\n{name} +N +N\n") == pytest.approx([value, value], abs=1e-9)
-    turned = told.numbers(r"turned in three periods: N rad, by hand N rad")
+        assert output.numbers(rf"\n{name} +N +N\n") == pytest.approx([value, value], abs=1e-9)
+    turned = output.numbers(r"turned in three periods: N rad, by hand N rad")
     assert turned == pytest.approx(2 * [0.7 * 3 * (2 * np.pi / 3) / 3], abs=1e-8)
-    assert told.numbers(r"turns the body by N rad") == pytest.approx([-2 * np.pi / 3], abs=1e-8)
-    assert told.text.count("verdict: PASSED") == 1
+    assert output.numbers(r"turns the body by N rad") == pytest.approx([-2 * np.pi / 3], abs=1e-8)
+    assert output.text.count("verdict: PASSED") == 1
 
 
-def test_coupled_planar(tell: Callable[[str], Told]) -> None:
-    """A = (0, −1/30, 4/15) and M = 11/60; both bodies turn steadily; body 2 by ABA too."""
-    told = tell("02")
-    (row,) = re.findall(r"A by hand +\[(.*?)\] +by pinred \[(.*?)\]", told.text)
-    for entries in row:
+def test_tutorial_coupled_planar_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """A = (0, −1/30, 4/15) and M = 11/60; accelerations agree with ABA."""
+    output = run_tutorial("02")
+    (components,) = re.findall(r"A by hand +\[(.*?)\] +by pinred \[(.*?)\]", output.text)
+    for entries in components:
         np.testing.assert_allclose(
             np.array(entries.split(), float), [0, -1 / 30, 4 / 15], atol=1e-8
         )
-    assert told.numbers("M by hand +N +by pinred N") == pytest.approx(2 * [11 / 60], rel=1e-14)
-    assert told.numbers(r"x = N rad, by hand N rad") == pytest.approx(2 * [0.3 + 12.0], abs=1e-8)
+    assert output.numbers("M by hand +N +by pinred N") == pytest.approx(2 * [11 / 60], rel=1e-14)
+    assert output.numbers(r"x = N rad, by hand N rad") == pytest.approx(2 * [0.3 + 12.0], abs=1e-8)
     system = pinred.load("coupled_planar")
     v = np.array([0.4, -0.7, 0.9, 1.2])
     vdot = pin.aba(
         system.model, system.model.createData(), system.q(np.zeros(3), [0.3]), v, np.zeros(4)
     )
     # Pinocchio's planar joint has its linear velocity in the body, as ours: v̇ is ξ̇, ẍ.
-    np.testing.assert_allclose(told.names["vdot"], vdot, atol=1e-12)
+    np.testing.assert_allclose(output.names["vdot"], vdot, atol=1e-12)
 
 
-def test_falling_cat(tell: Callable[[str], Told]) -> None:
-    """The turn of the large loop by Pinocchio's centroidal map; half a turn at the end."""
-    told = tell("03")
+def test_tutorial_falling_cat_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """The rotation by the large loop agrees with the centroidal map; the cat rolls by 180°."""
+    output = run_tutorial("03")
 
     def circle(t: float, radius: float = 1.2) -> Array:
         return radius * np.array([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t), 0.0])
 
     turn = turned_by_momentum_map(pinred.load("falling_cat"), circle, 1.0)
     size = float(np.linalg.norm(turn))
-    assert told.numbers("in 1 s +N rad") == pytest.approx([size], rel=1e-6)
-    assert told.numbers(r"in 0\.3 s +N rad") == pytest.approx([size], rel=1e-6)
-    assert told.numbers("backwards +N rad") == pytest.approx([size], rel=1e-6)
-    np.testing.assert_allclose(told.names["turned"](told.names["traj"]), turn, atol=1e-5)
-    assert told.numbers("the cat turns by N°") == pytest.approx([180.0], abs=0.02)
-    off = [float(text) for text in re.findall(r"([\d.]+)%", told.text)]
+    assert output.numbers("in 1 s +N rad") == pytest.approx([size], rel=1e-6)
+    assert output.numbers(r"in 0\.3 s +N rad") == pytest.approx([size], rel=1e-6)
+    assert output.numbers("backwards +N rad") == pytest.approx([size], rel=1e-6)
+    np.testing.assert_allclose(output.names["turned"](output.names["traj"]), turn, atol=1e-5)
+    assert output.numbers("the cat turns by N°") == pytest.approx([180.0], abs=0.02)
+    off = [float(text) for text in re.findall(r"([\d.]+)%", output.text)]
     assert np.divide(off[:2], off[1:]) == pytest.approx([2.0, 2.0], rel=0.02)
 
 
-def test_quadruped_flight(tell: Callable[[str], Told]) -> None:
-    """Height and time of flight by Galileo, the pitch by Pinocchio's centroidal map."""
-    told = tell("04")
-    assert told.numbers("flight of N s, N m high") == pytest.approx(
+def test_tutorial_quadruped_flight_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """Flight height and time follow from free fall; the pitch agrees with the centroidal map."""
+    output = run_tutorial("04")
+    assert output.numbers("flight of N s, N m high") == pytest.approx(
         [2 * 2.0 / 9.81, 2.0**2 / (2 * 9.81)], abs=6e-4
     )
     solo = pinred.load("solo12")
@@ -167,17 +181,19 @@ def test_quadruped_flight(tell: Callable[[str], Told]) -> None:
         return np.asarray(hip * np.array(hips) + knee * np.array(knees))
 
     pitch = np.degrees(turned_by_momentum_map(solo, legs, 1.0)[1])
-    assert told.numbers("the body pitches by N°, Stokes says N°") == pytest.approx(
+    assert output.numbers("the body pitches by N°, Stokes says N°") == pytest.approx(
         [pitch, pitch], rel=1e-5
     )
-    nodded, left = told.numbers("it nods by up to N°, in the end by N°")
+    nodded, final = output.numbers("it nods by up to N°, in the end by N°")
     assert nodded > 5.0
-    assert abs(left) < 1e-6
+    assert abs(final) < 1e-6
 
 
-def test_satellite_arms(tell: Callable[[str], Told]) -> None:
-    """One loop by Pinocchio's centroidal map; a quarter turn; drives that do no work."""
-    told = tell("05")
+def test_tutorial_satellite_arms_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """One loop agrees with the centroidal map; four turn by 90°; the drives do no net work."""
+    output = run_tutorial("05")
     satellite = pinred.load("satellite_two_arms")
 
     def arm(t: float) -> Array:
@@ -186,22 +202,24 @@ def test_satellite_arms(tell: Callable[[str], Told]) -> None:
         return x
 
     turn = np.degrees(turned_by_momentum_map(satellite, arm, 1.0))
-    (row,) = re.findall(r"one loop turns the bus by \[(.*?)\]", told.text)
-    np.testing.assert_allclose(np.array(row.split(), float), turn, atol=1e-4)
-    wrong, right = told.numbers("wrong by N% and N")
+    (components,) = re.findall(r"one loop turns the bus by \[(.*?)\]", output.text)
+    np.testing.assert_allclose(np.array(components.split(), float), turn, atol=1e-4)
+    wrong, right = output.numbers("wrong by N% and N")
     assert wrong > 10.0
     assert right < 1e-12
-    assert told.numbers("turn the bus by N°") == pytest.approx([90.0], abs=1e-5)
-    most, end = told.numbers(r"work of the drives: up to N J, in the end N J")
+    assert output.numbers("turn the bus by N°") == pytest.approx([90.0], abs=1e-5)
+    most, end = output.numbers(r"work of the drives: up to N J, in the end N J")
     assert most > 1.0
     assert abs(end) < 1e-9
 
 
 @pytest.mark.by_hand
-def test_integrators(tell: Callable[[str], Told]) -> None:
-    """Orders 2, 4 and 6; errors against ABA; energy grows by RKMK4 and not by Gauss."""
-    told = tell("06")
-    rows = [line.split() for line in told.text.splitlines()[1:]]
+def test_tutorial_integrators_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """Orders are 2, 4 and 6, errors are against ABA, and energy drifts with RKMK4 only."""
+    output = run_tutorial("06")
+    rows = [line.split() for line in output.text.splitlines()[1:]]
     table = {(row[0], float(row[1])): list(map(float, row[2:])) for row in rows if len(row) == 7}
     assert len(table) >= 6
     assert all(momentum < 1e-13 for *_, momentum in table.values())
@@ -215,94 +233,108 @@ def test_integrators(tell: Callable[[str], Told]) -> None:
         order = np.log2(table[name, 0.02][1] / table[name, 0.01][1])
         assert order == pytest.approx(expected, abs=0.3)
     drift = {
-        name: told.numbers(rf"{name} .*drift of energy N by 50 s, N by 100 s")
+        name: output.numbers(rf"{name} .*drift of energy N by 50 s, N by 100 s")
         for name in ("RKMK4", "Gauss2", "Gauss6")
     }
     assert drift["RKMK4"][1] > 1.7 * drift["RKMK4"][0]
     for name in ("Gauss2", "Gauss6"):
         assert drift[name][1] < 1.2 * drift[name][0]
     assert drift["Gauss6"][1] < 1e-4 * drift["RKMK4"][1]
-    explicit, implicit = told.numbers(r"stiff: N evaluations of DOP853, N evaluations of Radau")
+    explicit, implicit = output.numbers(r"stiff: N evaluations of DOP853, N evaluations of Radau")
     assert explicit > 30 * implicit
 
 
-def test_cat_in_one_formula(tell: Callable[[str], Told]) -> None:
-    """The bend that turns it over, and the phases of four bends, by the closed form."""
-    told = tell("07")
-    assert told.numbers("bent by N° it turns over") == pytest.approx([59.42646], abs=5e-6)
-    rows = re.findall(r"(\d+)° +([\d.]+) +([\d.]+)", told.text)
+def test_tutorial_cat_in_one_formula_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """The bend for half a turn, and the phases of four bends, agree with the closed form."""
+    output = run_tutorial("07")
+    assert output.numbers("bent by N° it turns over") == pytest.approx([59.42646], abs=5e-6)
+    rows = re.findall(r"(\d+)° +([\d.]+) +([\d.]+)", output.text)
     assert len(rows) == 4
-    for degrees, found, _ in rows:
+    for degrees, printed, _ in rows:
         half = np.radians(float(degrees)) / 2.0
         c, s = np.cos(half), np.sin(half)
         roll = 2.0 * np.pi * (0.25 * c / (0.25 * c**2 + s**2) - 1.0)
-        assert np.cos(float(found)) == pytest.approx(np.cos(roll), abs=1e-8)
+        assert np.cos(float(printed)) == pytest.approx(np.cos(roll), abs=1e-8)
 
 
-def test_trusted_height_function(tell: Callable[[str], Told]) -> None:
-    """Purcell's stroke as published; from a quarter off to half a per cent."""
-    told = tell("08")
-    moved = told.numbers("the circle moves it by N,")
-    assert moved == pytest.approx([0.0512808243], abs=1e-9)
-    assert told.numbers(r"middle +link: off by N %") == pytest.approx([26.6], abs=0.1)
-    (off,) = told.numbers("the volume is off by N %")
-    assert off < 0.5
+def test_tutorial_trusted_height_function_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """Purcell's stroke has its published value; the volume is off by less than 0.5 %."""
+    output = run_tutorial("08")
+    displacement = output.numbers("the circle moves it by N,")
+    assert displacement == pytest.approx([0.0512808243], abs=1e-9)
+    assert output.numbers(r"middle +link: off by N %") == pytest.approx([26.6], abs=0.1)
+    (error,) = output.numbers("the volume is off by N %")
+    assert error < 0.5
 
 
-def test_hand_that_stays_put(tell: Callable[[str], Told]) -> None:
-    """Held, the hand strays by a hundredth of what it does with frozen joints."""
-    told = tell("09")
-    (way,) = told.numbers("with frozen joints the hand strays by N m")
-    (held,) = told.numbers("held, it strays by N m")
-    assert held < 0.01 * way
-    assert told.text.count("verdict: PASSED") == 1
+def test_tutorial_hand_that_stays_put_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """The controlled hand strays by less than a hundredth of the way with frozen joints."""
+    output = run_tutorial("09")
+    (uncontrolled,) = output.numbers("with frozen joints the hand strays by N m")
+    (controlled,) = output.numbers("held, it strays by N m")
+    assert controlled < 0.01 * uncontrolled
+    assert output.text.count("verdict: PASSED") == 1
 
 
-def test_identification(tell: Callable[[str], Told]) -> None:
-    """The payload and the damping are found to a few of their standard deviations."""
-    told = tell("12")
-    assert "verdict: PASSED" in told.text
+def test_tutorial_identification_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """The estimates of payload and damping are within four standard deviations."""
+    output = run_tutorial("12")
+    assert "verdict: PASSED" in output.text
     for label in ("mass [kg]", "x [m]", "y [m]", "z [m]", "damping"):
-        found, spread, true = told.numbers(rf"{re.escape(label)} +N ± N +\(really N\)")
-        assert abs(found - true) < 4.0 * spread
-    (residual,) = told.numbers(r"residual N rad")
+        estimate, spread, true = output.numbers(rf"{re.escape(label)} +N ± N +\(really N\)")
+        assert abs(estimate - true) < 4.0 * spread
+    (residual,) = output.numbers(r"residual N rad")
     assert residual == pytest.approx(1e-3, rel=0.2)
 
 
-def test_best_stroke(tell: Callable[[str], Told]) -> None:
-    """What no simple loop exceeds; rotation per length, by SciPy over Pinocchio's mass matrix."""
-    told = tell("13")
-    turn, part = told.numbers(r"turns by N rad, the polygon by N% of that")
+def test_tutorial_best_stroke_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """The largest rotation is the theoretical bound; rotation per length agrees with SciPy."""
+    output = run_tutorial("13")
+    turn, percentage = output.numbers(r"turns by N rad, the polygon by N% of that")
     assert turn == pytest.approx(0.033787199534, abs=1e-12)
-    assert 99.99 <= part <= 100.0
-    best = told.names["best"]
+    assert 99.99 <= percentage <= 100.0
+    best = output.names["best"]
     pose = by_pinocchio(pinred.load("three_rods"), best.gait, np.zeros(3))
     assert pose[2] / best.phase.length == pytest.approx(2.38599, abs=6e-6)
-    assert told.text.count("verdict: PASSED") == 1
+    assert output.text.count("verdict: PASSED") == 1
 
 
 @pytest.mark.by_hand
-def test_satellite_turns_by_its_arms(tell: Callable[[str], Told]) -> None:
-    """A quarter turn by Pinocchio's centroidal map; full ABA."""
-    told = tell("14")
-    plan = told.names["plan"]
+def test_tutorial_satellite_turns_by_its_arms_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """The quarter turn agrees with the centroidal map and with full ABA."""
+    output = run_tutorial("14")
+    plan = output.names["plan"]
     turn = turned_by_momentum_map(
         pinred.load("satellite_two_arms"), lambda t: plan.gait.at(t)[0], plan.gait.period
     )
     np.testing.assert_allclose(plan.cycles * turn, [0.0, 0.0, np.pi / 2], atol=1e-4)
-    (row,) = re.findall(r"the bus turns by \[(.*?)\] degrees", told.text)
-    np.testing.assert_allclose(np.array(row.split(), float), [0.0, 0.0, 90.0], atol=1e-5)
-    (missed,) = told.numbers("missed by N rad")
+    (components,) = re.findall(r"the bus turns by \[(.*?)\] degrees", output.text)
+    np.testing.assert_allclose(np.array(components.split(), float), [0.0, 0.0, 90.0], atol=1e-5)
+    (missed,) = output.numbers("missed by N rad")
     assert missed < 1e-8
-    assert told.text.count("verdict: PASSED") == 1
+    assert output.text.count("verdict: PASSED") == 1
 
 
-def test_turning_over_in_flight(tell: Callable[[str], Told]) -> None:
-    """Half a turn by Pinocchio's centroidal map of the curves alone; limits at other times."""
-    told = tell("15")
-    solo, plan = pinred.load("solo12"), told.names["traj"].scene.prescribed
-    values = told.names["traj"].scene.parameters
-    times, curves = told.names["times"], told.names["curves"]
+def test_tutorial_turning_over_in_flight_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """Half a turn by the centroidal map of the curves; limits hold at all times."""
+    output = run_tutorial("15")
+    solo, plan = pinred.load("solo12"), output.names["traj"].scene.prescribed
+    values = output.names["traj"].scene.parameters
+    times, curves = output.names["times"], output.names["curves"]
     splines = {}
     for name, (spline, knots) in curves.items():
         inner = [values[knot] for knot in knots]
@@ -323,25 +355,31 @@ def test_turning_over_in_flight(tell: Callable[[str], Told]) -> None:
     assert np.abs(rates).max() < 30.0
     swing = splines["HAA"](fine)
     assert -1.61 < swing.min() < swing.max() < 5.01
-    assert told.text.count("verdict: PASSED") == 1
+    assert output.text.count("verdict: PASSED") == 1
 
 
-def test_attitude_control(tell: Callable[[str], Told]) -> None:
-    """Both reach the goal, and stay; what thrusters gave is what the momentum gained."""
-    told = tell("16")
-    assert told.text.count("verdict: PASSED") == 2
-    assert "seen by forces: attitude of the base" in told.text
+def test_tutorial_attitude_control_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """Both controllers reach the goal and stay; thruster impulses change the momentum."""
+    output = run_tutorial("16")
+    assert output.text.count("verdict: PASSED") == 2
+    assert "seen by forces: attitude of the base" in output.text
     for name in ("by_wheels", "by_thrusters"):
-        traj = told.names[name]
+        traj = output.names[name]
         (time,) = traj.events["settled"].t
         angle = 2.0 * np.arccos(np.abs(traj(float(time)).pose[6]))
         assert angle == pytest.approx(np.radians(1.0), rel=1e-6)
         assert 2.0 * np.arccos(np.abs(traj.pose[-1, 6])) < np.radians(1.0)
-    np.testing.assert_allclose(told.names["by_thrusters"].momentum_balance.residual, 0.0, atol=1e-7)
+    np.testing.assert_allclose(
+        output.names["by_thrusters"].momentum_balance.residual, 0.0, atol=1e-7
+    )
 
 
-def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Figures are left out where they cannot be drawn; the rest runs."""
+def test_tutorial_without_matplotlib_omits_figures(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Without matplotlib a tutorial omits its figures and runs to its end."""
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -353,12 +391,12 @@ def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 
 
 def as_notebook(text: str) -> Any:
-    """Return the notebook that editors make of a script in cells."""
-    v4: Any = nbformat.v4  # without types
+    """Return the notebook that editors create from a script in cells."""
+    v4: Any = nbformat.v4  # has no type annotations
     cells = []
-    for part in re.split(r"^# %%", text, flags=re.MULTILINE)[1:]:
-        head, _, body = part.partition("\n")
-        if head.strip() == "[markdown]":
+    for cell in re.split(r"^# %%", text, flags=re.MULTILINE)[1:]:
+        kind, _, body = cell.partition("\n")
+        if kind.strip() == "[markdown]":
             lines = [line.removeprefix("#").removeprefix(" ") for line in body.strip().splitlines()]
             cells.append(v4.new_markdown_cell("\n".join(lines)))
         else:
@@ -366,8 +404,8 @@ def as_notebook(text: str) -> Any:
     return v4.new_notebook(cells=cells)
 
 
-def test_as_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a real kernel, too, every cell runs, and the figures are shown as pictures."""
+def test_tutorial_runs_as_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All cells run in a Jupyter kernel, and figures are displayed as images."""
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
     book = as_notebook(PATHS[0].read_text(encoding="utf-8"))
     NotebookClient(
@@ -381,23 +419,27 @@ def test_as_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "".join(output.get("text", "") for output in outputs).count("verdict: PASSED") == 1
 
 
-def test_steady_spins(tell: Callable[[str], Told]) -> None:
-    """λ = √(1·0.5/2.5) at Ω = 1; a wheel on the middle axis ends it."""
-    told = tell("10")
+def test_tutorial_steady_spins_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """λ = √(1·0.5/2.5) at Ω = 1; a wheel on the middle axis makes the spin stable."""
+    output = run_tutorial("10")
     growth = np.sqrt(0.2)
-    assert told.numbers(r"grows by N 1/s, by hand N 1/s") == pytest.approx(2 * [growth], abs=1e-8)
-    assert told.numbers("measured in a simulation: N") == pytest.approx([growth], rel=1e-3)
-    rows = re.findall(r"wheel of ([\d.]+) N m s: (\w+) ", told.text)
+    assert output.numbers(r"grows by N 1/s, by hand N 1/s") == pytest.approx(2 * [growth], abs=1e-8)
+    assert output.numbers("measured in a simulation: N") == pytest.approx([growth], rel=1e-3)
+    rows = re.findall(r"wheel of ([\d.]+) N m s: (\w+) ", output.text)
     assert [verdict for _, verdict in rows] == 4 * ["unstable"] + ["stable"]
-    assert told.text.count("verdict: PASSED") == 1
+    assert output.text.count("verdict: PASSED") == 1
 
 
-def test_double_spherical_pendulum(tell: Callable[[str], Told]) -> None:
-    """Published frequencies; the straight one's pitchforks, by the second derivative of 1/I."""
-    told = tell("11")
-    assert "14 relative equilibria found at momentum 2" in told.text
-    (row,) = re.findall(r"\nfrequencies \[(.*?)\]", told.text)
+def test_tutorial_double_spherical_pendulum_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """Frequencies have their published values; ABA confirms the equilibria."""
+    output = run_tutorial("11")
+    assert "14 relative equilibria found at momentum 2" in output.text
+    (frequencies,) = re.findall(r"\nfrequencies \[(.*?)\]", output.text)
     expected = [4.16816, 5.13036, 8.30001]
-    np.testing.assert_allclose(np.array(row.split(), float), expected, atol=1e-5)
-    assert told.numbers("largest acceleration by ABA.*: N") == pytest.approx([0.0], abs=1e-11)
-    assert told.numbers("follows it to N of") == pytest.approx([0.0], abs=1e-2)
+    np.testing.assert_allclose(np.array(frequencies.split(), float), expected, atol=1e-5)
+    assert output.numbers("largest acceleration by ABA.*: N") == pytest.approx([0.0], abs=1e-11)
+    assert output.numbers("follows it to N of") == pytest.approx([0.0], abs=1e-2)

@@ -19,7 +19,7 @@ from ..common.errors import (
 )
 from .methods.method import Method
 from .solution import Solution, checked_times
-from .stepping.run_record import (
+from .stepping.run_state import (
     AUTO,
     DIVERGED,
     DONE,
@@ -33,16 +33,15 @@ from .stepping.run_record import (
     UNDERFLOW,
     WANTED,
     Runs,
+    Y,
     new_run,
 )
-from .stepping.state_rows import Y
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]
 Canonical = tuple[int, int]
 
-# Step ends for which there is room at first.
-_FIRST_KNOTS = 128
+_FIRST_KNOTS = 128  # initial size of the arrays of step ends
 # Largest size of a solution with stored stage derivatives [bytes].
 MOST_STAGE_BYTES = 1 << 25
 
@@ -132,7 +131,7 @@ class Integration:
         run = begun_by(method, address, n, end, quaternion, canonical, keep=ENDS_KEPT)
         if stepper.needs_tangent:
             give_tangent(tangent, method, run)
-        self._registers, self._work, self._room = run.tobytes(), stepper.work(n), _FIRST_KNOTS
+        self._registers, self._work, self._capacity = run.tobytes(), stepper.work(n), _FIRST_KNOTS
 
     def __call__(
         self,
@@ -146,12 +145,12 @@ class Integration:
         """Return the solution from y0 (n,) at time 0.
 
         Args:
-            params: Parameters of the kernel, (p,); nobody changes them afterwards.
+            params: Parameters of the kernel, (p,); must not change afterwards.
             y0: Initial state, (n,).
             stages: Whether to store stage derivatives for the backward pass, as long as they take
                 at most MOST_STAGE_BYTES.
-            progress: Called now and then with the fraction of the time that is done.
-            watch: Called with the solution so far, now and then and before a failure; if it
+            progress: Called repeatedly with the finished fraction of the time.
+            watch: Called with the solution so far, repeatedly and before a failure; if it
                 returns True, the integration stops there and the solution is not complete.
 
         Returns:
@@ -160,35 +159,38 @@ class Integration:
         Raises:
             IntegrationError: The integration failed; see `integrate`.
         """
-        n, times, room, stepper = self._n, self.times, self._room, self._stepper
+        n, times, capacity, stepper = self._n, self.times, self._capacity, self._stepper
         run, work = np.frombuffer(bytearray(self._registers), LAYOUT), self._work.copy()
         work[Y, :n] = y0
         width = (stepper.kept + stepper.stages * stages) * n
-        if stages and 8 * room * width > MOST_STAGE_BYTES:
+        if stages and 8 * capacity * width > MOST_STAGE_BYTES:
             stages, width = False, stepper.kept * n
         if stages:
             run["keep"] = STAGES_KEPT
-        out, knots, rows = np.empty((len(times), n)), np.empty(room), np.empty((room, width))
+        reported = np.empty((len(times), n))
+        knots, end_states = np.empty(capacity), np.empty((capacity, width))
         advance = stepper.loops.advance
         while True:
-            status = advance(run, params, work, times, out, knots, rows)
+            status = advance(run, params, work, times, reported, knots, end_states)
             if status == DONE:
                 if progress is not None:
                     progress(run["t"].item() / self._end)
-                return Solution(self._method, times, read_only(out), True, params, run, knots, rows)
+                return Solution(
+                    self._method, times, read_only(reported), True, params, run, knots, end_states
+                )
             if watch is not None and run["steps"]:
-                told = run["next"].item()
-                part = Solution(
-                    self._method, times[:told], read_only(out[:told]), False, params, run, knots,
-                    rows,
+                count = run["next"].item()
+                partial = Solution(
+                    self._method, times[:count], read_only(reported[:count]), False, params, run,
+                    knots, end_states,
                 )  # fmt: skip
-                if watch(part):
-                    return part
+                if watch(partial):
+                    return partial
             if status == FULL:
-                self._room = 2 * len(knots)
-                if stages and 8 * self._room * width > MOST_STAGE_BYTES:
+                self._capacity = 2 * len(knots)
+                if stages and 8 * self._capacity * width > MOST_STAGE_BYTES:
                     return self(params, y0, progress=progress, watch=watch)
-                knots, rows = _doubled(knots), _doubled(rows)
+                knots, end_states = _doubled(knots), _doubled(end_states)
             elif status == WANTED:
                 give_tangent(self._tangent, self._method, run)
                 work = stepper.widened(n, work)
@@ -245,7 +247,7 @@ def failure(status: int, run: Runs, state: Array) -> IntegrationError:
         )
     if status == DIVERGED:
         return NoConvergence(
-            f"the implicit step of {end['h']:.3g} s has no solution that could be found after "
+            f"the implicit step of {end['h']:.3g} s was not solved after "
             f"{where}: take shorter steps",
             time,
             state,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -21,23 +20,8 @@ from .gauss import adjoint_steps as gauss_reverse
 from .gauss import stage_sensitivities as gauss
 from .gauss.tables import tables
 from .methods import AdaptiveGauss, Explicit, Gauss, Method
+from .solution import Solution
 from .stepping.kernel_call import SEEDS, from_lanes, to_lanes
-
-
-class Steps(Protocol):
-    """The stored steps of a run, as a Solution has them. Arrays are read-only."""
-
-    @property
-    def knots(self) -> Array:
-        """Times of the step ends, (K,) [s]."""
-
-    @property
-    def states(self) -> Array:
-        """States at the step ends, (K, n)."""
-
-    @property
-    def stored(self) -> Array:
-        """States at the step ends, followed by the stored stages of each step, (K, n + …)."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +149,7 @@ def run_back(
     address: int,
     slopes: Slopes,
     params: Array,
-    run: Steps,
+    run: Solution,
     times: Array,
     quaternion: int,
     covector: Array,

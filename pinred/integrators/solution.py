@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError, NoConvergence, ShapeError
 from .methods.method import Method
-from .stepping.run_record import Runs, copied
+from .stepping.run_state import Runs, copied
 
 
 @dataclass(eq=False)
@@ -101,8 +101,7 @@ class Solution:
             time = float(asked[order][lost[0]])
             last_state = self.states[np.searchsorted(self.knots, time) - 1]
             raise NoConvergence(
-                f"the state at t = {time:g} s, within a step, has no solution that could be "
-                "found: take shorter steps",
+                f"the state at t = {time:g} s, within a step, was not solved: take shorter steps",
                 time,
                 last_state,
             )

@@ -15,7 +15,7 @@ Pinocchio.  Planar angles are not wrapped, so a pose keeps its number of full tu
 returns the principal value.  All functions accept leading axes: poses (..., size) and twists
 (..., dim).
 
-Each group is defined in one module of this folder.  A new module with a `Group` instance is
+Groups are defined in the modules of this folder.  A new module with a `Group` instance is
 registered automatically.  The closed forms follow J. Solà, J. Deray, D. Atchuthan, "A micro Lie
 theory for state estimation in robotics", 2018, appendices.  They are arranged so that no
 formula loses digits near the identity or near half a turn.
@@ -29,12 +29,12 @@ from pkgutil import iter_modules
 
 from ..common.errors import InputError
 from .group import Group
-from .line_and_circle import SO2 as SO2
-from .line_and_circle import R as R
+from .planar_groups import SE2 as SE2
+from .planar_groups import SO2 as SO2
+from .planar_groups import R as R
 from .r_se2 import RxSE2 as RxSE2
-from .se2 import SE2 as SE2
-from .se3 import SE3 as SE3
-from .so3 import SO3 as SO3
+from .spatial_groups import SE3 as SE3
+from .spatial_groups import SO3 as SO3
 
 
 def _groups() -> dict[str, Group]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from .group import Group
-from .se2 import SE2
+from .planar_groups import SE2
 
 
 def _join(vertical: Array, planar: Array) -> Array:

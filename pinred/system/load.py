@@ -26,7 +26,7 @@ from ..common.paths import is_file
 from ..common.plain_names import brief, listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
-from ..lie.se3 import SE3
+from ..lie.spatial_groups import SE3
 from . import catalogue
 from .contents import Contents, Coupling, Origin
 from .coordinates import InitialState

@@ -16,8 +16,12 @@ from pinred.analysis.equilibria.find import _one_family, equilibrium_at
 from pinred.analysis.equilibria.problem import problem_of
 from pinred.analysis.equilibria.same_shape import Place
 from pinred.analysis.stability import verdict
-from pinred.analysis.stability.reduced_state import _casimir_slopes
-from pinred.analysis.stability.second_variation import _definite, definite_with_own_axis, heavy_top
+from pinred.analysis.stability.reduced_state import _casimir_gradients
+from pinred.analysis.stability.second_variation import (
+    _is_definite,
+    heavy_top,
+    is_definite_with_axis_momentum,
+)
 from pinred.reduction.base_parts import BaseParts
 
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
@@ -118,7 +122,7 @@ def test_tops_that_are_not_steady(factor: float, steady: bool) -> None:
     tilt = float(np.exp(np.interp(np.log(factor * 1e-8), np.log(left), np.log(tilts))))
     up = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
     assert size > 0.0
-    assert definite_with_own_axis(top, up, J) == steady
+    assert is_definite_with_axis_momentum(top, up, J) == steady
 
 
 def _left(top: object, tilt: float, J: float) -> float:
@@ -141,19 +145,19 @@ def _left(top: object, tilt: float, J: float) -> float:
 
 def test_definite_forms() -> None:
     """A curvature below 1e-14 of the largest entry is none; a multiplier may bring it."""
-    assert _definite(lambda _: np.diag([1.0, BEYOND * 1e-14]), 0.0)
-    assert not _definite(lambda _: np.diag([1.0, WITHIN * 1e-14]), 0.0)
-    assert _definite(lambda _: np.diag([-1.0, -2.0]), 0.0)
-    assert not _definite(lambda _: np.diag([-1.0, 2.0]), 0.0)
-    assert _definite(lambda k: np.diag([k - 3.0, 4.0 - k]), 10.0)
-    assert not _definite(lambda k: np.diag([k - 4.0, 3.0 - k, 1.0]), 10.0)
+    assert _is_definite(lambda _: np.diag([1.0, BEYOND * 1e-14]), 0.0)
+    assert not _is_definite(lambda _: np.diag([1.0, WITHIN * 1e-14]), 0.0)
+    assert _is_definite(lambda _: np.diag([-1.0, -2.0]), 0.0)
+    assert not _is_definite(lambda _: np.diag([-1.0, 2.0]), 0.0)
+    assert _is_definite(lambda k: np.diag([k - 3.0, 4.0 - k]), 10.0)
+    assert not _is_definite(lambda k: np.diag([k - 4.0, 3.0 - k, 1.0]), 10.0)
 
 
 @pytest.mark.parametrize(("factor", "rows"), [(BEYOND, 1), (WITHIN, 3)])
 def test_no_momentum(factor: float, rows: int) -> None:
     """Below 1e-12 of a usual one the leaf is a point; else it is a sphere."""
     z = factor * 1e-12 * np.array([0.6, 0.0, 0.8])
-    found = _casimir_slopes(z, 0, BaseParts(momentum=3))
+    found = _casimir_gradients(z, 0, BaseParts(momentum=3))
     assert found.shape == (rows, 3)
     if rows == 1:
         assert found[0] == pytest.approx([0.6, 0.0, 0.8])

@@ -35,14 +35,14 @@ class Alarm:
         seed: Seed of the scene.
         verdict: Verdict of the report, or the name of the error that was raised.
         about: Description of the scene.
-        said: The report or the error message.
+        message: The report or the error message.
         used: Error divided by its bound, by check.
     """
 
     seed: int
     verdict: str
     about: str
-    said: str
+    message: str
     used: dict[str, float]
 
 
@@ -112,10 +112,10 @@ def main(arguments: list[str]) -> int:
     for alarm in alarms(range(first, first + count)):
         verdicts[alarm.verdict] += 1
         if alarm.verdict not in ("PASSED", "CANNOT TELL"):
-            print(f"{alarm.seed}: {alarm.verdict}: {alarm.about}\n    {alarm.said}", flush=True)
+            print(f"{alarm.seed}: {alarm.verdict}: {alarm.about}\n    {alarm.message}", flush=True)
         for name, fraction in alarm.used.items():
             largest[name] = max(largest.get(name, (0.0, -1)), (fraction, alarm.seed))
-        rows.append([alarm.seed, alarm.verdict, alarm.about, alarm.said])
+        rows.append([alarm.seed, alarm.verdict, alarm.about, alarm.message])
         if path is not None:
             with path.open("w", newline="") as file:
                 csv.writer(file).writerows([["seed", "verdict", "scene", "report"], *rows])

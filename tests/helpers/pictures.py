@@ -1,9 +1,9 @@
-"""Pictures that figures are held to: tests/helpers/baselines/*.png, written by running this file.
+"""Baseline pictures of figures in tests/helpers/baselines/*.png; run this file to write them.
 
-They are drawn without text, which looks different with every version of its renderer; the tests
-read it from the figures.  Two pictures agree if every pixel of one has its like near the same
-place in the other.  That forgives what another version of matplotlib does to edges and margins,
-and not a curve that is missing.
+Text is removed, because its rendering differs between versions of the font renderer; other tests
+check it. Two pictures agree if every pixel of one has a similar pixel nearby in the other. This
+accepts small shifts of edges and margins between versions of matplotlib, and rejects a missing
+curve.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from pinred.laboratory.bench import Point, WorkPrecision
 
 FOLDER = Path(__file__).parent / "baselines"
 DPI = 50
-NEAR = 7  # pixels: the side of the square in which a like is looked for
-ALIKE = 0.15  # of the way from black to white
+NEAR = 7  # side of the square in which a similar pixel is searched [pixels]
+ALIKE = 0.15  # largest difference of similar pixels; black is 0 and white is 1
 Picture = NDArray[np.float64]
 
 
 def picture(figure: Figure) -> Picture:
-    """A figure as it is drawn but for its text, (height, width, 3) from 0 to 1."""
+    """Render a figure without text, (height, width, 3), values from 0 to 1."""
     figure.set_dpi(DPI)
-    figure.set_layout_engine("none")  # layouts differ from version to version
+    figure.set_layout_engine("none")  # automatic layouts differ between versions of matplotlib
     for axes in figure.axes:
         for axis in axes._axis_map.values():
             axis.set_major_formatter(NullFormatter())
@@ -52,25 +52,27 @@ def picture(figure: Figure) -> Picture:
 
 
 def baseline(name: str) -> Picture:
-    """The picture on file."""
+    """Return the baseline picture of a figure."""
     return np.asarray(imread(FOLDER / f"{name}.png"), dtype=float)[..., :3]
 
 
 def mismatch(a: Picture, b: Picture) -> float:
-    """How many pixels of either picture, away from its rim, have no like in the other."""
+    """Return the number of pixels, except at the rim, without a similar pixel nearby."""
     height, width = np.minimum(a.shape, b.shape)[:2]
-    if abs(np.subtract(a.shape, b.shape)).max() > 1:  # one pixel is rounding
+    if (
+        abs(np.subtract(a.shape, b.shape)).max() > 1
+    ):  # sizes may differ by one pixel due to rounding
         return np.inf
     a, b = a[:height, :width], b[:height, :width]
-    return float(max(_alone(a, b), _alone(b, a)))
+    return float(max(_count_unmatched(a, b), _count_unmatched(b, a)))
 
 
-def _alone(a: Picture, b: Picture) -> int:
+def _count_unmatched(a: Picture, b: Picture) -> int:
     size = (NEAR, NEAR, 1)
     low = minimum_filter(b, size=size) - ALIKE
     high = maximum_filter(b, size=size) + ALIKE
-    alone = ((a < low) | (a > high)).any(axis=2)
-    return int(alone[NEAR:-NEAR, NEAR:-NEAR].sum())
+    unmatched = ((a < low) | (a > high)).any(axis=2)
+    return int(unmatched[NEAR:-NEAR, NEAR:-NEAR].sum())
 
 
 def _cat() -> pinred.Trajectory:
@@ -94,7 +96,7 @@ def _pendulum() -> pinred.Trajectory:
 
 
 def recorded() -> pinred.Recording:
-    """A made-up recording: drifts of known size, which no rounding decides."""
+    """Return an artificial recording whose drifts are far larger than round-off."""
     t = np.linspace(0.0, 4.0, 81)
     J = np.array([1.0, -0.4, 0.6]) + 1e-9 * np.stack([t, t**2, t**3], axis=1)
     none, zero = np.zeros((81, 0)), np.zeros((81, 3))
@@ -106,7 +108,7 @@ def recorded() -> pinred.Recording:
 
 
 def report() -> pinred.Report:
-    """A made-up report: errors that grow by known powers of time."""
+    """Return an artificial report whose errors grow by known powers of time."""
     t = np.linspace(0.1, 4.0, 80)
     scalars = dict.fromkeys(pinred.Report.__dataclass_fields__, 1.0)
     names: dict[str, Any] = {"robot": "made_up", "engine": "none", "group": "SE2", "joints": 1}
@@ -120,7 +122,7 @@ def report() -> pinred.Report:
 
 
 def measured() -> list[WorkPrecision]:
-    """Two made-up measurements: errors from 1e-2 down, walls of known powers of them."""
+    """Return two artificial measurements with errors from 1e-2 to 1e-12 and known run times."""
     errors: Array = np.logspace(-2, -12, 6)
 
     def points(method: str, wall: float, power: float) -> list[Point]:
@@ -157,10 +159,10 @@ FIGURES: dict[str, Callable[[], Figure]] = {
 
 
 def main() -> None:
-    """Write all pictures."""
+    """Write all baseline pictures."""
     FOLDER.mkdir(exist_ok=True)
-    for name, make in FIGURES.items():
-        imsave(FOLDER / f"{name}.png", picture(make()), pil_kwargs={"optimize": True})
+    for name, draw in FIGURES.items():
+        imsave(FOLDER / f"{name}.png", picture(draw()), pil_kwargs={"optimize": True})
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""The double spherical pendulum of two point masses on rods without mass, and its Lagrangian.
+"""The double spherical pendulum of two point masses on massless rods, and its Lagrangian.
 
-Each rod hangs on a universal joint, whose ring has no mass either.  The coordinates are
+Each rod is attached by a universal joint with a massless ring. The coordinates are
 (azimuth, tilt1, swing2, tilt2): rod 1 is Rz(azimuth) Ry(tilt1) (−e_z), rod 2 is
-Rz(azimuth) Ry(tilt1) Rx(swing2) Ry(tilt2) (−e_z).  Source of the example: J. E. Marsden and
+Rz(azimuth) Ry(tilt1) Rx(swing2) Ry(tilt2) (−e_z). Source of the example: J. E. Marsden and
 J. Scheurle, "Lagrangian reduction and the double spherical pendulum", Z. angew. Math. Phys. 44
 (1993).
 """
@@ -14,7 +14,7 @@ import numpy as np
 
 from pinred.common.arrays import Array
 
-MASSES, LENGTHS, GRAVITY = (1.5, 0.7), (1.0, 0.6), 9.81
+MASSES, LENGTHS, GRAVITY = (1.5, 0.7), (1.0, 0.6), 9.81  # kg, m, m/s²
 
 
 def _link(name: str, mass: float = 0.0, length: float = 0.0) -> str:
@@ -33,7 +33,7 @@ def _joint(name: str, parent: str, child: str, axis: str, down: float = 0.0) -> 
 
 
 def urdf(masses: tuple[float, float], lengths: tuple[float, float]) -> str:
-    """The pendulum of two masses on rods of two lengths."""
+    """Return the URDF of the pendulum.  masses: [kg].  lengths: of the rods [m]."""
     return "".join(
         (
             '<robot name="point_pendulum">',
@@ -52,13 +52,13 @@ URDF = urdf(MASSES, LENGTHS)
 
 
 class Lagrangian:
-    """Mass matrix and accelerations from the places of the two points alone."""
+    """Mass matrix and accelerations, derived from the positions of the two point masses."""
 
     def __init__(self) -> None:
-        """Write the Lagrangian ½ Σ m |ṗ|² − Σ m g z and differentiate it."""
+        """Differentiate the Lagrangian ½ Σ m |ṗ|² − Σ m g z."""
         y, v = ca.SX.sym("y", 4), ca.SX.sym("v", 4)
         c, s = ca.cos(y), ca.sin(y)
-        # Rod 1, and rod 2 in the axes of rod 1, written out.
+        # End of rod 1, and rod 2 in the axes of rod 1, without matrix products.
         first = LENGTHS[0] * ca.vertcat(-c[0] * s[1], -s[0] * s[1], -c[1])
         inner = LENGTHS[1] * ca.vertcat(-s[3], s[2] * c[3], -c[2] * c[3])
         across = c[1] * inner[0] + s[1] * inner[2]
@@ -68,16 +68,16 @@ class Lagrangian:
             -s[1] * inner[0] + c[1] * inner[2],
         )
         kinetic, potential = ca.SX(0), ca.SX(0)
-        for mass, place in zip(MASSES, (first, second), strict=True):
-            speed = ca.jacobian(place, y) @ v
+        for mass, position in zip(MASSES, (first, second), strict=True):
+            speed = ca.jacobian(position, y) @ v
             kinetic += 0.5 * mass * ca.dot(speed, speed)
-            potential += mass * GRAVITY * place[2]
+            potential += mass * GRAVITY * position[2]
         M = ca.hessian(kinetic, v)[0]
         momentum = ca.gradient(kinetic, v)
-        slope = ca.gradient(kinetic - potential, y) - ca.jacobian(momentum, y) @ v
-        self._function = ca.Function("lagrangian", [y, v], [M, slope, kinetic + potential])
+        force = ca.gradient(kinetic - potential, y) - ca.jacobian(momentum, y) @ v
+        self._function = ca.Function("lagrangian", [y, v], [M, force, kinetic + potential])
 
     def __call__(self, y: Array, v: Array) -> tuple[Array, Array, float]:
         """Return mass matrix (4, 4), accelerations (4,) and energy at angles and rates (4,)."""
-        M, slope, energy = (np.array(part) for part in self._function(y, v))
-        return M, np.asarray(np.linalg.solve(M, slope)[:, 0], dtype=float), float(energy[0, 0])
+        M, force, energy = (np.array(value) for value in self._function(y, v))
+        return M, np.asarray(np.linalg.solve(M, force)[:, 0], dtype=float), float(energy[0, 0])

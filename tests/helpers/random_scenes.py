@@ -1,4 +1,4 @@
-"""Random scenes with right motions, as wide as scenes can be: no judge may call one wrong."""
+"""Random scenes over the full range of scene options. Their motions are correct."""
 
 from __future__ import annotations
 
@@ -16,16 +16,23 @@ from pinred import forces
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 
-SCENES_OF_A_TREE = 12  # the kernel of a tree is the same for some of them
-TINY = 1e-160  # rad/s and m/s: the square of a momentum is no number any more
-FAR = 1e9  # m: round-off of the place is a ten-millionth of a metre
-_MOST_STEPS = 20_000  # a wheel of a millimetre on a strong spring takes any number
-_MOST_SECONDS = 2.0  # where springs or weight set the pace
+SCENES_OF_A_TREE = 12  # scenes per tree; several of them share a kernel
+TINY = 1e-160  # speed whose square underflows to zero [rad/s | m/s]
+FAR = 1e9  # distance at which positions have a round-off of 1e-7 m [m]
+_MOST_STEPS = 20_000  # limits scenes with a tiny wheel on a stiff spring
+_MOST_SECONDS = 2.0  # longest duration with springs, forces or gravity [s]
 
 
 @dataclass(frozen=True)
 class RandomScene:
-    """A scene of a seed.  engine, options: what simulate takes.  about: one line."""
+    """The scene of a seed.
+
+    Attributes:
+        system: The random system.
+        engine: Engine of the simulation.
+        options: Options of `simulate`.
+        about: Description in one line.
+    """
 
     system: pinred.System
     engine: str
@@ -33,14 +40,14 @@ class RandomScene:
     about: str
 
     def simulate(self) -> pinred.Trajectory:
-        """Return the motion."""
+        """Return the trajectory of the scene."""
         return pinred.simulate(self.system, engine=self.engine, **self.options)  # type: ignore[arg-type]
 
 
 def random_scene(seed: int) -> RandomScene:
     """Return the scene of a seed: speeds 1e-3 … 1e2, rtol 1e-4 … 1e-11, bases up to 1e6 m away.
 
-    One in sixteen is slower than that by far, and one in sixteen further away.
+    One scene in sixteen has the speed TINY, and one in sixteen has the distance FAR.
     """
     tree = np.random.default_rng([1, seed // SCENES_OF_A_TREE])
     rng = np.random.default_rng([2, seed])
@@ -78,7 +85,7 @@ def random_scene(seed: int) -> RandomScene:
 
 
 def _tree(group: str, rng: np.random.Generator) -> tuple[pinred.System, bool]:
-    """Return a random tree, perhaps in gravity, of spheres, or with a body light or heavy."""
+    """Return a random tree, possibly with gravity, spherical bodies, or one light or heavy body."""
     model = random_model(
         group, int(rng.integers(0, 6)), int(rng.integers(2**31)), armature=bool(rng.random() < 0.5)
     )
@@ -109,24 +116,26 @@ def _scale(model: pin.Model, i: int, ratio: float) -> None:
 
 
 def _pose(system: pinred.System, rng: np.random.Generator, offset: float) -> Array:
-    """Return a random pose whose place is as far away as that."""
+    """Return a random pose at the given distance from the origin [m]."""
     log = rng.uniform(-1.5, 1.5, system.r)
     pose = np.array(system.group.exp(log))
     k = system.group.linear
-    place = rng.normal(size=k)
-    pose[:k] += offset * place / (np.linalg.norm(place) or 1.0)
+    direction = rng.normal(size=k)
+    pose[:k] += offset * direction / (np.linalg.norm(direction) or 1.0)
     return pose
 
 
 def _forces(system: pinred.System, rng: np.random.Generator) -> dict[str, Any]:
-    """Return springs, prescribed joints and wrenches, of a tree: each makes another kernel."""
-    out: dict[str, Any] = {}
+    """Return random springs, prescribed joints and wrenches. Each kind changes the kernel."""
+    options: dict[str, Any] = {}
     names = list(system.shape_names)
     if names and rng.random() < 0.3:
-        out["springs"] = {names[0]: (float(10.0 ** rng.uniform(-2.0, 2.0)), float(rng.normal()))}
+        options["springs"] = {
+            names[0]: (float(10.0 ** rng.uniform(-2.0, 2.0)), float(rng.normal()))
+        }
     if len(names) > 1 and rng.random() < 0.2:
-        out["prescribed"] = {names[-1]: "0.3*sin(2*t) + 0.1*t"}
+        options["prescribed"] = {names[-1]: "0.3*sin(2*t) + 0.1*t"}
     if rng.random() < 0.2:
-        pushes: Callable[[Any], Any] = lambda values: forces.Wrench(values)  # noqa: E731
-        out["forces"] = [pushes((0.3 * rng.normal(size=system.r)).tolist())]
-    return out
+        wrench: Callable[[Any], Any] = lambda values: forces.Wrench(values)  # noqa: E731
+        options["forces"] = [wrench((0.3 * rng.normal(size=system.r)).tolist())]
+    return options

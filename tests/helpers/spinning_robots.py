@@ -1,4 +1,4 @@
-"""Robots for steady spins, as texts: gyrostats, rods in the plane, tops."""
+"""Robots with known steady spins: gyrostats, planar chains, tops."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import pinocchio as pin
 
 import pinred
 
-WHEEL = (0.03, 0.02)  # moments of the rotor about its axis, and across it
+WHEEL = (0.03, 0.02)  # moments of inertia of the rotor about its axis and across it [kg m²]
 
 
 def gyrostat(moments: tuple[float, float, float], *, group: str = "SO3") -> pinred.System:
-    """A body with a symmetric rotor on its second axis, all centred: locked moments I1, I2, I3."""
+    """Return a body with a symmetric rotor on its second axis, all centred.
+
+    moments: I1, I2, I3 of body and rotor together, with the rotor locked [kg m²].
+    """
     spin, across = WHEEL
     I1, I2, I3 = moments[0] - across, moments[1] - spin, moments[2] - across
     text = f"""<robot name="gyrostat"><link name="body"><inertial><mass value="2"/>
@@ -27,9 +30,10 @@ def gyrostat(moments: tuple[float, float, float], *, group: str = "SO3") -> pinr
 
 
 def heavy_gyrostat(*, tilt: float = 0.0, skew: float = 0.0) -> pinred.System:
-    """A top on a pivot with a rotor on its axis, in gravity.
+    """Return a top on a pivot in gravity, with a rotor on its axis.
 
-    tilt: of the rotor's axis [rad].  skew: by how much the body's moments across its axis differ.
+    tilt: angle between rotor axis and top axis [rad].  skew: difference of the top's two transverse
+    moments of inertia [kg m²].
     """
     model = pin.Model()
     root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
@@ -43,7 +47,7 @@ def heavy_gyrostat(*, tilt: float = 0.0, skew: float = 0.0) -> pinred.System:
 
 
 def text_file(text: str) -> Path:
-    """A file with a robot in it, in a folder that the process leaves behind it."""
+    """Write a robot file into a temporary folder that is not removed; return its path."""
     folder = Path(tempfile.mkdtemp(prefix="pinred-spin-"))
     path = folder / "robot.urdf"
     path.write_text(text, encoding="utf-8")
@@ -51,7 +55,7 @@ def text_file(text: str) -> Path:
 
 
 def rods(count: int = 3) -> pinred.System:
-    """Rods of 1 m and 1 kg in a row, in the plane, with hinges between."""
+    """Return a planar chain of rods of 1 m and 1 kg, connected by hinges."""
     model = pin.Model()
     model.name = "rods"
     model.gravity.setZero()

@@ -1,4 +1,4 @@
-"""Kernels of stiff systems."""
+"""Compile vector fields with derivatives for tests of stiff integrators."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from numba import types
 
 _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 
-_alive: list[Any] = []
+_alive: list[Any] = []  # keeps compiled functions from being freed
 
 
 def kernels(rate: Callable[..., None], slope: Callable[..., None]) -> tuple[int, Callable[[], int]]:
-    """Compile a vector field and its derivative, which takes eight directions."""
-    first: Any = numba.cfunc(types.void(_NUMBERS, _NUMBERS, _NUMBERS))(rate)
-    second: Any = numba.cfunc(types.void(_NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS))(slope)
-    _alive.append((first, second))
-    return first.address, lambda: int(second.address)
+    """Compile a vector field and its derivative along eight tangent directions.
+
+    Returns the address of the field, and a function that returns the address of the derivative.
+    """
+    field: Any = numba.cfunc(types.void(_NUMBERS, _NUMBERS, _NUMBERS))(rate)
+    derivative: Any = numba.cfunc(types.void(_NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS))(slope)
+    _alive.append((field, derivative))
+    return field.address, lambda: int(derivative.address)

@@ -1,4 +1,4 @@
-"""Hypothesis strategies: random systems and states, from seeds that hypothesis prints."""
+"""Hypothesis strategies for random systems and states, from seeds that hypothesis prints."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ class Case:
 
     @property
     def q(self) -> Array:
-        """Pinocchio's configuration."""
+        """The configuration in Pinocchio's coordinates, (nq,)."""
         return self.system.q(self.pose, self.x)
 
     @property
     def v(self) -> Array:
-        """Pinocchio's velocity."""
+        """The velocity in Pinocchio's coordinates, (nv,)."""
         return self.system.v(self.xi, self.xdot)
 
 
 def make_case(group: str, joints: int, seed: int) -> Case:
-    """Build the case of a seed."""
+    """Return the case of a seed."""
     system = pinred.load(random_model(group, joints, seed))
     rng = np.random.default_rng(seed)
     return Case(
@@ -53,5 +53,5 @@ def make_case(group: str, joints: int, seed: int) -> Case:
 
 
 def cases(least: int = 1, most: int = 8) -> st.SearchStrategy[Case]:
-    """Random trees of `least` to `most` joints on any group."""
+    """Return a strategy for random trees of `least` to `most` joints on any group."""
     return st.builds(make_case, groups, st.integers(least, most), seeds)

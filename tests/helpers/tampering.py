@@ -1,4 +1,4 @@
-"""Trajectories that were changed after the fact, for judges to find out."""
+"""Trajectories with manipulated states, to test that validation detects them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Change = Callable[[pinred.State], pinred.State]
 
 
 def tampered(traj: pinred.Trajectory, change: Change) -> pinred.Trajectory:
-    """The trajectory with its states changed after the fact."""
+    """Return the trajectory with manipulated states."""
 
     class Tampered(Motion):
         def states(self, t: Array) -> pinred.State:
@@ -25,7 +25,7 @@ def tampered(traj: pinred.Trajectory, change: Change) -> pinred.Trajectory:
 
 
 def offset(name: str, column: int, size: float) -> Change:
-    """A change that moves one column of a field at later times."""
+    """Return a change that adds `size` to a column of a field in the second half of the states."""
 
     def change(state: pinred.State) -> pinred.State:
         values: Array = getattr(state, name).copy()

@@ -1,4 +1,4 @@
-"""Random multibody trees: any group, branched, every kind of shape joint."""
+"""Random multibody trees: any group, branched, with all kinds of shape joints."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ Rng = np.random.Generator
 
 
 def unit(rng: Rng) -> Array:
-    """A random direction, (3,)."""
+    """Return a random direction, (3,)."""
     axis = rng.normal(size=3)
     return np.asarray(axis / np.linalg.norm(axis))
 
 
 def placement(rng: Rng) -> pin.SE3:
-    """A random rigid transform."""
+    """Return a random rigid transform."""
     return pin.SE3(pin.exp3(rng.uniform(-2.0, 2.0, 3)), rng.uniform(-0.5, 0.5, 3))
 
 
 def inertia(rng: Rng) -> pin.Inertia:
-    """A random physical inertia: that of a slightly blown-up cloud of four points."""
+    """Return a random physical inertia: that of four point masses plus a small isotropic term."""
     points = rng.uniform(-0.3, 0.3, (4, 3))
     masses = rng.uniform(0.2, 1.0, 4)
     com = masses @ points / masses.sum()
@@ -37,7 +37,10 @@ def inertia(rng: Rng) -> pin.Inertia:
 
 
 def continuous(rng: Rng) -> pin.JointModel:
-    """A slanted continuous joint; only Pinocchio's URDF reader can make one from Python."""
+    """Return a continuous joint about a random axis.
+
+    Pinocchio's Python interface cannot construct this joint, so it is read from a URDF.
+    """
     x, y, z = unit(rng)
     return pin.buildModelFromXML(
         '<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/><inertia '
@@ -48,7 +51,7 @@ def continuous(rng: Rng) -> pin.JointModel:
 
 
 def climbing_joint() -> pin.JointModel:
-    """A slide along z and a plane across it, in one joint."""
+    """Return a prismatic joint along z followed by a planar joint, as one joint."""
     joint = pin.JointModelComposite()
     joint.addJoint(pin.JointModelPZ())
     joint.addJoint(pin.JointModelPlanar())
@@ -82,19 +85,19 @@ JOINTS: list[Callable[[Rng], pin.JointModel]] = [
 
 
 def random_model(group: str, joints: int, seed: int, *, armature: bool = True) -> pin.Model:
-    """A branched tree with `joints` shape joints on a root of `group`, without gravity."""
+    """Return a branched tree with `joints` shape joints on a root of `group`, without gravity."""
     assert group in GROUPS
     rng = np.random.default_rng(seed)
     model = pin.Model()
     model.name = f"tree-{group}-{joints}-{seed}"
     model.gravity.setZero()
     for k in range(joints + 1):
-        kinds = JOINTS if k else ROOTS[group]
-        kind = kinds[rng.integers(len(kinds))](rng)
-        # Branch off the path to the newest joint only: Pinocchio needs depth-first order.
+        joint_types = JOINTS if k else ROOTS[group]
+        joint_type = joint_types[rng.integers(len(joint_types))](rng)
+        # Branch only off the path to the newest joint, because Pinocchio needs depth-first order.
         path = list(model.supports[k])[1:] if k else [0]
         parent = int(path[rng.integers(len(path))])
-        i = model.addJoint(parent, kind, placement(rng), f"joint{k}")
+        i = model.addJoint(parent, joint_type, placement(rng), f"joint{k}")
         model.appendBodyToJoint(i, inertia(rng), pin.SE3.Identity())
     if armature:
         values = np.zeros(model.nv)
@@ -104,35 +107,41 @@ def random_model(group: str, joints: int, seed: int, *, armature: bool = True) -
 
 
 def limbed_model(group: str, limbs: int, joints: int, seed: int) -> pin.Model:
-    """A root with a trunk joint and `limbs` limbs of one build, on either of the two.
+    """Return a tree with identical branches on the root or on a trunk joint.
 
-    Limbs branch at random, but alike.  Their constants differ, agree, or vanish, and the
-    armature of some joints does, so that all that limbs may have in common occurs.
+    The branches have the same random topology. Their constants agree, differ or vanish at random,
+    so that every combination of common and different constants occurs.
+
+    Args:
+        group: Name of the symmetry group.
+        limbs: Number of branches.
+        joints: Number of joints per branch.
+        seed: Seed of the tree.
     """
     rng = np.random.default_rng(seed)
     model = pin.Model()
     model.name = f"limbs-{group}-{limbs}-{joints}-{seed}"
     model.gravity.setZero()
-    kinds = [JOINTS[k] for k in rng.integers(len(JOINTS), size=joints)]
+    joint_types = [JOINTS[k] for k in rng.integers(len(JOINTS), size=joints)]
     path, parents = [0], [0]
     for k in range(1, joints):
         parents.append(path[rng.integers(len(path))])
         path = [*path[: path.index(parents[k]) + 1], k]
-    same = [(placement(rng), inertia(rng)) for _ in range(joints)]
+    common = [(placement(rng), inertia(rng)) for _ in range(joints)]
     root = model.addJoint(0, ROOTS[group][0](rng), pin.SE3.Identity(), "root")
     model.appendBodyToJoint(root, inertia(rng), pin.SE3.Identity())
     trunk = model.addJoint(root, pin.JointModelRX(), placement(rng), "trunk")
     model.appendBodyToJoint(trunk, inertia(rng), pin.SE3.Identity())
-    hangs_on = trunk if rng.random() < 0.5 else root
+    base_joint = trunk if rng.random() < 0.5 else root
     for limb in range(limbs):
-        made: list[int] = []
+        joint_ids: list[int] = []
         for k in range(joints):
-            where, body = same[k] if rng.random() < 0.5 else (placement(rng), inertia(rng))
+            place, body = common[k] if rng.random() < 0.5 else (placement(rng), inertia(rng))
             if rng.random() < 0.3:
-                where = pin.SE3.Identity()
-            parent = made[parents[k]] if k else hangs_on
-            made.append(model.addJoint(parent, kinds[k](rng), where, f"limb{limb}.{k}"))
-            model.appendBodyToJoint(made[-1], body, pin.SE3.Identity())
+                place = pin.SE3.Identity()
+            parent = joint_ids[parents[k]] if k else base_joint
+            joint_ids.append(model.addJoint(parent, joint_types[k](rng), place, f"limb{limb}.{k}"))
+            model.appendBodyToJoint(joint_ids[-1], body, pin.SE3.Identity())
     values = np.zeros(model.nv)
     values[model.joints[1].nv :] = rng.choice([0.0, 0.05], model.nv - model.joints[1].nv)
     model.armature = values
@@ -140,22 +149,28 @@ def limbed_model(group: str, limbs: int, joints: int, seed: int) -> pin.Model:
 
 
 def varied(value: Array, rng: Rng, *, may_vanish: bool = True) -> Array:
-    """The same numbers, others, none, or the same with other signs: each entry by itself.
+    """Return numbers that are kept, negated, replaced or set to zero, independently per entry.
 
-    Other numbers are as large as the old ones at most.
+    A replacement is at most as large as the original number.
     """
-    kinds = rng.integers(4 if may_vanish else 3, size=value.shape)
-    other = value * rng.uniform(-1.0, 1.0, value.shape)
+    choices = rng.integers(4 if may_vanish else 3, size=value.shape)
+    replacement = value * rng.uniform(-1.0, 1.0, value.shape)
     return np.asarray(
-        np.choose(kinds, [value, -value, other, np.zeros_like(value)][: kinds.max() + 1])
+        np.choose(choices, [value, -value, replacement, np.zeros_like(value)][: choices.max() + 1])
     )
 
 
 def mirrored_model(group: str, limbs: int, joints: int, seed: int) -> pin.Model:
-    """Limbs of one build whose constants agree, differ, vanish, or differ by sign, each by itself.
+    """Return identical branches whose constants agree, differ, vanish or differ by sign.
 
-    So do the limbs of robots from elsewhere: a left knee turns the other way, or about an
-    axis that is turned by half a turn.
+    Real robots have such branches: a left knee rotates in the opposite direction, or about an axis
+    that is rotated by half a turn.
+
+    Args:
+        group: Name of the symmetry group.
+        limbs: Number of branches.
+        joints: Number of joints per branch.
+        seed: Seed of the tree.
     """
     rng = np.random.default_rng(seed)
     model = pin.Model()

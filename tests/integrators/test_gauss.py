@@ -23,7 +23,7 @@ from pinred.integrators.gauss.tables import tables
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.kernels import derived_code
@@ -318,7 +318,7 @@ def test_pauses_do_not_change_results(monkeypatch: pytest.MonkeyPatch) -> None:
         times = np.linspace(0, 6, 17)
         uninterrupted = run("kepler", method, ORBIT, 6.0, times)
         with monkeypatch.context() as patch:
-            patch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+            patch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
             fractions: list[float] = []
             address = code("kepler", method.lanes).address
             again = integrate(method, address, [1.0], ORBIT, 6.0, times, progress=fractions.append)

@@ -20,7 +20,7 @@ from pinred.integrators.gauss.tables import MOST_STAGES, tables
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 
 ORDERS = range(2, 17, 2)
 
@@ -144,7 +144,7 @@ def test_pauses_reports_and_storage_do_not_change_results(method: Gauss) -> None
     times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 201), uninterrupted.knots]))
     once = run(method, 1e6, times)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+        patch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
         patch.setattr(drive, "_FIRST_KNOTS", 1)
         paused = run(method, 1e6, TIMES)
     for other in (once, paused):

@@ -32,7 +32,7 @@ from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
@@ -368,7 +368,7 @@ def test_pauses_and_dense_output_do_not_change_results() -> None:
     once = pol(Radau(), times)
     fractions: list[float] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+        patch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
         patch.setattr(drive, "_FIRST_KNOTS", 1)
         paused = pol(Radau(), TIMES, progress=fractions.append)
     assert len(fractions) > uninterrupted.steps

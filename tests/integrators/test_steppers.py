@@ -33,7 +33,7 @@ from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.methods import DOP853, RKMK4, Explicit, Method, Tsit5
 from pinred.integrators.methods import METHODS as ALL
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 
 Rate = Callable[[Any, Any, Any], None]
 _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
@@ -348,7 +348,7 @@ def test_pauses_do_not_change_results(
     """Neither pauses nor larger arrays change a number."""
     address, params, y0, quaternion = problem
     uninterrupted = integrate(method, address, params, y0, 4.0, TIMES, quaternion)
-    monkeypatch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+    monkeypatch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
     monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
     fractions: list[float] = []
     paused = integrate(method, address, params, y0, 4.0, TIMES, quaternion, fractions.append)

@@ -23,7 +23,7 @@ from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.signals import Fourier
@@ -203,7 +203,7 @@ def test_pauses_reports_and_storage_do_not_change_results(monkeypatch: pytest.Mo
     uninterrupted = run([0.0, 0.3, 2.0])
     times = np.sort(np.concatenate([np.linspace(0.0, 2.0, 333), uninterrupted.knots]))
     once = run(times)
-    monkeypatch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+    monkeypatch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
     monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
     paused = run([0.0, 0.3, 2.0])
     for other in (once, paused):

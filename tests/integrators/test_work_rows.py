@@ -19,7 +19,7 @@ from pinred.integrators.methods import (
     Tsit5,
     Variational,
 )
-from pinred.integrators.stepping.stepper import Stepper
+from pinred.integrators.stepping.step_loop import Stepper
 
 MARK = 8.25e-77
 METHODS: tuple[Method, ...] = (

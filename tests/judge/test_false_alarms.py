@@ -19,7 +19,7 @@ import pinred
 def test_compare_of_correct_motion_does_not_fail(seed: int) -> None:
     """One scene of each of six trees; tests/helpers/false_alarms.py runs any number."""
     alarm = judged(seed)
-    assert alarm.verdict in ("PASSED", "CANNOT TELL"), f"{alarm.about}: {alarm.said}"
+    assert alarm.verdict in ("PASSED", "CANNOT TELL"), f"{alarm.about}: {alarm.message}"
 
 
 @pytest.mark.slow
@@ -48,7 +48,7 @@ def test_motion_that_improves_with_tolerance_is_less_accurate() -> None:
     """A motion that does not improve is reported as wrong."""
     alarm = judged(300351)
     assert alarm.verdict == INACCURATE
-    assert "FAILED" in alarm.said
+    assert "FAILED" in alarm.message
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ..stepping.compiling import Bindings, compiled
-from ..stepping.state_rows import padded_rows
+from ..stepping.compiling import Bindings, compiled, unbound
+from ..stepping.run_state import padded_rows
 from .forward_sensitivities import across, fill_weights, to_unit, weights_of
 from .row_programs import Pullback, Rate, Sum, Terms, pullback_program, row_program
 from .runge_kutta import digest
@@ -37,28 +37,11 @@ BEGIN, COVECTOR, STAGE, SEED, RATES = range(5)
 STAGES = SIZE = 1  # stages of a step, without and with those of the dense output
 
 
-def fill_rates(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the rates of the stages of a step h from row BEGIN."""
-    raise NotImplementedError
-
-
-def fill_dense_rates(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the rates of the additional stages of the dense output."""
-    raise NotImplementedError
-
-
-def pull_back(
-    adjoint: int, params: Array, work: Array, both: Array, by_params: Array, h: float
-) -> None:
-    """Fill z of the stages of a step (see the module's formulas)."""
-    raise NotImplementedError
-
-
-def pull_back_inside(
-    adjoint: int, params: Array, work: Array, both: Array, by_params: Array, h: float
-) -> None:
-    """Fill z of all stages of a step with reports inside it."""
-    raise NotImplementedError
+# Row programs: fill_rates fills the rates of the stages of a step h from row BEGIN, and
+# fill_dense_rates those of the additional stages of the dense output; pull_back fills z of the
+# stages (see the module's formulas), and pull_back_inside of all stages of a step with reports
+# inside it.
+fill_rates = fill_dense_rates = pull_back = pull_back_inside = unbound
 
 
 # --- the sweep -----------------------------------------------------------------------------

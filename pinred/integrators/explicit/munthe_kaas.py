@@ -16,9 +16,11 @@ from math import cos, sin, sqrt, tan
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_record import DONE, NOT_FINITE, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DONE,
     NEW,
+    NOT_FINITE,
+    Run,
     Y,
     copy_an_end,
     first_not_finite,
@@ -26,8 +28,7 @@ from ..stepping.state_rows import (
     padded_rows,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, equal_steps, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .row_programs import row_sum
 
 # Rows of `work` after the two state rows: the state of a stage, the weighted mean of the stage
@@ -46,7 +47,7 @@ _mean = row_sum(MEAN, None, _WEIGHTS)
 
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
-    """Implement the hook `begin_run`."""
+    """Evaluate the initial rates (hook of the step loop)."""
     unit_alone(work[Y], run.quaternion)
     keep_state(run, work, 0.0, end_times, end_states)
     _rate(run.address, params, work, work[Y], RATE, run.quaternion)
@@ -57,7 +58,7 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 
 @inlined
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Implement the hook `attempt_step`."""
+    """Compute a step of fixed length (hook)."""
     _step(run.address, params, work, run.quaternion, t_new - run.t)
     run.evaluations += 4
     run.entry = first_not_finite(work[NEW], run.n)
@@ -68,7 +69,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Implement the hook `accept_step`."""
+    """Continue from the end of the step (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[RATE, i] = work[LAST, i]
@@ -83,14 +84,14 @@ def load_step(
     end_states: Array,  # noqa: ARG001
     k: int,  # noqa: ARG001
 ) -> None:
-    """Implement the hook `load_step`."""
+    """Repeat a stored step (hook)."""
     _rate(run.address, params, work, work[Y], RATE, run.quaternion)
     _step(run.address, params, work, run.quaternion, t_new - run.t)
 
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:  # noqa: ARG001
-    """Implement the hook `write_state`."""
+    """Write a state in the step by cubic Hermite polynomials (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
         _within(run.n, work, run.quaternion, time - run.t, t_new - run.t, out)
     return DONE

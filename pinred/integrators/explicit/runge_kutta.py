@@ -18,11 +18,17 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ..stepping.compiling import Bindings
+from ..stepping.compiling import Bindings, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_record import DENSE, DONE, ENDS, NOT_FINITE, STAGES_KEPT, STEP, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DENSE,
+    DONE,
+    ENDS,
     NEW,
+    NOT_FINITE,
+    STAGES_KEPT,
+    STEP,
+    Run,
     Y,
     copy_an_end,
     first_not_finite,
@@ -32,8 +38,7 @@ from ..stepping.state_rows import (
     unit,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, loops
 from .row_programs import Rate, Sum, Terms, row_program
 from .step_formulas import (
     BEGIN_RATE,
@@ -62,37 +67,18 @@ from .tableau import Tableau
 
 STAGES = 1
 
-
-def fill_step(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the rates of a step h from row Y, and row NEW; return the number of evaluations."""
-    raise NotImplementedError
-
-
-def fill_end(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the rate at the end of a step unless `fill_step` does; return the evaluations."""
-    raise NotImplementedError
-
-
-def fill_errors(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the error rows."""
-    raise NotImplementedError
-
-
-def fill_dense(address: int, params: Array, work: Array, h: float) -> int:
-    """Fill the dense-output terms beyond the cubic; return the number of evaluations."""
-    raise NotImplementedError
-
-
-def estimate(run: Run, work: Array, h: float) -> float:
-    """Return the estimated error of a step in units of the tolerance."""
-    raise NotImplementedError
+# Row programs, each (address, params, work, h) -> number of evaluations: fill_step fills the rates
+# of a step h from row Y, and row NEW; fill_end the rate at its end; fill_errors the error rows;
+# fill_dense the rates and terms of the dense output. estimate(run, work, h) returns the error of
+# the step, relative to its tolerance.
+fill_step = fill_end = fill_errors = fill_dense = estimate = unbound
 
 
 # --- hooks of the step loop ---------------------------------------------------------------------
 
 
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
-    """Implement the hook `begin_run`."""
+    """Evaluate the initial rates and choose the first step (hook of the step loop)."""
     keep_state(run, work, 0.0, end_times, end_states)
     call(run.address, work[Y], params, work[BEGIN_RATE])
     run.evaluations += 1
@@ -106,12 +92,12 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 
 
 def next_end_time(run: Run) -> float:
-    """Implement the hook `next_end_time`."""
+    """Return t + h, or the end time if it is almost reached (hook)."""
     return run.t_end if run.t + 1.01 * run.h >= run.t_end else run.t + run.h
 
 
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Implement the hook `attempt_step`."""
+    """Compute a step and its error; return DONE, or AGAIN with a shorter step (hook)."""
     h = t_new - run.t  # includes the round-off of the clock, as the state must follow the clock
     run.evaluations += fill_step(run.address, params, work, h)
     fill_errors(run.address, params, work, 1.0)
@@ -128,7 +114,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
 
 
 def accept_step(run: Run, work: Array, t_new: float) -> None:
-    """Implement the hook `accept_step`."""
+    """Continue from the end of the step, and choose the next length by the error (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[BEGIN_RATE, i] = work[END_RATE, i]
@@ -162,13 +148,13 @@ def load_step(
     end_states: Array,  # noqa: ARG001
     k: int,  # noqa: ARG001
 ) -> None:
-    """Implement the hook `load_step`."""
+    """Evaluate the rates at the start of a stored step (hook)."""
     call(run.address, work[Y], params, work[BEGIN_RATE])
     unit(work[Y], work[BEGIN_RATE], run.quaternion)
 
 
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Implement the hook `write_state` by a polynomial (II.6)."""
+    """Write a state in the step by the dense-output polynomial, section II.6 (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
         h = t_new - run.t
         if run.known == ENDS:

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import Array
-from ..stepping.compiling import inlined
+from ..stepping.compiling import inlined, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_record import Run
-from ..stepping.state_rows import NEW, TURN, Y, in_quaternion
+from ..stepping.run_state import NEW, TURN, Run, Y, in_quaternion
 
 # Rows of `work` after the two state rows: the state of a stage, the error rows, and the rates at
 # both ends of a step. The rates of the other stages and the dense-output terms follow.
@@ -32,29 +31,10 @@ HALVINGS, REST = 0, 1  # the order is 2^HALVINGS REST
 FIRST, TERMS = RATES, 3  # first row and number of the dense-output terms
 
 
-def same(number: float) -> Any:
-    """Return a number, in all lanes."""
-    raise NotImplementedError
-
-
-def get(rows: Array, row: int, i: int) -> Any:
-    """Return entry i of a row, in all lanes."""
-    raise NotImplementedError
-
-
-def put(rows: Array, row: int, i: int, value: Any) -> None:
-    """Set entry i of a row, in all lanes."""
-    raise NotImplementedError
-
-
-def choose(condition: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` where a condition is true, else `no`."""
-    raise NotImplementedError
-
-
-def power(base: Any, exponent: float) -> Any:
-    """Return a power."""
-    raise NotImplementedError
+# In all lanes: same(number) returns a number, get(rows, row, i) and put(rows, row, i, value) return
+# and set entry i of a row, choose(condition, yes, no) returns `yes` where a condition is true, else
+# `no`, and power(base, exponent) returns a power.
+same = get = put = choose = power = unbound
 
 
 @inlined

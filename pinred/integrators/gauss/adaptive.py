@@ -17,8 +17,11 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import compiled, inlined
-from ..stepping.run_record import DONE, NOT_FINITE, STAGES_KEPT, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DONE,
+    NOT_FINITE,
+    STAGES_KEPT,
+    Run,
     Y,
     entry_size,
     first_step_by_rate,
@@ -26,8 +29,7 @@ from ..stepping.state_rows import (
     reject_step,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, loops
 from .fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
 from .newton import rows_of_stages
 from .stages import (
@@ -59,7 +61,7 @@ _FASTEST = 0.15
 
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
-    """Implement the hook `begin_run`."""
+    """Evaluate the initial rates and choose the first step (hook of the step loop)."""
     unit_alone(work[Y], run.quaternion)
     keep_state(run, work, 0.0, end_times, end_states)
     for i in range(run.n):
@@ -73,7 +75,7 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 
 @inlined
 def next_end_time(run: Run) -> float:
-    """Implement the hook `next_end_time`."""
+    """Return t + h, or split the remaining time into equal steps (hook)."""
     h, remaining = run.h, run.t_end - run.t
     if h >= remaining:
         h = remaining
@@ -84,7 +86,7 @@ def next_end_time(run: Run) -> float:
 
 @inlined
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Implement the hook `attempt_step`."""
+    """Solve the stages and estimate the error; return DONE, or AGAIN with a shorter step (hook)."""
     n, lanes, h = run.n, run.lanes, t_new - run.t
     if run.before > 0.0:
         prepare_guess(work, lanes, run.stages, GUESS, 1.0, h / run.before)
@@ -111,7 +113,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:
-    """Implement the hook `accept_step`."""
+    """Continue from the end of the step, and choose the next length (hook)."""
     continue_from_end(run, work)
     run.before = t_new - run.t
     run.again, run.entry = 0, -1
@@ -129,7 +131,7 @@ def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Arr
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Implement the hook `write_state`; reject the step if a state inside it is not computed."""
+    """Write a state in the step; reject the step if that state is not solved (hook)."""
     if write_inside_state(run, params, work, time, t_new, out):
         return DONE
     return reject_step(run, (t_new - run.t) * _HALF)

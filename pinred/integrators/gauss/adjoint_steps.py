@@ -22,7 +22,7 @@ from ...common.arrays import Array
 from ..explicit.forward_sensitivities import across, to_unit
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import call, call_adjoint
-from ..stepping.state_rows import NEW, Y
+from ..stepping.run_state import NEW, Y
 from .stages import (
     GUESS,
     MU,

@@ -12,28 +12,25 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import compiled, inlined
-from ..stepping.run_record import (
+from ..stepping.run_state import (
     AGAIN,
     AUTO,
     DIVERGED,
     DONE,
     FIXED_POINT,
+    NEW,
     NEWTON,
     NOT_FINITE,
     STEP,
     WANTED,
     Run,
-)
-from ..stepping.state_rows import (
-    NEW,
     Y,
     copy_an_end,
     first_not_finite,
     keep_state,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, equal_steps, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .newton import MAIN, prepare, refine, rows_of_stages
 from .newton import SUB as REPORT
 from .stages import (
@@ -64,7 +61,7 @@ _SLACK = 1e-6
 
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:  # noqa: ARG001
-    """Implement the hook `begin_run`."""
+    """Normalise the quaternion and store the initial state (hook of the step loop)."""
     unit_alone(work[Y], run.quaternion)
     keep_state(run, work, 0.0, end_times, end_states)
     for i in range(run.n):
@@ -74,7 +71,7 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 
 @inlined
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
-    """Implement the hook `attempt_step`."""
+    """Solve the stages by fixed points or by Newton's method (hook)."""
     n, lanes, stages = run.n, run.lanes, run.stages
     auto = run.solver == AUTO
     newton = run.solver == NEWTON or (auto and run.remaining > 0)
@@ -110,7 +107,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # 
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Implement the hook `accept_step`."""
+    """Continue from the end of the step (hook)."""
     continue_from_end(run, work)
     run.before = run.h
 
@@ -119,12 +116,12 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
 def load_step(
     run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
 ) -> None:
-    """Implement the hook `load_step`: the ends of the step suffice."""
+    """Do nothing, because the ends of a stored step suffice (hook)."""
 
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Implement the hook `write_state`."""
+    """Write a state in the step, as the end of a shorter step (hook)."""
     if write_inside_state(run, params, work, time, t_new, out):
         return DONE
     return WANTED if run.solver == AUTO and run.tangent == 0 else DIVERGED

@@ -18,8 +18,7 @@ from ...common.arrays import Array, read_only
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..stepping.run_record import Run
-from ..stepping.state_rows import Y, first_not_finite
+from ..stepping.run_state import Run, Y, first_not_finite
 from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply, work_rows
 from .tables import MOST_STAGES, tables
 

@@ -32,10 +32,19 @@ from ..explicit.step_formulas import (
     same,
     smaller,
 )
-from ..stepping.compiling import compiled
+from ..stepping.compiling import compiled, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_record import DONE, NOT_FINITE, TOO_MANY, UNDERFLOW, Run, Runs
-from ..stepping.state_rows import NEW, Y, unit_alone
+from ..stepping.run_state import (
+    DONE,
+    NEW,
+    NOT_FINITE,
+    TOO_MANY,
+    UNDERFLOW,
+    Run,
+    Runs,
+    Y,
+    unit_alone,
+)
 from ..stepping.step_loop import Batch
 from .vectors import bits, choose, fetch_and_add
 
@@ -79,11 +88,7 @@ WIDTH, STAGES, OUT = 1, 1, 0
 BEGUN, AT_STEP, AT_END, AT_DENSE = 2.0, 1.0, 1.0, 0.0  # numbers of evaluations
 
 
-def _of_tableau(*arguments: Any) -> Any:
-    raise NotImplementedError
-
-
-fill_step = fill_end = fill_errors = fill_dense = estimate = _of_tableau
+fill_step = fill_end = fill_errors = fill_dense = estimate = unbound
 
 
 # --- step control -------------------------------------------------------------------------------

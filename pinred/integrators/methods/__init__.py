@@ -1,4 +1,4 @@
-"""The integrators as values, one file each. METHODS contains all that this folder defines."""
+"""The integrators as values. METHODS contains all that this folder defines."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from inspect import isabstract
 from pkgutil import iter_modules
 from typing import Any
 
-from .adaptive_gauss import AdaptiveGauss as AdaptiveGauss
-from .dop853 import DOP853 as DOP853
-from .gauss import Gauss as Gauss
+from .explicit_methods import DOP853 as DOP853
+from .explicit_methods import RKMK4 as RKMK4
+from .explicit_methods import Tsit5 as Tsit5
+from .implicit_methods import AdaptiveGauss as AdaptiveGauss
+from .implicit_methods import Gauss as Gauss
+from .implicit_methods import Radau as Radau
+from .implicit_methods import Variational as Variational
 from .method import DOP853_LEAST as DOP853_LEAST
 from .method import EqualSteps as EqualSteps
 from .method import ErrorControl as ErrorControl
 from .method import Explicit as Explicit
 from .method import Method as Method
-from .radau import Radau as Radau
-from .rkmk4 import RKMK4 as RKMK4
-from .tsit5 import Tsit5 as Tsit5
-from .variational import Variational as Variational
 
 
 def _methods() -> dict[str, type[Method]]:

@@ -13,7 +13,7 @@ from ...common.errors import InputError
 
 if TYPE_CHECKING:
     from ..explicit.tableau import Tableau
-    from ..stepping.stepper import Stepper
+    from ..stepping.step_loop import Stepper
 
 DOP853_LEAST = 2.3e-14  # smallest useful relative tolerance, limited by round-off; SciPy's, too
 MOST_STEPS = 1e12  # largest number of equal steps

@@ -18,8 +18,7 @@ from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, jacobian, solve
-from ..stepping.run_record import DENSE, DONE, Run
-from ..stepping.state_rows import NEW, Y, copy_an_end, unit, unit_alone
+from ..stepping.run_state import DENSE, DONE, NEW, Run, Y, copy_an_end, unit, unit_alone
 
 # Rows of `work`: rates at both ends of a step; stages minus the state; corrections at the ends;
 # free rows; rows of Newton's method and of the Jacobian.
@@ -37,7 +36,7 @@ _SLOPE, _BEND, _LAST_BEND = _POWERS[0], 2.0 * _POWERS[1], 2.0 * _POWERS[1] + 6.0
 
 @inlined
 def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Array) -> None:
-    """Implement the hook `store_end`: store time, state and stages."""
+    """Store time, state and stages of a step (hook of the step loop)."""
     if run.keep:
         n, k = run.n, run.steps
         row = NEW if run.begun else Y
@@ -57,7 +56,7 @@ def load_step(
     end_states: Array,
     k: int,
 ) -> None:
-    """Implement the hook `load_step`, with the stages from the step end."""
+    """Restore the stages of a stored step, and evaluate the rates at its ends (hook)."""
     for i in range(run.n):
         for row in range(3):
             work[Z + row, i] = end_states[k + 1, (row + 1) * run.n + i]
@@ -68,7 +67,7 @@ def load_step(
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Implement the hook `write_state`."""
+    """Write a state in the step by the corrected stage polynomial (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
         if run.known < DENSE:
             run.known = DENSE

@@ -17,9 +17,11 @@ from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..stepping.run_record import DONE, NOT_FINITE, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DONE,
     NEW,
+    NOT_FINITE,
+    Run,
     Y,
     entry_size,
     first_not_finite,
@@ -27,8 +29,7 @@ from ..stepping.state_rows import (
     reject_step,
     unit,
 )
-from ..stepping.step_loop import Hooks, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, loops
 from .dense import (
     ALONG,
     END_RATE,
@@ -64,7 +65,7 @@ _SAME = 1.2  # growth below which the next step has the same length, to reuse th
 
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
-    """Implement the hook `begin_run`."""
+    """Evaluate the initial rates and choose the first step (hook of the step loop)."""
     store_end(run, work, 0.0, end_times, end_states)
     call(run.address, work[Y], params, work[RATE])
     run.evaluations += 1
@@ -78,13 +79,13 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 
 @inlined
 def next_end_time(run: Run) -> float:
-    """Implement the hook `next_end_time`."""
+    """Return t + h, or the end time if it is almost reached (hook)."""
     return run.t_end if run.t + 1.0001 * run.h >= run.t_end else run.t + run.h
 
 
 @inlined
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Implement the hook `attempt_step`."""
+    """Solve the stages by Newton's method and estimate the error (hook)."""
     n, h = run.n, t_new - run.t
     if abs(h - run.factored) > 1e-9 * h:
         run.pause -= n * n // 8  # evaluations that cost as much as the factors
@@ -112,7 +113,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:
-    """Implement the hook `accept_step`."""
+    """Continue from the end of the step, and choose the next length (hook)."""
     h, quotient = t_new - run.t, run.quotient
     for i in range(run.n):
         work[Y, i] = work[NEW, i]

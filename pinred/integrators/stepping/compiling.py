@@ -73,11 +73,20 @@ def bind_globals(function: _Function, name: str, **values: Any) -> _Function:
     return typed
 
 
+def unbound(*arguments: Any) -> Any:
+    """Stand for a function that `bind_globals` replaces.
+
+    Raises:
+        NotImplementedError: always, as only bound copies can be called.
+    """
+    raise NotImplementedError
+
+
 class Bindings:
     """Global names of one method, and compiled copies of functions that use them.
 
     Attributes:
-        values: Values of the global names. Each copy that `add` makes joins them.
+        values: Values of the global names, including the copies that `add` has made.
     """
 
     def __init__(self, prefix: str, **values: Any) -> None:

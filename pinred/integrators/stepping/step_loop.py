@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
-from .compiling import bind_globals, compiled, inlined
-from .run_record import (
+from .compiling import bind_globals, compiled, inlined, unbound
+from .run_state import (
     AGAIN,
     DONE,
     ENDS,
     FULL,
+    NEW,
     NOT_FINITE,
     PAUSED,
     STEP,
@@ -28,94 +29,15 @@ from .run_record import (
     WANTED,
     Run,
     Runs,
+    Y,
+    keep_state,
 )
-from .state_rows import NEW, Y, keep_state
 
 _EPS = float(np.finfo(float).eps)
 
 
-# --- hooks, which a method defines --------------------------------------------------------------
-
-
-def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
-    """Store the initial state and prepare the first step.
-
-    Args:
-        run: Registers of the run.
-        params: Parameters, (p,).
-        work: Work rows, with the initial state in row Y.
-        end_times: Times of the step ends, (K,) [s].
-        end_states: Stored states, (K, …).
-    Returns:
-        DONE, or the reason of a failure.
-    """
-    raise NotImplementedError
-
-
-def next_end_time(run: Run) -> float:
-    """Return the time at which the next step ends [s]."""
-    raise NotImplementedError
-
-
-def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Compute a step from row Y to row NEW.
-
-    Args:
-        run: Registers of the run.
-        params: Parameters, (p,).
-        work: Work rows.
-        t_new: End of the step [s].
-    Returns:
-        DONE; AGAIN, with the next step in run.h; WANTED; or the reason of a failure.
-    """
-    raise NotImplementedError
-
-
-def accept_step(run: Run, work: Array, t_new: float) -> None:
-    """Continue from the end of a step, and choose the length of the next.
-
-    Args:
-        run: Registers of the run.
-        work: Work rows.
-        t_new: End of the step [s].
-    """
-    raise NotImplementedError
-
-
-def load_step(
-    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
-) -> None:
-    """Restore the work rows of a stored step, whose ends are in rows Y and NEW.
-
-    Args:
-        run: Registers of the run.
-        params: Parameters, (p,).
-        work: Work rows.
-        t_new: End of the step [s].
-        end_states: Stored states, (K, …).
-        k: Number of the step.
-    """
-    raise NotImplementedError
-
-
-def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Write the state at a time in the current step, with a normalised quaternion.
-
-    run.known states the contents of the work rows.
-
-    Args:
-        run: Registers of the run.
-        params: Parameters, (p,).
-        work: Work rows.
-        time: Time, from run.t to t_new [s].
-        t_new: End of the step [s].
-        out: State, (n,), output; NaN if it is not computed.
-    Returns:
-        DONE, AGAIN, WANTED, or the reason of a failure.
-    """
-    raise NotImplementedError
-
-
+# Bound to the hooks of a method, see `Hooks`.
+begin_run = next_end_time = attempt_step = accept_step = load_step = write_state = unbound
 store_end = keep_state
 
 
@@ -128,7 +50,27 @@ def equal_steps(run: Run) -> float:
 
 @dataclass(frozen=True)
 class Hooks:
-    """The compiled functions that define the steps of a method, see the functions above."""
+    """The compiled functions that define the steps of a method.
+
+    All take the registers of the run first, then params (p,) and the work rows where they need
+    them. The end of the step at hand is t_new [s].
+
+    Attributes:
+        begin_run: (run, params, work, end_times, end_states): store the initial state, which is in
+            row Y, and prepare the first step. Returns DONE, or the reason of a failure.
+        next_end_time: (run): return the time at which the next step ends [s].
+        attempt_step: (run, params, work, t_new): compute a step from row Y to row NEW. Returns
+            DONE; AGAIN, with the next step in run.h; WANTED; or the reason of a failure.
+        accept_step: (run, work, t_new): continue from the end of the step, and choose the length
+            of the next.
+        load_step: (run, params, work, t_new, end_states, k): restore the work rows of the stored
+            step k, whose ends are in rows Y and NEW; end_states are the stored states, (K, …).
+        write_state: (run, params, work, time, t_new, out): write the state (n,) at a time from
+            run.t to t_new, NaN if it is not computed, with a normalised quaternion. run.known
+            states the contents of the work rows. Returns DONE, AGAIN, WANTED, or the reason of a
+            failure.
+        store_end: (run, work, t, end_times, end_states): store the state at the step end t.
+    """
 
     begin_run: Callable[..., int]
     next_end_time: Callable[..., float]
@@ -166,7 +108,7 @@ def advance(
     """
     run: Run = runs[0]
     if not run.begun:
-        status = begin_run(run, params, work, end_times, end_states)
+        status: int = begin_run(run, params, work, end_times, end_states)
         if status != DONE:
             return status
         run.begun = 1
@@ -212,7 +154,7 @@ def report(run: Run, params: Array, work: Array, times: Array, out: Array, t_new
     run.known = STEP
     while run.next < times.shape[0] and times[run.next] <= t_new:
         j = run.next
-        status = write_state(run, params, work, times[j], t_new, out[j])
+        status: int = write_state(run, params, work, times[j], t_new, out[j])
         if status != DONE:
             return status
         run.next += 1
@@ -326,11 +268,8 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
             return member
         outcome = batch.outcomes[member]
         outcome.t, outcome.status, outcome.entry = run.t, status, run.entry
-        outcome.steps, outcome.rejected, outcome.evaluations = (
-            run.steps,
-            run.rejected,
-            run.evaluations,
-        )
+        outcome.steps, outcome.rejected = run.steps, run.rejected
+        outcome.evaluations = run.evaluations
     return last
 
 
@@ -362,3 +301,33 @@ def loops(name: str, hooks: Hooks) -> Loops:
         compiled(bind_globals(recall, f"{name}_recall", **bindings)),
         compiled(bind_globals(members, f"{name}_members", advance=bound_advance)),
     )
+
+
+@dataclass(frozen=True)
+class Stepper:
+    """The compiled loops of a method, and its memory needs.
+
+    Attributes:
+        loops: Compiled loops.
+        rows: Function of (n, tangent) that allocates the work rows for n entries of the state. If
+            `tangent` is true they have space for Newton's method.
+        kept: Numbers stored at a step end per entry of the state.
+        stages: Additional numbers per entry if stages are stored, 0 if they cannot be.
+        needs_tangent: Whether the method always needs the derivative of the kernel.
+    """
+
+    loops: Loops
+    rows: Callable[[int, bool], Array]
+    kept: int = 1
+    stages: int = 0
+    needs_tangent: bool = False
+
+    def work(self, n: int, *, tangent: bool = False) -> Array:
+        """Allocate the work rows (…, stride) for n entries of the state."""
+        return self.rows(n, tangent or self.needs_tangent)
+
+    def widened(self, n: int, work: Array) -> Array:
+        """Copy `work` to rows that also have space for Newton's method."""
+        larger = self.work(n, tangent=True)
+        larger[: len(work)] = work
+        return larger

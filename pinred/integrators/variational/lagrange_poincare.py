@@ -30,9 +30,12 @@ import numpy as np
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_record import DIVERGED, DONE, NOT_FINITE, Run
-from ..stepping.state_rows import (
+from ..stepping.run_state import (
+    DIVERGED,
+    DONE,
     NEW,
+    NOT_FINITE,
+    Run,
     Y,
     copy_an_end,
     first_not_finite,
@@ -40,8 +43,7 @@ from ..stepping.state_rows import (
     padded_rows,
     unit_alone,
 )
-from ..stepping.step_loop import Hooks, equal_steps, loops
-from ..stepping.stepper import Stepper
+from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 
 # Rows of `work` after the state: six for the step and six for a step to a report time. Each six
 # are the end, the two stages with p and a quaternion for m, their rates, and u with h Ω₁ / 2.
@@ -57,7 +59,7 @@ _NOTHING = 1e-17  # predicted next change, relative to the largest number, that 
 
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
-    """Implement the hook `begin_run`."""
+    """Normalise the quaternion and evaluate the initial rates (hook of the step loop)."""
     unit_alone(work[Y], run.quaternion)
     keep_state(run, work, 0.0, end_times, end_states)
     _begin(run, params, work, MAIN, run.h)
@@ -67,7 +69,7 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 
 @inlined
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
-    """Implement the hook `attempt_step`."""
+    """Solve the equations of a step of fixed length (hook)."""
     status = _step(run, params, work, MAIN, run.h)
     if status == NOT_FINITE:
         run.entry = first_not_finite(work[MAIN + BEGIN_RATE], run.n)
@@ -78,7 +80,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # 
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Implement the hook `accept_step`."""
+    """Continue from the end of the step (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
 
@@ -87,12 +89,12 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
 def load_step(
     run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
 ) -> None:
-    """Implement the hook `load_step`: the ends of the step suffice."""
+    """Do nothing, because the ends of a stored step suffice (hook)."""
 
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Implement the hook `write_state` by a shorter step."""
+    """Write a state in the step, as the end of a shorter step (hook)."""
     if copy_an_end(run, work, time, t_new, out):
         return DONE
     _begin(run, params, work, SUB, time - run.t)

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...common.arrays import Array, freeze
-from ...lie.se3 import SE3
+from ...lie.spatial_groups import SE3
 from ...system.joints import axes_of, is_prismatic
 from ...system.system import System
 
