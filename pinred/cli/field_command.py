@@ -59,9 +59,18 @@ def run(arguments: argparse.Namespace) -> int:
 def _compute_grid(
     connection: Any, joints: list[str] | None, limits: Any, at: Any, samples: int
 ) -> dict[str, Any]:
-    """Return shapes, A, and the curvature with its two terms on a grid (samples, samples).
+    """Compute A and the curvature with its two terms on a grid of shapes.
 
-    `joints`, `limits` and `at` are those of the command; `at` is the shape of the other joints.
+    Args:
+        connection: Connection to evaluate.
+        joints: Names of the two joints on the axes; by default the first two.
+        limits: (low, high) of each axis.
+        at: Values of the other joints.
+        samples: Number of samples along each axis.
+    Returns:
+        Arrays by name, with leading axes (samples, samples).
+    Raises:
+        InputError: An option is invalid.
     """
     import numpy as np
 

@@ -35,9 +35,15 @@ def add_source(sub: argparse.ArgumentParser) -> None:
 
 
 def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
-    """Return the connection and gait that the options of add_source name.
+    """Return the connection and gait named by the options of add_source.
 
-    `gait` states whether a robot needs a gait.  Raises InputError.
+    Args:
+        arguments: Parsed arguments of the command.
+        gait: Whether a robot needs a gait.
+    Returns:
+        The source.
+    Raises:
+        InputError: The options contradict each other, or a gait is missing.
     """
     import numpy as np
 
