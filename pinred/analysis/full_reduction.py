@@ -43,11 +43,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SplitVelocity:
-    """A velocity as a sum of two.
+    """The vertical and horizontal components of a velocity.
 
     Attributes:
         vertical: (Ω, 0), a rigid motion.
-        horizontal: (−A ẋ, ẋ), without momentum.
+        horizontal: (−A ẋ, ẋ), a motion without momentum.
     """
 
     vertical: Velocity
@@ -57,10 +57,10 @@ class SplitVelocity:
 class Reduction(PointwiseReduction):
     """The reduction of one system, at any shape or over many shapes.
 
-    Every method computes anew from its arguments.  It raises ShapeError if a shape x (m,)
-    [rad | m] has the wrong length or is not finite, and SingularInertiaError if the mass matrix is
-    numerically singular there.  To get several quantities at one shape, call `at`, which computes
-    them together.  An instance owns Pinocchio work space, so use one per thread.
+    Every method computes anew from its arguments. It raises ShapeError if a shape x (m,) [rad | m]
+    has the wrong length or is not finite. It raises SingularInertiaError if the mass matrix is
+    numerically singular there. For several quantities at one shape, call `at`, which computes them
+    together. An instance owns Pinocchio work space, so use one per thread.
     """
 
     def amended_potential(self, x: ArrayLike, mu: ArrayLike) -> float:
@@ -70,7 +70,9 @@ class Reduction(PointwiseReduction):
             x: Shape, (m,) [rad | m].
             mu: Body momentum, (r,) [N s | N m s].
         Returns:
-            The amended potential [J].  Raises SymmetryError if gravity breaks the symmetry.
+            The amended potential [J].
+        Raises:
+            SymmetryError: Gravity breaks the symmetry.
         """
         return self.potential(x) + self.split(x).locked_energy(mu)
 
@@ -126,7 +128,7 @@ class Reduction(PointwiseReduction):
         """Compute the connection one-form 𝒜 = Ad_g (ξ + A ẋ) on velocities v = (ξ, ẋ).
 
         Its value is the spatial twist of the locked system, J = 𝕀 𝒜(v) (`spatial_momentum`,
-        `locked_inertia_in_space`).  On a rigid motion it is the spatial twist of that motion.
+        `locked_inertia_in_space`). On a rigid motion it is the spatial twist of that motion.
 
         Args:
             pose: Pose coordinates of the base.
@@ -144,7 +146,7 @@ class Reduction(PointwiseReduction):
             pose: Pose coordinates of the base.
             x: Shape, (m,) [rad | m].
         Returns:
-            (r, n, n): a spatial twist, antisymmetric in the last two indices.  It vanishes if
+            (r, n, n): a spatial twist, antisymmetric in the last two indices. It vanishes if
             either velocity is vertical.
         """
         r, n = self.system.r, self.system.n
@@ -185,7 +187,7 @@ class Reduction(PointwiseReduction):
             xdot: Shape rate, (m,) [rad/s | m/s].
             xi: Body twist, (r,) [m/s; rad/s].
         Returns:
-            Both velocities.
+            The vertical and the horizontal velocity.
         """
         omega = self.locked_velocity(x, xdot, xi)
         horizontal = self.horizontal_lift(x, xdot)
@@ -197,7 +199,7 @@ class Reduction(PointwiseReduction):
         Args:
             x: Shape, (m,) [rad | m].
         Returns:
-            (m, m, m), c first.  Geodesics obey ẍ^c = −Γ^c_ab ẋ^a ẋ^b.
+            (m, m, m), c first. Geodesics obey ẍ^c = −Γ^c_ab ẋ^a ẋ^b.
         """
         M, dM, _ = self._metric_derivatives(x)
         return christoffel_symbols(M, dM)
@@ -220,7 +222,9 @@ class Reduction(PointwiseReduction):
             u: Shape rate, (m,) [rad/s | m/s].
             v: Shape rate, (m,) [rad/s | m/s].
         Returns:
-            The curvature.  Raises InputError if u and v are parallel.
+            The curvature.
+        Raises:
+            InputError: u and v are parallel.
         """
         u, v = vector(u, self.system.m, "u"), vector(v, self.system.m, "v")
         M, dM, d2M = self._metric_derivatives(x)
