@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 5. A satellite moves its arms and turns
 #
-# A satellite of 100 kg has two arms of three joints, and floats: no thrusters, no wheels. Its
-# momentum is zero, and stays so. Every motion of an arm moves the bus by ξ = −A(x) ẋ, which
-# space robotics has two uses for: to hit a target *in spite* of it (Umetani and Yoshida's
-# generalised Jacobian), and to turn the bus *by means* of it (loops of the arms, as the cat's).
+# A satellite of 100 kg has two arms of three joints, without thrusters or wheels. Its momentum is
+# zero and remains zero. Every arm motion moves the bus by ξ = −A(x) ẋ. Space robotics compensates
+# this motion to reach a target (the generalised Jacobian of Umetani and Yoshida), or uses it to
+# rotate the bus by loops of the arms, like the cat.
 
 # %%
 from importlib.util import find_spec
@@ -24,23 +24,23 @@ print(satellite)
 
 # %% [markdown]
 # ## The generalised Jacobian
-# The twist of the left hand's tip is V = J_b ξ + J_x ẋ, with the columns of Pinocchio's Jacobian
-# that belong to the base and to the joints. At zero momentum ξ = −A ẋ, so
+# The twist of the left hand's tip is V = J_b ξ + J_x ẋ, where J_b and J_x are the columns of
+# Pinocchio's Jacobian for the base and the joints. At zero momentum ξ = −A ẋ, so
 #
 #     V = J* ẋ,    J* = J_x − J_b A
 #
-# J* depends on masses, unlike the Jacobian J_x of an arm on the ground. Ask for a velocity of
-# the tip, solve for the left arm's rates with either, and see by Pinocchio what the tip does.
+# J* depends on the masses, unlike the Jacobian J_x of an arm with a fixed base. Solve for the joint
+# rates of the left arm with either Jacobian, and let Pinocchio compute the velocity of the tip.
 
 # %%
 model, x = satellite.model.copy(), np.array([0.3, -0.5, 0.4, -0.2, 0.6, 0.3])
-at_tip = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0]))  # the hand is 0.4 m long
+at_tip = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0]))  # placement: the hand is 0.4 m long
 wrist = model.getJointId("left_wrist")
 tip = model.addFrame(pin.Frame("tip", wrist, at_tip, pin.FrameType.OP_FRAME))
 data, q = model.createData(), satellite.q(SE3.identity(), x)
 J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL)
 Jb, Jx, A = J[:, :6], J[:, 6:], red.local_connection(x)
-wanted, arm = np.array([0.1, -0.05, 0.08]), slice(0, 3)  # m/s, in the frame of the tip
+wanted, arm = np.array([0.1, -0.05, 0.08]), slice(0, 3)  # velocity in the frame of the tip [m/s]
 errors = {}
 for name, jacobian in (("fixed base", Jx), ("generalised", Jx - Jb @ A)):
     xdot = np.zeros(6)
@@ -54,7 +54,7 @@ np.testing.assert_allclose(errors["generalised"], 0.0, atol=1e-12)
 
 # %% [markdown]
 # ## A loop of one arm
-# Shoulder and elbow of the left arm go round a circle, n times; all other joints are held.
+# Shoulder and elbow of the left arm follow a circle n times; all other joints are locked.
 
 
 # %%
@@ -78,9 +78,8 @@ angle = np.degrees(SE3.log(once)[3:])
 print("one loop turns the bus by", angle.round(6), "degrees about its axes")
 
 # %% [markdown]
-# Nothing remembers the loop before, so the next one turns the bus by the same again, in the
-# frame where it is now: the holonomy of n loops is the n-th power, g_n = g₁ⁿ, which is n times the
-# angle about the same axis.
+# Each loop rotates the bus by the same rotation, in the current frame of the bus. So the holonomy
+# of n loops is the n-th power, g_n = g₁ⁿ, which is n times the angle about the same axis.
 
 # %%
 power = SE3.compose(SE3.compose(once, once), once)
@@ -91,9 +90,9 @@ np.testing.assert_allclose(np.degrees(SE3.log(thrice)[3:]), 3 * angle, atol=1e-6
 
 # %% [markdown]
 # ## Turn by 90 degrees
-# How large must the loop be for four of them to make a quarter turn? The angle of one grows with
-# the radius, so bracket and solve. Then look at what the drives must give. After a whole loop the
-# arm moves as it did: its drives have done no work, and the turn is free. `traj.play()` shows it.
+# How large must the loop be for four of them to make a quarter turn? The angle of one loop grows
+# with the radius, so bracket the radius and solve. Then compute the drive torques. After a whole
+# loop the arm has its initial state: the net work of the drives is zero. `traj.play()` shows it.
 
 # %%
 quarter = brentq(lambda r: np.linalg.norm(SE3.log(change(swing(r)))[3:]) - np.pi / 8, 0.5, 1.2)

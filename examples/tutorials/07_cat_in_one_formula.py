@@ -1,13 +1,13 @@
 # %% [markdown]
 # # 7. A cat in one formula
 #
-# Take a cat as two equal halves, each round about its spine, joined so that the bend between them
-# can go round without either half twisting against the other. If the bend, of angle β, goes round
-# once at zero angular momentum, the cat rolls by
+# Consider a cat of two equal halves, each axisymmetric about its spine. The joint lets the bend
+# between them rotate about the spine, without twist of one half against the other. If the bend, of
+# angle β, makes one revolution at zero angular momentum, the cat rolls by
 #
 #     2π (k c / (k c² + s²) − 1),   c = cos β/2,   s = sin β/2,   k = I_axial / I_transverse.
 #
-# That is the phase of a loop in shape space, and pinred finds it from the mass matrix alone.
+# This is the phase of a loop in shape space. pinred computes it from the mass matrix.
 
 # %%
 import warnings
@@ -31,16 +31,16 @@ last = front
 for name, kind in (("a", pin.JointModelRX), ("b", pin.JointModelRY), ("c", pin.JointModelRZ)):
     last = model.addJoint(last, kind(), here, name)
 model.appendBodyToJoint(last, half, here)
-with warnings.catch_warnings():  # the links between the joints have no mass, on purpose
+with warnings.catch_warnings():  # the links between the joints are massless on purpose
     warnings.simplefilter("ignore", pinred.ModelWarning)
     cat = pinred.load(model)
 A = pinred.Connection.mechanical(cat)
 
 # %% [markdown]
 # ## The loop
-# Without twist, the rear half is turned by β about an axis (−sin φ, cos φ, 0) that goes round.
-# Three joints make any rotation; their angles along the way are a smooth closed path, whose
-# Fourier series makes a gait.
+# Without twist, the rear half is rotated by β about an axis (−sin φ, cos φ, 0), where φ makes one
+# revolution. Three joints realise any rotation. Their angles form a smooth closed path, whose
+# Fourier series defines a gait.
 
 
 # %%
@@ -68,8 +68,8 @@ for degrees in (20.0, 40.0, 60.0, 80.0):
 
 # %% [markdown]
 # ## Half a turn
-# Which bend turns the cat over in one go? The formula says −π where k c/(k c² + s²) = ½. Ask the
-# phase instead: where the axis-angle reaches a half turn, its rotation matrix has trace −1.
+# Which bend rolls the cat by half a turn in one loop? By the formula, the one with k c/(k c² + s²)
+# = ½. By the phase: a rotation by half a turn has a matrix of trace −1.
 
 
 # %%
@@ -83,8 +83,8 @@ print(f"bent by {np.degrees(beta):.5f}° it turns over; the formula gives {formu
 np.testing.assert_allclose(formula(beta), -np.pi, atol=1e-8)
 
 # %% [markdown]
-# ## Again and again
-# After n cycles the pose is a power of the first: no drift of an integrator comes in.
+# ## Several cycles
+# After n cycles the pose is the n-th power of the phase, without integration error.
 
 # %%
 p = pinred.phase(A, bend_goes_round(0.7))

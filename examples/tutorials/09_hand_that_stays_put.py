@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 9. A hand that stays put
 #
-# An arm on a free-floating spacecraft pushes its own base about. At zero momentum the hand moves
-# with J_g ẋ, where J_g = J_s − J_b A is the *generalised Jacobian*; what momentum there is adds a
-# drift. The arm is Papadopoulos and Dubowsky's, in the plane.
+# An arm on a free-floating spacecraft moves its base. At zero momentum the hand moves with J_g ẋ,
+# where J_g = J_s − J_b A is the *generalised Jacobian*; nonzero momentum adds a drift. The planar
+# arm is that of Papadopoulos and Dubowsky.
 
 # %%
 from importlib.util import find_spec
@@ -30,7 +30,7 @@ def hand(traj: pinred.Trajectory) -> Vector:
 
 # %% [markdown]
 # ## The drift
-# With frozen joints, a spacecraft that turns takes the hand with it.
+# With locked joints, a rotating spacecraft carries the hand along.
 
 # %%
 frozen = pinred.simulate(
@@ -41,9 +41,9 @@ way = float(np.linalg.norm(hand(frozen) - hand(frozen)[0], axis=1).max())
 print(f"with frozen joints the hand strays by {way:.3f} m")
 
 # %% [markdown]
-# ## Resolved rates, in the loop
-# The rates that cancel the drift are −J_g⁻¹ times it. A controller that is sampled at 200 Hz asks
-# for them; it needs the shape and the body momentum, and no look at the stars.
+# ## Resolved rates in a control loop
+# The joint rates −J_g⁻¹ times the drift cancel it. A controller at 200 Hz commands these rates. It
+# measures shape and body momentum, but no attitude.
 
 
 # %%
@@ -65,8 +65,8 @@ np.testing.assert_array_less(strays, 0.01 * way)
 
 # %% [markdown]
 # ## Resolved accelerations
-# At zero momentum V̇ = J_g ẍ + J̇_g ẋ for the hand's velocity in its own axes: torques that make it
-# follow a given one exactly, up to the samples.
+# At zero momentum V̇ = J_g ẍ + J̇_g ẋ for the velocity V of the hand in its own axes. Torques from
+# this equation make the hand follow a requested velocity, exactly up to the sampling.
 
 
 # %%

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 11. The double spherical pendulum
 #
-# Two pendulums on universal joints, one hanging from the other. Turning everything about the
-# vertical changes nothing, so the angular momentum J about it is kept, and the steady motions at
-# J are the critical points of the amended potential on shapes alone (Marsden and Scheurle 1993):
+# Two pendulums on universal joints, one attached to the other. Rotating everything about the
+# vertical changes nothing, so the angular momentum J about it is constant, and the steady motions
+# at J are the critical points of the amended potential on shapes (Marsden and Scheurle 1993):
 #
 #     V_J(x) = V(x) + J²/(2 I(x))
 
@@ -23,11 +23,11 @@ verdicts = [each.verdict for each in found]
 assert [verdicts.count(v) for v in ("stable", "unstable", "undecided")] == [1, 12, 1]
 
 # %% [markdown]
-# Each row is a shape, however many coordinates it has: turning a universal joint over and the
-# azimuth by half a turn puts the rods where they were.
+# Each row is one shape, although several coordinates describe it: rotating a universal joint by
+# half a turn and the azimuth by half a turn gives the same rod positions.
 #
 # ## Are they steady?
-# Pinocchio's forward dynamics, which knows nothing of reduction, gives no acceleration at any of
+# Pinocchio's forward dynamics, which does not use the reduction, gives zero acceleration at all of
 # them.
 
 # %%
@@ -41,8 +41,8 @@ np.testing.assert_allclose(largest, 0.0, atol=1e-11)
 
 # %% [markdown]
 # ## The stable one, and its modes
-# Both rods hang outward. The second variation is positive, so the motion stays close; how it swings
-# is told by the linearised reduced equations, three modes for three joints.
+# Both rods point outward. The second variation is positive, so the motion stays close. The
+# linearised reduced equations give three modes for three joints.
 
 # %%
 lowest = found[0]
@@ -58,8 +58,9 @@ np.testing.assert_allclose(off, 0.0, atol=1e-2)
 
 # %% [markdown]
 # ## The undecided one
-# One shape has an indefinite energy and a spectrum on the imaginary axis: it swings, and neither
-# energy nor growth decides. A damper does: a coefficient c at a joint makes it grow by c times
+# One shape has an indefinite energy and a spectrum on the imaginary axis: it oscillates, and
+# neither energy nor growth decides. A damper does: a coefficient c at a joint makes it grow by c
+# times
 
 # %%
 (undecided,) = (each for each in found if each.verdict == "undecided")
@@ -68,10 +69,10 @@ for joint, growth in undecided.damped_growth.items():
 assert max(undecided.damped_growth.values()) > 0.0
 
 # %% [markdown]
-# ## Where they come from
-# As J grows, equilibria appear in pairs at *folds*, or leave a symmetric one at *pitchforks*. The
-# straight pendulum hanging down lets its first pair go where V_J loses a positive curvature,
-# J² = −V″/(½ (1/I)″) in some direction: the smallest eigenvalue by differences of I and V.
+# ## Bifurcations
+# As J grows, equilibria appear in pairs at *folds*, or branch off a symmetric one at *pitchforks*.
+# The first pair branches off the straight hanging pendulum where V_J loses a positive curvature, J²
+# = −V″/(½ (1/I)″) in some direction: the smallest eigenvalue by differences of I and V.
 
 # %%
 branches = pinred.branches(pendulum, momentum=(0.155, 0.24), starts=40, step=0.2)

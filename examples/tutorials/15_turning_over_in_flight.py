@@ -1,11 +1,11 @@
 # %% [markdown]
 # # 15. solo12 turns over in flight
 #
-# It leaps, and nothing touches it for 0.9 s. Its angular momentum is zero, so that the trunk rolls
-# only by what the legs do: ξ = −A(x) ẋ. They are to swing about the hips (HAA) and to fold, so that
-# the trunk turns by half a turn and the feet are down again, from rest to rest, within limits, and
-# no faster than need be. The flow gives the end of the motion, and its derivatives by all knots of
-# the joints' curves, to IPOPT. Needs the extra `robots`, and about ten seconds.
+# The robot leaps and is in free fall for 0.9 s. Its angular momentum is zero, so only the legs
+# rotate the trunk: ξ = −A(x) ẋ. The legs swing about the hips (HAA) and fold such that the trunk
+# rotates by half a turn and the feet point down again, from rest to rest, within limits, and as
+# slowly as possible. The flow provides the final pose and its derivatives with respect to all knots
+# of the joint curves to IPOPT. Needs the extra `robots`, and about ten seconds.
 
 # %%
 from typing import Any
@@ -18,17 +18,17 @@ import pinred
 from pinred import Parameter
 from pinred.signals import Spline
 
-FLIGHT, KNOTS = 0.9, 7  # s; knots of each curve, between its ends
-STAND = 0.7  # rad, of the thighs; the knees are at twice that, the other way
-SWING, FOLD, RATE = (-1.6, 5.0), (-0.1, 1.4), 30.0  # limits: rad, rad, rad/s
+FLIGHT, KNOTS = 0.9, 7  # duration [s]; number of inner knots per curve
+STAND = 0.7  # thigh angle when standing [rad]; the knee angle is −2 times this
+SWING, FOLD, RATE = (-1.6, 5.0), (-0.1, 1.4), 30.0  # limits [rad], [rad], [rad/s]
 solo = pinred.load("solo12")
 times = np.linspace(0.0, FLIGHT, KNOTS + 2)
 
 # %% [markdown]
 # ## The plan, and the flow of its knots
-# All legs swing alike by half a turn; fold they do front and hind mirrored, and left as right, so
-# that the trunk has no reason to pitch or to yaw. What IPOPT is to vary are Parameters: one kernel
-# serves all plans. `of=["pose"]` says whose derivatives are wanted.
+# All legs swing by half a turn. They fold symmetrically, front and hind, left and right, so that
+# the trunk neither pitches nor yaws. The variables of IPOPT are Parameters: one kernel serves all
+# plans. `of=["pose"]` requests the derivatives of the pose.
 
 
 # %%
@@ -47,12 +47,12 @@ plan = {n: curves["HAA" if n.endswith("HAA") else n[0] + n[3:]][0] for n in solo
 inputs = [name for _, names in curves.values() for name in names]
 how: dict[str, Any] = {"duration": FLIGHT, "rtol": 1e-8, "method": "DOP853"}
 flow = pinred.flow(solo, prescribed=plan, momentum=0, wrt=inputs, of=["pose"], **how)
-motion = flow.casadi()  # has to live as long as the solver
+motion = flow.casadi()  # must exist as long as the solver
 
 # %% [markdown]
 # ## The problem
-# A spline is linear in its knots, and so are the limits, at 61 times. That the trunk turns over is
-# one equation: the real part of its quaternion is zero at the end.
+# A spline is linear in its knots, and so are the limits, imposed at 61 times. Half a turn of the
+# trunk is one equation: the real part of its final quaternion is zero.
 
 # %%
 swing, fold = ca.MX.sym("swing", KNOTS), ca.MX.sym("fold", KNOTS)
@@ -83,8 +83,8 @@ print(solver.stats()["return_status"], "after", solver.stats()["iter_count"], "i
 
 # %% [markdown]
 # ## The flight
-# The same scene with these knots, and with a leap: the centre of mass goes up and comes down as a
-# stone does, and the turn does not notice.
+# The same scene with the optimal knots and a leap: the centre of mass is in free fall, which does
+# not affect the rotation.
 
 # %%
 numbers = np.array(ca.Function("every", [x], [every])(found["x"]))[:, 0]
@@ -93,7 +93,7 @@ push = solo.mass * np.array([0.0, 0.0, 0.5 * 9.81 * FLIGHT])
 traj = pinred.simulate(
     flow.scene,
     parameters=dict(zip(inputs, numbers, strict=True)),
-    momentum=np.concatenate([push, np.cross(com, push)]),  # none about the centre of mass
+    momentum=np.concatenate([push, np.cross(com, push)]),  # zero about the centre of mass
     times=fine,
 )
 turned = np.degrees(solo.group.error(traj.pose[0], traj.pose[-1]).rotation)

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from .command_options import add_options, add_parameters, option_adder, options_in
-from .gait_options import source_of
+from .command_options import add_options, add_parameters, option_adder, options_in, source_of
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .command_options import add_options, option_adder, options_in
-from .gait_options import add_source, source_of
+from .command_options import add_options, add_source, option_adder, options_in, source_of
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...analysis.connections.connection import Connection
-from ...analysis.phases.drift import Drift
 from ...analysis.phases.path_basis import (
+    Drift,
     PathBasis,
     cycloid_basis,
     fourier_basis,

@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike
 from ...analysis.connections.connection import Connection
 from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
-from ...analysis.phases.drift import Drift
 from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
-from ...analysis.phases.path_basis import cycloid, fourier_rows, path_lift
+from ...analysis.phases.path_basis import Drift, cycloid, fourier_rows, path_lift
 from ...analysis.phases.phase import phase
 from ...common.arrays import Array, as_floats, freeze, positive, vector, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError

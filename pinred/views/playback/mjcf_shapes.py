@@ -1,4 +1,4 @@
-"""The shapes in an MJCF file, as MuJoCo compiles them, on the joints of a system."""
+"""Shapes of an MJCF file, compiled by MuJoCo, on the joints of a system."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...system.mjcf.world import World, robot_in
 from ...system.system import System
 from .solids import Bodies, Colour, Mesh, Solid
 
-# MuJoCo's mjtGeom: how many of a shape's sizes are drawn.  Planes and height fields are not.
+# MuJoCo's mjtGeom → kind and number of sizes. Planes and height fields are not drawn.
 _SHAPES = {
     2: ("sphere", 1),
     3: ("capsule", 2),
@@ -22,9 +22,9 @@ _SHAPES = {
     5: ("cylinder", 2),
     6: ("box", 3),
 }
-_MESHES = (7, 8)  # a signed distance function comes with a mesh
-_SEEN = 3  # MuJoCo's viewer shows the groups below; in the others, robots keep collision shapes
-_NO_COLOUR = (0.5, 0.5, 0.5, 1.0)  # of a shape without one of its own; its material's is taken
+_MESHES = (7, 8)  # mesh, and signed distance function, which includes a mesh
+_VISIBLE_GROUPS = 3  # MuJoCo's viewer shows groups below; others usually have collision shapes
+_NO_COLOUR = (0.5, 0.5, 0.5, 1.0)  # default colour, replaced by that of the material
 
 
 def mjcf_shapes(system: System, path: Path) -> Bodies:
@@ -34,16 +34,16 @@ def mjcf_shapes(system: System, path: Path) -> Bodies:
     """
     model = compiled(path, shapes=True)
     world = robot_in(model, None if system.origin is None else system.origin.root)
-    own = set(world.bodies)
-    geoms = [k for k in range(model.ngeom) if int(model.geom_bodyid[k]) in own]
-    seen = [k for k in geoms if model.geom_group[k] < _SEEN] or geoms
+    bodies = set(world.bodies)
+    geoms = [k for k in range(model.ngeom) if int(model.geom_bodyid[k]) in bodies]
+    visible = [k for k in geoms if model.geom_group[k] < _VISIBLE_GROUPS] or geoms
     meshes: dict[int, int] = {}
-    solids = [solid for k in seen if (solid := _solid(system, world, k, meshes)) is not None]
+    solids = [solid for k in visible if (solid := _solid(system, world, k, meshes)) is not None]
     return Bodies(tuple(solids), tuple(_mesh(model, k) for k in meshes), "")
 
 
 def _solid(system: System, world: World, geom: int, meshes: dict[int, int]) -> Solid | None:
-    """Return a shape, or nothing if it is not drawn.  meshes: those in use, by number."""
+    """Convert a geom; None if it is not drawn.  meshes: mesh id → index, extended on use."""
     model, kind = world.model, int(world.model.geom_type[geom])
     size: tuple[float, ...]
     if kind in _MESHES:
@@ -57,15 +57,15 @@ def _solid(system: System, world: World, geom: int, meshes: dict[int, int]) -> S
     if colour[3] == 0.0:
         return None
     body = world.body_names[int(model.geom_bodyid[geom])]
-    carrier = system.model.frames[system.model.getFrameId(body, pin.FrameType.BODY)]
-    place = carrier.placement * frame(model.geom_pos[geom], model.geom_quat[geom])
-    return Solid(carrier.parentJoint, name, size, np.array(pin.SE3ToXYZQUAT(place)), colour)
+    link = system.model.frames[system.model.getFrameId(body, pin.FrameType.BODY)]
+    placement = link.placement * frame(model.geom_pos[geom], model.geom_quat[geom])
+    return Solid(link.parentJoint, name, size, np.array(pin.SE3ToXYZQUAT(placement)), colour)
 
 
 def _colour(model: Any, geom: int) -> Colour:
     material = int(model.geom_matid[geom])
-    own = tuple(map(float, model.geom_rgba[geom]))
-    rgba = model.mat_rgba[material] if material >= 0 and own == _NO_COLOUR else own
+    colour = tuple(map(float, model.geom_rgba[geom]))
+    rgba = model.mat_rgba[material] if material >= 0 and colour == _NO_COLOUR else colour
     red, green, blue, opacity = map(float, rgba)
     return red, green, blue, opacity
 

@@ -10,15 +10,18 @@ import pinocchio as pin
 from ...common.arrays import Array, freeze
 from ...system.system import System
 
-STILL = 1e-9  # of what the motion could carry; momentum below it is zero
+STILL = 1e-9  # momentum that counts as zero, relative to √(2mT) of the motion
 
 
 @dataclass(frozen=True)
 class Momentum:
     """The momentum that the group conserves, over F frames; arrays are read-only.
 
-    vector: (F, 3) in the world frame, exactly zero where it is zero but for round-off.
-    tail: (F, 3) where the arrow begins [m].  words: what it is.  unit: of the vector.
+    Attributes:
+        vector: Momentum in the world frame, (F, 3); exactly zero if it is round-off.
+        tail: Start of the arrow, (F, 3) [m].
+        words: Description of the momentum.
+        unit: Unit of the momentum.
     """
 
     vector: Array
@@ -31,10 +34,10 @@ class Momentum:
 
 
 def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
-    """Return the arrow at q (F, nq) and v (F, n), by Pinocchio's centroidal momentum.
+    """Compute the arrow at q (F, nq) and v (F, n) by Pinocchio's centroidal momentum.
 
-    Where the base can turn, angular momentum about the centre of mass, or about the pivot
-    if there is one, along the axes about which it can turn; else momentum along its axis.
+    If the base can rotate, it is the angular momentum about the centre of mass or the pivot, along
+    the axes of rotation; otherwise it is the linear momentum along the axes of translation.
     """
     model, data = system.model, system.model.createData()
     linear, slides = system.group.linear, not system.group.turns
@@ -48,8 +51,8 @@ def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
         tail[k] = pivot if pivoted else data.com[0]
         arm = data.com[0] - tail[k]
         spin = data.hg.angular + np.cross(arm, data.hg.linear)
-        counts = data.hg.linear if slides else spin
-        vector[k] = axes @ (axes.T @ counts + rotor[about] * v[k, about])
+        momentum = data.hg.linear if slides else spin
+        vector[k] = axes @ (axes.T @ momentum + rotor[about] * v[k, about])
         mass, size = data.Ig.mass, np.sqrt(np.trace(data.Ig.inertia) / data.Ig.mass)
         carried = np.sqrt(2.0 * mass * pin.computeKineticEnergy(model, data, q[k], v[k]))
         most = max(most, float(carried * (1.0 if slides else size + np.linalg.norm(arm))))
@@ -58,20 +61,20 @@ def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
 
 
 def _axes(system: System) -> Array:
-    """Return the axes of the root joint that count, (3, k), unit vectors in the world frame.
+    """Return the unit axes (3, k) of the arrow's momentum in the world frame.
 
-    They are those of the joint's frame; with fewer than three the motion leaves them as they are.
+    They are axes of the root joint's frame, which the motion keeps fixed if there are fewer than 3.
     """
     model, data = system.model, system.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     motion = np.array(data.joints[1].S).reshape(6, system.r)
     linear = system.group.linear
-    own = motion[3:, linear:] if system.group.turns else motion[:3]
-    return np.asarray(model.jointPlacements[1].rotation @ own)
+    axes = motion[3:, linear:] if system.group.turns else motion[:3]
+    return np.asarray(model.jointPlacements[1].rotation @ axes)
 
 
 def _words(system: System) -> tuple[str, str]:
-    """Return what the arrow is, and its unit."""
+    """Return the description of the momentum, and its unit."""
     group = system.group
     if not group.turns:
         return "momentum along the axis" if group.dim == 1 else "momentum", "kg m/s"

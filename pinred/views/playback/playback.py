@@ -1,7 +1,7 @@
-"""Playback: the numbers that are drawn, over the frames of a film.
+"""Numbers for drawing a motion, at the frames of a film.
 
-All of it is Pinocchio's: forward kinematics, centre of mass, centroidal momentum and
-composite inertia of (q, v).
+All are computed by Pinocchio from (q, v): forward kinematics, centre of mass, centroidal momentum
+and composite inertia.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ MOST_FRAMES = 100_000
 
 @dataclass(frozen=True)
 class Ghost:
-    """The full simulation, drawn beside the reduced one; arrays are read-only.
+    """The full simulation, drawn next to the reduced one; arrays are read-only.
 
-    placements: (F, joints, 7) as in Playback.  apart: (F,) how far a joint's frame is at most
-    from the same in the other: distance, and angle times the radius of gyration [m].
+    Attributes:
+        placements: Placements of joints as in Playback, (F, joints, 7).
+        apart: Largest distance of a joint frame between both motions, including its rotation
+            times the radius of gyration, (F,) [m].
     """
 
     placements: Array
@@ -42,13 +44,20 @@ class Ghost:
 
 @dataclass(frozen=True)
 class Playback:
-    """The scene drawn at F times; arrays are read-only, in the world frame.
+    """A motion at F frames; arrays are read-only, in the world frame.
 
-    t: (F,) [s].  x, xdot: (F, m).  placements: (F, joints, 7) of Pinocchio's joints (the
-    first is the world), position [m] and quaternion with the real part last.  com: (F, 3) [m].
-    ellipsoid: (F, 3, 3), symmetric: it maps the unit ball to the homogeneous ellipsoid that
-    has the mass and the locked inertia of the system about its centre of mass [m].
-    momentum: the arrow.  ghost: the full simulation, if asked for.
+    Attributes:
+        system: The robot.
+        t: Times, (F,) [s].
+        x: Shapes, (F, m) [rad | m].
+        xdot: Shape rates, (F, m) [rad/s | m/s].
+        placements: Position [m] and quaternion (real part last) of Pinocchio's joints, of which
+            the first is the world, (F, joints, 7).
+        com: Centre of mass, (F, 3) [m].
+        ellipsoid: Symmetric matrices that map the unit ball to the homogeneous ellipsoid with the
+            mass and the locked inertia of the system, (F, 3, 3) [m].
+        momentum: The momentum arrow.
+        ghost: The full simulation, if requested.
     """
 
     system: System
@@ -66,11 +75,11 @@ class Playback:
 
 
 def playback(source: MotionSource, view: View) -> Playback:
-    """Return what is to be drawn of a trajectory or of a recorded one.
+    """Compute the numbers for drawing a trajectory or a recording.
 
-    Raises InputError if the base was left out, if there would be more than MOST_FRAMES
-    frames or fewer than two, or if a ghost is asked for of a recording, which holds no forces;
-    LoadError if the robot of a recording cannot be loaded.
+    Raises InputError if the base was left out, for more than MOST_FRAMES frames or fewer than two,
+    and for a ghost of a recording, which contains no forces. Raises LoadError if the robot of a
+    recording cannot be loaded.
     """
     states = _frames(source, view)
     ghost = None
@@ -78,11 +87,11 @@ def playback(source: MotionSource, view: View) -> Playback:
     if view.ghost:
         if not isinstance(source, Trajectory):
             raise InputError(
-                "a file of a motion holds no forces, so the full simulation cannot be made from "
-                "it; play the trajectory or its scene file with ghost=True"
+                "a file of a motion holds no forces, so the full simulation cannot be run; play "
+                "the trajectory or its scene file with ghost=True"
             )
         ghost = _ghost(source, states.t, placements)
-    return _drawn(source.system, states, placements, ghost)
+    return _playback(source.system, states, placements, ghost)
 
 
 def _frames(source: MotionSource, view: View) -> State:
@@ -92,54 +101,61 @@ def _frames(source: MotionSource, view: View) -> State:
 
 
 def frame_times(source: MotionSource, view: View, most: int, *, even: bool = False) -> Array:
-    """Return the times of the frames, (F,) [s], of which there are two at least.
+    """Return the times of the frames, at least two, (F,) [s].
 
-    They are the view's, evenly from first to last; but those that a recording holds, unless
-    `even`.  Raises InputError for more than `most`, and for a recording of a single time.
+    Args:
+        source: The motion.
+        view: Its fps and speed determine evenly spaced times.
+        most: Largest number of frames.
+        even: Use evenly spaced times also for recordings, instead of their own times.
+    Returns:
+        The times.
+    Raises:
+        InputError: Too many frames, or a recording with a single time.
     """
-    held = isinstance(source, Recording) and not even
+    uses_recorded = isinstance(source, Recording) and not even
     if isinstance(source, Recording):
-        begin, end = float(source.t[0]), float(source.t[-1])
+        start, end = float(source.t[0]), float(source.t[-1])
         if len(source.t) < 2:
             raise InputError(f"{source.path} holds one time only; a film needs two at least")
     else:
-        begin, end = 0.0, source.scene.end
-    wanted = min((end - begin) / view.speed * view.fps, 1e15)
-    count = len(source.t) if held else max(2, round(wanted) + 1)
+        start, end = 0.0, source.scene.end
+    requested = min((end - start) / view.speed * view.fps, 1e15)
+    count = len(source.t) if uses_recorded else max(2, round(requested) + 1)
     if count > most:
         raise InputError(
             f"{count} frames are too many (at most {most}); "
             "play faster, with speed=, or with a lower fps="
         )
-    return source.t if held else np.linspace(begin, end, count)
+    return source.t if uses_recorded else np.linspace(start, end, count)
 
 
 def _placements(system: System, q: Array) -> Array:
-    """Return the placements of all joints, (F, joints, 7), at q (F, nq)."""
+    """Compute the placements of all joints, (F, joints, 7), at q (F, nq)."""
     model, data = system.model, system.model.createData()
-    out = np.empty((len(q), model.njoints, 7))
-    for k, row in enumerate(q):
-        pin.forwardKinematics(model, data, row)
+    placements = np.empty((len(q), model.njoints, 7))
+    for k, configuration in enumerate(q):
+        pin.forwardKinematics(model, data, configuration)
         for i, placement in enumerate(data.oMi):
-            out[k, i] = pin.SE3ToXYZQUAT(placement)
-    return out
+            placements[k, i] = pin.SE3ToXYZQUAT(placement)
+    return placements
 
 
 def _ghost(traj: Trajectory, t: Array, placements: Array) -> Ghost:
-    """Return the full simulation of a trajectory's scene at its own tolerance."""
+    """Run the full simulation of a trajectory's scene at the scene's tolerance."""
     scene = traj.scene
     full, start = FullState(scene, traj.motion.replay), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     motion = full.run(y0, t, scene.rtol, scene.atol)
-    seen = _placements(scene.system, motion.q)
-    apart = np.linalg.norm(seen[..., :3] - placements[..., :3], axis=-1)
-    p, q = seen[..., 3:], placements[..., 3:]  # q and −q are the same rotation
-    turn = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
-    apart += 4.0 * np.arcsin(0.5 * turn) * full.totals.radius_of_gyration(motion.q[0])
-    return Ghost(placements=seen, apart=apart.max(axis=1))
+    reference = _placements(scene.system, motion.q)
+    distance = np.linalg.norm(reference[..., :3] - placements[..., :3], axis=-1)
+    p, q = reference[..., 3:], placements[..., 3:]  # q and −q are the same rotation
+    chord = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
+    distance += 4.0 * np.arcsin(0.5 * chord) * full.totals.radius_of_gyration(motion.q[0])
+    return Ghost(placements=reference, apart=distance.max(axis=1))
 
 
-def _drawn(system: System, states: State, placements: Array, ghost: Ghost | None) -> Playback:
+def _playback(system: System, states: State, placements: Array, ghost: Ghost | None) -> Playback:
     q, v = system.sorted_q(states.q), system.sorted_v(states.v)
     model, data = system.model, system.model.createData()
     com, ellipsoid = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
@@ -163,8 +179,8 @@ def _drawn(system: System, states: State, placements: Array, ghost: Ghost | None
 def _ellipsoid(inertia: Array, mass: float) -> Array:
     """Return R diag(a) Rᵀ for the semi-axes a of the equivalent homogeneous ellipsoid.
 
-    Its moments are I_i = m (a_j² + a_k²)/5, so a_i² = 5 (I_j + I_k − I_i)/(2m).  As a
-    symmetric matrix it is continuous in time, where sorted axes would jump.
+    Its moments are I_i = m (a_j² + a_k²)/5, so a_i² = 5 (I_j + I_k − I_i)/(2m). This symmetric
+    matrix is continuous in time, while sorted axes would jump.
     """
     moments, axes = np.linalg.eigh(inertia)
     squares = 2.5 / mass * (moments.sum() - 2.0 * moments)

@@ -1,4 +1,4 @@
-"""Show a motion: serve its page, in a browser on this machine."""
+"""play(): serve the page of a motion to a browser on this machine."""
 
 from __future__ import annotations
 
@@ -18,13 +18,18 @@ def play(
     show: bool = True,
     wait: bool | None = None,
 ) -> Player:
-    """Serve the playback of a motion, print where, and return the Player.
+    """Serve the playback of a motion and print its address.
 
-    port: any free one if None.  show: open the user's browser.  wait: serve until Ctrl-C; if
-    None, only where nobody types on, that is in a script.
-    Errors as of `Player` and `page`.
+    Args:
+        source: The motion.
+        view: Options of the drawing.
+        port: Port; any free one if None.
+        show: Open the user's browser.
+        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
+    Returns:
+        The server.
     """
-    check_port(port)  # before the page is made, which may take long
+    check_port(port)  # before the page is built, which may take long
     player = Player(page(source, view), port)
     wait = not hasattr(sys, "ps1") if wait is None else wait
     try:

@@ -1,4 +1,4 @@
-"""Drawn parts of a robot: shapes on its joints, and the meshes that they use."""
+"""Drawn shapes on the joints of a robot, and their meshes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ Colour: TypeAlias = tuple[float, float, float, float]  # red, green, blue, opaci
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles.  vertices: (V, 3) [m].  faces: (T, 3) of indices."""
+    """A triangle mesh.
+
+    Attributes:
+        vertices: Positions, (V, 3) [m].
+        faces: Indices of vertices, (T, 3).
+    """
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.uint32]
@@ -23,11 +28,15 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Solid:
-    """One shape on a joint (0 is the world).
+    """One shape on a joint.
 
-    kind and size [m]: box (three half sides), sphere (radius), cylinder, capsule or cone
-    (radius, half length, along z), ellipsoid (three semi-axes), mesh (index of a Mesh).
-    placement: (7,) on the joint, position and quaternion.  colour: red, green, blue, opacity.
+    Attributes:
+        joint: Index of the joint; 0 is the world.
+        kind: Box, sphere, cylinder, capsule, cone (along z), ellipsoid or mesh.
+        size: Box: three half sides; sphere: radius; cylinder, capsule and cone: radius and half
+            length; ellipsoid: three semi-axes [m]; mesh: index of a Mesh.
+        placement: Position [m] and quaternion in the joint's frame, (7,).
+        colour: Red, green, blue, opacity.
     """
 
     joint: int
@@ -39,7 +48,13 @@ class Solid:
 
 @dataclass(frozen=True)
 class Bodies:
-    """All shapes, the meshes that they use, and a word on where they come from."""
+    """All shapes of a robot.
+
+    Attributes:
+        solids: The shapes.
+        meshes: Their meshes.
+        note: Remark for the user on the origin of the shapes; may be empty.
+    """
 
     solids: tuple[Solid, ...]
     meshes: tuple[Mesh, ...]

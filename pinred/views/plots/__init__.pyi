@@ -1,4 +1,4 @@
-"""Every name and where it stands: for type checkers, and for the first use of a name."""
+"""Public names and their modules, for type checkers and for the lazy import."""
 
 from .branch_diagram import branches as branches
 from .by_kind import options_of as options_of

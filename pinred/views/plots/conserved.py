@@ -1,4 +1,4 @@
-"""Momentum and energy, and how far they drift: what Pinocchio says of q and v."""
+"""Momentum and energy over time, and their drift computed by Pinocchio."""
 
 from __future__ import annotations
 
@@ -16,40 +16,45 @@ from ..motion_source import MotionSource
 from .motion_labels import labels
 from .style import legend, line, on_log, over_time, steady, styled
 
-_OF_TWISTS = str.maketrans("vω", "pL")  # what momenta are called, by the twists they go with
+_TWIST_TO_MOMENTUM = str.maketrans("vω", "pL")  # names of momenta from those of twists
 LINEAR, ANGULAR = "linear [N·s]", "angular [N·m·s]"
 
 
 @styled
 def momentum(motion: MotionSource) -> Figure:
-    """Draw the spatial momentum over time, and below its drift on a logarithmic axis.
+    """Draw the spatial momentum over time, and its drift on a logarithmic axis.
 
-    The momentum is that in the root joint's fixed frame, about its origin.  The drift is that
-    of the component that drifts most, linear and angular.  Of a Trajectory it is relative, and
-    as `compare` judges it: computed by Pinocchio from q and v, less falling and impulses,
-    angular about the centre of mass where the group translates.  Of a file it is the change
-    since the first time, whatever caused it.
-    Raises InputError if the base was left out.
+    The momentum is expressed in the root joint's fixed frame, about its origin. The drift is the
+    largest of the linear and of the angular components. For a Trajectory it is the relative drift
+    of `compare`: computed by Pinocchio from q and v, less free fall and impulses, angular about
+    the centre of mass if the group translates. For a recording it is the change since the start.
+
+    Args:
+        motion: Trajectory, or a recording read from a file.
+    Returns:
+        The figure.
+    Raises:
+        InputError: The base was left out.
     """
     names = labels(motion)
     group = group_named(names.group)
     linear, values = group.linear, motion.spatial_momentum
-    entries = [name.translate(_OF_TWISTS) for name in group.twist_names]
-    parts = [(LINEAR, range(linear)), (ANGULAR, range(linear, len(entries)))]
-    parts = [(quantity, part) for quantity, part in parts if len(part)]
-    figure, every = over_time(f"{names.robot}: spatial momentum", len(parts) + 1)
-    for axes, (quantity, part) in zip(every, parts, strict=False):
-        for k, entry in enumerate(part):
+    entries = [name.translate(_TWIST_TO_MOMENTUM) for name in group.twist_names]
+    quantities = [(LINEAR, range(linear)), (ANGULAR, range(linear, len(entries)))]
+    quantities = [(quantity, columns) for quantity, columns in quantities if len(columns)]
+    figure, panels = over_time(f"{names.robot}: spatial momentum", len(quantities) + 1)
+    for axes, (quantity, columns) in zip(panels, quantities, strict=False):
+        for k, entry in enumerate(columns):
             axes.plot(motion.t, values[:, entry], label=entries[entry], **line(k))
-        steady(axes, values[:, list(part)])
-        axes.set_ylabel(f"{entries[part[0]]}: {quantity}" if len(part) == 1 else quantity)
+        steady(axes, values[:, list(columns)])
+        axes.set_ylabel(f"{entries[columns[0]]}: {quantity}" if len(columns) == 1 else quantity)
         legend(axes)
     if isinstance(motion, Trajectory):
-        lost = _largest(audit_trajectory(motion, motion.states).momenta, linear)
-        _drift_panel(every[-1], motion, lost)
+        drift = _largest(audit_trajectory(motion, motion.states).momenta, linear)
+        _drift_panel(panels[-1], motion, drift)
     else:
         _change_panel(
-            every[-1],
+            panels[-1],
             motion.t,
             _largest(values - values[0], linear),
             FIELDS["spatial_momentum"].unit,
@@ -59,16 +64,22 @@ def momentum(motion: MotionSource) -> Figure:
 
 @styled
 def energy(motion: MotionSource) -> Figure:
-    """Draw the energy over time, and below its drift on a logarithmic axis.
+    """Draw the energy over time, and its drift on a logarithmic axis.
 
-    The drift of a Trajectory is computed by Pinocchio from q and v, less the work of the forces
-    without a potential, over the largest kinetic energy about the centre of mass, as `compare`
-    judges it.  Of a file it is the change since the first time, whatever caused it.
-    Raises InputError if the base was left out of a Trajectory.
+    For a Trajectory the drift is that of `compare`: computed by Pinocchio from q and v, less the
+    work of forces without potential, relative to the largest kinetic energy about the centre of
+    mass. For a recording it is the change since the start.
+
+    Args:
+        motion: Trajectory, or a recording read from a file.
+    Returns:
+        The figure.
+    Raises:
+        InputError: The base was left out of a Trajectory.
     """
     names = labels(motion)
-    figure, every = over_time(f"{names.robot}: energy", 2)
-    top, bottom = every
+    figure, panels = over_time(f"{names.robot}: energy", 2)
+    top, bottom = panels
     top.plot(motion.t, motion.energy, label="energy", **line(0))
     drawn = [motion.energy]
     if isinstance(motion, Trajectory):
@@ -88,9 +99,11 @@ def energy(motion: MotionSource) -> Figure:
 
 
 def _largest(values: Array, linear: int) -> dict[str, Array]:
-    """Return the largest linear and angular entry of values (T, r), those there are."""
-    parts = {"linear": values[:, :linear], "angular": values[:, linear:]}
-    return {name: np.abs(part).max(axis=1) for name, part in parts.items() if part.size}
+    """Return the largest linear and angular component of values (T, r) over time, if present."""
+    quantities = {"linear": values[:, :linear], "angular": values[:, linear:]}
+    return {
+        name: np.abs(columns).max(axis=1) for name, columns in quantities.items() if columns.size
+    }
 
 
 def _drift_panel(axes: Axes, traj: Trajectory, drift: dict[str, Array]) -> None:

@@ -1,4 +1,4 @@
-"""When a motion crosses a section of its state space."""
+"""Times at which a motion crosses a section of its state space."""
 
 from __future__ import annotations
 
@@ -10,17 +10,22 @@ from ...common.arrays import Array
 from ..motion_source import MotionSource
 from .fine_path import fine_times
 
-_HALVINGS = 64  # enough to bring any step down to the spacing of floats
+_HALVINGS = 64  # bisections, enough to reach the spacing of floating-point numbers
 
 
 def crossings(motion: MotionSource, function: Callable[[Array], Array]) -> Array:
-    """Return the times at which a function of time changes its sign, (K,) [s].
+    """Find the times at which a continuous function changes its sign, by bisection.
 
-    function: from times (T,) to values (T,), continuous.  The times are bisected to round-off.
-    Two crossings within an eighth of a step of the integrator, or of a file's, are not seen.
+    Two crossings within an eighth of an integration step, or of a report interval, are missed.
+
+    Args:
+        motion: The motion, whose steps are searched.
+        function: Function from times (T,) to values (T,).
+    Returns:
+        Times of the crossings, (K,) [s].
     """
     t = fine_times(motion)
-    # A zero counts as the sign before it, so that one hit exactly is found once.
+    # An exact zero takes the sign before it, so that the crossing is counted once.
     signs = np.sign(function(t))
     for k in np.flatnonzero(signs == 0.0):
         signs[k] = signs[k - 1] if k else 0.0

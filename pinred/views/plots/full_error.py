@@ -1,4 +1,4 @@
-"""The reduced motion against Pinocchio's full simulation: how the error grows."""
+"""Errors of the reduced motion against Pinocchio's full simulation over time."""
 
 from __future__ import annotations
 
@@ -16,16 +16,22 @@ from .style import legend, line, on_log, over_time, styled
 
 @styled
 def error(compared: Report | Trajectory) -> Figure:
-    """Draw the errors of shape, rotation and position over time, on a logarithmic axis.
+    """Draw the errors of shape, rotation and position over time on a logarithmic axis.
 
-    compared: what `compare` returned; a Trajectory is compared first, which takes the full
-    simulation.  Thin lines are what passes.  A part that the group lacks is left out.
+    Thin lines are the bounds of `compare`.
+
+    Args:
+        compared: Report of `compare`, or a Trajectory, which is compared first.
+    Returns:
+        The figure.
+    Raises:
+        InputError: `compared` is neither; a recording contains no forces.
     """
     if isinstance(compared, Trajectory):
         compared = compare(compared)
     if isinstance(compared, Recording):
         raise InputError(
-            f"{compared.path} holds no forces, so the full simulation cannot be made from it; "
+            f"{compared.path} holds no forces, so the full simulation cannot be run; "
             "plot the error of the robot or of its scene file"
         )
     if not isinstance(compared, Report):
@@ -52,9 +58,9 @@ def error(compared: Report | Trajectory) -> Figure:
 
 
 def _largest(errors: Array, bounds: Array) -> tuple[Array, Array]:
-    """Return the error (T,) of the joint that comes closest to its bound at each time, and that."""
+    """Return the error (T,) of the joint closest to its bound at each time, and that bound."""
     if not errors.shape[1]:
         return np.zeros(len(errors)), np.zeros(len(errors))
     k = np.argmax(errors / bounds, axis=1)
-    rows = np.arange(len(errors))
-    return errors[rows, k], bounds[rows, k]
+    times = np.arange(len(errors))
+    return errors[times, k], bounds[times, k]

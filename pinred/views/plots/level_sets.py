@@ -1,4 +1,4 @@
-"""A number over two joints in colours, with its level sets: white where it is zero."""
+"""Colour maps of a quantity over two joints, with level sets."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from ...common.arrays import Array
 from .shape_plane import Limits
 from .style import BLACK, FIELD, legend
 
-NONE = 1e-12  # values and differences below it are round-off
+NONE = 1e-12  # smaller values and differences are round-off
 _LEVELS = 20
 
 
 def fill(axes: Axes, plane: Sequence[Array], values: Array) -> QuadContourSet:
-    """Fill a plane of shapes with the colours of values, one for each of its points."""
+    """Draw values at the points of a plane of shapes as filled contours."""
     low, high = float(values.min()), float(values.max())
     if high - low < NONE:
         low, high = low - 1.0, high + 1.0
-    if low < 0.0 < high:  # then the middle of the colours is zero
+    if low < 0.0 < high:  # a symmetric range puts zero in the middle of the colour map
         low, high = -max(-low, high), max(-low, high)
     levels = MaxNLocator(_LEVELS).tick_values(low, high)
     return axes.contourf(*plane, values, levels=levels, cmap=FIELD)
 
 
 def outline(axes: Axes, plane: Sequence[Array], values: Array, filled: QuadContourSet) -> None:
-    """Draw every second level as a line, zero as a thick one; nothing where all is round-off."""
+    """Draw every second level as a line, and zero as a thick line, unless all is round-off."""
     if np.abs(values).max() < NONE:
         return
     axes.contour(
@@ -48,7 +48,7 @@ def name_axes(
     limits: Limits,
     value: str,
 ) -> None:
-    """Name the two joints, in their limits, and the value that the colours mean."""
+    """Label both joint axes and the colour bar, and set the limits."""
     axes.grid(visible=False)
     axes.set(xlabel=f"{joints[0]} [{units[0]}]", ylabel=f"{joints[1]} [{units[1]}]")
     axes.set(xlim=limits[0], ylim=limits[1])

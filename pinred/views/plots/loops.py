@@ -1,4 +1,4 @@
-"""A loop that was looked for: on the curvature, its joints over time, and the base."""
+"""An optimised loop: on the curvature, its joints over time, and the base over time."""
 
 from __future__ import annotations
 
@@ -22,20 +22,26 @@ from .shape_plane import around, draw_path, plane
 from .style import figure, legend, line, styled
 
 _TIMES = 400
-_OTHERS = 5  # local optima that are drawn, at most
+_OTHERS = 5  # largest number of further local optima in the figure
 
 
 @styled
 def loop(source: BestGait | TurnPlan) -> Figure:
-    """Draw a best gait, or a plan that turns the base: the loop, its joints, and the base.
+    """Draw a best gait or a reorientation plan: the loop, its joints, and the base.
 
-    The loop is drawn over the curvature of the two joints that move most, the others as they stand
-    at its start, with other local optima as thin lines.  Over time: the joints, and the rotation of
-    the base [°], or its way where it does not turn [m].
-    Raises InputError for anything else.
+    The loop is drawn over the curvature of the two joints that move most, with the other joints at
+    their initial values; thin lines are further local optima. The panels over time are the joints,
+    and the rotation of the base [°], or its position if it cannot rotate [m].
+
+    Args:
+        source: Result of `optimise_gait` or `reorient`.
+    Returns:
+        The figure.
+    Raises:
+        InputError: `source` has another type.
     """
     if isinstance(source, BestGait):
-        connection, gaits = source.task.connection, [each.gait for each in source.optima]
+        connection, gaits = source.task.connection, [optimum.gait for optimum in source.optima]
         gait = gaits[0]
         times = np.linspace(0.0, gait.period, _TIMES)
         shapes = gait.at(times)[0]
@@ -51,11 +57,11 @@ def loop(source: BestGait | TurnPlan) -> Figure:
             "loop draws a BestGait or a TurnPlan, as optimise_gait and reorient return, got "
             f"{type(source).__name__}"
         )
-    made = figure(f"{connection.form.what}: {title}", width=9.6, height=4.4)
-    parts: Any = made.subfigures(1, 2, width_ratios=(1.25, 1.0))
-    left, right = parts
-    _on_curvature(left.subplots(), connection, gaits[: 1 + _OTHERS])
-    joints, base = right.subplots(2, 1, sharex=True)
+    drawing = figure(f"{connection.form.what}: {title}", width=9.6, height=4.4)
+    panels: Any = drawing.subfigures(1, 2, width_ratios=(1.25, 1.0))
+    field_panel, time_panel = panels
+    _on_curvature(field_panel.subplots(), connection, gaits[: 1 + _OTHERS])
+    joints, base = time_panel.subplots(2, 1, sharex=True)
     moving = np.argsort(-gait.amplitude, kind="stable")[:6]
     for k, joint in enumerate(sorted(moving)):
         joints.plot(times, shapes[:, joint], label=connection.joints[joint], **line(k))
@@ -63,41 +69,41 @@ def loop(source: BestGait | TurnPlan) -> Figure:
     joints.set_ylabel(f"joints [{' | '.join(units)}]")
     legend(joints)
     _over_time(base, connection.group, at, poses)
-    return made
+    return drawing
 
 
 def _on_curvature(axes: Axes, connection: Connection, gaits: list[Gait]) -> None:
-    """Draw the loops over the two joints that the first moves most."""
+    """Draw the loops over the curvature of the two joints that the first loop moves most."""
     gait = gaits[0]
     pair = sorted(np.argsort(-gait.amplitude, kind="stable")[:2].tolist())
-    paths = [each.at(np.linspace(0.0, each.period, _TIMES))[0] for each in gaits]
+    paths = [loop.at(np.linspace(0.0, loop.period, _TIMES))[0] for loop in gaits]
     paths = [path[[*range(_TIMES - 1), 0]] for path in paths]
     units = [connection.form.units[k] for k in pair]
     limits = around(np.concatenate(paths)[:, pair], units)
     shapes = plane(pair, limits, paths[0][0])
-    every = connection.grid(shapes.shapes).curvature[..., pair[0], pair[1]]
-    which = component_of(connection.group, None, every)
-    filled = fill(axes, shapes.axes, every[..., which])
-    outline(axes, shapes.axes, every[..., which], filled)
+    curvature = connection.grid(shapes.shapes).curvature[..., pair[0], pair[1]]
+    index = component_of(connection.group, None, curvature)
+    filled = fill(axes, shapes.axes, curvature[..., index])
+    outline(axes, shapes.axes, curvature[..., index], filled)
     for path in paths[1:]:
         axes.plot(path[:, pair[0]], path[:, pair[1]], color="white", linewidth=0.8, zorder=3)
     draw_path(axes, paths[0][:, pair[0]], paths[0][:, pair[1]])
     a, b = (connection.joints[k] for k in pair)
-    what = f"B, component {connection.group.twist_names[which]}"
+    what = f"B, component {connection.group.twist_names[index]}"
     name_axes(axes, filled, (a, b), units, limits, what)
 
 
 def _over_time(axes: Axes, group: Group, t: Array, poses: Array) -> None:
-    """Draw the rotation of the base, or its position where it has no rotation."""
+    """Draw the rotation of the base over time, or its position if it cannot rotate."""
     if group.turns == 1:
         axes.plot(t, np.degrees(poses[:, -1] - poses[0, -1]), label="θ", **line(0))
     else:
-        back = group.inverse(poses[0])
-        log = in_space(group, group.log(group.compose(back[None], poses)))
-        rows, names = (log[:, 3:], "xyz") if group.turns else (log[:, :3], "xyz")
+        inverse = group.inverse(poses[0])
+        log = in_space(group, group.log(group.compose(inverse[None], poses)))
+        changes = np.degrees(log[:, 3:]) if group.turns else log[:, :3]
         for k in range(3):
             if group.turns or k in group.axes:
-                values = np.degrees(rows[:, k]) if group.turns else rows[:, k]
-                axes.plot(t, values, label=f"{'θ' if group.turns else ''}{names[k]}", **line(k))
+                label = f"{'θ' if group.turns else ''}{'xyz'[k]}"
+                axes.plot(t, changes[:, k], label=label, **line(k))
     axes.set(xlabel="time [s]", ylabel="turn of the base [°]" if group.turns else "base [m]")
     legend(axes)

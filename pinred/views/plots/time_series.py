@@ -1,4 +1,4 @@
-"""Shape and base over time."""
+"""Joints and base pose over time."""
 
 from __future__ import annotations
 
@@ -17,16 +17,21 @@ from .style import legend, line, over_time, shown, steady, styled
 
 @styled
 def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -> Figure:
-    """Draw the joints over time; many are spread over panels, limb by limb.
+    """Draw the joints over time, in one panel for each branch if there are many.
 
-    joints: names or indices of those to draw, all if None.
-    Raises InputError for joints that are not there, or a robot without joints.
+    Args:
+        motion: Trajectory, or a recording read from a file.
+        joints: Names or indices of joints; all if None.
+    Returns:
+        The figure.
+    Raises:
+        InputError: Unknown joints, or a robot without joints.
     """
     names = labels(motion)
     require_joints(names, 1, "a plot of the shape")
     panels = names.panels(joints)
-    figure, every = over_time(f"{names.robot}: shape", len(panels))
-    for axes, panel in zip(every, panels, strict=True):
+    figure, axes_list = over_time(f"{names.robot}: shape", len(panels))
+    for axes, panel in zip(axes_list, panels, strict=True):
         for k, joint in enumerate(panel):
             axes.plot(motion.t, motion.x[:, joint], label=shown(names.joints[joint]), **line(k))
         steady(axes, motion.x[:, panel])
@@ -43,18 +48,24 @@ def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) ->
 def base(motion: MotionSource) -> Figure:
     """Draw the pose of the base over time: position, and angle or quaternion.
 
-    Quaternions q and −q are one orientation; the sign is the one that makes the curves
-    continuous.  Raises InputError if the base was left out.
+    Quaternions q and −q are the same orientation; signs are chosen so that curves are continuous.
+
+    Args:
+        motion: Trajectory, or a recording read from a file.
+    Returns:
+        The figure.
+    Raises:
+        InputError: The base was left out.
     """
     names = labels(motion)
     group = group_named(names.group)
     k, pose = group.linear, continuous(motion.pose) if group.turns == 3 else motion.pose
-    turned = "quaternion [1]" if group.turns == 3 else "angle [rad]"
-    parts = [("position [m]", group.pose_names[:k]), (turned, group.pose_names[k:])]
-    parts = [(quantity, entries) for quantity, entries in parts if entries]
-    figure, every = over_time(f"{names.robot}: pose of the base ({names.group})", len(parts))
+    attitude = "quaternion [1]" if group.turns == 3 else "angle [rad]"
+    quantities = [("position [m]", group.pose_names[:k]), (attitude, group.pose_names[k:])]
+    quantities = [(quantity, entries) for quantity, entries in quantities if entries]
+    figure, panels = over_time(f"{names.robot}: pose of the base ({names.group})", len(quantities))
     first = 0
-    for axes, (quantity, entries) in zip(every, parts, strict=True):
+    for axes, (quantity, entries) in zip(panels, quantities, strict=True):
         for k, entry in enumerate(entries):
             axes.plot(motion.t, pose[:, first + k], label=entry, **line(k))
         steady(axes, pose[:, first : first + len(entries)])
@@ -65,7 +76,7 @@ def base(motion: MotionSource) -> Figure:
 
 
 def continuous(pose: Array) -> Array:
-    """Return poses (T, size) that end with a quaternion, its sign as that of the one before."""
+    """Return poses (T, size) with quaternion signs chosen for continuity."""
     quaternion = pose[:, -4:]
     flips = np.sign(np.sum(quaternion[1:] * quaternion[:-1], axis=1))
     signs = np.cumprod(np.append(1.0, np.where(flips == 0.0, 1.0, flips)))
