@@ -273,6 +273,14 @@ def _counts(function: Callable[..., Any], what: str) -> tuple[int, int]:
     return needed, _MANY if starred else len(plain)
 
 
+class SymbolFunction:
+    """A function that is called with all `Symbols`, in place of the arguments of user functions."""
+
+    def __call__(self, s: Symbols) -> Any:
+        """Return the expression."""
+        raise NotImplementedError
+
+
 def called(function: Callable[..., Any], s: Symbols, what: str) -> Any:
     """Call a function of the state with symbols, and return its result.
 
@@ -283,9 +291,7 @@ def called(function: Callable[..., Any], s: Symbols, what: str) -> Any:
     Returns:
         Its result.
     """
-    from .formula import Formula  # needs CasADi
-
-    if isinstance(function, Formula):
+    if isinstance(function, SymbolFunction):
         return function(s)
     if takes_state(function, what):
         return function(s.seen)

@@ -14,14 +14,14 @@ from ..common.errors import InputError
 from ..common.parameter import Parameter, parameter_of
 from ..system.system import System
 from .columns import seen_of_base, symbols_of, terms_of
-from .force import Symbols, Terms, called, scalar
+from .force import SymbolFunction, Symbols, Terms, called, scalar
 from .signals.expressions import parse
 
 NAMES = ("t", "x", "xdot", "mu", "pose", "xi", "J")
 
 
 @dataclass(frozen=True)
-class Formula:
+class Formula(SymbolFunction):
     """An expression in t, x, xdot, mu, pose, xi and J.
 
     mu is the momentum about the centre of mass. pose, xi and J describe the base in space, as in a
