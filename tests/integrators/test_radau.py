@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 from aba import kinematics
 from numpy.polynomial import Polynomial
-from orders import measured
+from orders import fit_order
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp import radau as book
 from stiff_kernels import kernels
@@ -260,7 +260,7 @@ def test_radau_has_order_5(robot: str) -> None:
             errors[1, k] += both[:-1].max()
     assert Radau.order == Radau.dense_order == 5
     for step_errors in errors:
-        order = measured(step_errors.tolist(), (1.0 / steps).tolist())
+        order = fit_order(step_errors.tolist(), (1.0 / steps).tolist())
         assert order == pytest.approx(5.0, abs=0.25)
 
 
