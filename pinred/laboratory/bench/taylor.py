@@ -31,10 +31,16 @@ def reduced_graph(problem: Problem) -> ca.Function:
 
 
 def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list[tuple[Any, Any]]:
-    """Translate a CasADi Function (y, parameters) → dy/dt to heyoka expressions [(yᵢ, dyᵢ/dt)].
+    """Translate a CasADi vector field to heyoka expressions.
 
-    Numbers in `parameters` become constants, and constant subexpressions are folded. Expressions in
-    `parameters` stay symbolic. Raises UnsupportedOperationError for an unknown operation.
+    Args:
+        function: Function (y, parameters) → dy/dt.
+        parameters: Numbers become constants, and constant subexpressions are folded. heyoka
+            expressions stay symbolic.
+    Returns:
+        [(yᵢ, dyᵢ/dt)] as heyoka expressions.
+    Raises:
+        UnsupportedOperationError: An operation has no translation.
     """
     hy = import_module("heyoka")
     y = [hy.expression(f"y{k}") for k in range(function.numel_in(0))]

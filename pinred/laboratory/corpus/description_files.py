@@ -60,9 +60,14 @@ class _Header:
 
 
 def find_descriptions(folders: Iterable[str | Path]) -> SearchResult:
-    """Find all robot descriptions in folders (or files), sorted by path, without duplicates.
+    """Find all robot descriptions in folders.
 
-    Raises LoadError for a missing folder.
+    Args:
+        folders: Folders or files.
+    Returns:
+        Descriptions sorted by path, without duplicates.
+    Raises:
+        LoadError: A folder is missing.
     """
     files = sorted({path for folder in folders for path in _files(Path(folder))})
     headers = {path: header for path in files if (header := _read_header(path)) is not None}
@@ -131,7 +136,12 @@ def _has_macros(path: Path) -> bool:
 def _content_hash(path: Path, headers: dict[Path, _Header], including: set[Path]) -> str:
     """Hash the content of a file and of all files that it includes.
 
-    including: files that include this one, to stop at circular includes.
+    Args:
+        path: The file.
+        headers: Headers of all files.
+        including: Files that include this one, to stop at circular includes.
+    Returns:
+        The hash.
     """
     content = hashlib.sha256()
     with suppress(OSError):

@@ -63,6 +63,7 @@ def differences(
         The largest differences.
     Raises:
         LoadError: MuJoCo does not read the file, or bodies cannot be matched.
+        PinredError: MuJoCo is not installed, or the file has no robot.
     """
     with library_output(EVERYTHING), warnings_kept():
         try:

@@ -11,10 +11,15 @@ from ....common.errors import IntegrationError
 
 
 def check_in_child_process(run: Callable[[], object], who: str) -> None:
-    """Run once in a child process, and raise IntegrationError if the child is killed.
+    """Run once in a child process, because some libraries abort instead of raising.
 
-    Some libraries abort instead of raising. Exceptions of `run` are ignored here; the timed run
-    raises them again.
+    Exceptions of `run` are ignored here; the timed run raises them again.
+
+    Args:
+        run: Function to run.
+        who: Name of the library, for the message.
+    Raises:
+        IntegrationError: The child process was killed.
     """
     with warnings.catch_warnings():  # JAX warns about fork, but the child does not use JAX
         warnings.simplefilter("ignore", RuntimeWarning)
