@@ -69,12 +69,12 @@ class Hairer:
         return float(self._solver.t)
 
     def integrate(self, t: float) -> Array | None:
-        """Integrate to a time; exceptions of the vector field and KeyboardInterrupt are raised.
+        """Integrate to time t, and re-raise exceptions of the vector field and KeyboardInterrupt.
 
         Args:
             t: Time [s].
         Returns:
-            The state (n,), or None if the time cannot be reached.
+            The state, (n,), or None if the time cannot be reached.
         """
         self._restart()
         with held_interrupt() as self._is_interrupted, warnings.catch_warnings():

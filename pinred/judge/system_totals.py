@@ -86,8 +86,13 @@ class SystemTotals:
         return np.asarray(self._axes @ momentum + self._rotors * v[: self._r])
 
     def about_com(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Compute body twist and body momentum relative to the centre of mass or the pivot.
+        """Compute body twist and body momentum relative to the centre of mass.
 
+        About a pivot, angular momentum refers to the pivot.
+
+        Args:
+            q: Configuration, (nq,).
+            v: Velocity, (nv,).
         Returns:
             Body twist and body momentum, (r,) each.
         """

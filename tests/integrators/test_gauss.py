@@ -27,10 +27,9 @@ from pinred.integrators.stepping import run_state
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.kernels import derived_code
+from pinred.kernels.derived_code import tangent_of, wide_rate
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object
-from pinred.kernels.tangent import tangent_of
-from pinred.kernels.wide_rate import wide_rate
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 

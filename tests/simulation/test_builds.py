@@ -113,7 +113,7 @@ def test_one_build_for_a_hundred_numbers(kind: str, builds: list[str], tmp_path:
         traj = pinred.simulate(cat, duration=0.1, times=[0.1], rtol=1e-6, atol=1e-8, **options)
         ends.append(np.concatenate([traj.x[-1], traj.xdot[-1], traj.pose[-1]]))
         stored.append(entries(tmp_path))
-    assert sorted(builds) == ["outputs", "rate", "start"]
+    assert sorted(builds) == ["initial_conditions", "outputs", "rate"]
     assert stored[0] == stored[-1]
     assert len(np.unique(ends, axis=0)) == 100  # and each value counts
 
@@ -125,7 +125,7 @@ def test_one_build_for_a_hundred_locks(builds: list[str]) -> None:
         pinred.simulate(cat, seed=1, duration=0.1, times=[0.1], parameters={"sway.lock": value}).xi
         for value in np.linspace(0.2, 1.2, 100)
     ]
-    assert sorted(builds) == ["outputs", "rate", "start"]
+    assert sorted(builds) == ["initial_conditions", "outputs", "rate"]
     assert len(np.unique(np.ravel(ends)[::6])) == 100
     again = pinred.simulate(
         pinred.load("falling_cat", lock={"sway": 1.2}), seed=1, duration=0.1, times=[0.1]
@@ -157,7 +157,7 @@ def test_one_build_for_a_hundred_gravities(builds: list[str]) -> None:
         ]
         for g in np.linspace(0.5, 20.0, 100)
     ]
-    assert sorted(builds) == ["outputs", "rate", "start"]
+    assert sorted(builds) == ["initial_conditions", "outputs", "rate"]
     assert len(np.unique(ends, axis=0)) == 100
     cartpole = pinred.load("cartpole")
     by_name = [
@@ -169,7 +169,7 @@ def test_one_build_for_a_hundred_gravities(builds: list[str]) -> None:
     np.testing.assert_array_equal(by_name, ends)
     assert len(builds) == 3
     pinred.simulate(pinred.load("cartpole", gravity=(0, 0, 0)), duration=0.1)
-    assert len(builds) == 5  # the start is that of before
+    assert len(builds) == 5  # the initial conditions are those of before
 
 
 @pytest.mark.slow
@@ -184,7 +184,7 @@ def test_one_build_for_a_hundred_robots_under_forces(builds: list[str]) -> None:
     }
     options: dict[str, Any] = {"duration": 0.1, "times": [0.1], "seed": 1, "forces": forces}
     many = pinred.simulate_many(pole, members=numbers, method="DOP853", **options)
-    assert sorted(builds) == ["outputs", "rate", "start"]
+    assert sorted(builds) == ["initial_conditions", "outputs", "rate"]
     assert np.ptp(many.x[:, -1]) < 1e-11  # whatever they are, it is held
     assert len(np.unique(many.xi[:, -1], axis=0)) == 100
     flow = pinred.flow(pole, wrt=[*numbers], method="DOP853", **options)

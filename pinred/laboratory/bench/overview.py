@@ -22,11 +22,13 @@ _SIDE_BY_SIDE = 6  # scenes in one table
 def overview(results: Sequence[WorkPrecision]) -> str:
     """Format tables of several results, with one column for each scene.
 
+    The tables give pinred's wall time at each error, and the ratio of other methods' times in the
+    same run. The last table gives errors of pinred's methods relative to their tolerances.
+
     Args:
-        results: Results of the accuracy benchmark.
+        results: Results of `bench_accuracy`.
     Returns:
-        Tables of pinred's wall time at each error with the ratios of other methods' times in the
-        same run, and a table of errors of pinred's methods relative to their tolerances.
+        The text.
     """
     scenes = list(dict.fromkeys(result.problem for result in results))
     blocks = [scenes[k : k + _SIDE_BY_SIDE] for k in range(0, len(scenes), _SIDE_BY_SIDE)]

@@ -31,16 +31,18 @@ def reduced_graph(problem: Problem) -> ca.Function:
 
 
 def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list[tuple[Any, Any]]:
-    """Translate a CasADi vector field to heyoka expressions.
+    """Translate a CasADi Function (y, parameters) → dy/dt to heyoka expressions.
+
+    Numbers in `parameters` become constants, and constant subexpressions are folded. Expressions in
+    `parameters` stay symbolic.
 
     Args:
-        function: Function (y, parameters) → dy/dt.
-        parameters: Numbers become constants, and constant subexpressions are folded. heyoka
-            expressions stay symbolic.
+        function: The CasADi Function.
+        parameters: Numbers or heyoka expressions.
     Returns:
-        [(yᵢ, dyᵢ/dt)] as heyoka expressions.
+        Pairs (yᵢ, dyᵢ/dt).
     Raises:
-        UnsupportedOperationError: An operation has no translation.
+        UnsupportedOperationError: heyoka has no such operation.
     """
     hy = import_module("heyoka")
     y = [hy.expression(f"y{k}") for k in range(function.numel_in(0))]

@@ -60,12 +60,12 @@ class _Header:
 
 
 def find_descriptions(folders: Iterable[str | Path]) -> SearchResult:
-    """Find all robot descriptions in folders.
+    """Find all robot descriptions in folders (or files), sorted by path, without duplicates.
 
     Args:
         folders: Folders or files.
     Returns:
-        Descriptions sorted by path, without duplicates.
+        The descriptions, and the numbers of other files.
     Raises:
         LoadError: A folder is missing.
     """
@@ -134,15 +134,7 @@ def _has_macros(path: Path) -> bool:
 
 
 def _content_hash(path: Path, headers: dict[Path, _Header], including: set[Path]) -> str:
-    """Hash the content of a file and of all files that it includes.
-
-    Args:
-        path: The file.
-        headers: Headers of all files.
-        including: Files that include this one, to stop at circular includes.
-    Returns:
-        The hash.
-    """
+    """Hash a file with its includes; `including` are the files that include it."""
     content = hashlib.sha256()
     with suppress(OSError):
         content.update(path.read_bytes())

@@ -176,7 +176,9 @@ def _compare_with_mujoco(
 
 
 def _compare_with_aba(system: System, duration: float) -> tuple[Report, float]:
-    """Compare a random motion with ABA, or a shorter one if the verdict is CANNOT TELL.
+    """Compare a random motion with ABA.
+
+    If the verdict is CANNOT TELL, a shorter motion is compared.
 
     Returns:
         The report, and the wall time of the simulation [s].

@@ -1,4 +1,4 @@
-"""The base's motion, by NumPy at each step."""
+"""The motion of the base, evaluated by NumPy at each step."""
 
 from __future__ import annotations
 
@@ -12,17 +12,20 @@ from ..plan import Plan
 
 
 class Base:
-    """The base of one scene: what is integrated of it, and how it moves.
+    """The base of one scene: its integrated variables b, and its motion.
 
-    parts: which numbers.  b0: (parts.size,) their values at the start.  axes: (3, k)
-    directions of its translations.  spin: (parts.spin,) the constant angular momentum in
-    the fixed frame.  relative_twist0: (r,) initial body twist as seen from the frame of the
-    centre of mass.  has_momentum: whether there are terms with angular momentum.  turns: how
-    many numbers that is.
+    Attributes:
+        parts: The integrated variables.
+        b0: Their initial values, (parts.size,).
+        axes: Directions of the translations, (3, k).
+        spin: Constant angular momentum in the fixed frame, (parts.spin,) [N·m·s].
+        relative_twist0: Initial body twist relative to the centre of mass, (r,).
+        has_momentum: Whether the equations have terms with angular momentum.
+        turns: Number of components of the angular momentum.
     """
 
     def __init__(self, plan: Plan, start: Start) -> None:
-        """Take over the initial state."""
+        """Set up the base for a plan and its initial state."""
         system, weight, wrench = plan.system, plan.acting.weight, plan.acting.wrench
         group, root = system.group, root_of(system)
         k = self._k = group.linear
@@ -59,7 +62,7 @@ class Base:
         return out
 
     def body_weight(self, b: Array) -> Array:
-        """Return the weight that turns the base, (3,) in its frame [N]; zero if none does."""
+        """Return the gravity force that turns the base, in its frame, (3,) [N]; else zero."""
         if not self._weight.any():
             return self._weight
         attitude, down, _, _ = self.parts.split(b)
@@ -68,10 +71,16 @@ class Base:
         return _into_body(attitude, self._weight)
 
     def rate(self, b: Array, xi: Array, moment: Array, force: Array) -> Array:
-        """Return db/dt, for the relative body twist ξ (r,).
+        """Return db/dt.
 
-        moment: about the centre of mass (of the weight, about the pivot), in the body's
-        frame.  force: (k,) on the centre of mass, in the body's frame.
+        Args:
+            b: Integrated variables of the base, (parts.size,).
+            xi: Body twist relative to the centre of mass, (r,).
+            moment: Moment about the centre of mass, that of gravity about the pivot, in the body
+                frame [N·m].
+            force: Force on the centre of mass in the body frame, (k,) [N].
+        Returns:
+            (parts.size,).
         """
         attitude, down, momentum, push = self.parts.split(b)
         omega = xi[self._k :]
@@ -92,13 +101,13 @@ class Base:
         return np.concatenate(out) if out else np.empty(0)
 
     def pose(self, b: Array, com: Array, t: Array) -> Array:
-        """Return the pose (T, size) from b (T, …), body-frame com (T, 3), times (T,)."""
+        """Return poses (T, size) from b (T, …), body-frame centres of mass (T, 3), times (T,)."""
         attitude = self._attitude(b)
         p = self._centre(b, t) - self._group.turned(attitude, com @ self.axes)
         return np.concatenate([p, attitude], axis=1)
 
     def twist(self, b: Array, xi: Array, t: Array) -> Array:
-        """Return the body twist (T, r) from the one relative to the centre of mass."""
+        """Return body twists (T, r) from those relative to the centre of mass."""
         if not self._k:
             return xi
         out = xi.copy()
@@ -107,7 +116,7 @@ class Base:
         return out
 
     def base_energy(self, b: Array, com: Array, t: Array) -> Array:
-        """Return ½ m |ċ|² − m g · c, and −m g · R c_b of a pivoted body's weight, (T,) [J]."""
+        """Return the energy ½ m |ċ|² − m g · c, or −m g · R c_b of a pivoted base, (T,) [J]."""
         energy = np.zeros(len(t))
         if self._k:
             P, c = self._linear(b, t), self._centre(b, t)
@@ -116,7 +125,7 @@ class Base:
         return energy + self.weight_energy(b, com)
 
     def weight_energy(self, b: Array, com: Array) -> Array:
-        """Return −m g · R c_b, the potential energy of a pivoted body's weight, (T,) [J]."""
+        """Return the potential energy −m g · R c_b of a pivoted base, (T,) [J]."""
         if not self._weight.any():
             return np.zeros(len(b))
         attitude, down, _, _ = self.parts.split(b)
@@ -144,18 +153,18 @@ class Base:
         return P + self.parts.split(b)[3][:, self._k :] if self.parts.push else P
 
     def _fixed(self, attitude: Array, v: Array) -> Array:
-        """Return angular parts in the fixed frame from the body's."""
+        """Rotate angular components (a,) from the body frame to the fixed frame."""
         return np.asarray(apply(rotation(attitude), v)) if v.shape[-1] == 3 else v
 
     def _body(self, attitude: Array, v: Array) -> Array:
-        """Return vectors of space (..., 3) in the body's frame; plane angular parts as they are."""
+        """Rotate vectors (..., 3) to the body frame; planar angular components stay."""
         if v.shape[-1] != 3 or attitude.shape[-1] != 4:
             return v
         return into_body(attitude, v)
 
 
 def _into_body(q: Array, J: Array) -> Array:
-    """Return Rᵀ J, (3,), for a quaternion of any length; scalar code, as it runs at every step."""
+    """Return Rᵀ J, (3,), for a quaternion of any length, by scalar code for speed."""
     x, y, z, w = q.tolist()
     a, b, c = J.tolist()
     scale = 2.0 / (x * x + y * y + z * z + w * w)

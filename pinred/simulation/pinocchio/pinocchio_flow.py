@@ -1,7 +1,7 @@
-"""The reduced flow of a scene: its vector field, and the full state behind a reduced one.
+"""The reduced flow of a scene by Pinocchio: its vector field, and full states from reduced ones.
 
-The reduced state is (x, π) of the joints that are not prescribed: shape, canonical shape
-momentum in the frame of the centre of mass; and as much of the base as has to be integrated.
+The reduced state is (x, π, b): positions and canonical momenta of the joints that are not
+prescribed, in the frame of the centre of mass, and the integrated variables b of the base.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class PinocchioFlow:
     """
 
     def __init__(self, plan: Plan) -> None:
-        """Set up the flow from the plan's own initial state."""
+        """Set up the flow of a plan from its initial state."""
         system, start = plan.system, plan.scene.start
         self._system, self._wanted = system, plan.wanted
         self._forces = forces = plan.forces
@@ -80,14 +80,14 @@ class PinocchioFlow:
         return np.concatenate([v[r:][free], pidot[free], rate])
 
     def sample(self, t: float, y: Array, numbers: Array) -> Sample:
-        """Return what forces see at one time."""
+        """Return the state at time t that forces depend on."""
         x, v = self._motion(t, y, numbers)
         r, b = self._system.r, y[2 * len(self._free) :]
         base = self._in_space(t, b, x, v, self._form.com()) if self._wanted else None
         return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b), base)
 
     def _in_space(self, t: float, b: Array, x: Array, v: Array, com: Array) -> BaseInSpace:
-        """Return the base as seen from space.  v: (n,) relative to the centre of mass."""
+        """Return the base relative to the world; v: (n,) relative to the centre of mass."""
         system, times = self._system, np.array([t])
         r = system.r
         pose = self.base.pose(b[None], com[None], times)[0]
@@ -97,9 +97,16 @@ class PinocchioFlow:
         return BaseInSpace(pose, xi, mu, system.group.spatial_momentum(pose, mu))
 
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
-        """Return the full states at times t (T,) of reduced states y (T, k).
+        """Return the full states behind reduced ones.
 
-        numbers: (p,) those in the forces then.
+        Args:
+            t: Times, (T,) [s].
+            y: Reduced states, (T, k).
+            numbers: Force parameters at these times, (p,).
+        Returns:
+            The states, without the base if the scene leaves it out.
+        Raises:
+            IntegrationError: A velocity is not finite.
         """
         system, form = self._system, self._form
         r, T = system.r, len(t)
@@ -144,17 +151,17 @@ class PinocchioFlow:
         )
 
     def _motion(self, t: float, y: Array, numbers: Array) -> tuple[Array, Array]:
-        """Return the shape (m,) and v = (ξ, ẋ) as seen from the centre of mass."""
+        """Return the shape (m,) and v = (ξ, ẋ) relative to the centre of mass."""
         free, x, pi = self._free, self.shape(t, y, numbers), np.zeros(self._system.m)
         pi[free] = y[len(free) : 2 * len(free)]
         momentum = np.concatenate([self.base.momentum(y[2 * len(free) :]), pi])
         if self._forces is None or not self._driven:
             return x, self._form.velocity(x, momentum)
-        given = self._forces.prescribed(t, numbers)
-        return x, self._form.driven_velocity(x, momentum, self._driven, given.xdot)
+        planned = self._forces.prescribed(t, numbers)
+        return x, self._form.driven_velocity(x, momentum, self._driven, planned.xdot)
 
     def shape(self, t: float, y: Array, numbers: Array) -> Array:
-        """Return the shape (m,) in a reduced state."""
+        """Return the shape (m,) of a reduced state."""
         x = np.empty(self._system.m)
         x[self._free] = y[: len(self._free)]
         if self._forces is not None and self._driven:
@@ -162,5 +169,5 @@ class PinocchioFlow:
         return x
 
     def entry_name(self, entry: int) -> str:
-        """Return what an entry of the reduced state is, for messages."""
+        """Return the name of an entry of the reduced state, for messages."""
         return entry_name(self._system, self._free, [], entry)

@@ -11,13 +11,14 @@ from ....common.errors import IntegrationError
 
 
 def check_in_child_process(run: Callable[[], object], who: str) -> None:
-    """Run once in a child process, because some libraries abort instead of raising.
+    """Run a function once in a child process.
 
-    Exceptions of `run` are ignored here; the timed run raises them again.
+    Some libraries abort instead of raising. Exceptions of `run` are ignored here; the timed run
+    raises them again.
 
     Args:
-        run: Function to run.
-        who: Name of the library, for the message.
+        run: Function to call.
+        who: Name of the tool in messages.
     Raises:
         IntegrationError: The child process was killed.
     """
