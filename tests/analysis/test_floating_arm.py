@@ -244,7 +244,7 @@ def test_workspace_of_many_joints() -> None:
     assert len(seen) >= 4
     assert all(any(a - gap <= r <= b + gap for a, b in found.dependent) for r in seen)
     # Descent knows the slope: no small step from where it is farthest goes farther.
-    slope, h = arm._radius_slope(start), 1e-6
+    slope, h = arm._radius_gradient(start), 1e-6
     ahead = [(radius(start + h * e) - radius(start - h * e)) / (2.0 * h) for e in np.eye(6)]
     close(slope, ahead, 1e-8)
 
@@ -260,7 +260,7 @@ def test_refusals() -> None:
         planar().generalized_jacobian([0.0, 0.0], axes="fixed")  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="of must be base or attitude"):
         planar().null_space([0.0, 0.0], of="hand")  # type: ignore[arg-type]
-    with pytest.raises(pinred.InputError, match="as many joints as rows of the task"):
+    with pytest.raises(pinred.InputError, match="as many joints as task rows"):
         pinred.FloatingArm(planar().system, "hand", task=(0, 1, 5)).workspace()
     for wrong in ([(1.0, -1.0)] * 2, [(0.0, np.nan)] * 2, [(0.0, 1.0)]):
         with pytest.raises(pinred.InputError, match="limits"):

@@ -65,7 +65,7 @@ def dalembert(
     return np.asarray(out.y.T)
 
 
-def test_without_torques() -> None:
+def test_mixed_motion_without_torques_conserves_energy() -> None:
     """To 1e-11, with the energy conserved."""
     A = board()
     found = pinred.simulate_mixed(A, X0, RATE0, P0, times=TIMES)
@@ -79,8 +79,8 @@ def test_without_torques() -> None:
     assert np.ptp(found.p) > 1e-3  # it is no constant of the motion
 
 
-def test_with_torques() -> None:
-    """To 1e-8; the work of the torques is what the energy gains."""
+def test_mixed_motion_with_torques_gains_their_work() -> None:
+    """To 1e-8: the energy gained is the work of the torques."""
 
     def torque(t: float) -> Array:
         return np.array([0.02 * np.cos(3.0 * t), -0.01 * np.sin(2.0 * t), 0.3 * np.sin(4.0 * t)])
@@ -93,8 +93,8 @@ def test_with_torques() -> None:
     assert np.ptp(found.energy) > 1e-2
 
 
-def test_along_a_gait() -> None:
-    """Prescribed joints, from rest: the snakeboard moves off, and momentum builds up."""
+def test_mixed_motion_along_gait_builds_up_momentum() -> None:
+    """Prescribed joints, from rest: the snakeboard starts to move."""
     gait = pinred.Gait.fourier([0.0, 0.0, 0.0], [[0.5, -0.5, 0.0]], [[0.0, 0.0, 0.9]], period=2.0)
     A = board()
     found = pinred.follow_mixed(A, gait, times=TIMES)
@@ -104,8 +104,8 @@ def test_along_a_gait() -> None:
     assert np.abs(found.p).max() > 1e-3
 
 
-def test_the_momentum_of_a_twist() -> None:
-    """P of a twist that the wheels allow gives that twist back; of one that slips, an error."""
+def test_mixed_momentum_of_twist() -> None:
+    """The momentum of an admissible twist gives that twist back; a twist that slips raises."""
     A = board()
     xi = A.velocity(X0, RATE0, P0)
     close(A.momentum(X0, RATE0, xi), P0, 1e-12)
@@ -113,8 +113,8 @@ def test_the_momentum_of_a_twist() -> None:
         A.momentum(X0, RATE0, np.add(xi, [0.0, 0.1, 0.0]))
 
 
-def test_one_pair_of_wheels() -> None:
-    """A Chaplygin sleigh: one wheel, two momenta, against the same d'Alembert with one row."""
+def test_chaplygin_sleigh_equals_dalembert() -> None:
+    """One wheel and two momenta, against d'Alembert's principle with one constraint."""
     system = pinred.load("snakeboard", lock={"front": 0.0, "rear": 0.0})
     A = pinred.mixed_connection(system, [pinred.Wheel("rear_axle")])
     assert A.size == 2
@@ -138,8 +138,8 @@ def test_one_pair_of_wheels() -> None:
     assert np.ptp(found.energy) < 1e-11
 
 
-def test_refusals() -> None:
-    """Too many wheels; wheels that come to agree on the way."""
+def test_invalid_mixed_connections_raise() -> None:
+    """Too many wheels, and wheels that become dependent during the motion."""
     system = pinred.load("snakeboard")
     with pytest.raises(pinred.InputError, match="takes 1 to 2 wheels, got 0"):
         pinred.mixed_connection(system, [])
