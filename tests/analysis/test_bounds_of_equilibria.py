@@ -52,7 +52,7 @@ def test_residual_limit_is_1e_9_of_energy(
 
 @pytest.mark.parametrize(("factor", "same"), [(BEYOND, False), (WITHIN, True)])
 def test_same_shape_tolerance_is_1e_5_of_robot_size(factor: float, same: bool) -> None:
-    """Shapes agree within 1e-5 of the robot's size; odd quantities may change sign if reversible."""
+    """Shapes agree within 1e-5 of the robot's size; odd values may change sign if reversible."""
     one = Place(np.array([0.3, 0.7]), np.array([0.2]))
     even = Place(one.even + np.array([0.0, factor * 1e-5]), one.odd)
     odd = Place(one.even, -one.odd + factor * 1e-5)

@@ -1,4 +1,4 @@
-"""Covariant forces by compiled code, against Pinocchio's inverse dynamics at zero momentum."""
+"""Covariant forces of machine code against Pinocchio's inverse dynamics at zero momentum."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import pinred
 
 @pytest.mark.by_hand
 @pytest.mark.parametrize("group", ["SO2", "SE2", "SO3", "SE3"])
-def test_torques_at_zero_momentum_match_rnea(group: str) -> None:
-    """On random trees, values equal RNEA and derivatives equal its differences."""
+def test_covariant_forces_are_torques_at_zero_momentum(group: str) -> None:
+    """On random trees, values by RNEA and derivatives by differences of RNEA."""
     case = make_case(group, 3, 5)
     code = pinred.Connection.mechanical(case.system).code
     motion, along = case.rng.normal(size=(3, 3)), case.rng.normal(size=3)

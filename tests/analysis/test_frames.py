@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from assertions import close
+from link_poses import link_pose
 from strategies import make_case
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.connections.other_frames import link_pose
 from pinred.common.arrays import Array
 
 CIRCLE = pinred.Gait.fourier([0.0, 0.0], [[1.0, 0.0]], [[0.0, 1.0]])

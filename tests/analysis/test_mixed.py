@@ -1,4 +1,4 @@
-"""The snakeboard, against Lagrange–d'Alembert equations in world coordinates."""
+"""The snakeboard against Lagrange and d'Alembert in world coordinates, with multipliers."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def board() -> pinred.MixedConnection:
     return pinred.mixed_connection(pinred.load("snakeboard"), wheels)
 
 
-def constraint_rows(q: Array, v: Array) -> tuple[Array, Array]:
-    """W and Ẇ v: neither axle slips sideways."""
+def rows(q: Array, v: Array) -> tuple[Array, Array]:
+    """W, and Ẇ v: neither axle slips sideways."""
     W, drift = np.zeros((2, 6)), np.zeros(2)
     for k, (joint, side) in enumerate(((4, -1.0), (3, 1.0))):
         heading, rate = q[2] + q[joint], v[2] + v[joint]
@@ -40,14 +40,14 @@ def constraint_rows(q: Array, v: Array) -> tuple[Array, Array]:
     return W, drift
 
 
-def solve_dalembert(
+def dalembert(
     xi0: Array, torque: Callable[[float], Array], prescribed: pinred.Gait | None = None
 ) -> Array:
-    """Return q and v at TIMES, (T, 12): H v̇ = τ + Wᵀλ, W v̇ = −Ẇ v."""
+    """Q and v at TIMES, (T, 12): H v̇ = τ + Wᵀλ, W v̇ = −Ẇ v."""
 
     def rate(t: float, y: Array) -> Array:
         q, v = y[:6], y[6:]
-        W, drift = constraint_rows(q, v)
+        W, drift = rows(q, v)
         if prescribed is not None:
             h = 1e-4  # of the second derivative of a Fourier series
             ahead = [prescribed.at(t + k * h)[1] for k in (-3, -2, -1, 1, 2, 3)]
@@ -65,11 +65,11 @@ def solve_dalembert(
     return np.asarray(out.y.T)
 
 
-def test_snakeboard_without_torques_matches_dalembert() -> None:
-    """States agree to 1e-11, and the energy is conserved."""
+def test_mixed_motion_without_torques_conserves_energy() -> None:
+    """To 1e-11, with the energy conserved."""
     A = board()
     found = pinred.simulate_mixed(A, X0, RATE0, P0, times=TIMES)
-    expected = solve_dalembert(A.velocity(X0, RATE0, P0), lambda _: np.zeros(3))
+    expected = dalembert(A.velocity(X0, RATE0, P0), lambda _: np.zeros(3))
     close(found.pose, expected[:, :3], 1e-11)
     close(found.x, expected[:, 3:6], 1e-11)
     close(found.xdot, expected[:, 9:], 1e-11)
@@ -79,33 +79,33 @@ def test_snakeboard_without_torques_matches_dalembert() -> None:
     assert np.ptp(found.p) > 1e-3  # it is no constant of the motion
 
 
-def test_snakeboard_with_torques_matches_dalembert() -> None:
-    """States agree to 1e-8, and the work equals the gain of energy."""
+def test_mixed_motion_with_torques_gains_their_work() -> None:
+    """To 1e-8: the energy gained is the work of the torques."""
 
     def torque(t: float) -> Array:
         return np.array([0.02 * np.cos(3.0 * t), -0.01 * np.sin(2.0 * t), 0.3 * np.sin(4.0 * t)])
 
     A = board()
     found = pinred.simulate_mixed(A, X0, RATE0, P0, times=TIMES, torques=torque)
-    expected = solve_dalembert(A.velocity(X0, RATE0, P0), torque)
+    expected = dalembert(A.velocity(X0, RATE0, P0), torque)
     close(found.pose, expected[:, :3], 1e-8)
     close(found.x, expected[:, 3:6], 1e-8)
     assert np.ptp(found.energy) > 1e-2
 
 
-def test_snakeboard_along_gait_matches_dalembert() -> None:
-    """Joints are prescribed from rest; the snakeboard moves, and its momentum grows."""
+def test_mixed_motion_along_gait_builds_up_momentum() -> None:
+    """Prescribed joints, from rest: the snakeboard starts to move."""
     gait = pinred.Gait.fourier([0.0, 0.0, 0.0], [[0.5, -0.5, 0.0]], [[0.0, 0.0, 0.9]], period=2.0)
     A = board()
     found = pinred.follow_mixed(A, gait, times=TIMES)
     x, xdot = gait.at(0.0)
-    expected = solve_dalembert(A.velocity(x, xdot, [0.0]), lambda _: np.zeros(3), gait)
+    expected = dalembert(A.velocity(x, xdot, [0.0]), lambda _: np.zeros(3), gait)
     close(found.pose, expected[:, :3], 1e-10)
     assert np.abs(found.p).max() > 1e-3
 
 
-def test_momentum_of_admissible_twist() -> None:
-    """The momentum p of an admissible twist returns that twist; slipping twists are refused."""
+def test_mixed_momentum_of_twist() -> None:
+    """The momentum of an admissible twist gives that twist back; a twist that slips raises."""
     A = board()
     xi = A.velocity(X0, RATE0, P0)
     close(A.momentum(X0, RATE0, xi), P0, 1e-12)
@@ -113,8 +113,8 @@ def test_momentum_of_admissible_twist() -> None:
         A.momentum(X0, RATE0, np.add(xi, [0.0, 0.1, 0.0]))
 
 
-def test_chaplygin_sleigh_matches_dalembert() -> None:
-    """One wheel leaves two momenta."""
+def test_chaplygin_sleigh_equals_dalembert() -> None:
+    """One wheel and two momenta, against d'Alembert's principle with one constraint."""
     system = pinred.load("snakeboard", lock={"front": 0.0, "rear": 0.0})
     A = pinred.mixed_connection(system, [pinred.Wheel("rear_axle")])
     assert A.size == 2
@@ -138,8 +138,8 @@ def test_chaplygin_sleigh_matches_dalembert() -> None:
     assert np.ptp(found.energy) < 1e-11
 
 
-def test_dependent_wheels_are_refused() -> None:
-    """Too many wheels are refused, and so are wheels that become dependent during a motion."""
+def test_invalid_mixed_connections_raise() -> None:
+    """Too many wheels, and wheels that become dependent during the motion."""
     system = pinred.load("snakeboard")
     with pytest.raises(pinred.InputError, match="takes 1 to 2 wheels, got 0"):
         pinred.mixed_connection(system, [])

@@ -1,4 +1,4 @@
-"""Connections in other frames: conjugate phases, and A′ and B′ by their formulas."""
+"""Connections seen from other frames: conjugate phases, and A′ and B′ by their formulas."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from assertions import close
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lifts import random_gait
+from link_poses import link_pose
 from strategies import groups, make_case, seeds
 from trees import random_model
 
 import pinred
-from pinred.analysis.connections.other_frames import link_pose
 from pinred.common.arrays import Array
 from pinred.lie import Group
 
 
 def conjugate(group: Group, g: Array, h: Array) -> Array:
-    """Return h⁻¹ g h."""
+    """h⁻¹ g h."""
     return group.compose(group.compose(group.inverse(h), g), h)
 
 
-def assert_poses_agree(group: Group, found: Array, expected: Array, tolerance: float) -> None:
+def agree(group: Group, found: Array, expected: Array, tolerance: float) -> None:
     """Assert that two poses agree."""
     apart = group.error(expected, found)
     size = 1.0 + float(np.abs(expected).max())
@@ -35,8 +35,8 @@ def assert_poses_agree(group: Group, found: Array, expected: Array, tolerance: f
 @pytest.mark.by_hand
 @settings(max_examples=2)
 @given(joints=st.integers(1, 2), seed=seeds)
-def test_phase_is_conjugate_for_any_base_link(joints: int, seed: int) -> None:
-    """On random trees in space the phase is conjugate, and B′ = Ad_{h⁻¹} B."""
+def test_other_base_link_has_conjugate_phase(joints: int, seed: int) -> None:
+    """On random trees in space: the phase is conjugate, and B′ = Ad_{h⁻¹} B."""
     model = random_model("SE3", joints, seed)
     rng = np.random.default_rng(seed)
     for i in range(2, model.njoints):
@@ -49,7 +49,7 @@ def test_phase_is_conjugate_for_any_base_link(joints: int, seed: int) -> None:
     gait = random_gait(rng, joints, harmonics=1)
     p, q = (pinred.phase(each, gait, tolerance=1e-12) for each in (A, B))
     h = link_pose(system, name, gait.at(0.0)[0])
-    assert_poses_agree(A.group, q.pose, conjugate(A.group, p.pose, h), 1e-12)
+    agree(A.group, q.pose, conjugate(A.group, p.pose, h), 1e-12)
     x = gait.at(0.3)[0]
     there = A.group.Ad(A.group.inverse(link_pose(system, name, x)))
     size = 1.0 + float(np.abs(A.curvature(x)).max())
@@ -59,8 +59,8 @@ def test_phase_is_conjugate_for_any_base_link(joints: int, seed: int) -> None:
 
 @settings(max_examples=4)
 @given(group=groups, joints=st.integers(1, 2), seed=seeds)
-def test_phase_is_conjugate_for_any_section(group: str, joints: int, seed: int) -> None:
-    """On all groups, in a random frame h(x), A′ = Ad_{h⁻¹}A − h⁻¹∂h."""
+def test_other_section_has_conjugate_phase(group: str, joints: int, seed: int) -> None:
+    """On all groups, in a random frame h(x): conjugate phases, A′ = Ad_{h⁻¹}A − h⁻¹∂h."""
     case = make_case(group, joints, seed)
     A, G = pinred.Connection.mechanical(case.system), case.system.group
     slopes = case.rng.uniform(-0.5, 0.5, (G.size, joints))
@@ -83,7 +83,7 @@ def test_phase_is_conjugate_for_any_section(group: str, joints: int, seed: int) 
     B = A.in_section(pose)
     gait = random_gait(case.rng, joints, harmonics=1)
     p, q = (pinred.phase(each, gait, tolerance=1e-12) for each in (A, B))
-    assert_poses_agree(G, q.pose, conjugate(G, p.pose, at(gait.at(0.0)[0])), 1e-12)
+    agree(G, q.pose, conjugate(G, p.pose, at(gait.at(0.0)[0])), 1e-12)
     x, h = case.x, 1e-3
     back = G.inverse(at(x))
     expected = G.Ad(back) @ A.local(x)
@@ -94,8 +94,8 @@ def test_phase_is_conjugate_for_any_section(group: str, joints: int, seed: int) 
     close(B.local(x), expected, 1e-9 * (1.0 + np.abs(expected).max()))
 
 
-def test_drag_and_wheel_connections_change_base_link() -> None:
-    """Any connection of a robot can use another base link."""
+def test_other_base_link_of_drag_and_wheels() -> None:
+    """Any connection of a robot can be seen from another of its links."""
     system = pinred.load("purcell_swimmer")
     wheels = [pinred.Wheel(name, (c, 0, 0)) for name, c in (("rear", -0.1), ("front", 0.2))]
     gait = pinred.Gait.fourier([1.0, -0.5], [[0.3, 0.0]], [[0.0, 0.4]])
@@ -105,11 +105,11 @@ def test_drag_and_wheel_connections_change_base_link() -> None:
     ):
         p, q = (pinred.phase(each, gait, tolerance=1e-12) for each in (A, A.seen_from("front")))
         h = link_pose(system, "front", gait.at(0.0)[0])
-        assert_poses_agree(A.group, q.pose, conjugate(A.group, p.pose, h), 1e-11)
+        agree(A.group, q.pose, conjugate(A.group, p.pose, h), 1e-11)
 
 
-def test_links_outside_the_group_are_refused() -> None:
-    """The base must be an existing link whose motion stays in the group."""
+def test_invalid_base_links_raise() -> None:
+    """A link with motions outside the group, and an unknown one."""
     system = pinred.load("double_spherical_pendulum")
     A = pinred.Connection.mechanical(system)
     frames = [frame.name for frame in system.model.frames]

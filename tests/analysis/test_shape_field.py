@@ -1,4 +1,4 @@
-"""Fields over many shapes by compiled code, against Pinocchio and closed forms."""
+"""Fields over many shapes: compiled code against Pinocchio and against closed forms."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from trees import random_model
 import pinred
 from pinred.analysis.connections import shape_field
 from pinred.common.arrays import Array
-from pinred.kernels.connection import unit_rates
+from pinred.kernels import evaluate
 from pinred.kernels.connection.code import ConnectionCode
 from pinred.system.catalogue import bundled_robots
 
 NAMES = ("mass_matrix", "locked_inertia", "local_connection", "reduced_metric", "curvature", "com")
 
 
-def assert_close(found: Array, expected: Array, tolerance: float = 1e-11) -> None:
-    """Assert equal array shapes, and agreement to `tolerance` of the largest entry."""
+def close(found: Array, expected: Array, tolerance: float = 1e-11) -> None:
+    """Assert the same shape, and agreement to `tolerance` of the largest entry."""
     assert found.shape == expected.shape
     scale = max(1.0, float(np.abs(expected).max(initial=0.0)))
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=tolerance * scale)
 
 
-def assert_field_equals_pinocchio(red: pinred.Reduction, shapes: Array) -> None:
-    """Assert that every array equals Pinocchio's, shape by shape."""
+def agree(red: pinred.Reduction, shapes: Array) -> None:
+    """Assert that every array is the one that Pinocchio gives, shape by shape."""
     field = red.grid(shapes)
     lead = shapes.shape[:-1]
     for name in NAMES:
         found = getattr(field, name)
         assert found.shape[: len(lead)] == lead
         for index in np.ndindex(lead):
-            assert_close(found[index], getattr(red.at(shapes[index]), name))
+            close(found[index], getattr(red.at(shapes[index]), name))
 
 
 @settings(max_examples=60)
 @given(cases(0, 8))
-def test_mass_matrix_equals_crba(case: Case) -> None:
-    """H at any base pose, and its blocks, for trees on every group."""
+def test_grid_mass_matrix_equals_crba(case: Case) -> None:
+    """H at any pose of the base, and its blocks, for trees on every group."""
     system, r = case.system, case.system.r
     shapes = case.rng.uniform(-3.0, 3.0, (4, system.m))
     field = pinred.Reduction(system).grid(shapes)
@@ -53,46 +53,46 @@ def test_mass_matrix_equals_crba(case: Case) -> None:
         upper = np.triu(pin.crba(system.model, data, system.q(case.pose, x)))
         H = upper + np.triu(upper, 1).T
         A = np.linalg.solve(H[:r, :r], H[:r, r:])
-        assert_close(field.mass_matrix[k], H, 1e-13)
-        assert_close(field.locked_inertia[k], H[:r, :r], 1e-13)
-        assert_close(field.local_connection[k], A)
-        assert_close(field.reduced_metric[k], H[r:, r:] - H[r:, :r] @ A)
+        close(field.mass_matrix[k], H, 1e-13)
+        close(field.locked_inertia[k], H[:r, :r], 1e-13)
+        close(field.local_connection[k], A)
+        close(field.reduced_metric[k], H[r:, r:] - H[r:, :r] @ A)
 
 
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(cases(0, 6))
-def test_curvature_equals_rnea_derivatives(case: Case) -> None:
+def test_grid_curvature_equals_rnea_derivatives(case: Case) -> None:
     """B of trees on every group, with any leading axes."""
     red = pinred.Reduction(case.system)
     for lead in ((), (3,), (2, 2)):
-        assert_field_equals_pinocchio(red, case.rng.uniform(-3.0, 3.0, (*lead, case.system.m)))
+        agree(red, case.rng.uniform(-3.0, 3.0, (*lead, case.system.m)))
     B = red.grid(case.x).curvature
     np.testing.assert_array_equal(B, -np.swapaxes(B, 1, 2))
 
 
 @pytest.mark.parametrize("name", [*sorted(bundled_robots()), "solo12", "talos"])
-def test_field_of_robots_equals_pinocchio(name: str) -> None:
+def test_grid_of_robots_equals_pinocchio(name: str) -> None:
     """Bundled robots (some with cyclic joints, one without joints), a quadruped, a humanoid."""
     if name in ("solo12", "talos"):
         pytest.importorskip("example_robot_data")
     system = pinred.load(name)
     rng = np.random.default_rng(0)
-    assert_field_equals_pinocchio(pinred.Reduction(system), rng.uniform(-2.0, 2.0, (3, system.m)))
+    agree(pinred.Reduction(system), rng.uniform(-2.0, 2.0, (3, system.m)))
 
 
 @pytest.mark.parametrize("name", ["satellite_two_arms", "planar_chain5"])
-def test_sliced_field_equals_unsliced(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Evaluation in slices, including an incomplete one, equals evaluation at once."""
+def test_grid_in_chunks_equals_pinocchio(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chunks of shapes, the last one smaller, give the values of single shapes."""
     system = pinred.load(name)
     red, rng = pinred.Reduction(system), np.random.default_rng(1)
     shapes = rng.uniform(-2.0, 2.0, (11, system.m))
-    monkeypatch.setattr(unit_rates, "_ENTRIES", 4 * system.m * (1 + system.r * (1 + system.m)))
-    assert_field_equals_pinocchio(red, shapes)
+    monkeypatch.setattr(evaluate, "_ENTRIES", 4 * system.m * (1 + system.r * (1 + system.m)))
+    agree(red, shapes)
 
 
-def test_root_armature_is_in_locked_inertia() -> None:
-    """A flywheel on the axis of SO(2) adds to the locked inertia."""
+def test_grid_includes_armature_of_root() -> None:
+    """A flywheel on the axis of SO(2) is part of the locked inertia."""
     model = random_model("SO2", 3, 7)
     armature = np.array(model.armature)
     armature[0] = 0.8
@@ -105,7 +105,7 @@ def test_root_armature_is_in_locked_inertia() -> None:
 
 
 def two_sliders(spin: float, carriage: float, load: float) -> pinred.System:
-    """A turntable with a carriage that slides along x, and on it a load that slides along y."""
+    """A turntable on which a carriage slides along x, and on it a load along y."""
     model = pin.Model()
     model.name = "two_sliders"
     model.gravity.setZero()
@@ -122,8 +122,8 @@ def two_sliders(spin: float, carriage: float, load: float) -> pinred.System:
     return pinred.load(model)
 
 
-def test_sliders_on_turntable_match_closed_form() -> None:
-    """I = J + (m1 + m2) s² + m2 u², A = m2 (−u, s)/I, B = 2 m2 J/I²."""
+def test_grid_of_sliders_on_turntable_has_closed_form() -> None:
+    """I = J + (m1 + m2) s² + m2 u², A = m2 (−u, s)/I, and B = 2 m2 J/I²."""
     J, m1, m2 = 1.5, 2.0, 0.7
     red = pinred.Reduction(two_sliders(J, m1, m2))
     a = np.linspace(-1.0, 1.0, 7)
@@ -131,36 +131,36 @@ def test_sliders_on_turntable_match_closed_form() -> None:
     s, u = shapes[..., 0], shapes[..., 1]
     inertia = J + (m1 + m2) * s**2 + m2 * u**2
     field = red.grid(shapes)
-    assert_close(field.locked_inertia[..., 0, 0], inertia, 1e-14)
+    close(field.locked_inertia[..., 0, 0], inertia, 1e-14)
     A = m2 * np.stack([-u, s], axis=-1) / inertia[..., None]
-    assert_close(field.local_connection[..., 0, :], A, 1e-14)
+    close(field.local_connection[..., 0, :], A, 1e-14)
     M = np.diag([m1 + m2, m2]) - inertia[..., None, None] * A[..., :, None] * A[..., None, :]
-    assert_close(field.reduced_metric, M, 1e-14)
-    assert_close(field.curvature[..., 0, 0, 1], 2.0 * m2 * J / inertia**2, 1e-14)
+    close(field.reduced_metric, M, 1e-14)
+    close(field.curvature[..., 0, 0, 1], 2.0 * m2 * J / inertia**2, 1e-14)
 
 
-def test_coupled_planar_bodies_match_closed_form() -> None:
-    """The joint is cyclic: A = (0, −1/30, 4/15), M = 11/60, and no curvature."""
+def test_grid_of_coupled_planar_bodies_is_constant() -> None:
+    """A cyclic joint: A = (0, −1/30, 4/15) and M = 11/60 at every shape, no curvature."""
     field = pinred.Reduction(pinred.load("coupled_planar")).grid(np.linspace(-3, 3, 9)[:, None])
     ones = np.ones(9)[:, None]
-    assert_close(field.local_connection[..., 0], ones * [0.0, -1.0 / 30.0, 4.0 / 15.0], 1e-14)
-    assert_close(field.reduced_metric[..., 0], ones * 11.0 / 60.0, 1e-14)
-    assert_close(field.curvature, np.zeros((9, 3, 1, 1)), 1e-14)
+    close(field.local_connection[..., 0], ones * [0.0, -1.0 / 30.0, 4.0 / 15.0], 1e-14)
+    close(field.reduced_metric[..., 0], ones * 11.0 / 60.0, 1e-14)
+    close(field.curvature, np.zeros((9, 3, 1, 1)), 1e-14)
 
 
-def test_cartpole_matches_closed_form() -> None:
+def test_grid_of_cartpole_has_closed_form() -> None:
     """A = −cos(x)/6, V = −4.905 cos(x), and I = 3 in the amended potential."""
     field = pinred.Reduction(pinred.load("cartpole")).grid(np.linspace(-3, 3, 12).reshape(3, 4, 1))
     cosine = np.cos(field.x[..., 0])
-    assert_close(field.local_connection[..., 0, 0], -cosine / 6.0, 1e-14)
-    assert_close(field.potential, -4.905 * cosine, 1e-13)
-    assert_close(field.amended_potential([1.2]), -4.905 * cosine + 0.24, 1e-13)
+    close(field.local_connection[..., 0, 0], -cosine / 6.0, 1e-14)
+    close(field.potential, -4.905 * cosine, 1e-13)
+    close(field.amended_potential([1.2]), -4.905 * cosine + 0.24, 1e-13)
 
 
 @settings(max_examples=30)
 @given(cases(0, 6))
-def test_potential_equals_pinocchio(case: Case) -> None:
-    """Springs, and gravity that keeps the symmetry, match Pinocchio's potential energy."""
+def test_grid_potential_equals_pinocchio(case: Case) -> None:
+    """Springs, and gravity that keeps the symmetry, against Pinocchio's potential energy."""
     springs = dict.fromkeys(case.system.shape_names[:2], (2.0, 0.3))
     if case.system.group is pinred.lie.R:
         case.system.model.gravity.linear = np.array([0.3, -2.0, -9.0])
@@ -169,13 +169,13 @@ def test_potential_equals_pinocchio(case: Case) -> None:
     field = red.grid(shapes)
     amended = field.amended_potential(case.xi)
     for index in np.ndindex(2, 3):
-        assert_close(field.potential[index], np.array(red.potential(shapes[index])))
+        close(field.potential[index], np.array(red.potential(shapes[index])))
         expected = red.amended_potential(shapes[index], case.xi)
-        assert_close(amended[index], np.array(expected))
+        close(amended[index], np.array(expected))
 
 
-def test_symmetry_breaking_gravity_blocks_potential_only() -> None:
-    """Other quantities remain available."""
+def test_grid_with_broken_symmetry_lacks_potential_only() -> None:
+    """Only the potential raises."""
     model = random_model("SO3", 2, 3)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     field = pinred.Reduction(pinred.load(model)).grid(np.zeros((4, 2)))
@@ -216,8 +216,8 @@ def test_shape_field_array_is_computed_once_at_first_use(monkeypatch: pytest.Mon
         assert calls == ["centres_of_mass", "locals", "curvature"]
 
 
-def test_field_is_read_only_and_independent_of_input() -> None:
-    """Later changes of the input array do not change the field."""
+def test_grid_arrays_are_read_only() -> None:
+    """The field does not change with the array from which it was built."""
     shapes = np.zeros((2, 3))
     field = pinred.Reduction(pinred.load("falling_cat")).grid(shapes)
     shapes[:] = 1.0
@@ -231,8 +231,8 @@ def test_field_is_read_only_and_independent_of_input() -> None:
         field.x = shapes  # type: ignore[misc]
 
 
-def test_empty_field_has_empty_arrays() -> None:
-    """A field over zero shapes has arrays of length zero."""
+def test_grid_of_no_shapes_is_empty() -> None:
+    """An empty field has empty arrays."""
     field = pinred.Reduction(pinred.load("falling_cat")).grid(np.zeros((0, 4, 3)))
     assert field.curvature.shape == (0, 4, 6, 3, 3)
     assert field.reduced_metric.shape == (0, 4, 3, 3)
@@ -251,22 +251,22 @@ def test_empty_field_has_empty_arrays() -> None:
         ([[1j]], "numbers"),
     ],
 )
-def test_invalid_shapes_are_refused_with_index(shapes: Any, words: str) -> None:
-    """A wrong length or a value that is not finite is refused at once."""
+def test_grid_of_invalid_shapes_raises(shapes: Any, words: str) -> None:
+    """A wrong length or a number that is not finite raises at once, with its index."""
     with pytest.raises(pinred.ShapeError, match=words):
         pinred.Reduction(pinred.load("coupled_planar")).grid(shapes)
 
 
-def test_invalid_momentum_is_refused() -> None:
-    """The amended potential needs one body momentum."""
+def test_amended_potential_of_many_momenta_raises() -> None:
+    """The momentum of the amended potential is one body momentum."""
     field = pinred.Reduction(pinred.load("falling_cat")).grid(np.zeros((2, 3)))
     with pytest.raises(pinred.ShapeError, match=r"mu must have shape \(6,\)"):
         field.amended_potential(np.zeros((2, 6)))
 
 
 @pytest.mark.parametrize("nearly", [0.0, 2e-8])
-def test_singular_shape_is_named(nearly: float) -> None:
-    """Massless rings are singular only where the outer and inner axes coincide."""
+def test_grid_names_singular_shape(nearly: float) -> None:
+    """Gimbal lock of massless rings, where the outer and inner axes coincide."""
     model, parent = pin.Model(), 0
     model.name = "gimbal"
     model.gravity.setZero()
