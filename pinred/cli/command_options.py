@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from ..common.plain_names import quoted
+from ..common.names import quoted
 
 if TYPE_CHECKING:
-    from ..planning.gait_files.load_gait import GaitFile
+    from ..planning.gait_file import GaitFile
     from ..scene.event import Event
     from ..scene.scene import Scene
     from ..scene.toml.schema import Key
@@ -347,7 +347,7 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
     from ..analysis.connections.connection import Connection
     from ..analysis.gaits.gait import Gait
     from ..common.names import joint_index
-    from ..planning.gait_files.load_gait import GaitFile, load_gait
+    from ..planning.gait_file import GaitFile, load_gait
     from ..system.load import load
 
     if Path(arguments.source).suffix == ".toml":

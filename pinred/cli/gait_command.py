@@ -18,7 +18,7 @@ _SAMPLES = 400  # number of samples of a cycle in a file
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..planning.gait_files.gait_keys import OPTIMISE
+    from ..planning.gait_file import OPTIMISE
     from ..scene.toml.keys import LOAD
 
     text = "gait file (.toml) with connection and objective, or robot: a name or a file"
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the stated options by their names in Python."""
-    from ..planning.gait_files.gait_keys import OPTIMISE
+    from ..planning.gait_file import OPTIMISE
 
     options = options_in(arguments, OPTIMISE.keys)
     if options.get("cost") == "none":

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..planning.gait_files.gait_keys import GAIT_FILE
+    from ..planning.gait_file import GAIT_FILE
 
     add_source(sub)
     add_options(sub, {"momentum": GAIT_FILE.keys["momentum"]})
@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Print the phase.  Returns 0."""
     from ..analysis.phases.phase import phase
     from ..common.files import DATA, FIGURES, check_path
-    from ..planning.gait_files.gait_keys import GAIT_FILE
+    from ..planning.gait_file import GAIT_FILE
 
     path = None if arguments.out is None else check_path(arguments.out, (*FIGURES, *DATA))
     source = source_of(arguments, gait=True)

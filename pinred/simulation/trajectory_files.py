@@ -12,7 +12,7 @@ import numpy as np
 
 from ..common.errors import MissingPackageError, OutputError
 from ..common.files import check_path, write_atomic
-from ..common.plain_names import quoted_path
+from ..common.names import quoted_path
 from ..system.model_parameters import GRAVITY
 from ..system.state_fields import FIELDS, arrays_of, axis_labels
 from ..system.system import System

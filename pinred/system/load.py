@@ -22,8 +22,8 @@ from ..common.errors import (
     ModelError,
     ModelWarning,
 )
-from ..common.paths import is_file
-from ..common.plain_names import brief, listed, quoted
+from ..common.files import is_file
+from ..common.names import brief, listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.spatial_groups import SE3

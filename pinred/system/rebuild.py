@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array
 from ..common.errors import ModelError
-from ..common.plain_names import quoted
+from ..common.names import quoted
 from .contents import Coupling
 from .joints import RootChain, places_on_root
 

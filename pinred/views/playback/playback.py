@@ -76,11 +76,17 @@ class Playback:
 
 
 def playback(source: MotionSource, view: View) -> Playback:
-    """Compute the numbers for drawing a trajectory or a recording.
+    """Compute the numbers for drawing a motion.
 
-    Raises InputError if the base was left out, for more than MOST_FRAMES frames or fewer than two,
-    and for a ghost of a recording, which contains no forces. Raises LoadError if the robot of a
-    recording cannot be loaded.
+    Args:
+        source: A trajectory or a recording.
+        view: Options of the drawing.
+    Returns:
+        The numbers at all frames.
+    Raises:
+        InputError: The base was left out, there are too many frames or fewer than two, or a ghost
+            is requested for a recording, which contains no forces.
+        LoadError: The robot of a recording cannot be loaded.
     """
     states = _frames(source, view)
     ghost = None
@@ -209,10 +215,17 @@ class Momentum:
 
 
 def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
-    """Compute the arrow at q (F, nq) and v (F, n) by Pinocchio's centroidal momentum.
+    """Compute the momentum arrow by Pinocchio's centroidal momentum.
 
     If the base can rotate, it is the angular momentum about the centre of mass or the pivot, along
     the axes of rotation; otherwise it is the linear momentum along the axes of translation.
+
+    Args:
+        system: The robot.
+        q: Pinocchio's configurations, (F, nq).
+        v: Pinocchio's velocities, (F, n).
+    Returns:
+        The arrow at all frames.
     """
     model, data = system.model, system.model.createData()
     linear, slides = system.group.linear, not system.group.turns
