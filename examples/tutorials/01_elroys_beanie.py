@@ -7,9 +7,9 @@
 #
 #     L = ½ I₁ θ̇² + ½ I₂ (θ̇ + ẋ)² − V(x)
 #
-# Turning everything by the same angle changes nothing: θ is not in L. This is the *symmetry*, and
-# the group is G = SO(2). What is left of a configuration when θ is forgotten is the *shape* x.
-# This tutorial does by hand what pinred does for any robot.
+# Rotating both bodies by the same angle changes nothing: θ does not appear in L. This is the
+# *symmetry*, and the group is G = SO(2). The remaining coordinate is the *shape* x. This tutorial
+# does by hand what pinred does for any robot.
 
 # %%
 from importlib.util import find_spec
@@ -30,9 +30,9 @@ print(system)
 #
 #     μ = (I₁ + I₂) θ̇ + I₂ ẋ = I (θ̇ + A ẋ),    I = I₁ + I₂,   A = I₂/(I₁ + I₂)
 #
-# I is the *locked inertia*, that of the whole with the joint frozen, and A the *mechanical
-# connection*: with μ = 0 the body turns by −A dx when the propeller turns by dx. Put
-# θ̇ = μ/I − A ẋ into the kinetic energy, and it falls into two parts that do not mix:
+# I is the *locked inertia*, the inertia of the system with the joint locked. A is the *mechanical
+# connection*: at μ = 0 the body rotates by −A dx when the propeller rotates by dx. With θ̇ = μ/I −
+# A ẋ the kinetic energy is a sum of two decoupled terms:
 #
 #     T = ½ M ẋ² + ½ μ²/I,     M = I₁ I₂/(I₁ + I₂)
 #
@@ -42,18 +42,18 @@ print(system)
 x = [0.4]
 split = red.at(x)
 closed = {"I": I1 + I2, "A": I2 / (I1 + I2), "M": I1 * I2 / (I1 + I2)}
-found = (split.locked_inertia, split.local_connection, split.reduced_metric)
+pinred_values = (split.locked_inertia, split.local_connection, split.reduced_metric)
 print(f"{'':2} {'pinred':>12} {'by hand':>12}")
-for (name, by_hand), matrix in zip(closed.items(), found, strict=True):
+for (name, by_hand), matrix in zip(closed.items(), pinred_values, strict=True):
     print(f"{name:2} {matrix.item():12.9f} {by_hand:12.9f}")
     np.testing.assert_allclose(matrix.item(), by_hand, rtol=1e-12)
 
 # %% [markdown]
 # ## Reduce: the shape alone
-# The second part of T is a constant, so the shape is a system of its own, M ẍ = −V′(x): one
-# equation for two angles. With a spring, V = ½ k x², it swings at ω = √(k/M) = √(1.5 k), whatever
-# the momentum. `explain` says what pinred does not integrate: 3 numbers are left, x with its
-# momentum, and θ on the side (a full simulation has six: Pinocchio's q holds cosines and sines).
+# The second term of T is constant, so the shape obeys a separate equation, M ẍ = −V′(x). With a
+# spring, V = ½ k x², it oscillates at ω = √(k/M) = √(1.5 k) for any momentum. `explain` lists what
+# pinred integrates: x, its momentum, and θ as a quadrature. A full simulation has six variables,
+# because Pinocchio's q contains cosines and sines.
 
 # %%
 k, x0, spin = 6.0, 0.5, 0.7
@@ -73,24 +73,24 @@ np.testing.assert_allclose(traj.x[:, 0], by_hand, atol=1e-8)
 
 # %% [markdown]
 # ## Reconstruct: put the base back
-# The angle of the body follows by integrating θ̇ = μ/I − A ẋ. Over any time it turns by
+# The angle of the body follows by integrating θ̇ = μ/I − A ẋ. In a time Δt it changes by
 #
 #     Δθ = μ Δt/I − A Δx
 #
-# The first part, the *dynamic phase*, needs time and momentum. The second, the *geometric phase*,
-# depends on the path of the shape only, not on how fast it is followed.
+# The first term, the *dynamic phase*, depends on time and momentum. The second, the *geometric
+# phase*, depends only on the path of the shape, not on its speed.
 
 # %%
-turned = traj.pose[:, 0] - traj.pose[0, 0]
+body_angle = traj.pose[:, 0] - traj.pose[0, 0]
 phases = spin * traj.t / I - A * (traj.x[:, 0] - x0)
-print(f"turned in three periods: {turned[-1]:.9f} rad, by hand {spin * 3 * period / I:.9f} rad")
-np.testing.assert_allclose(turned, phases, atol=1e-8)
+print(f"turned in three periods: {body_angle[-1]:.9f} rad, by hand {spin * 3 * period / I:.9f} rad")
+np.testing.assert_allclose(body_angle, phases, atol=1e-8)
 
 # %% [markdown]
-# After whole periods the shape is back and the geometric phase is zero, as for every robot with
-# one joint: the *curvature* dA is zero where there is only one direction to go. It takes two
-# joints to come home turned by wriggling (tutorial 3), or a loop that cannot be shrunk to a
-# point. The propeller has such a loop: a whole turn. It brings back the shape, but not the body.
+# After whole periods the shape is periodic and the geometric phase is zero, as for every robot with
+# one joint: the *curvature* dA vanishes in one dimension. A net rotation needs two joints (tutorial
+# 3), or a loop that cannot be contracted to a point. The propeller has such a loop: one full turn.
+# It restores the shape, but not the body angle.
 
 # %%
 loop = pinred.simulate(system, x0=[0.0], xdot0=[2 * np.pi], momentum=0, duration=1.0)
@@ -100,8 +100,8 @@ print(f"by hand −2π I₂/(I₁ + I₂) =                  {-2 * np.pi * A:.9f
 np.testing.assert_allclose(loop.pose[-1, 0], -2 * np.pi * A, rtol=1e-9)
 
 # %% [markdown]
-# ## Believe nothing
-# `compare` simulates both angles by Pinocchio's ABA, which knows nothing of all this.
+# ## Check against a full simulation
+# `compare` simulates both angles by Pinocchio's ABA, which does not use the reduction.
 
 # %%
 report = pinred.compare(traj)
@@ -110,7 +110,8 @@ if not report.passed:
     raise SystemExit("the reduced motion is not that of the full simulation")
 
 # %% [markdown]
-# The shape swings in the potential; the body (`base`) drifts with the momentum and swings along.
+# The shape oscillates in the potential. The body angle (`base`) drifts with the momentum and
+# oscillates too.
 
 # %%
 pinred.plot(traj, "phase") if drawing else None

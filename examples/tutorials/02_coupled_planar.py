@@ -2,15 +2,15 @@
 # # 2. Coupled planar bodies, by hand and by pinred
 #
 # Two bodies slide on a frictionless plane. The first has mass m₁ and moment of inertia I₁ about its
-# centre of mass, where its frame stands. The second, (m₂, I₂), is pinned at its *own* centre of
+# centre of mass, which is the origin of its frame. The second, (m₂, I₂), is pinned at its centre of
 # mass to the point (d, 0) of the first; x is the angle between them. The group is SE(2), the rigid
-# motions of the plane: pose g = (p, θ), body velocity ξ = (v₁, v₂, ω) in the first body's frame.
+# motions of the plane: pose g = (p, θ), body twist ξ = (v₁, v₂, ω) in the first body's frame.
 #
-# The velocity of the pin is v + ω d e₂, so with ξ and ẋ the kinetic energy is
+# The velocity of the pin is v + ω d e₂, so in terms of ξ and ẋ the kinetic energy is
 #
 #     T = ½ m₁ |v|² + ½ I₁ ω² + ½ m₂ (v₁² + (v₂ + d ω)²) + ½ I₂ (ω + ẋ)²
 #
-# Read off its matrix H = [[I, IA], [AᵀI, M̃]], base rows first:
+# Its matrix is H = [[I, IA], [AᵀI, M̃]], base rows first:
 
 # %%
 from importlib.util import find_spec
@@ -39,8 +39,8 @@ np.testing.assert_allclose(split.mass_matrix, H, atol=1e-14)
 #
 #     A = (0, −I₂ m₂ d/Δ, I₂ m/Δ),    M = I₂ − Aᵀ I A = I₂ (I₁ m + m₁ m₂ d²)/Δ
 #
-# A says how the first body moves, ξ = −A ẋ, when the joint turns and all momenta are zero: it
-# turns back by ω = −I₂ m/Δ per unit of ẋ, and about the common centre of mass.
+# A determines the motion of the first body at zero momentum, ξ = −A ẋ. The body rotates by ω = −I₂
+# m/Δ per unit of ẋ, about the common centre of mass.
 
 # %%
 delta = m * (I1 + I2) + m1 * m2 * d**2
@@ -54,17 +54,18 @@ zero = max(np.abs(dX).max() for dX in (split.dI, split.dA, split.dM, split.curva
 print(f"largest entry of dI, dA, dM and B: {zero:g}")
 
 # %% [markdown]
-# Nothing depends on x: pinned at its centre of mass, the second body looks the same to the first
-# at every angle. The joint is *cyclic*, and its momentum π = M ẋ + Aᵀ μ is a constant, like that
-# of a reaction wheel. With one joint the curvature is zero in any case.
+# No term depends on x, because the second body is pinned at its centre of mass. The joint is
+# *cyclic*, and its momentum π = M ẋ + Aᵀ μ is constant, like that of a reaction wheel. With one
+# joint the curvature is always zero.
 #
 # ## The equations of motion
 # Lagrange–Poincaré, with the locked velocity Ω = ξ + A ẋ and the body momentum μ = I Ω:
 #
 #     d/dt(M ẋ) = −⟨μ, [Ω, A]⟩,        μ̇ = ad*_ξ μ
 #
-# All else vanishes with dI, dM, B and V; ad_ξ is the matrix below, and ad*_ξ its transpose. No
-# torque acts on the second body, so both must turn steadily: ẍ = 0 and ω̇ = 0.
+# All other terms contain dI, dM, B or V, which are zero. ad_ξ is the matrix below, and ad*_ξ its
+# transpose. No torque acts on the second body, so both bodies rotate at constant rates: ẍ = 0 and
+# ω̇ = 0.
 
 # %%
 xi, xdot = np.array([0.4, -0.7, 0.9]), np.array([1.2])
@@ -78,21 +79,21 @@ print("μ̇ by hand: ", mudot)
 np.testing.assert_allclose(terms.momentum.total, mudot, atol=1e-14)
 vdot = np.linalg.solve(H, np.append(mudot, 0.0))  # H (ξ̇, ẍ) = (μ̇, π̇), and π̇ = 0
 print("(ξ̇, ẍ) =", vdot)
-# What Euler–Poincaré on SE(2) gives on paper (docs/errata.md has its signs).
+# The Euler–Poincaré equations on SE(2), derived by hand (docs/errata.md has their signs).
 by_hand = [xi[1] * xi[2] + m2 * d / m * xi[2] ** 2, -xi[0] * xi[2], 0.0, 0.0]
 np.testing.assert_allclose(vdot, by_hand, atol=1e-14)
 
 # %% [markdown]
 # ## Reconstruction
-# The whole motion in closed form: both angles grow steadily, the centre of mass, at
-# (m₂ d/m, 0) in the first body, goes straight ahead, and p = c(t) − R(θ) (m₂ d/m, 0).
+# The motion has a closed form. Both angles grow linearly. The centre of mass, at (m₂ d/m, 0) in the
+# first body, moves along a straight line, and p = c(t) − R(θ) (m₂ d/m, 0).
 
 # %%
 traj = pinred.simulate(system, x0=x, xdot0=xdot, xi0=xi, duration=10.0)
 t, theta, lever = traj.t, xi[2] * traj.t, m2 * d / m
-along = xi[0] * t + lever * (1 - np.cos(theta))
+direction = xi[0] * t + lever * (1 - np.cos(theta))
 across = (xi[1] + lever * xi[2]) * t - lever * np.sin(theta)
-exact = np.column_stack([along, across, theta])
+exact = np.column_stack([direction, across, theta])
 error = np.abs(traj.pose - exact).max(axis=0)
 print(f"after {t[-1]:g} s: x = {traj.x[-1, 0]:.9f} rad, by hand {x[0] + xdot[0] * t[-1]:.9f} rad")
 print(f"largest error of the pose: {error[:2].max():.1e} m, {error[2]:.1e} rad")

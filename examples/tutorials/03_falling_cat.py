@@ -1,15 +1,16 @@
 # %% [markdown]
 # # 3. The falling cat: turning without angular momentum
 #
-# A cat dropped upside down lands on its feet, though its angular momentum is zero all the way.
-# It bends its spine and rolls the bend around: a closed loop in shape space. Zero momentum means
-# Ω = 0, that is ξ = −A(x) ẋ: every change of shape turns the body, and the turn depends on the
-# path. What is left when the shape has come home is the *holonomy* of the loop, or geometric
-# phase. It is there because the connection A has *curvature*, a 2-form on shape space:
+# A cat dropped upside down lands on its feet, although its angular momentum is zero throughout. It
+# bends its spine and moves the bend around the spine: a closed loop in shape space. Zero momentum
+# means Ω = 0, that is ξ = −A(x) ẋ: every change of shape rotates the body, and the rotation depends
+# on the path. The net rotation after a closed loop is the *holonomy* or geometric phase of the
+# loop. It is nonzero because the connection A has *curvature*, a 2-form on shape space:
 #
 #     B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β]
 #
-# The robot is Kane and Scher's: a front and a back half, joined by `bend`, `sway` and `twist`.
+# The robot is the model of Kane and Scher: a front and a back half, joined by `bend`, `sway` and
+# `twist`.
 
 # %%
 from functools import reduce
@@ -30,25 +31,25 @@ red, SE3, data = pinred.Reduction(cat), cat.group, cat.model.createData()
 
 
 def roll_the_bend(radius: float, seconds: float = 1.0, turn: int = 1) -> pinred.Trajectory:
-    """Return the motion in which (bend, sway) goes once around a circle, from rest in space."""
+    """Return the motion of one circle of (bend, sway) at zero momentum."""
     plan = {
         "bend": Fourier(0.0, [radius], [], seconds),  # radius · cos(2πt/seconds)
         "sway": Fourier(0.0, [], [turn * radius], seconds),  # radius · sin(2πt/seconds)
         "twist": Constant(0.0),
     }
-    x0 = np.zeros(cat.m)  # the plan has the first word on the initial shape
+    x0 = np.zeros(cat.m)  # overridden by the prescribed joints
     return pinred.simulate(cat, x0=x0, momentum=0, prescribed=plan, duration=seconds)
 
 
 def turned(traj: pinred.Trajectory) -> Vector:
-    """Return by how much the front half has turned: a rotation vector in its first frame [rad]."""
+    """Return the rotation of the front half, as a vector in its initial frame [rad]."""
     return SE3.log(SE3.compose(SE3.inverse(traj.pose[0]), traj.pose[-1]))[3:]
 
 
 # %% [markdown]
-# ## Small loops see the curvature
-# A small loop around an area turns the body by the curvature times that area, −B π r². (The next
-# term is r³: the loop starts at its rim, and rotations do not commute.)
+# ## Small loops measure the curvature
+# A small loop rotates the body by minus the curvature times its area, −B π r². The next term is of
+# order r³, because the loop starts at its rim and rotations do not commute.
 
 # %%
 B = red.curvature([0.0, 0.0, 0.0])[3:, 0, 1]
@@ -60,20 +61,20 @@ for radius in (0.2, 0.1, 0.05):
     print(
         f"{radius:12g} {np.linalg.norm(angle):13.8f} {np.linalg.norm(flat):14.8f} {off[-1]:10.2%}"
     )
-np.testing.assert_allclose(np.divide(off[:-1], off[1:]), 2.0, rtol=0.05)  # half as far off
+np.testing.assert_allclose(np.divide(off[:-1], off[1:]), 2.0, rtol=0.05)  # half the error
 
 # %% [markdown]
 # ## Large loops by hand
-# Along a path the pose is the ordered product of many small steps, g ← g · exp(−A(x) Δx). That
-# needs the connection and the path, but no time and no equation of motion.
+# Along a path the pose is the ordered product of small steps, g ← g · exp(−A(x) Δx). It needs the
+# connection and the path, but neither time nor equations of motion.
 
 
 # %%
 def holonomy(radius: float, steps: int = 2000) -> Vector:
-    """Return the ordered product over the circle, a pose of SE(3)."""
+    """Return the ordered product over the circle, an element of SE(3)."""
     phi = 2 * np.pi * np.arange(2 * steps + 1) / (2 * steps)
     circle = radius * np.column_stack([np.cos(phi), np.sin(phi), 0 * phi])
-    A = red.grid(circle[1::2]).local_connection  # in the middle of each step
+    A = red.grid(circle[1::2]).local_connection  # at the midpoint of each step
     twists = -A @ np.diff(circle[::2], axis=0)[..., None]
     return reduce(SE3.compose, SE3.exp(twists[..., 0]))
 
@@ -84,9 +85,9 @@ print("ordered product:", product.round(6), "rad")
 np.testing.assert_allclose(turned(traj), product, atol=1e-5)
 
 # %% [markdown]
-# ## It is geometric
-# Three times as fast, the cat turns by the same angle. Backwards, it turns back. The axis lies in
-# the plane of the arch, along the cat from tail to head: it rolls over.
+# ## The phase is geometric
+# At three times the speed, the cat rotates by the same angle. On the reversed path it rotates back.
+# The axis is in the plane of the arch, along the cat from tail to head: the cat rolls.
 
 # %%
 fast, back = roll_the_bend(1.2, seconds=0.3), roll_the_bend(1.2, turn=-1)
@@ -102,8 +103,8 @@ np.testing.assert_allclose(turned(back), -turned(traj), atol=1e-8)
 
 # %% [markdown]
 # ## Land on your feet
-# How far must the cat bend to turn by half a turn in one go? Ask the ordered product, then let
-# Pinocchio's ABA, which knows no connection, judge the motion. `fall.play()` shows it.
+# How far must the cat bend to rotate by half a turn in one loop? The ordered product gives the
+# bend. Pinocchio's ABA, which uses no connection, validates the motion. `fall.play()` shows it.
 
 # %%
 half_turn = brentq(lambda r: holonomy(r, 300)[6], 1.0, 1.55)  # where cos(angle/2) is zero

@@ -1,16 +1,16 @@
 # %% [markdown]
 # # 4. A quadruped in flight: legs swing, the body turns
 #
-# Between take-off and landing nothing touches a legged robot but gravity. Two things follow, and
-# pinred integrates neither:
+# Between take-off and landing only gravity acts on a legged robot. This has two consequences, and
+# pinred integrates neither of them:
 #
-# - the centre of mass falls, c(t) = c₀ + v₀ t + ½ g t², whatever the legs do;
-# - the angular momentum about it is what it was at take-off. Here it is zero, so the shape turns
-#   the body by ξ = −A(x) ẋ, as it turned the cat in tutorial 3.
+# - the centre of mass is in free fall, c(t) = c₀ + v₀ t + ½ g t², for any leg motion;
+# - the angular momentum about it keeps its value at take-off. Here it is zero, so the shape
+#   rotates the body by ξ = −A(x) ẋ, like the cat in tutorial 3.
 #
-# All four legs of solo12 move alike here: the hips (HFE) swing, the knees (KFE) fold. Then all
-# happens in the plane of pitch, whose rotations commute, and *Stokes' theorem is exact*: the
-# net pitch of a loop is the integral of the curvature over the area within. Needs the extra
+# All four legs of solo12 move in the same way: the hips (HFE) swing, the knees (KFE) fold. The
+# motion is then in the pitch plane, where rotations commute, and *Stokes' theorem is exact*: the
+# net pitch of a loop is the integral of the curvature over the enclosed area. Needs the extra
 # `robots`.
 
 # %%
@@ -26,13 +26,13 @@ drawing = find_spec("matplotlib") is not None  # figures need the extra `plots`
 solo = pinred.load("solo12")
 red, data = pinred.Reduction(solo), solo.model.createData()
 hips, knees = (np.array([n.endswith(end) for n in solo.shape_names]) for end in ("HFE", "KFE"))
-HIP, KNEE, SWING = 0.4, -1.4, 0.8  # where the loop has its middle, and its radius [rad]
+HIP, KNEE, SWING = 0.4, -1.4, 0.8  # centre of the loop, amplitude of the swing [rad]
 take_off = np.array([0.5, 0.0, 2.0])  # velocity of the centre of mass [m/s]
-flight = 2 * take_off[2] / 9.81  # until it is as high as it was [s]
+flight = 2 * take_off[2] / 9.81  # until it has its initial height again [s]
 
 
 def leap(fold: float) -> pinred.Trajectory:
-    """Return a flight in which hip and knee go once round an ellipse; fold: of the knees [rad]."""
+    """Return a flight with one ellipse of hip and knee; fold: amplitude of the knees [rad]."""
     hip, knee = Fourier(HIP, [], [SWING], flight), Fourier(KNEE, [fold], [], flight)
     plan = {
         name: hip if hips[k] else knee if knees[k] else Constant(0.0)
@@ -47,7 +47,7 @@ def leap(fold: float) -> pinred.Trajectory:
 
 # %% [markdown]
 # ## What is conserved, by Pinocchio
-# Both numbers come from Pinocchio's (q, v), which pinred puts together only at the end.
+# Both numbers come from Pinocchio's (q, v), which pinred reconstructs from the reduced motion.
 
 # %%
 traj = leap(fold=0.9)
@@ -69,13 +69,13 @@ np.testing.assert_allclose(spin, 0.0, atol=1e-12)
 # %% [markdown]
 # ## How far the body pitches
 # For joints that move together along the directions e₁ (hips) and e₂ (knees), the curvature is
-# B(e₁, e₂), and its entry of pitch is integrated over the ellipse, by Gauss's points along the
-# radius and even ones around. The loop (sin, cos) runs clockwise, so the sign is plus.
+# B(e₁, e₂). Its pitch component is integrated over the ellipse: Gauss points along the radius,
+# equally spaced points along the angle. The loop (sin, cos) is clockwise, so the sign is plus.
 
 
 # %%
 def curvature_inside(fold: float) -> float:
-    """Return the integral of the pitch of B(e₁, e₂) over the ellipse [rad]."""
+    """Return the integral of the pitch component of B(e₁, e₂) over the ellipse [rad]."""
     points, weights = np.polynomial.legendre.leggauss(12)
     radius, phi = 0.5 * (points + 1.0), 2 * np.pi * np.arange(48) / 48
     hip = HIP + SWING * np.outer(radius, np.sin(phi))
@@ -88,8 +88,8 @@ def curvature_inside(fold: float) -> float:
 
 def pitch(traj: pinred.Trajectory) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Return the pitch of the body over time, (T,) [rad]."""
-    turned = solo.group.compose(solo.group.inverse(traj.pose[:1]), traj.pose)
-    return np.asarray(solo.group.log(turned)[:, 4])
+    rotation = solo.group.compose(solo.group.inverse(traj.pose[:1]), traj.pose)
+    return np.asarray(solo.group.log(rotation)[:, 4])
 
 
 net, inside = pitch(traj)[-1], curvature_inside(0.9)
@@ -97,8 +97,9 @@ print(f"the body pitches by {np.degrees(net):.6f}°, Stokes says {np.degrees(ins
 np.testing.assert_allclose(net, inside, rtol=1e-4)
 
 # %% [markdown]
-# With the knees held the legs come back the way they went. The loop has no area: the body nods,
-# and at landing it is as it was. Purcell's scallop, which cannot swim, has the same trouble.
+# With locked knees the legs return along the same path. The loop encloses no area: the body pitches
+# back and forth, and at landing it has its initial attitude. Purcell's scallop cannot swim for the
+# same reason.
 
 # %%
 scallop = leap(fold=0.0)
@@ -113,7 +114,7 @@ if not report.passed:
     raise SystemExit("the reduced motion is not that of the full simulation")
 
 # %% [markdown]
-# To see it: `traj.play()`, or `traj.save_html("solo.html")`, a page with the animation.
+# `traj.play()` shows the motion; `traj.save_html("solo.html")` writes a page with the animation.
 
 # %%
 pinred.plot(traj, "base") if drawing else None

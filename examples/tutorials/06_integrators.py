@@ -1,11 +1,10 @@
 # %% [markdown]
 # # 6. Choosing an integrator
 #
-# The reduced equations of a cat with springs in its spine, spinning in space: what is the error of
-# a method, what does it cost, and what does it do in the long run? Reduction changes the answer.
-# The momentum is conserved exactly *whatever* the method does, since only the attitude and the
-# shape are integrated, and μ = RᵀJ follows. So momentum proves nothing here. Judge by shape and
-# attitude against the full simulation, and by the energy, which only a symplectic method holds.
+# A cat with springs in its spine spins in space. Which integrator is accurate, cheap, and stable in
+# the long run? Every method conserves momentum, because pinred integrates attitude and shape only
+# and computes μ = RᵀJ. So compare shape and attitude with a full simulation, and check the energy,
+# whose error only symplectic methods keep bounded.
 
 # %%
 from importlib.util import find_spec
@@ -25,13 +24,13 @@ scene = pinred.Scene(system=cat, duration=1.0, springs=dict.fromkeys(cat.shape_n
 
 # %% [markdown]
 # ## The candidates
-# - `DOP853`, Dormand and Prince's pair of order 8: the estimated error chooses the step.
+# - `DOP853`, Dormand and Prince's pair of order 8: the estimated error determines the step.
 # - `RKMK4`, Munthe-Kaas's form of the classical Runge–Kutta method of order 4: a fixed step, in
 #   which the attitude moves by exponentials of rotations, corrected by dexp⁻¹.
 # - `Gauss`, collocation at Gauss's points with a fixed step: symplectic, of any even order. Order
 #   2 is the midpoint rule. It evaluates several stages at once, so counts overstate its time.
 #
-# Each is a value with its claims (`order`, `adaptive`, `symplectic`). To try another, add a line.
+# Each has the properties `order`, `adaptive` and `symplectic`. To try another, add a line.
 
 # %%
 METHODS: list[ErrorControl | EqualSteps] = [
@@ -48,8 +47,8 @@ def knob(method: ErrorControl | EqualSteps) -> float:
 
 # %% [markdown]
 # ## Error against cost
-# `compare` integrates (q, v) by Pinocchio's ABA a hundred times more accurately than the scene's
-# tolerance, by two methods, and reports how far a trajectory is from that at most.
+# `compare` reports the largest distance from a reference: (q, v) by Pinocchio's ABA, computed by
+# two methods at a hundredth of the tolerance.
 
 # %%
 print(f"{'method':8} {'knob':>8} {'evaluations':>11} {'shape [rad]':>11} {'attitude':>9} ", end="")
@@ -58,17 +57,17 @@ points: list[Point] = []
 for method in METHODS:
     traj = pinred.simulate(scene, method=method)
     report = pinred.compare(traj)
-    apart = report.shape_error, report.rotation_error, report.position_error
-    points.append(Point(method.name, knob(method), nan, nan, traj.run.evaluations, *apart))
+    distance = report.shape_error, report.rotation_error, report.position_error
+    points.append(Point(method.name, knob(method), nan, nan, traj.run.evaluations, *distance))
     print(
         f"{method.name:8} {knob(method):8.0e} {traj.run.evaluations:11} {report.shape_error:11.1e} "
         f"{report.rotation_error:9.1e} {report.energy_drift:8.0e} {report.momentum_drift:8.0e}"
     )
-    np.testing.assert_array_less(report.momentum_drift, 1e-13)  # even for the coarsest
-    np.testing.assert_array_less(report.reference_error, 0.1 * points[-1].error)  # a fine ruler
+    np.testing.assert_array_less(report.momentum_drift, 1e-13)  # even for the largest step
+    np.testing.assert_array_less(report.reference_error, 0.1 * points[-1].error)  # accurate
 
 # %% [markdown]
-# With fixed steps the error falls by 2^order when the step is halved; with a tolerance, it follows.
+# Halving a step divides the error by 2^order; with a tolerance, the error is proportional to it.
 
 # %%
 for claim in {method.name: method for method in METHODS}.values():
@@ -79,15 +78,15 @@ for claim in {method.name: method for method in METHODS}.values():
 
 # %% [markdown]
 # ## The long run
-# The energy tells without a reference: its drift is what a method does to a motion too long to be
-# judged point by point. Twice the time doubles it; symplectic methods keep it bounded.
+# The energy needs no reference, so it also checks motions that are too long for `compare`. Doubling
+# the time doubles the drift; symplectic methods keep it bounded.
 
 # %%
 times = np.linspace(0.0, 100.0, 201)
 for method in (DOP853(1e-10, 1e-12), RKMK4(step=0.02), Gauss(step=0.02, order=2), Gauss(step=0.04)):
     traj = pinred.simulate(scene, duration=times[-1], times=times, method=method)
     off = np.abs(traj.energy - traj.energy[0]) / traj.energy[0]
-    by_50, by_100 = (part.max() for part in np.array_split(off, 2))
+    by_50, by_100 = (half.max() for half in np.array_split(off, 2))
     print(
         f"{method.name:8} {knob(method):8.0e} {traj.run.evaluations:8} evaluations, relative drift "
         f"of energy {by_50:.1e} by 50 s, {by_100:.1e} by 100 s"
@@ -96,25 +95,25 @@ for method in (DOP853(1e-10, 1e-12), RKMK4(step=0.02), Gauss(step=0.02, order=2)
 
 # %% [markdown]
 # ## A stiff spine
-# Hard springs with dampers keep an explicit method at tiny steps long after the fast motion has
-# died. `Radau` (order 5) takes steps of the slow motion, and solves equations for each.
+# Stiff springs with dampers force an explicit method to take tiny steps long after the fast motion
+# has decayed. `Radau` (order 5) resolves only the slow motion, by implicit steps.
 
 # %%
 springs = dict.fromkeys(cat.shape_names, (1000.0, 0.0))
 forces = [Damper(joint, 100.0) for joint in cat.shape_names]
-methods = (kind(rtol=1e-6, atol=1e-8) for kind in (DOP853, Radau))
-stiff = [pinred.simulate(scene, springs=springs, forces=forces, method=each) for each in methods]
+methods = (method_class(rtol=1e-6, atol=1e-8) for method_class in (DOP853, Radau))
+stiff = [pinred.simulate(scene, springs=springs, forces=forces, method=m) for m in methods]
 print("stiff:", ", ".join(f"{t.run.evaluations} evaluations of {t.run.method}" for t in stiff))
 np.testing.assert_allclose(stiff[0].x, stiff[1].x, atol=1e-5)
 
 # %% [markdown]
-# ## So which?
+# ## Which method to choose
 # - Usually `method="auto"`, the default: `DOP853`, or `AdaptiveGauss` (order 16) where tolerances
-#   are tight and nothing is reported between start and end. `explain=True` says which, and why.
-# - `Gauss` where the energy must not drift over a long time; `Radau` for stiff springs and dampers.
-# - Never trust one number: `compare` a short piece of the motion before believing the long one.
+#   are tight and only the final state is reported. `explain=True` states the reason.
+# - `Gauss` if the energy must not drift over a long time; `Radau` for stiff springs and dampers.
+# - Validate a short segment of the motion with `compare` before you trust the long one.
 
 # %%
 about = {method.name: f"order {method.order}" for method in METHODS}
-found = WorkPrecision("springs", cat.m, scene.end, report.reference_error, about, tuple(points))
-plots.work_precision(found, against="evaluations") if drawing else None
+result = WorkPrecision("springs", cat.m, scene.end, report.reference_error, about, tuple(points))
+plots.work_precision(result, against="evaluations") if drawing else None

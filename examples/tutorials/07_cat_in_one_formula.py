@@ -1,13 +1,13 @@
 # %% [markdown]
 # # 7. A cat in one formula
 #
-# Take a cat as two equal halves, each round about its spine, joined so that the bend between them
-# can go round without either half twisting against the other. If the bend, of angle β, goes round
-# once at zero angular momentum, the cat rolls by
+# Consider a cat of two equal halves, each axisymmetric about its spine. The joint lets the bend
+# between them rotate about the spine, without twist of one half against the other. If the bend, of
+# angle β, makes one revolution at zero angular momentum, the cat rolls by
 #
 #     2π (k c / (k c² + s²) − 1),   c = cos β/2,   s = sin β/2,   k = I_axial / I_transverse.
 #
-# That is the phase of a loop in shape space, and pinred finds it from the mass matrix alone.
+# This is the phase of a loop in shape space. pinred computes it from the mass matrix.
 
 # %%
 import warnings
@@ -22,30 +22,30 @@ import pinred
 
 drawing = find_spec("matplotlib") is not None  # figures need the extra `plots`
 k = 0.25
-half, here = pin.Inertia(1.0, np.zeros(3), np.diag([1.0, 1.0, k])), pin.SE3.Identity()
+half, position = pin.Inertia(1.0, np.zeros(3), np.diag([1.0, 1.0, k])), pin.SE3.Identity()
 model = pin.Model()
 model.gravity.setZero()
-front = model.addJoint(0, pin.JointModelSpherical(), here, "front")
-model.appendBodyToJoint(front, half, here)
+front = model.addJoint(0, pin.JointModelSpherical(), position, "front")
+model.appendBodyToJoint(front, half, position)
 last = front
-for name, kind in (("a", pin.JointModelRX), ("b", pin.JointModelRY), ("c", pin.JointModelRZ)):
-    last = model.addJoint(last, kind(), here, name)
-model.appendBodyToJoint(last, half, here)
-with warnings.catch_warnings():  # the links between the joints have no mass, on purpose
+for name, joint_type in (("a", pin.JointModelRX), ("b", pin.JointModelRY), ("c", pin.JointModelRZ)):
+    last = model.addJoint(last, joint_type(), position, name)
+model.appendBodyToJoint(last, half, position)
+with warnings.catch_warnings():  # the links between the joints are massless on purpose
     warnings.simplefilter("ignore", pinred.ModelWarning)
     cat = pinred.load(model)
 A = pinred.Connection.mechanical(cat)
 
 # %% [markdown]
 # ## The loop
-# Without twist, the rear half is turned by β about an axis (−sin φ, cos φ, 0) that goes round.
-# Three joints make any rotation; their angles along the way are a smooth closed path, whose
-# Fourier series makes a gait.
+# Without twist, the rear half is rotated by β about an axis (−sin φ, cos φ, 0), where φ makes one
+# revolution. Three joints realise any rotation. Their angles form a smooth closed path, whose
+# Fourier series defines a gait.
 
 
 # %%
 def bend_goes_round(beta: float, harmonics: int = 48) -> pinred.Gait:
-    """Return the gait of a bend β that goes round once."""
+    """Return the gait of one revolution of a bend β."""
     phi = 2.0 * np.pi * np.arange(4 * harmonics) / (4 * harmonics)
     axis = np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], axis=1)
     x = Rotation.from_rotvec(beta * axis).as_euler("XYZ")
@@ -68,13 +68,13 @@ for degrees in (20.0, 40.0, 60.0, 80.0):
 
 # %% [markdown]
 # ## Half a turn
-# Which bend turns the cat over in one go? The formula says −π where k c/(k c² + s²) = ½. Ask the
-# phase instead: where the axis-angle reaches a half turn, its rotation matrix has trace −1.
+# Which bend rolls the cat by half a turn in one loop? By the formula, the one with k c/(k c² + s²)
+# = ½. By the phase: a rotation by half a turn has a matrix of trace −1.
 
 
 # %%
 def short_of_half(beta: float) -> float:
-    """Return by how much the real part of the quaternion of the phase is not zero."""
+    """Return the real part of the quaternion of the phase."""
     return float(pinred.phase(A, bend_goes_round(beta)).pose[3])
 
 
@@ -83,13 +83,13 @@ print(f"bent by {np.degrees(beta):.5f}° it turns over; the formula gives {formu
 np.testing.assert_allclose(formula(beta), -np.pi, atol=1e-8)
 
 # %% [markdown]
-# ## Again and again
-# After n cycles the pose is a power of the first: no drift of an integrator comes in.
+# ## Several cycles
+# After n cycles the pose is the n-th power of the phase, without integration error.
 
 # %%
 p = pinred.phase(A, bend_goes_round(0.7))
-turned = [np.linalg.norm(cat.group.log(p.cycles(n))) for n in (1, 2, 3)]
-print("after 1, 2, 3 cycles, rad:", *np.round(turned, 6))
+angles = [np.linalg.norm(cat.group.log(p.cycles(n))) for n in (1, 2, 3)]
+print("after 1, 2, 3 cycles, rad:", *np.round(angles, 6))
 
 # %%
 pinred.plot(p, "cycles", count=4) if drawing else None

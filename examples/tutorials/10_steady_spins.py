@@ -2,14 +2,14 @@
 # # 10. Which steady spin survives?
 #
 # Throw a book into the air: about its longest and its shortest axis it spins steadily, about the
-# middle one it tumbles. A steady spin is a *relative equilibrium*: body velocity ξ and shape stay
-# as they are. At angular momentum J they are the critical points of the energy over all
+# middle one it tumbles. A steady spin is a *relative equilibrium*: body twist ξ and shape are
+# constant. At angular momentum J the steady spins are the critical points of the energy over all
 # directions n of the momentum in the body,
 #
 #     U(n) = ½ J² nᵀ I⁻¹ n
 #
-# that is, the three principal axes. Whether one survives is told by U's second derivative, and by
-# the eigenvalues of the linearised reduced equations.
+# that is, the three principal axes. The second derivative of U and the eigenvalues of the
+# linearised reduced equations determine their stability.
 
 # %%
 import numpy as np
@@ -27,11 +27,11 @@ np.testing.assert_allclose(
 
 # %% [markdown]
 # ## By hand
-# Linearise Euler's equations about Ω on the middle axis: the other two rates grow as e^{λt} with
+# Linearise Euler's equations about Ω on the middle axis: the other two rates grow like e^{λt} with
 #
 #     λ = Ω √((I₂ − I₁)(I₃ − I₂)/(I₁ I₃))
 #
-# About the other two axes the same formula gives an imaginary λ: the axis only nods.
+# About the other two axes the same formula gives an imaginary λ: the axis only oscillates.
 
 # %%
 stable, middle, other = spins
@@ -44,8 +44,8 @@ assert [s.verdict for s in spins] == ["stable", "unstable", "stable"]
 
 # %% [markdown]
 # ## By simulation
-# `scene(0, …)` begins on the growing mode, a millionth away. What is measured is the distance of
-# the body momentum from its steady value.
+# `scene(0, …)` starts on the growing mode with an amplitude of 1e-6. The growth is measured as the
+# distance of the body momentum from its steady value.
 
 # %%
 traj = pinred.simulate(middle.scene(0, amplitude=1e-6, duration=20.0))
@@ -60,23 +60,23 @@ if not report.passed:
     raise SystemExit("the reduced motion is not that of the full simulation")
 
 # %% [markdown]
-# ## A wheel that saves the middle axis
-# A satellite with three reaction wheels: their momenta are constants, given by `cyclic`. A rotor
-# of momentum h on an axis of inertia I₂ acts as if that axis had the inertia λ = I₂ + h/Ω, and
-# the spin is stable where (λ − I₁)(λ − I₃) > 0. Here the hinged panel is held at zero, and the
-# axis of middle inertia is found first; then the wheel on it is spun up until it is stable.
+# ## A wheel that stabilises the middle axis
+# A satellite has three reaction wheels, whose constant momenta are set by `cyclic`. A rotor of
+# momentum h on an axis of inertia I₂ acts as if that axis had the inertia λ = I₂ + h/Ω, and the
+# spin is stable if (λ − I₁)(λ − I₃) > 0. The hinged panel is locked at zero. First find the axis of
+# middle inertia; then spin up the wheel on it until the spin is stable.
 
 # %%
 satellite = pinred.load("reaction_wheel_satellite")
-held = {"panel_hinge": 0.0}
-still = pinred.relative_equilibria(satellite, momentum=0.5, prescribed=held)
+locked = {"panel_hinge": 0.0}
+still = pinred.relative_equilibria(satellite, momentum=0.5, prescribed=locked)
 axis = next(s for s in still if s.verdict == "unstable")
 wheel = f"wheel_{'xyz'[int(np.argmax(np.abs(axis.direction)))]}"
 print(f"without wheels: {len(still)} spins, unstable about {np.round(axis.direction, 3)}: {wheel}")
 sign = np.sign(axis.direction[np.argmax(np.abs(axis.direction))])
 for momentum in (0.0, 0.02, 0.04, 0.06, 0.08):
     spun = pinred.relative_equilibria(
-        satellite, momentum=0.5, prescribed=held, cyclic={wheel: sign * momentum}
+        satellite, momentum=0.5, prescribed=locked, cyclic={wheel: sign * momentum}
     )
     near = max(spun, key=lambda s: float(s.direction @ axis.direction))
     print(f"wheel of {momentum:.2f} N m s: {near.verdict:9}, grows by {near.growth:.6f} 1/s")
@@ -84,10 +84,10 @@ assert near.verdict == "stable"
 
 # %% [markdown]
 # ## Three verdicts
-# *Stable* means that the second variation of the energy is definite: the motion stays close for
-# ever. *Unstable* means a growth rate beyond its error. Between the two lies *undecided*: energy
-# is no witness, and the linearised flow only swings. There the smallest damper decides, and each
-# joint's `damped_growth` says which way. On the command line:
+# *Stable*: the second variation of the energy is definite, so the motion stays close for ever.
+# *Unstable*: a growth rate exceeds its error. *Undecided*: the energy gives no bound, and the
+# linearised flow only oscillates. Then the smallest damper decides, and `damped_growth` of each
+# joint gives the sign. On the command line:
 #
 #     pinred equilibria reaction_wheel_satellite --momentum 0.5 --cyclic wheel_x=0.3
 #

@@ -1,11 +1,11 @@
 # %% [markdown]
 # # 12. What does the arm carry?
 #
-# A satellite with two arms has caught something with its left hand. It floats, its wheels are off,
-# and its arms swing for two seconds: from the angles of the joints alone, recorded with noise, mass
-# and place of the payload are to be found, and the damping of the shoulder with them. The flow is a
-# function of these numbers, and its derivatives come with it: least squares takes some evaluations,
-# and no kernel is compiled twice.
+# A satellite with two arms has caught a payload with its left hand. It floats, its wheels are off,
+# and its arms swing for two seconds. Mass and position of the payload and the damping of the
+# shoulder are identified from noisy records of the joint angles. The flow is a differentiable
+# function of these parameters: least squares needs few evaluations, and one kernel serves all of
+# them.
 
 # %%
 from typing import Any
@@ -19,15 +19,14 @@ from pinred.forces import Damper
 
 satellite = pinred.load("satellite_two_arms")
 shoulder = satellite.shape_names[0]
-damping = Parameter("damping", 1.0)  # [N m s/rad], a guess
+damping = Parameter("damping", 1.0)  # initial guess [N m s/rad]
 SOUGHT = ["left_hand.payload.mass", "left_hand.payload.at", "damping"]
 TIMES = np.linspace(0.1, 2.0, 20)
 
 # %% [markdown]
 # ## The flow
-# A payload is a point mass on a body: any mass that is not negative, at any place, is one of a real
-# body, so that nothing has to be constrained but its sign. `of=["x"]` says whose derivatives are
-# wanted: the angles'.
+# A payload is a point mass on a body. Any non-negative mass at any position is physical, so only
+# the sign needs a constraint. `of=["x"]` requests the derivatives of the joint angles.
 
 # %%
 flow = pinred.flow(
@@ -46,8 +45,8 @@ print(flow)
 
 # %% [markdown]
 # ## The recording
-# What really hangs there: 12.5 kg, off the hand's joint. The recording is a simulation of its own,
-# judged by ABA, with a milliradian of noise.
+# The true payload has 12.5 kg, off the hand's joint. The recording is a separate simulation,
+# validated by ABA, plus noise of a milliradian.
 
 # %%
 TRUTH: dict[str, Any] = {
@@ -61,7 +60,7 @@ recorded = real.x + 1e-3 * np.random.default_rng(0).normal(size=real.x.shape)
 
 # %% [markdown]
 # ## Least squares
-# SciPy wants residuals and their Jacobian; `columns` gives both between plain vectors.
+# SciPy needs residuals and their Jacobian; `columns` provides both for plain vectors.
 
 # %%
 columns = flow.columns()
@@ -69,34 +68,34 @@ cuts = np.cumsum(columns.sizes)[:-1]
 
 
 def residuals(theta: Any) -> Any:
-    """Return how far the angles are from the recorded ones."""
+    """Return simulated minus recorded angles [rad]."""
     return columns.value(*np.split(theta, cuts)) - recorded.ravel()
 
 
 def slopes(theta: Any) -> Any:
-    """Return their derivatives."""
+    """Return the derivatives of the residuals."""
     return np.hstack(columns.jacobian(*np.split(theta, cuts)))
 
 
-start = np.concatenate([np.ravel(each) for each in columns.starts])
+start = np.concatenate([np.ravel(parameter) for parameter in columns.starts])
 bounds = (np.array([0.0, -1.0, -1.0, -1.0, 0.0]), np.array([50.0, 1.0, 1.0, 1.0, 20.0]))
-start[1:4] = 0.01  # off the joint, where the place counts
-found = least_squares(residuals, start, slopes, bounds=bounds, x_scale="jac")
-spread = 1e-3 * np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+start[1:4] = 0.01  # at the joint, the position would have no effect
+fit = least_squares(residuals, start, slopes, bounds=bounds, x_scale="jac")
+spread = 1e-3 * np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
 truth = np.concatenate([np.ravel(TRUTH[name]) for name in SOUGHT])
 for label, value, wide, true in zip(
-    ["mass [kg]", "x [m]", "y [m]", "z [m]", "damping"], found.x, spread, truth, strict=True
+    ["mass [kg]", "x [m]", "y [m]", "z [m]", "damping"], fit.x, spread, truth, strict=True
 ):
     print(f"{label:10s} {value:9.4f} ± {wide:.4f}   (really {true:g})")
-np.testing.assert_allclose(found.x, truth, rtol=0.0, atol=4.0 * spread.max())
-print(f"residual {np.sqrt(np.mean(found.fun**2)):.2e} rad after {found.nfev} evaluations")
+np.testing.assert_allclose(fit.x, truth, rtol=0.0, atol=4.0 * spread.max())
+print(f"residual {np.sqrt(np.mean(fit.fun**2)):.2e} rad after {fit.nfev} evaluations")
 
 # %% [markdown]
-# ## In one's own loop
-# `vjp` gives the gradient of any function of the motion for about three times the price of the run,
-# however many parameters there are; `flow.casadi()`, `flow.jax()` and `flow.torch()` are the same
-# map for IPOPT, JAX and PyTorch.
+# ## In other optimisers
+# `vjp` computes the gradient of any function of the motion at about three times the cost of a run,
+# for any number of parameters; `flow.casadi()`, `flow.jax()` and `flow.torch()` are the same map
+# for IPOPT, JAX and PyTorch.
 
 # %%
 gradient = flow.vjp(np.ones((len(TIMES), satellite.m)))
-print({name: np.round(part, 4) for name, part in gradient.items()})
+print({name: np.round(derivative, 4) for name, derivative in gradient.items()})

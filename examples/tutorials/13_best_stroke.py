@@ -2,9 +2,9 @@
 # # 13. The best stroke
 #
 # Three rods in a row float in the plane, with two joints. At zero momentum a loop of the joints
-# turns them by the integral of the curvature over what it goes round. Which loop turns them most,
-# and which turns them most for its length? "Most per cycle" means something only if the loop goes
-# round once: a series of H harmonics can go round H times.
+# rotates them by the integral of the curvature over the enclosed area. Which loop gives the largest
+# rotation, and which the largest rotation per length? "Most per cycle" is defined only for loops
+# that go round once: a series of H harmonics can go round H times.
 
 # %%
 from importlib.util import find_spec
@@ -18,24 +18,24 @@ system = pinred.load("three_rods")
 rods = pinred.Connection.mechanical(system)
 
 # %% [markdown]
-# ## The largest turn
-# The curvature's angle is odd, B(−α) = −B(α): one half of the square |α| ≤ 1 turns the rods to the
-# left, the other to the right. So the best simple loop goes round one half, a triangle. A polygon
-# in polar form about a free centre is simple by its form.
+# ## The largest rotation
+# The angular component of the curvature is odd, B(−α) = −B(α): one half of the square |α| ≤ 1
+# rotates the rods to the left, the other to the right. So the best simple loop goes round one half,
+# a triangle. A polygon in polar coordinates about a variable centre cannot intersect itself.
 
 # %%
 half = pinred.Gait.waypoints([[-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 whole_half = abs(pinred.phase(rods, half).pose[2])
 largest = pinred.optimise_gait(rods, cost=None, vertices=24, limits=1.0, starts=2)
-part = largest.value / whole_half
-print(f"the triangle turns by {whole_half:.12f} rad, the polygon by {part:.6%} of that")
-np.testing.assert_allclose(part, 1.0, atol=1e-4)
-assert part <= 1.0
+fraction = largest.value / whole_half
+print(f"the triangle turns by {whole_half:.12f} rad, the polygon by {fraction:.6%} of that")
+np.testing.assert_allclose(fraction, 1.0, atol=1e-4)
+assert fraction <= 1.0
 
 # %% [markdown]
-# ## Most for its length
-# Length is measured in the reduced metric, ∫√(ẋᵀMẋ) dt. Each of the starts is a random ellipse,
-# which goes round once; then harmonics are added, and in the end the windings are counted.
+# ## The largest rotation per length
+# Length is measured in the reduced metric, ∫√(ẋᵀMẋ) dt. Each start is a random ellipse, which goes
+# round once. Then harmonics are added, and finally the windings are counted.
 
 # %%
 best = pinred.optimise_gait(rods, objective="rotation", cost="length", harmonics=9, starts=2)
@@ -43,8 +43,8 @@ print(best)
 np.testing.assert_allclose(best.merit, 2.38599, atol=6e-6)
 
 # %% [markdown]
-# ## Nothing near is better
-# The residual above says so to first order. Loops a little larger or smaller say it, too.
+# ## No neighbouring loop is better
+# The residual above proves this to first order. Slightly larger and smaller loops confirm it.
 
 # %%
 for factor in (0.9, 1.1):
@@ -54,14 +54,14 @@ for factor in (0.9, 1.1):
     assert merit < best.merit
 
 # %% [markdown]
-# ## The judge
-# One cycle is simulated with the joints on the loop; full ABA follows it under the torques that
-# this needs. The base ends where the phase says.
+# ## Validation by ABA
+# One cycle is simulated with joints prescribed on the loop; full ABA follows it with the resulting
+# torques. The final pose of the base equals the phase.
 
 # %%
-apart = best.flow_error
-print(f"flow against phase: {apart.rotation:.0e} rad, {apart.translation:.0e} m")
-np.testing.assert_allclose([apart.rotation, apart.translation], 0.0, atol=1e-8)
+difference = best.flow_error
+print(f"flow against phase: {difference.rotation:.0e} rad, {difference.translation:.0e} m")
+np.testing.assert_allclose([difference.rotation, difference.translation], 0.0, atol=1e-8)
 report = best.report
 print(report)
 if not report.passed:

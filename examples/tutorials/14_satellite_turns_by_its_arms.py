@@ -1,9 +1,10 @@
 # %% [markdown]
 # # 14. A satellite turns by its arms
 #
-# Tutorial 5 found by hand how large a loop must be for a quarter turn. `reorient` finds the motion
-# for any target: the joints go n times round one loop, whose phase is the n-th root of the target,
-# exp(w) = (exp(w/n))ⁿ, and begin and end at rest. No thrusters, no wheels, zero momentum.
+# Tutorial 5 computed by hand how large a loop must be for a quarter turn. `reorient` finds the
+# motion for any target: the joints follow one loop n times, from rest to rest. The phase of the
+# loop is the n-th root of the target, exp(w) = (exp(w/n))ⁿ. There are no thrusters and no wheels,
+# and momentum is zero.
 
 # %%
 from importlib.util import find_spec
@@ -19,9 +20,9 @@ SE3 = satellite.group
 
 # %% [markdown]
 # ## A first loop, from the curvature
-# A small loop with the area bivector S moves the base by exp(−Σ B_ab S_ab), a < b. Of all S that
-# turn it as wanted the least is an ellipse, nearly. That is where the optimiser starts; a polish by
-# Newton's method leaves round-off.
+# A small loop with the area bivector S moves the base by exp(−Σ B_ab S_ab), a < b. Among all S with
+# the requested rotation, the smallest is nearly an ellipse. The optimiser starts there; Newton
+# steps reduce the error to round-off.
 
 # %%
 quarter = np.array([0.0, 0.0, np.pi / 2])
@@ -31,21 +32,21 @@ np.testing.assert_allclose(plan.turned, quarter, atol=1e-9)
 
 # %% [markdown]
 # ## The motion
-# It is a plan for the joints; the base is free. Its attitude at the end is that of the target.
+# The plan prescribes the joints; the base is free. Its final attitude is the target.
 
 # %%
 traj = plan.trajectory
-turned = np.degrees(SE3.log(traj.pose[-1])[3:])
-print(f"in {plan.duration:g} s the bus turns by {turned.round(6)} degrees")
+rotation = np.degrees(SE3.log(traj.pose[-1])[3:])
+print(f"in {plan.duration:g} s the bus turns by {rotation.round(6)} degrees")
 print(f"missed by {plan.missed:.0e} rad")
 np.testing.assert_allclose(plan.missed, 0.0, atol=1e-8)
 np.testing.assert_allclose(traj.xdot[[0, -1]], 0.0, atol=1e-9)
 np.testing.assert_allclose(traj.x[-1], traj.x[0], atol=1e-9)
 
 # %% [markdown]
-# ## Pinocchio's word
-# Angular momentum about the centre of mass, by Pinocchio, is zero all the way; and the drives do no
-# work in the end, as all is at rest again.
+# ## Check by Pinocchio
+# Angular momentum about the centre of mass, by Pinocchio, is zero throughout. The net work of the
+# drives is zero, because all bodies are at rest again.
 
 # %%
 model, data = satellite.model, satellite.model.createData()

@@ -1,11 +1,11 @@
 # %% [markdown]
 # # 15. solo12 turns over in flight
 #
-# It leaps, and nothing touches it for 0.9 s. Its angular momentum is zero, so that the trunk rolls
-# only by what the legs do: ξ = −A(x) ẋ. They are to swing about the hips (HAA) and to fold, so that
-# the trunk turns by half a turn and the feet are down again, from rest to rest, within limits, and
-# no faster than need be. The flow gives the end of the motion, and its derivatives by all knots of
-# the joints' curves, to IPOPT. Needs the extra `robots`, and about ten seconds.
+# The robot leaps and is in free fall for 0.9 s. Its angular momentum is zero, so only the legs
+# rotate the trunk: ξ = −A(x) ẋ. The legs swing about the hips (HAA) and fold such that the trunk
+# rotates by half a turn and the feet point down again, from rest to rest, within limits, and as
+# slowly as possible. The flow provides the final pose and its derivatives with respect to all knots
+# of the joint curves to IPOPT. Needs the extra `robots`, and about ten seconds.
 
 # %%
 from typing import Any
@@ -18,17 +18,17 @@ import pinred
 from pinred import Parameter
 from pinred.signals import Spline
 
-FLIGHT, KNOTS = 0.9, 7  # s; knots of each curve, between its ends
-STAND = 0.7  # rad, of the thighs; the knees are at twice that, the other way
-SWING, FOLD, RATE = (-1.6, 5.0), (-0.1, 1.4), 30.0  # limits: rad, rad, rad/s
+FLIGHT, KNOTS = 0.9, 7  # duration [s]; number of inner knots per curve
+STAND = 0.7  # thigh angle when standing [rad]; the knee angle is −2 times this
+SWING, FOLD, RATE = (-1.6, 5.0), (-0.1, 1.4), 30.0  # limits [rad], [rad], [rad/s]
 solo = pinred.load("solo12")
 times = np.linspace(0.0, FLIGHT, KNOTS + 2)
 
 # %% [markdown]
 # ## The plan, and the flow of its knots
-# All legs swing alike by half a turn; fold they do front and hind mirrored, and left as right, so
-# that the trunk has no reason to pitch or to yaw. What IPOPT is to vary are Parameters: one kernel
-# serves all plans. `of=["pose"]` says whose derivatives are wanted.
+# All legs swing by half a turn. They fold symmetrically, front and hind, left and right, so that
+# the trunk neither pitches nor yaws. The variables of IPOPT are Parameters: one kernel serves all
+# plans. `of=["pose"]` requests the derivatives of the pose.
 
 
 # %%
@@ -47,17 +47,17 @@ plan = {n: curves["HAA" if n.endswith("HAA") else n[0] + n[3:]][0] for n in solo
 inputs = [name for _, names in curves.values() for name in names]
 how: dict[str, Any] = {"duration": FLIGHT, "rtol": 1e-8, "method": "DOP853"}
 flow = pinred.flow(solo, prescribed=plan, momentum=0, wrt=inputs, of=["pose"], **how)
-motion = flow.casadi()  # has to live as long as the solver
+motion = flow.casadi()  # must exist as long as the solver
 
 # %% [markdown]
 # ## The problem
-# A spline is linear in its knots, and so are the limits, at 61 times. That the trunk turns over is
-# one equation: the real part of its quaternion is zero at the end.
+# A spline is linear in its knots, and so are the limits, imposed at 61 times. Half a turn of the
+# trunk is one equation: the real part of its final quaternion is zero.
 
 # %%
 swing, fold = ca.MX.sym("swing", KNOTS), ca.MX.sym("fold", KNOTS)
-every = ca.vertcat(swing, fold, -fold, -2.0 * fold, 2.0 * fold)
-attitude = motion(*ca.vertsplit(every))[3:]
+knot_values = ca.vertcat(swing, fold, -fold, -2.0 * fold, 2.0 * fold)
+attitude = motion(*ca.vertsplit(knot_values))[3:]
 fine = np.linspace(0.0, FLIGHT, 61)
 units = [CubicSpline(times, unit, bc_type="clamped") for unit in np.eye(KNOTS + 2)]
 at, rate = (ca.DM(np.transpose([unit(fine, order) for unit in units])) for order in (0, 1))
@@ -71,38 +71,41 @@ limited: list[tuple[Any, float, float]] = [
 ]
 cost = (ca.sumsqr(rate @ swings) + 5.0 * ca.sumsqr(rate @ folds)) / len(fine)
 x = ca.vertcat(swing, fold)
-problem: Any = {"x": x, "f": cost, "g": ca.vertcat(*(each for each, _, _ in limited))}
-low, high = (np.hstack([np.full(row[0].numel(), row[k]) for row in limited]) for k in (1, 2))
+problem: Any = {"x": x, "f": cost, "g": ca.vertcat(*(bound[0] for bound in limited))}
+low, high = (np.hstack([np.full(bound[0].numel(), bound[k]) for bound in limited]) for k in (1, 2))
 options = {"hessian_approximation": "limited-memory", "tol": 1e-4, "print_level": 0, "sb": "yes"}
 settings: Any = {"ipopt": options, "print_time": False}
 solver = ca.nlpsol("solver", "ipopt", problem, settings)
-part = times[1:-1] / FLIGHT
-guess = [np.pi * part + np.sin(np.pi * part) ** 2, STAND - 0.5 * np.sin(2.0 * np.pi * part)]
-found = solver(x0=np.concatenate(guess), lbg=low, ubg=high)
+fraction = times[1:-1] / FLIGHT
+guess = [
+    np.pi * fraction + np.sin(np.pi * fraction) ** 2,
+    STAND - 0.5 * np.sin(2.0 * np.pi * fraction),
+]
+solution = solver(x0=np.concatenate(guess), lbg=low, ubg=high)
 print(solver.stats()["return_status"], "after", solver.stats()["iter_count"], "iterations")
 
 # %% [markdown]
 # ## The flight
-# The same scene with these knots, and with a leap: the centre of mass goes up and comes down as a
-# stone does, and the turn does not notice.
+# The same scene with the optimal knots and a leap: the centre of mass is in free fall, which does
+# not affect the rotation.
 
 # %%
-numbers = np.array(ca.Function("every", [x], [every])(found["x"]))[:, 0]
+numbers = np.array(ca.Function("knot_values", [x], [knot_values])(solution["x"]))[:, 0]
 com = pinred.Reduction(solo).split(np.array([plan[n].value(0.0) for n in solo.shape_names])).com
 push = solo.mass * np.array([0.0, 0.0, 0.5 * 9.81 * FLIGHT])
 traj = pinred.simulate(
     flow.scene,
     parameters=dict(zip(inputs, numbers, strict=True)),
-    momentum=np.concatenate([push, np.cross(com, push)]),  # none about the centre of mass
+    momentum=np.concatenate([push, np.cross(com, push)]),  # zero about the centre of mass
     times=fine,
 )
-turned = np.degrees(solo.group.error(traj.pose[0], traj.pose[-1]).rotation)
-print(f"the trunk turns by {turned:.4f} degrees; off the long axis: {traj.pose[-1, 4:6]}")
+rotation = np.degrees(solo.group.error(traj.pose[0], traj.pose[-1]).rotation)
+print(f"the trunk turns by {rotation:.4f} degrees; off the long axis: {traj.pose[-1, 4:6]}")
 print(f"swing from {traj.x[:, 0].min():.2f} to {traj.x[:, 0].max():.2f} rad", end=", ")
 print(f"fold from {traj.x[:, 1].min():.2f} to {traj.x[:, 1].max():.2f} rad", end=", ")
 print(f"rates up to {np.abs(traj.xdot).max():.1f} rad/s")
 print(f"torques of the drives up to {np.abs(traj.driving_torques).max():.2f} N m")
-np.testing.assert_allclose(turned, 180.0, atol=1e-3)
+np.testing.assert_allclose(rotation, 180.0, atol=1e-3)
 np.testing.assert_allclose(traj.xdot[[0, -1]], 0.0, atol=1e-9)
 report = pinred.compare(traj)
 print(report)

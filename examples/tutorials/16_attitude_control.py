@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 16. Attitude control
 #
-# A satellite turns to a given attitude: by reaction wheels, and by thrusters that pulse. Both laws
-# are quaternion feedback in the axes of the bus, τ = −kp sgn(q₄) q − kd ω, with q the attitude off
-# the goal; they differ in what they may do. Wheels only exchange angular momentum with the bus, and
-# that of the whole stays constant; thrusters change it, and are either on or off.
+# A satellite rotates to a given attitude, by reaction wheels and by pulsed thrusters. Both
+# controllers use quaternion feedback in the axes of the bus, τ = −kp sgn(q₄) q − kd ω, where q is
+# the attitude relative to the goal. Wheels only exchange angular momentum with the bus, so the
+# total is constant. Thrusters change the total, and are either on or off.
 
 # %%
 from functools import partial
@@ -18,24 +18,24 @@ from pinred.forces import Command, Controller, Damper, SeenState, Spring, Torque
 
 satellite = pinred.load("reaction_wheel_satellite")
 wheels = ("wheel_x", "wheel_y", "wheel_z")
-turned = np.array([0.6, -0.3, 0.5])
-turned = np.append(turned, np.sqrt(1.0 - turned @ turned))  # 114 degrees from the goal
+quaternion = np.array([0.6, -0.3, 0.5])
+quaternion = np.append(quaternion, np.sqrt(1.0 - quaternion @ quaternion))  # 114° from the goal
 hinge = [Spring("panel_hinge", 20.0), Damper("panel_hinge", 6.0)]
-start: dict[str, Any] = {"pose0": [0.0, 0.0, 0.0, *turned], "x0": [0.0] * 4, "rtol": 1e-8}
+start: dict[str, Any] = {"pose0": [0.0, 0.0, 0.0, *quaternion], "x0": [0.0] * 4, "rtol": 1e-8}
 near = ca.cos(ca.pi / 360.0)  # half of one degree
 
 
 def closeness(s: SeenState) -> ca.SX:
-    """Return what is positive within one degree of the goal."""
+    """Return an expression that is positive within one degree of the goal."""
     return ca.SX(ca.fabs(s.pose[6]) - near)
 
 
 # %% [markdown]
 # ## Reaction wheels
-# The law is a smooth function of the state, and stands in the compiled equations as a Torque that
-# sees the attitude. The bus is turned by what turns the wheels, the other way; q and −q are one
-# attitude, and sgn(q₄) takes the shorter way. `explain` says what is seen, and that momentum is
-# constant.
+# The control law is a smooth function of the state. A Torque that observes the attitude includes it
+# in the compiled equations. The bus receives the opposite torque of the wheels. q and −q are the
+# same attitude, and sgn(q₄) selects the shorter rotation. `explain` lists the observed quantities,
+# and that momentum is constant.
 
 
 # %%
@@ -64,23 +64,23 @@ assert report.passed
 
 # %% [markdown]
 # ## Thrusters
-# The wheels are locked. Each axis fires twice a second with the one moment it has, for the part of
-# the half second (pulse width) that gives the wanted impulse: `Command(width=…)`. Sunlight on the
-# panel turns the satellite all the time, and a proportional law would stay off the goal; so each
-# Controller keeps a state of its own, the integral of the error.
+# The wheels are locked. Each axis fires twice a second with a constant moment; the pulse width
+# within the half second gives the requested impulse: `Command(width=…)`. Sunlight on the panel
+# exerts a steady moment, which gives a proportional law a permanent error. So each Controller has a
+# state, the integral of the error.
 
 # %%
-PERIOD, MOST, LEAST = 0.5, 2.0, 0.005  # s, N m, s
+PERIOD, MOST, LEAST = 0.5, 2.0, 0.005  # period [s], moment [N m], shortest pulse [s]
 
 
 def pulse(axis: int, _t: float, integral: float, seen: SeenState) -> tuple[Command, float]:
-    """Return a pulse about one axis of the wanted impulse, and the integral of the error."""
+    """Return a pulse with the requested impulse about one axis, and the integral of the error."""
     error = np.sign(seen.pose[6]) * seen.pose[3 + axis]
-    wanted = -3.0 * error - 0.02 * integral - 5.0 * seen.xi[3 + axis]
-    width = PERIOD * min(abs(wanted) / MOST, 1.0)
+    impulse = -3.0 * error - 0.02 * integral - 5.0 * seen.xi[3 + axis]
+    width = PERIOD * min(abs(impulse) / MOST, 1.0)
     wrench = np.zeros(6)
-    wrench[3 + axis] = MOST * np.sign(wanted)
-    if abs(error) < 0.05:  # not on the way there, which would wind it up
+    wrench[3 + axis] = MOST * np.sign(impulse)
+    if abs(error) < 0.05:  # only near the goal, to avoid wind-up
         integral += error * PERIOD
     return Command(wrench=wrench, width=width if width >= LEAST else 0.0), integral
 
@@ -102,10 +102,10 @@ print("thrusters: within a degree at t =", by_thrusters.events["settled"].t, "s"
 print(f"{len(by_thrusters.actions)} calls, fired for {fired:.2f} s")
 
 # %% [markdown]
-# ## Confirmed
-# Sunlight has pushed with a millinewton for 20 s, and moments give no force. `compare` repeats the
-# flight by full ABA: the actions that the controllers took are replayed, and what they were given
-# is judged by Pinocchio.
+# ## Validation by ABA
+# The force of sunlight of a millinewton acted for 20 s; moments change no linear momentum.
+# `compare` repeats the flight by full ABA with the recorded controller actions, and validates the
+# measurements that the controllers received.
 
 # %%
 np.testing.assert_allclose(by_thrusters.spatial_momentum[-1, :3], [0.0, 0.0, -0.02], atol=1e-9)

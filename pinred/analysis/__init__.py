@@ -1,4 +1,4 @@
-"""Questions about a robot beside its motions: connections, gaits, phases, inspection.
+"""Analyses of a robot beyond single motions: connections, gaits, phases, stability, inspection.
 
-Imports `simulation` and what lies below it.
+Imports `simulation` and the packages below it.
 """

@@ -1,8 +1,8 @@
-"""Workspace of a free-floating arm: which distances from the centre of mass the hand reaches.
+"""Workspace of a free-floating arm: distances of the hand from the centre of mass.
 
-At zero momentum the centre of mass stands still, and the distance of the hand from it depends on
-the shape alone.  Distances at which some shape is dynamically singular are path-dependent: whether
-the hand gets through there depends on how it came.  Source: E. Papadopoulos, S. Dubowsky, "Dynamic
+At zero momentum the centre of mass is at rest, and the distance of the hand from it depends on the
+shape alone. A distance is path-dependent if some shape with that distance is dynamically singular:
+whether the hand can pass it depends on its path. Source: E. Papadopoulos, S. Dubowsky, "Dynamic
 singularities in free-floating space manipulators", J. Dyn. Sys., Meas., Control 115 (1993).
 """
 
@@ -15,17 +15,19 @@ import numpy as np
 
 from ..common.arrays import Array, freeze
 
-_ON_A_LINE = 41  # shapes
-_CLIMBED = 6  # of the lines' ends and shapes, from where the extremes of distance are looked for
-_GAP = 4.0  # steps between samples that a range may jump
+_SHAPES_PER_LINE = 41
+_DESCENTS = 6  # number of samples from which each extreme distance is minimised
+_GAP = 4.0  # largest hole within one range, in mean distances between samples
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """Distances of the hand from the centre of mass, at zero momentum the one fixed point.
+    """Distances of the hand from the centre of mass at zero momentum. Arrays are read-only.
 
-    reach: (2,) least and greatest [m].  dependent: (K, 2) ranges in which a shape is singular, so
-    that whether the hand gets through depends on the path.  independent: (L, 2) the others.
+    Attributes:
+        reach: Least and greatest distance, (2,) [m].
+        dependent: Path-dependent ranges, (K, 2) [m], which contain singular shapes.
+        independent: Path-independent ranges, (L, 2) [m].
     """
 
     reach: Array
@@ -44,45 +46,55 @@ def workspace_of(
     samples: int,
     seed: int,
 ) -> Workspace:
-    """Return the workspace within bounds (m, 2).
+    """Compute the workspace within joint limits.
 
-    radius, determinants: of shapes (N, m), (N,).  slope: of the radius at a shape (m,), (m,).
-    samples: of each of one or two joints on a grid; lines through the box of more, of random
-    directions, on which the determinant is followed.
+    Args:
+        radius: Distances (N,) [m] at shapes (N, m).
+        slope: Derivative (m,) of the distance at a shape (m,).
+        determinants: Determinants (N,) at shapes (N, m).
+        bounds: Joint limits, (m, 2) [rad | m].
+        samples: Grid values of each of one or two joints, or number of lines for more joints.
+        seed: Seed of the random lines.
+    Returns:
+        The workspace.
     """
     paths = _grid(bounds, samples) if len(bounds) < 3 else _lines(bounds, samples, seed)
     shapes = paths.reshape(-1, len(bounds))
     r, det = (f(shapes).reshape(paths.shape[:-1]) for f in (radius, determinants))
     cross = np.sign(det[:, :-1]) != np.sign(det[:, 1:])
-    a, b = det[:, :-1][cross], det[:, 1:][cross]
-    p, q = r[:, :-1][cross], r[:, 1:][cross]
-    singular = np.sort(p + a / (a - b) * (q - p))
+    det_a, det_b = det[:, :-1][cross], det[:, 1:][cross]
+    r_a, r_b = r[:, :-1][cross], r[:, 1:][cross]
+    singular = np.sort(r_a + det_a / (det_a - det_b) * (r_b - r_a))
     order = np.argsort(r.ravel())
     reach = np.array([
-        _extreme(sign, shapes[some], radius, slope, bounds)
-        for sign, some in ((1.0, order[:_CLIMBED]), (-1.0, order[-_CLIMBED:]))
+        _extreme(sign, shapes[indices], radius, slope, bounds)
+        for sign, indices in ((1.0, order[:_DESCENTS]), (-1.0, order[-_DESCENTS:]))
     ])  # fmt: skip
     gap = _GAP * float(np.ptp(reach)) / samples
     dependent = _ranges(singular, gap)
     edges = [reach[0], *dependent.ravel(), reach[1]]
-    free = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > gap]
-    return Workspace(reach, dependent, np.array(free).reshape(-1, 2))
+    independent = [
+        (det_a, det_b)
+        for det_a, det_b in zip(edges[::2], edges[1::2], strict=True)
+        if det_b - det_a > gap
+    ]
+    return Workspace(reach, dependent, np.array(independent).reshape(-1, 2))
 
 
 def _grid(bounds: Array, samples: int) -> Array:
-    """Return the rows and columns of a grid as paths, (P, samples, m)."""
+    """Return the lines of a grid as paths, (P, samples, m)."""
     axes = [np.linspace(low, high, samples) for low, high in bounds]
     shapes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     return shapes[None] if len(bounds) == 1 else np.concatenate([shapes, np.swapaxes(shapes, 0, 1)])
 
 
 def _lines(bounds: Array, samples: int, seed: int) -> Array:
-    """Return straight paths between random places in the box, (samples, 41, m)."""
+    """Return straight paths between random shapes in the box, (samples, 41, m)."""
     rng = np.random.default_rng(seed)
     low, high = bounds.T
     start, end = low + (high - low) * rng.uniform(size=(2, samples, len(bounds)))
-    share = np.linspace(0.0, 1.0, _ON_A_LINE)[:, None]
-    return np.asarray(start[:, None] + share * (end - start)[:, None])
+    fraction = np.linspace(0.0, 1.0, _SHAPES_PER_LINE)[:, None]
+    return np.asarray(start[:, None] + fraction * (end - start)[:, None])
 
 
 def _extreme(
@@ -92,21 +104,31 @@ def _extreme(
     slope: Callable[[Array], Array],
     bounds: Array,
 ) -> float:
-    """Return the least (1) or greatest (−1) distance that descent from some shapes leads to."""
+    """Minimise or maximise the distance from several initial shapes.
+
+    Args:
+        sign: 1 for the least distance, −1 for the greatest.
+        starts: Initial shapes, (k, m).
+        radius: Distances at shapes.
+        slope: Derivative of the distance at a shape.
+        bounds: Joint limits, (m, 2).
+    Returns:
+        The extreme distance [m].
+    """
     from scipy.optimize import minimize
 
-    found = [
+    minima = [
         minimize(
             lambda x: (sign * float(radius(x[None])[0]), sign * slope(x)), start, jac=True,
             method="L-BFGS-B", bounds=bounds,
         ).fun
         for start in starts
     ]  # fmt: skip
-    return float(sign * min(found))
+    return float(sign * min(minima))
 
 
 def _ranges(values: Array, gap: float) -> Array:
-    """Return the ranges (K, 2) that sorted values fill, with no hole larger than a gap."""
+    """Return the ranges (K, 2) of sorted values without holes larger than a gap."""
     if not len(values):
         return np.zeros((0, 2))
     cuts = np.flatnonzero(np.diff(values) > gap)

@@ -1,12 +1,11 @@
-"""Free-floating arms: how a hand moves if the base that carries the arm is free.
+"""Free-floating arms: kinematics of the hand while the base that carries the arm moves freely.
 
-At zero momentum ξ = −A ẋ, so that the twist of a frame is V = J_b ξ + J_s ẋ = J_g ẋ with the
-generalised Jacobian J_g = J_s − J_b A.  Sources: Y. Umetani, K. Yoshida, "Resolved motion rate
-control of space manipulators with generalized Jacobian matrix", IEEE Trans. Robotics and
-Automation 5 (1989); E. Papadopoulos, S. Dubowsky, "Dynamic singularities in free-floating space
-manipulators", J. Dyn. Sys., Meas., Control 115 (1993); D. Nenchev, Y. Umetani, K. Yoshida,
-"Analysis of a redundant free-flying spacecraft/manipulator system", IEEE Trans. Robotics and
-Automation 8 (1992).
+At zero momentum ξ = −A ẋ, so the twist of a frame is V = J_b ξ + J_s ẋ = J_g ẋ with the generalised
+Jacobian J_g = J_s − J_b A. Sources: Y. Umetani, K. Yoshida, "Resolved motion rate control of space
+manipulators with generalized Jacobian matrix", IEEE Trans. Robotics and Automation 5 (1989);
+E. Papadopoulos, S. Dubowsky, "Dynamic singularities in free-floating space manipulators", J. Dyn.
+Sys., Meas., Control 115 (1993); D. Nenchev, Y. Umetani, K. Yoshida, "Analysis of a redundant
+free-flying spacecraft/manipulator system", IEEE Trans. Robotics and Automation 8 (1992).
 """
 
 from __future__ import annotations
@@ -21,25 +20,26 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, freeze, read_only, vector, vectors, whole
 from ..common.errors import InputError
-from ..common.names import joint_index, nearest
-from ..common.plain_names import listed, quoted
+from ..common.names import joint_index, listed, nearest, quoted
 from ..system.system import System, checked_system
 from .arm_workspace import Workspace, workspace_of
 from .full_reduction import Reduction
 
 Axes = Literal["local", "world"]
 _FRAMES = {"local": pin.LOCAL, "world": pin.LOCAL_WORLD_ALIGNED}
-_NO_REACTION = 1e-10  # of the largest singular value of A; below it there is none
-_SEARCHED = 721  # values of a joint between which roots are looked for
+_NO_REACTION = 1e-10  # relative to the largest singular value of A; smaller ones count as zero
+_ROOT_SAMPLES = 721  # number of samples of a path that bracket the roots
 
 
 @dataclass(frozen=True)
 class Singularity:
-    """How far a free-floating arm is from a dynamic singularity at a shape.
+    """The distance of a free-floating arm from a dynamic singularity at a shape.
 
-    values: (k,) singular values of the task's rows of J_g, the largest first.  determinant: of
-    these rows if they are square, else the product of the values.  lost: (k,) unit twist that the
-    joints move least, in the task's rows.  joints: (m,) rates that move the hand least.
+    Attributes:
+        values: Singular values of the task rows of J_g, (k,), largest first.
+        determinant: Determinant of these rows if they are square, else the product of the values.
+        lost: Unit twist that the joints can move least, (k,), in the task rows.
+        joints: Unit joint rates that move the hand least, (m,).
     """
 
     values: Array
@@ -52,23 +52,27 @@ class Singularity:
 
     @property
     def least(self) -> float:
-        """Least singular value: 0 at a singularity."""
+        """The least singular value, which is 0 at a singularity."""
         return float(self.values[-1])
 
     @property
     def condition(self) -> float:
-        """Largest over least singular value."""
+        """The ratio of the largest to the least singular value."""
         return float(self.values[0] / self.values[-1]) if self.values[-1] > 0.0 else np.inf
 
 
 @dataclass(frozen=True, eq=False)
 class FloatingArm:
-    """The hand of a robot whose base is free.
+    """The hand of a robot with a free base.
 
-    frame: name of the hand, a link or any other frame of the model.  task: which rows of its
-    twist [linear; angular] matter, by index among the six of space; by default as many of the
-    group's as the joints can move: all its motions, or the translations.  Twists of the hand are
-    (6,), in its own axes ("local"), or at its origin along the fixed axes ("world").
+    Twists of the hand are (6,), [linear; angular]. They use the axes of the hand ("local"), or the
+    fixed axes at the origin of the hand ("world").
+
+    Attributes:
+        system: The robot.
+        frame: Name of the hand, a link or any other frame of the model.
+        task: Rows of the twist that matter, as indices 0 to 5. By default all rows of the group if
+            the joints can move them, else the translations.
     """
 
     system: System
@@ -97,9 +101,14 @@ class FloatingArm:
     def generalized_jacobian(
         self, x: ArrayLike, *, axes: Axes = "local", pose: ArrayLike | None = None
     ) -> Array:
-        """J_g = J_s − J_b A, (6, m): twist of the hand per joint rate, at zero momentum.
+        """Compute the generalised Jacobian J_g = J_s − J_b A.
 
-        pose: of the base, the identity if not given; it matters for world axes only.
+        Args:
+            x: Shape, (m,) [rad | m].
+            axes: "local" or "world".
+            pose: Pose of the base; None: the identity. It matters for world axes only.
+        Returns:
+            (6, m): twist of the hand per unit joint rate, at zero momentum.
         """
         x, g = self._at(x, pose)
         J = self._jacobian(x, g, axes)
@@ -109,15 +118,23 @@ class FloatingArm:
     def rate(
         self, x: ArrayLike, xdot: ArrayLike, *, axes: Axes = "local", pose: ArrayLike | None = None
     ) -> Array:
-        """J̇_g = J̇_s − J̇_b A − J_b Ȧ, (6, m), on the horizontal motion ξ = −A ẋ.
+        """Compute the rate J̇_g = J̇_s − J̇_b A − J_b Ȧ on the horizontal motion ξ = −A ẋ.
 
-        The acceleration of the hand is J_g ẍ + J̇_g ẋ, as that of its twist's entries.
+        The rate of the entries of the hand's twist is J_g ẍ + J̇_g ẋ.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            axes: "local" or "world".
+            pose: Pose of the base; None: the identity.
+        Returns:
+            (6, m).
         """
         x, g = self._at(x, pose)
         system, r = self.system, self.system.r
         rates = vector(xdot, system.m, "xdot", system.shape_names)
-        at = self._reduction.at(x)
-        A, dA = at.local_connection, np.einsum("rab,b->ra", at.dA, rates)
+        reduced = self._reduction.at(x)
+        A, dA = reduced.local_connection, np.einsum("rab,b->ra", reduced.dA, rates)
         J = self._jacobian(x, g, axes)
         model, data = system.model, system.data
         q, v = system.model_q(g, x), system.model_v(-A @ rates, rates)
@@ -130,21 +147,45 @@ class FloatingArm:
     def drift(
         self, x: ArrayLike, mu: ArrayLike, *, axes: Axes = "local", pose: ArrayLike | None = None
     ) -> Array:
-        """J_b I⁻¹ μ, (6,): twist of the hand with frozen joints under body momentum mu (r,)."""
+        """Compute the twist J_b I⁻¹ μ of the hand with locked joints.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            mu: Body momentum, (r,) [N s | N m s].
+            axes: "local" or "world".
+            pose: Pose of the base; None: the identity.
+        Returns:
+            (6,) [m/s; rad/s].
+        """
         x, g = self._at(x, pose)
         mu = vector(mu, self.system.r, "mu", self.system.group.twist_names)
         omega = np.linalg.solve(self._reduction.locked_inertia(x), mu)
         return read_only(self._jacobian(x, g, axes)[:, : self.system.r] @ omega)
 
     def hand_pose(self, x: ArrayLike, *, pose: ArrayLike | None = None) -> pin.SE3:
-        """Return the pose of the hand in the world frame, for a pose of the base."""
+        """Compute the pose of the hand in the world frame.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            pose: Pose of the base; None: the identity.
+        Returns:
+            The pose.
+        """
         x, g = self._at(x, pose)
         model, data = self.system.model, self.system.data
         pin.framesForwardKinematics(model, data, self.system.model_q(g, x))
         return pin.SE3(data.oMf[self._id])
 
     def singularity(self, x: ArrayLike) -> Singularity:
-        """Return singular values of the task's rows of J_g, and what is lost first."""
+        """Compute the singular values of the task rows of J_g, and the twist that is lost first.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            The values and directions.
+        Raises:
+            InputError: The system has no joints.
+        """
         J = self.generalized_jacobian(x)[list(self.task)]
         k = min(J.shape)
         if not k:
@@ -155,27 +196,41 @@ class FloatingArm:
         return Singularity(values, determinant, left[:, k - 1].copy(), right[k - 1].copy())
 
     def determinants(self, shapes: ArrayLike) -> Array:
-        """Return the determinant, as of `singularity`, at shapes (..., m), (...,): a map."""
+        """Compute the determinant of `singularity` at many shapes.
+
+        Args:
+            shapes: Shapes, (..., m) [rad | m].
+        Returns:
+            (...,) determinants.
+        """
         system = self.system
         x = vectors(shapes, system.m, "shapes", system.shape_names)
         flat = x.reshape(-1, system.m)
         r, g = system.r, system.group.identity()
         A = self._reduction.grid(flat).local_connection
-        J = np.array([self._jacobian(one, g, "local") for one in flat]).reshape(-1, 6, system.n)
-        task = (J[..., r:] - J[..., :r] @ A)[:, list(self.task)]
-        if task.shape[1] == task.shape[2]:
-            out = np.linalg.det(task)
+        J = np.array([self._jacobian(shape, g, "local") for shape in flat]).reshape(-1, 6, system.n)
+        task_rows = (J[..., r:] - J[..., :r] @ A)[:, list(self.task)]
+        if task_rows.shape[1] == task_rows.shape[2]:
+            determinants = np.linalg.det(task_rows)
         else:
-            out = np.prod(np.linalg.svd(task, compute_uv=False), axis=1)
-        return read_only(np.asarray(out).reshape(x.shape[:-1]))
+            determinants = np.prod(np.linalg.svd(task_rows, compute_uv=False), axis=1)
+        return read_only(np.asarray(determinants).reshape(x.shape[:-1]))
 
     def singular_values_of(
         self, joint: str, x: ArrayLike, *, limits: tuple[float, float] = (-np.pi, np.pi)
     ) -> Array:
-        """Return the values of one joint within limits at which the arm is singular, (K,).
+        """Find the values of one joint at which the arm is singular (the determinant changes sign).
 
-        x: (m,) where the other joints stand.  For as many joints as rows of the task, where the
-        determinant changes sign.
+        The number of joints must equal the number of task rows.
+
+        Args:
+            joint: Name of the joint.
+            x: Shape with the values of the other joints, (m,) [rad | m].
+            limits: Range of the joint (low, high) [rad | m].
+        Returns:
+            (K,) values of the joint [rad | m].
+        Raises:
+            InputError: There is no such joint, or the limits are not in order.
         """
         system = self.system
         k = joint_index(joint, system.shape_names, "singular_values_of")
@@ -184,24 +239,37 @@ class FloatingArm:
         if not low < high:
             raise InputError(f"limits must be (low, high), got {limits}")
 
-        def to(share: float) -> Array:
-            out = start.copy()
-            out[k] = low + share * (high - low)
-            return out
+        def shape_at(fraction: float) -> Array:
+            shape = start.copy()
+            shape[k] = low + fraction * (high - low)
+            return shape
 
-        return read_only(low + (high - low) * self._roots(to))
+        return read_only(low + (high - low) * self._roots(shape_at))
 
     def singular_along(self, start: ArrayLike, end: ArrayLike) -> Array:
-        """Return the shares of a straight path at which the arm is singular, (K,) in [0, 1]."""
+        """Find the singular points of a straight path, by sign changes of the determinant.
+
+        Args:
+            start: First shape, (m,) [rad | m].
+            end: Last shape, (m,) [rad | m].
+        Returns:
+            (K,) fractions of the path, in [0, 1].
+        """
         system = self.system
         a = vector(start, system.m, "start", system.shape_names)
         b = vector(end, system.m, "end", system.shape_names)
-        return read_only(self._roots(lambda share: a + share * (b - a)))
+        return read_only(self._roots(lambda fraction: a + fraction * (b - a)))
 
     def null_space(self, x: ArrayLike, *, of: Literal["base", "attitude"] = "base") -> Array:
-        """Return orthonormal joint rates, (m, k), that do not move the base: the kernel of A.
+        """Return joint rates that do not move the base: the kernel of A.
 
-        of: the whole base, or its attitude only.
+        Args:
+            x: Shape, (m,) [rad | m].
+            of: "base" for the whole base, "attitude" for its rotation only.
+        Returns:
+            (m, k): orthonormal joint rates, one per column.
+        Raises:
+            InputError: Another value of `of`.
         """
         if of not in ("base", "attitude"):
             raise InputError(f"of must be base or attitude, got {of!r}")
@@ -221,79 +289,88 @@ class FloatingArm:
         samples: int = 121,
         seed: int = 0,
     ) -> Workspace:
-        """Return which distances from the centre of mass the hand reaches, and how surely.
+        """Compute the distances from the centre of mass that the hand reaches.
 
-        limits: (low, high) of each joint; a whole turn if not given.  samples: of each of one or
-        two joints on a grid; of more joints, so many straight lines through their box, of random
-        directions (seed).  Singular shapes are found where the determinant changes sign between
-        samples, so that ranges are as sure as samples are dense; the reach is found by descent.
-        For as many joints as rows of the task.
+        Descent finds the extreme distances. Sign changes of the determinant between samples find
+        the singular shapes, so the ranges are as accurate as the samples are dense. The number of
+        joints must equal the number of task rows.
+
+        Args:
+            limits: (low, high) of each joint [rad | m]; None: a full turn.
+            samples: For one or two joints, the number of grid values of each; for more joints, the
+                number of straight lines in random directions through their box.
+            seed: Seed of the random directions.
+        Returns:
+            The workspace.
+        Raises:
+            InputError: The numbers of joints and task rows differ, or the limits are invalid.
         """
         system = self.system
         if not system.m or len(self.task) != system.m:
             raise InputError(
-                f"workspaces are made for as many joints as rows of the task; there are {system.m} "
-                f"and {len(self.task)}"
+                f"workspace: expected as many joints as task rows, got {system.m} joints and "
+                f"{len(self.task)} rows. Choose other rows with FloatingArm(task=…)."
             )
-        given = [(-np.pi, np.pi)] * system.m if limits is None else limits
-        bounds = vectors(given, 2, "limits")
+        joint_limits = [(-np.pi, np.pi)] * system.m if limits is None else limits
+        bounds = vectors(joint_limits, 2, "limits")
         if bounds.shape != (system.m, 2) or not (bounds[:, 0] < bounds[:, 1]).all():
             raise InputError(f"limits must be (low, high) for each of {system.m} joints")
         return workspace_of(
-            self._radius, self._radius_slope, self.determinants, bounds,
+            self._radius, self._radius_gradient, self.determinants, bounds,
             whole(samples, "samples", 2), whole(seed, "seed", 0),
         )  # fmt: skip
 
     def _radius(self, shapes: Array) -> Array:
-        """Distance of the hand from the centre of mass, (...,) [m], at shapes (..., m)."""
+        """Return the distances (...,) [m] between hand and centre of mass at shapes (..., m)."""
         system, model, data = self.system, self.system.model, self.system.data
         flat, g = shapes.reshape(-1, system.m), system.group.identity()
-        out = np.empty(len(flat))
+        distances = np.empty(len(flat))
         for k, x in enumerate(flat):
             q = system.model_q(g, x)
             com = pin.centerOfMass(model, data, q)
             pin.updateFramePlacements(model, data)
-            out[k] = np.linalg.norm(data.oMf[self._id].translation - com)
-        return out.reshape(shapes.shape[:-1])
+            distances[k] = np.linalg.norm(data.oMf[self._id].translation - com)
+        return distances.reshape(shapes.shape[:-1])
 
-    def _radius_slope(self, x: Array) -> Array:
-        """Return the derivative of that distance by the joints, (m,), for the base at rest."""
+    def _radius_gradient(self, x: Array) -> Array:
+        """Return the derivative (m,) of that distance by the joints, for a base at rest."""
         system, model, data = self.system, self.system.model, self.system.data
         q = system.model_q(system.group.identity(), x)
-        arm = pin.jacobianCenterOfMass(model, data, q)
-        hand = pin.computeFrameJacobian(model, data, q, self._id, pin.LOCAL_WORLD_ALIGNED)[:3]
+        com_jacobian = pin.jacobianCenterOfMass(model, data, q)
+        hand_jacobian = pin.computeFrameJacobian(model, data, q, self._id, _FRAMES["world"])[:3]
         pin.updateFramePlacements(model, data)
-        reach = data.oMf[self._id].translation - data.com[0]
-        along = reach / max(float(np.linalg.norm(reach)), 1e-300)
-        return np.asarray(along @ system.on_shape(hand - arm))[system.r :]
+        offset = data.oMf[self._id].translation - data.com[0]
+        direction = offset / max(float(np.linalg.norm(offset)), 1e-300)
+        return np.asarray(direction @ system.on_shape(hand_jacobian - com_jacobian))[system.r :]
 
-    def _roots(self, to: Callable[[float], Array]) -> Array:
-        """Return shares in [0, 1] at which the determinant along a path changes sign."""
+    def _roots(self, shape_at: Callable[[float], Array]) -> Array:
+        """Return the fractions in [0, 1] at which the determinant changes sign along a path."""
         from scipy.optimize import brentq
 
         if len(self.task) != self.system.m:
             raise InputError(
-                f"singular shapes are found for as many joints as rows of the task; there are "
-                f"{self.system.m} and {len(self.task)}"
+                f"singular shapes: expected as many joints as task rows, got {self.system.m} "
+                f"joints and {len(self.task)} rows. Choose other rows with FloatingArm(task=…)."
             )
 
-        def det(share: float) -> float:
-            return float(self.determinants(to(share)))
+        def det(fraction: float) -> float:
+            return float(self.determinants(shape_at(fraction)))
 
-        shares = np.linspace(0.0, 1.0, _SEARCHED)
-        values = self.determinants(np.array([to(share) for share in shares]))
-        out = [float(share) for share in shares[values == 0.0]]
-        between = np.flatnonzero(values[:-1] * values[1:] < 0.0)
-        out += [float(brentq(det, shares[k], shares[k + 1], xtol=1e-15)) for k in between]
-        return np.array(sorted(out))
+        fractions = np.linspace(0.0, 1.0, _ROOT_SAMPLES)
+        values = self.determinants(np.array([shape_at(fraction) for fraction in fractions]))
+        roots = [float(fraction) for fraction in fractions[values == 0.0]]
+        brackets = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+        roots += [float(brentq(det, fractions[k], fractions[k + 1], xtol=1e-15)) for k in brackets]
+        return np.array(sorted(roots))
 
     def _at(self, x: ArrayLike, pose: ArrayLike | None) -> tuple[Array, Array]:
+        """Return the validated shape and pose."""
         system = self.system
         shape = vector(x, system.m, "x", system.shape_names)
         return shape, system.group.identity() if pose is None else system.group.pose(pose)
 
     def _jacobian(self, x: Array, g: Array, axes: str) -> Array:
-        """Return (J_b, J_s), (6, n)."""
+        """Return (J_b, J_s), (6, n), at a shape x and pose g."""
         if axes not in _FRAMES:
             raise InputError(f"axes must be {' or '.join(_FRAMES)}, got {axes!r}")
         model, data = self.system.model, self.system.data

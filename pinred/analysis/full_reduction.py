@@ -1,4 +1,25 @@
-"""The reduction of a system, at one shape by Pinocchio and over many shapes by compiled code."""
+"""The reduction of a system, at one shape by Pinocchio and over many shapes by compiled code.
+
+Levi-Civita connections are those of the reduced metric and of a left-invariant metric. For the
+reduced metric M(x) on shape space, with dM[a, b, c] = ∂_c M_ab:
+
+    Γ_{d,ab} = ½ (∂_a M_db + ∂_b M_da − ∂_d M_ab),     Γ^c_ab = M⁻¹^{cd} Γ_{d,ab}
+    R_abcd = ½ (∂_b∂_c M_ad + ∂_a∂_d M_bc − ∂_a∂_c M_bd − ∂_b∂_d M_ac)
+             + Γ_{e,bc} M⁻¹^{ef} Γ_{f,ad} − Γ_{e,bd} M⁻¹^{ef} Γ_{f,ac}
+
+so that R_abcd u^a v^b u^c v^d is positive on a sphere.  Motion at zero momentum without a
+potential is a geodesic: ẍ^c = −Γ^c_ab ẋ^a ẋ^b.  By O'Neill's formula, sectional curvatures of the
+base B = Q/G are at least those of horizontal planes in Q:
+
+    R_B(u, v, u, v) = R_Q(u_h, v_h, u_h, v_h) + ¾ B(u, v)ᵀ I B(u, v).
+
+For the left-invariant metric I on a group, in body twists:
+
+    ∇_ξ η = ½ [ξ, η] − ½ I⁻¹ (ad*_ξ I η + ad*_η I ξ),     geodesics: ξ̇ = −∇_ξ ξ = I⁻¹ ad*_ξ I ξ.
+
+Source: B. O'Neill, "The fundamental equations of a submersion", 1966; V. I. Arnold, "Mathematical
+methods of classical mechanics", appendix 2; Misner, Thorne, Wheeler, "Gravitation", 1973, ch. 14.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +31,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector, vectors
+from ..common.errors import InputError
+from ..lie.group import Group
 from ..reduction.at_a_shape import PointwiseReduction
-from ..reduction.levi_civita import (
-    christoffel_symbols,
-    left_invariant_derivative,
-    reduced_metric_derivatives,
-    riemann_tensor,
-    sectional,
-)
-from ..reduction.tree.second_derivatives import inertia_derivatives
+from ..reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
 from ..system.coordinates import Velocity
 
 if TYPE_CHECKING:
@@ -27,11 +43,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SplitVelocity:
-    """A velocity as a sum of two.
+    """The vertical and horizontal components of a velocity.
 
     Attributes:
         vertical: (Ω, 0), a rigid motion.
-        horizontal: (−A ẋ, ẋ), without momentum.
+        horizontal: (−A ẋ, ẋ), a motion without momentum.
     """
 
     vertical: Velocity
@@ -41,10 +57,10 @@ class SplitVelocity:
 class Reduction(PointwiseReduction):
     """The reduction of one system, at any shape or over many shapes.
 
-    Every method computes anew from its arguments.  It raises ShapeError if a shape x (m,)
-    [rad | m] has the wrong length or is not finite, and SingularInertiaError if the mass matrix is
-    numerically singular there.  To get several quantities at one shape, call `at`, which computes
-    them together.  An instance owns Pinocchio work space, so use one per thread.
+    Every method computes anew from its arguments. It raises ShapeError if a shape x (m,) [rad | m]
+    has the wrong length or is not finite. It raises SingularInertiaError if the mass matrix is
+    numerically singular there. For several quantities at one shape, call `at`, which computes them
+    together. An instance owns Pinocchio work space, so use one per thread.
     """
 
     def amended_potential(self, x: ArrayLike, mu: ArrayLike) -> float:
@@ -54,7 +70,9 @@ class Reduction(PointwiseReduction):
             x: Shape, (m,) [rad | m].
             mu: Body momentum, (r,) [N s | N m s].
         Returns:
-            The amended potential [J].  Raises SymmetryError if gravity breaks the symmetry.
+            The amended potential [J].
+        Raises:
+            SymmetryError: Gravity breaks the symmetry.
         """
         return self.potential(x) + self.split(x).locked_energy(mu)
 
@@ -110,7 +128,7 @@ class Reduction(PointwiseReduction):
         """Compute the connection one-form 𝒜 = Ad_g (ξ + A ẋ) on velocities v = (ξ, ẋ).
 
         Its value is the spatial twist of the locked system, J = 𝕀 𝒜(v) (`spatial_momentum`,
-        `locked_inertia_in_space`).  On a rigid motion it is the spatial twist of that motion.
+        `locked_inertia_in_space`). On a rigid motion it is the spatial twist of that motion.
 
         Args:
             pose: Pose coordinates of the base.
@@ -128,7 +146,7 @@ class Reduction(PointwiseReduction):
             pose: Pose coordinates of the base.
             x: Shape, (m,) [rad | m].
         Returns:
-            (r, n, n): a spatial twist, antisymmetric in the last two indices.  It vanishes if
+            (r, n, n): a spatial twist, antisymmetric in the last two indices. It vanishes if
             either velocity is vertical.
         """
         r, n = self.system.r, self.system.n
@@ -169,7 +187,7 @@ class Reduction(PointwiseReduction):
             xdot: Shape rate, (m,) [rad/s | m/s].
             xi: Body twist, (r,) [m/s; rad/s].
         Returns:
-            Both velocities.
+            The vertical and the horizontal velocity.
         """
         omega = self.locked_velocity(x, xdot, xi)
         horizontal = self.horizontal_lift(x, xdot)
@@ -181,7 +199,7 @@ class Reduction(PointwiseReduction):
         Args:
             x: Shape, (m,) [rad | m].
         Returns:
-            (m, m, m), c first.  Geodesics obey ẍ^c = −Γ^c_ab ẋ^a ẋ^b.
+            (m, m, m), c first. Geodesics obey ẍ^c = −Γ^c_ab ẋ^a ẋ^b.
         """
         M, dM, _ = self._metric_derivatives(x)
         return christoffel_symbols(M, dM)
@@ -204,7 +222,9 @@ class Reduction(PointwiseReduction):
             u: Shape rate, (m,) [rad/s | m/s].
             v: Shape rate, (m,) [rad/s | m/s].
         Returns:
-            The curvature.  Raises InputError if u and v are parallel.
+            The curvature.
+        Raises:
+            InputError: u and v are parallel.
         """
         u, v = vector(u, self.system.m, "u"), vector(v, self.system.m, "v")
         M, dM, d2M = self._metric_derivatives(x)
@@ -266,3 +286,89 @@ class Reduction(PointwiseReduction):
         shape = self.split(x).x  # raises SingularInertiaError
         d = inertia_derivatives(self.system, shape[None])
         return reduced_metric_derivatives(d, self.system.r)
+
+
+def christoffel_symbols(M: Array, dM: Array) -> Array:
+    """Compute Γ^c_ab, (m, m, m), c first, from M (m, m) and ∂M (m, m, m), derivative last."""
+    return np.asarray(np.linalg.solve(M, _lowered(dM).reshape(len(M), -1))).reshape(dM.shape)
+
+
+def riemann_tensor(M: Array, dM: Array, d2M: Array) -> Array:
+    """Compute the Riemann tensor with all indices down.
+
+    Args:
+        M: Metric, (m, m).
+        dM: Its derivative, (m, m, m), derivative index last.
+        d2M: Its second derivative, (m, m, m, m), derivative indices last.
+    Returns:
+        R_abcd, (m, m, m, m).
+    """
+    lowered = _lowered(dM)
+    R = 0.5 * (np.einsum("adbc->abcd", d2M) + np.einsum("bcad->abcd", d2M))
+    R -= 0.5 * (np.einsum("bdac->abcd", d2M) + np.einsum("acbd->abcd", d2M))
+    raised = np.linalg.solve(M, lowered.reshape(len(M), -1)).reshape(dM.shape)
+    product = np.einsum("ebc,ead->abcd", lowered, raised)
+    return np.asarray(R + product - np.swapaxes(product, 2, 3))
+
+
+def sectional(R: Array, M: Array, u: Array, v: Array) -> float:
+    """Compute the sectional curvature of the plane of two vectors.
+
+    Args:
+        R: Riemann tensor with all indices down, (m, m, m, m).
+        M: Metric, (m, m).
+        u: First vector, (m,).
+        v: Second vector, (m,).
+    Returns:
+        The curvature.
+    Raises:
+        InputError: The vectors are parallel.
+    """
+    uu, vv, uv = u @ M @ u, v @ M @ v, u @ M @ v
+    area = uu * vv - uv**2
+    if not area > 1e-14 * uu * vv:
+        raise InputError("u and v must span a plane, but they are parallel in the reduced metric")
+    return float(np.einsum("abcd,a,b,c,d", R, u, v, u, v) / area)
+
+
+def reduced_metric_derivatives(d: InertiaDerivatives, r: int) -> tuple[Array, Array, Array]:
+    """Compute M, ∂M and ∂∂M at the only shape of `d`, derivative indices last.
+
+    M = H_ss − Aᵀ H_bs with A = I⁻¹ H_bs is differentiated twice; r: dimension of the group.
+    """
+    H, dH, d2H = d.H[0], d.dH[0], d.d2H[0]
+    I, Hbs, dI, dHbs = H[:r, :r], H[:r, r:], dH[:r, :r], dH[:r, r:]
+    A = np.linalg.solve(I, Hbs)
+    # W = I ∂A = ∂(IA) − ∂I A.
+    W = dHbs - np.einsum("ijc,jb->ibc", dI, A)
+    dA = np.linalg.solve(I, W.reshape(r, -1)).reshape(W.shape)
+    dM = dH[r:, r:] - np.einsum("iac,ib->abc", dHbs, A)
+    dM -= np.einsum("ia,ibc->abc", A, W)
+    # ∂∂(Hᵀ I⁻¹ H) in terms of A: its second derivatives, and twice the product of the W's.
+    mixed = np.einsum("iacd,ib->abcd", d2H[:r, r:], A)
+    d2M = d2H[r:, r:] - mixed - np.swapaxes(mixed, 0, 1)
+    d2M += np.einsum("ia,ijcd,jb->abcd", A, d2H[:r, :r], A)
+    product = np.einsum("iac,ibd->abcd", W, dA)
+    d2M -= product + np.swapaxes(product, 2, 3)
+    return H[r:, r:] - A.T @ Hbs, dM, np.asarray(d2M)
+
+
+def left_invariant_derivative(group: Group, inertia: Array, xi: Array, eta: Array) -> Array:
+    """Compute ∇_ξ η of left-invariant fields.
+
+    Args:
+        group: The group.
+        inertia: Metric on body twists, (r, r).
+        xi: Body twist ξ, (r,).
+        eta: Body twist η, (r,).
+    Returns:
+        (r,).
+    """
+    coadjoint = group.coadjoint(xi, inertia @ eta) + group.coadjoint(eta, inertia @ xi)
+    return np.asarray(0.5 * group.bracket(xi, eta) - 0.5 * np.linalg.solve(inertia, coadjoint))
+
+
+def _lowered(dM: Array) -> Array:
+    """Return Γ_{d,ab}, d first."""
+    by_a = np.swapaxes(dM, 1, 2)  # [d, a, b]: ∂_a M_db
+    return 0.5 * (by_a + dM - np.moveaxis(dM, 2, 0))

@@ -1,4 +1,4 @@
-"""inspect(): what pinred sees in a robot, at one shape, and what it will not compute."""
+"""inspect(): the structure of a robot at one shape, and the quantities that pinred skips."""
 
 from __future__ import annotations
 
@@ -19,20 +19,27 @@ from ..simulation.explain import skipped
 from ..simulation.plan import plan_of
 from ..system.system import System, checked_system
 
-_SHAPES = 3  # random ones at which a curvature would show
-_NOTHING = 1e-11  # of the terms that the curvature is made of
+_SHAPES = 3  # number of random shapes at which the curvature is tested
+_ZERO_CURVATURE = 1e-11  # relative to the terms of the curvature
 
 
 @dataclass(frozen=True)
 class Inspection:
     """A system at one shape.
 
-    at: the reduction there.  curvature_norm: Frobenius norm of B.  flat: whether B vanishes at all
-    shapes, as far as random ones show, so that closed paths of the shape move the base nowhere at
-    zero momentum.  casimirs: functions of the body momentum that no energy changes, as formulas.
-    cyclic: joints on which neither inertia nor potential depends.  symmetries: what is conserved,
-    in words.  skipped: what a simulation does not integrate, in words.
-    full_size, reduced_size: numbers integrated by a full simulation and by pinred.
+    Attributes:
+        system: The system.
+        at: Reduction at the shape.
+        curvature_norm: Frobenius norm of the curvature B.
+        flat: Whether B vanishes at random shapes. Then closed shape paths do not move the base at
+            zero momentum.
+        casimirs: Casimirs of the body momentum, as formulas.
+        cyclic: Joints on which neither inertia nor potential depends.
+        symmetries: Conserved quantities, in words.
+        skipped: Quantities that a simulation does not integrate, in words.
+        full_size: Number of variables that a full simulation integrates.
+        reduced_size: Number of variables that pinred integrates; None if gravity breaks the
+            symmetry.
     """
 
     system: System
@@ -84,7 +91,7 @@ class Inspection:
             *(("Casimir", text) for text in self.casimirs),
             ("connection", "flat" if self.flat else "curved"),
             *(("skipped", text) for text in self.skipped),
-            *(("follower", str(each)) for each in system.couplings),
+            *(("follower", str(coupling)) for coupling in system.couplings),
             *(("left out", text) for text in _left_out(system)),
             *(("keyframe", name) for name in system.keyframes),
             ("integrated", f"{self.full_size}{size} numbers"),
@@ -103,71 +110,84 @@ class Inspection:
 
 
 def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
-    """Return what pinred sees in `system` at shape x, (m,), zero if not given.
+    """Describe a system at one shape: its symmetries, reduction and skipped variables.
 
-    Raises ShapeError if x has the wrong length or is not finite.
+    Args:
+        system: The system.
+        x: Shape, (m,) [rad | m]; None: zero.
+    Returns:
+        The inspection; print it for a summary.
+    Raises:
+        ShapeError: x has the wrong length or is not finite.
     """
     red = PointwiseReduction(checked_system(system, "inspect"))
     at = red.at(np.zeros(system.m) if x is None else x)
     names = system.shape_names
     cyclic = tuple(names[k] for k in cyclic_joints(red))
     size: int | None
-    # A generic motion has momentum.
+    # A generic motion has momentum, so zero momentum must not simplify the plan.
     generic = Scene(system=system, x0=at.x, xi0=np.ones(system.r))
     try:
         plan = plan_of(generic)
         size = plan.kind(zero_momentum=False).layout.size
-        not_needed, broken = skipped(plan, zero_momentum=False), ""
+        not_needed, symmetry_error = skipped(plan, zero_momentum=False), ""
     except SymmetryError as error:
-        size, not_needed, broken = None, [], str(error)
+        size, not_needed, symmetry_error = None, [], str(error)
     return Inspection(
         system=system,
         at=at,
         curvature_norm=float(np.linalg.norm(at.curvature)),
-        flat=_flat(red),
+        flat=_is_flat(red),
         casimirs=tuple(map(str, casimirs(system))),
         cyclic=cyclic,
-        symmetries=tuple(_symmetries(system, cyclic, broken)),
+        symmetries=tuple(_symmetries(system, cyclic, symmetry_error)),
         skipped=(*not_needed, "meshes: not read"),
         full_size=system.model.nq + system.model.nv,
         reduced_size=size,
     )
 
 
-def _flat(red: PointwiseReduction) -> bool:
+def _is_flat(red: PointwiseReduction) -> bool:
     """Return whether the curvature vanishes at random shapes, relative to its terms."""
     rng = np.random.default_rng(0)
     for x in rng.uniform(-np.pi, np.pi, (_SHAPES if red.system.m > 1 else 0, red.system.m)):
-        at = red.at(x)
-        turned = np.einsum("aij,jb->iab", red.group.ad(at.local_connection.T), at.local_connection)
-        # A joint that slides changes A by metres a metre, and by the size of A itself.
-        terms = max(float(np.abs(part).max()) for part in (at.dA, turned, at.local_connection))
-        if float(np.abs(at.curvature).max()) > _NOTHING * terms:
+        reduced = red.at(x)
+        bracket = np.einsum(
+            "aij,jb->iab", red.group.ad(reduced.local_connection.T), reduced.local_connection
+        )
+        # For a prismatic joint dA scales with A per metre, so A itself counts as a term.
+        terms = max(
+            float(np.abs(term).max()) for term in (reduced.dA, bracket, reduced.local_connection)
+        )
+        if float(np.abs(reduced.curvature).max()) > _ZERO_CURVATURE * terms:
             return False
     return True
 
 
 def _left_out(system: System) -> list[str]:
-    """Return what acts in the file and not in a run, a line each."""
+    """Return one line for each item of the robot file that a run ignores."""
     passive = passive_left_out(system, who="a run")
     return [*map(str, system.left_out), *([passive] if passive else [])]
 
 
 def _group(system: System) -> str:
-    """Return the group and its joint, and which body floats only here."""
+    """Return the group, its joint, and the body that pinred frees from the world."""
     text = f"group {system.group.name} (r = {system.r}) on joint '{system.root_name}'"
-    freed = system.contents.freed
-    return text + (f" (the file fixes '{freed}' to the world; here it is free)" if freed else "")
+    freed_body = system.contents.freed
+    return text + (
+        f" (the file fixes '{freed_body}' to the world; here it is free)" if freed_body else ""
+    )
 
 
-def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[str]:
-    if broken:
-        return [broken]
-    kept = system.group.conserved
-    # What is left of SO(3) is turning about the vertical, unless the robot is balanced.
+def _symmetries(system: System, cyclic: tuple[str, ...], symmetry_error: str) -> list[str]:
+    """Return the conserved quantities as lines of text."""
+    if symmetry_error:
+        return [symmetry_error]
+    conserved = system.group.conserved
+    # Gravity reduces SO(3) to rotations about the vertical, unless the robot is balanced.
     if system.group.is_pivot and broken_by_gravity(system):
-        kept = "angular momentum about the direction of gravity through the pivot"
-    lines = [f"{system.group.name}: conserves {kept}"]
+        conserved = "angular momentum about the direction of gravity through the pivot"
+    lines = [f"{system.group.name}: conserves {conserved}"]
     if cyclic:
         lines.append(f"cyclic joints, whose momentum is constant: {', '.join(cyclic)}")
     return lines
@@ -186,5 +206,5 @@ def _matrix(symbol: str, name: str, matrix: Array) -> str:
     if not matrix.size:
         return f"{symbol}           {name}: none, there are no joints"
     with np.printoptions(precision=6, suppress=True, linewidth=110, threshold=400):
-        rows = str(matrix).splitlines()
-    return f"{symbol}           {name} {matrix.shape}\n" + "\n".join(f"  {row}" for row in rows)
+        lines = str(matrix).splitlines()
+    return f"{symbol}           {name} {matrix.shape}\n" + "\n".join(f"  {row}" for row in lines)

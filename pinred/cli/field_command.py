@@ -6,8 +6,7 @@ import argparse
 from typing import Any
 
 from ..common.errors import InputError
-from .command_options import numbers_in, option_adder
-from .gait_options import add_source, source_of
+from .command_options import add_source, numbers_in, option_adder, source_of
 from .output_files import describe_file, save_figure
 
 _SAMPLES = 200  # default number of grid points along each joint
@@ -59,9 +58,18 @@ def run(arguments: argparse.Namespace) -> int:
 def _compute_grid(
     connection: Any, joints: list[str] | None, limits: Any, at: Any, samples: int
 ) -> dict[str, Any]:
-    """Return shapes, A, and the curvature with its two terms on a grid (samples, samples).
+    """Compute A and the curvature with its two terms on a grid of shapes.
 
-    `joints`, `limits` and `at` are those of the command; `at` is the shape of the other joints.
+    Args:
+        connection: Connection to evaluate.
+        joints: Names of the two joints on the axes; by default the first two.
+        limits: (low, high) of each axis.
+        at: Values of the other joints.
+        samples: Number of samples along each axis.
+    Returns:
+        Arrays by name, with leading axes (samples, samples).
+    Raises:
+        InputError: An option is invalid.
     """
     import numpy as np
 

@@ -69,9 +69,12 @@ class Hairer:
         return float(self._solver.t)
 
     def integrate(self, t: float) -> Array | None:
-        """Integrate to time t [s]; re-raise exceptions of the vector field and KeyboardInterrupt.
+        """Integrate to time t, and re-raise exceptions of the vector field and KeyboardInterrupt.
 
-        Returns the state (n,), or None if the time cannot be reached.
+        Args:
+            t: Time [s].
+        Returns:
+            The state, (n,), or None if the time cannot be reached.
         """
         self._restart()
         with held_interrupt() as self._is_interrupted, warnings.catch_warnings():

@@ -168,12 +168,15 @@ def _defects_of_steps(
 
 
 def _propagate(full: FullState, quadrature: _Quadrature, first: Indices, sizes: Array) -> Array:
-    """Propagate residuals inside steps to the step ends, (S, n).
+    """Propagate residuals inside steps to the step ends.
 
     For linear equations, residuals inside a step can cancel in the integral although the step end
     is wrong; interpolants are built that way. So the defect D accumulated until a time is
     propagated with the linearised ABA dynamics: e = D + z, where z' = J (D + z). J is taken from
     the middle of each subinterval.
+
+    Returns:
+        Errors at the step ends, (S, n).
     """
     errors = np.zeros_like(quadrature.defects)
     is_first = np.isin(np.arange(len(errors)), first)

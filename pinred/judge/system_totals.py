@@ -86,9 +86,15 @@ class SystemTotals:
         return np.asarray(self._axes @ momentum + self._rotors * v[: self._r])
 
     def about_com(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Compute body twist and body momentum relative to the centre of mass, (r,) each.
+        """Compute body twist and body momentum relative to the centre of mass.
 
-        About a pivot, angular momentum is taken about the pivot.
+        About a pivot, angular momentum refers to the pivot.
+
+        Args:
+            q: Configuration, (nq,).
+            v: Velocity, (nv,).
+        Returns:
+            Body twist and body momentum, (r,) each.
         """
         data, r, k = self._data, self._r, self._linear
         momentum = self.momentum(q, v, np.zeros(3), about_pivot=self._root.is_pivoted)

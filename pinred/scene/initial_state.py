@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
-from ..common.plain_names import quoted
+from ..common.names import quoted
 from ..reduction.at_a_shape import PointwiseReduction
 from ..system.joints import joint_units
 from ..system.system import System
@@ -83,8 +83,11 @@ class Start:
 def start_of(system: System, given: GivenStates) -> Start:
     """Complete the first of several initial states with Pinocchio's mass matrix.
 
-    Raises SingularInertiaError if that matrix is singular, InputError if a momentum or twist
-    overflows.
+    Returns:
+        The initial state.
+    Raises:
+        SingularInertiaError: The mass matrix is singular.
+        InputError: A momentum or twist overflows.
     """
     r, state = system.r, given[0]
     split = system.workspace(PointwiseReduction, lambda: PointwiseReduction(system)).split(state.x)
@@ -108,7 +111,8 @@ def finite_start(*arrays: Array | None) -> None:
 def refuse_vague(x: Array, system: System) -> None:
     """Reject angles of a shape (m,) at which adjacent floats differ by more than 1e-6 rad.
 
-    Raises InputError.
+    Raises:
+        InputError: An angle is too large.
     """
     for name, angle in _angles(x, system):
         if np.spacing(abs(angle)) > _RESOLUTION:

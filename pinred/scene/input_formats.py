@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError, PinredError, ShapeError
-from ..common.names import joint_index, nearest
+from ..common.names import brief, joint_index, nearest, quoted
 from ..common.parameter import Parameter
-from ..common.plain_names import brief, quoted
 from ..forces.signals import Constant, Expression, Signal
 from ..integrators.methods import METHODS, Method
 from ..system.coordinates import Configuration, Velocity
@@ -70,8 +69,13 @@ def order_by_joint(value: Any, system: System, what: str) -> Any:
 def parse_signal(value: Any, what: str) -> Signal:
     """Convert the motion of a prescribed joint to a Signal.
 
-    `value` is a Signal, a number, a Parameter or a formula in t.  Raises an InputError that
-    names the option `what`.
+    Args:
+        value: A Signal, a number, a Parameter or a formula in t.
+        what: Name of the option in messages.
+    Returns:
+        The signal.
+    Raises:
+        InputError: The value is of another kind.
     """
     if isinstance(value, Signal):
         return value
@@ -90,10 +94,16 @@ def parse_signal(value: Any, what: str) -> Signal:
 
 
 def parse_configuration(q: ArrayLike, system: System) -> Configuration:
-    """Split Pinocchio's configuration q, (nq,), into pose (size,) and shape (m,).
+    """Split Pinocchio's configuration into pose and shape.
 
-    Angles are in (−π, π].  Raises ShapeError if q has the wrong length or is not finite,
-    InputError if a quaternion, or a cosine and sine, do not have norm 1.
+    Args:
+        system: The system.
+        q: Configuration, (nq,).
+    Returns:
+        Pose (size,) and shape (m,), with angles in (−π, π].
+    Raises:
+        ShapeError: q has the wrong length or is not finite.
+        InputError: A quaternion, or a cosine and sine, do not have norm 1.
     """
     q = vector(q, system.model.nq, "q0")
     root, *joints = list(system.model.joints)[1:]
@@ -115,10 +125,16 @@ def parse_configuration(q: ArrayLike, system: System) -> Configuration:
 
 
 def parse_velocity(v: ArrayLike, system: System) -> Velocity:
-    """Split Pinocchio's velocity v, (nv,), into body twist (r,) and shape rate (m,).
+    """Split Pinocchio's velocity into body twist and shape rate.
 
-    Raises ShapeError if v has the wrong length or is not finite, InputError if a mimic joint
-    does not follow its coupling.
+    Args:
+        system: The system.
+        v: Velocity, (nv,).
+    Returns:
+        Body twist (r,) and shape rate (m,).
+    Raises:
+        ShapeError: v has the wrong length or is not finite.
+        InputError: A follower violates its coupling.
     """
     v = vector(v, system.model.nv, "v0")
     split = system.velocity(v)
@@ -128,9 +144,15 @@ def parse_velocity(v: ArrayLike, system: System) -> Velocity:
 
 
 def _check_followers(system: System, stated: Array, coupled: Array, what: str) -> None:
-    """Reject a model configuration or velocity in which a mimic joint violates its coupling.
+    """Reject a model configuration or velocity in which a follower violates its coupling.
 
-    `stated` is the value of the option `what`; `coupled` has followers that obey their couplings.
+    Args:
+        system: The system.
+        stated: Value of the option.
+        coupled: The same with followers that obey their couplings.
+        what: Name of the option in messages.
+    Raises:
+        InputError: A follower violates its coupling.
     """
     for name in system.followers:
         joint = system.model.joints[2 + system.joint_number(name)]
@@ -148,10 +170,15 @@ def _check_followers(system: System, stated: Array, coupled: Array, what: str) -
 
 
 def parse_method(value: Any) -> Method | Literal["auto"]:
-    """Return an integrator, or "auto".
+    """Convert an integrator, or text that names one.
 
-    `value` is one of these, or text: a name, or a name with options in Python notation, such as
-    "RKMK4(0.01)" or "DOP853(max_step=0.1)".  Raises InputError.
+    Args:
+        value: An integrator, "auto", or text: a name with optional options in Python notation, such
+            as "RKMK4(0.01)" or "DOP853(max_step=0.1)".
+    Returns:
+        The integrator, or "auto".
+    Raises:
+        InputError: The text names no integrator, or has wrong options.
     """
     if isinstance(value, str):
         return _method_of_text(value)

@@ -1,5 +1,7 @@
-"""A Scene becomes a Trajectory, by one of two routes: compiled, or readable by Pinocchio.
+"""Simulation of scenes by two engines: compiled kernels, or Pinocchio.
 
-The plan of a scene, the runs, trajectories with their balances, and the files that hold
-them.  Imports `scene`, `kernels` and what lies below them.
+A Plan is everything that follows from a scene before integration.  A flow (CompiledFlow or
+PinocchioFlow) is its vector field with initial state and parameters.  A Segment is the solution
+between two stops, and a Motion consists of segments with the outcome of events and controllers.
+A Trajectory contains its states.  This package imports `scene`, `kernels` and packages below.
 """

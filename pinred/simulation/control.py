@@ -1,7 +1,7 @@
-"""Controllers in a run: when each is called, what is held until when, and the record of it.
+"""Calls of controllers during a simulation, with a record for replay.
 
-A `Control` calls them, and so gives a motion its record; a `Replay` takes what they gave from
-that record, so that another simulation runs under the same actions.
+A `Control` calls the controllers of a scene.  A `Replay` repeats the actions of a motion, so that
+another simulation runs under the same actions.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -19,19 +18,25 @@ from ..scene.scene import Scene
 from ..system.force_interface import SeenState
 from .sample import Sample
 
-_ONE = 1e-12  # of the whole time: what round-off holds apart is one stop
-_DUE = 1e-9  # of a period
+# Times closer than this fraction of the duration are equal.
+_ROUND_OFF = 1e-12
+# A controller is due within this fraction of its period from a multiple of it.
+_DUE = 1e-9
 
 See = Callable[[], Sample]
 
 
 @dataclass(frozen=True)
 class ControlAction:
-    """One call of a controller, and what it gave.
+    """One call of a controller, with its result.
 
-    t: [s].  controller: its name.  torque: by joint, before its limit [N·m | N].  wrench: (r,) on
-    the base in its own frame, [linear; angular], or None.  width: for how long it is held [s];
-    None to its next call.  seen: the state that it was given, with that of the base.
+    Attributes:
+        t: Time of the call [s].
+        controller: Name of the controller.
+        torque: Torque by joint before its limit [N·m | N].
+        wrench: Wrench on the base in the body frame as [linear; angular], (r,) [N | N·m], or None.
+        width: Duration of a pulse [s]; None for a zero-order hold until the next call.
+        seen: The observed state.
     """
 
     t: float
@@ -42,42 +47,41 @@ class ControlAction:
     seen: Sample
 
 
-class Actions(Protocol):
-    """The actions of controllers in a run: a Control or a Replay."""
-
-    def begin(self, numbers: Array, t: float, stop: float, see: See) -> float:
-        """Set the numbers in the forces for the stretch from t on, and return where it ends.
-
-        That is at `stop` or before.  see: gives what forces see at t, and is called only if a
-        controller is due.
-        """
-
-
 class Control:
-    """The controllers of one run of a scene, each with its state; it is used once.
+    """The controllers of one simulation, with their states; it is used once.
 
-    calls: what they have given so far.
+    Attributes:
+        calls: Calls so far.
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Take copies of their first states."""
+        """Copy the initial states of the controllers."""
         self._scene, self._forces = scene, scene.force_model
-        held = [] if self._forces is None else self._forces.held
-        self._states = [deepcopy(c.state0) if c.keeps_state else None for c, _ in held]
-        self._called = [-1] * len(held)
-        self._until = [np.inf] * len(held)
+        controllers = [] if self._forces is None else self._forces.held
+        self._states = [deepcopy(c.state0) if c.keeps_state else None for c, _ in controllers]
+        self._called = [-1] * len(controllers)
+        self._until = [np.inf] * len(controllers)
         self.calls: list[ControlAction] = []
 
     def begin(self, numbers: Array, t: float, stop: float, see: See) -> float:
-        """Do as Actions.begin, calling the controllers that are due at t."""
+        """Call the controllers that are due at t, and set the force parameters.
+
+        Args:
+            numbers: Force parameters, (p,), changed in place.
+            t: Start of the next segment [s].
+            stop: Latest end of the segment [s].
+            see: Function that returns the observed state at t, called if a controller is due.
+        Returns:
+            End of the segment [s].
+        """
         forces = self._forces
         if forces is None:
             return stop
-        near, seen = _ONE * self._scene.end, None
+        near, seen = _ROUND_OFF * self._scene.end, None
         for k, (controller, where) in enumerate(forces.held):
             if self._until[k] <= t + near:  # the end of a pulse
                 numbers[where], self._until[k] = 0.0, np.inf
-            # The first call is at the start; the others at multiples of the period.
+            # Calls are at multiples of the period, the first one at zero.
             count = round(t / controller.period)
             if count > self._called[k] and abs(t / controller.period - count) < _DUE:
                 self._called[k] = count
@@ -88,44 +92,43 @@ class Control:
         return until
 
     def _call(self, k: int, t: float, seen: Sample) -> tuple[Array, float]:
-        """Return the numbers that a controller gives at t, and until when they are held."""
+        """Return the force parameters of a controller, and the end of its pulse [s]."""
         forces, system = self._forces, self._scene.system
         assert forces is not None
         controller, _ = forces.held[k]
         names, r = system.shape_names, system.r
-        given, self._states[k] = controller.sample(
-            measured(t, seen, names), seen.mu, self._states[k]
+        command, self._states[k] = controller.sample(
+            _measured(t, seen, names), seen.mu, self._states[k]
         )
-        held = controller.held(given, names, r, t)
-        joints = controller.driven(names)
-        torque = dict(zip(joints, held.values.tolist(), strict=False))
-        wrench = read_only(held.values[len(joints) :].copy()) if controller.wrench else None
-        self.calls.append(ControlAction(t, controller.name, torque, wrench, held.width, seen))
-        if held.width is None:
-            return held.values, np.inf
-        if held.width <= _ONE * self._scene.end:
-            return np.zeros_like(held.values), np.inf
-        return held.values, t + held.width
+        action = controller.held(command, names, r, t)
+        joints, values, width = controller.driven(names), action.values, action.width
+        torque = dict(zip(joints, values.tolist(), strict=False))
+        wrench = read_only(values[len(joints) :].copy()) if controller.wrench else None
+        self.calls.append(ControlAction(t, controller.name, torque, wrench, width, seen))
+        if width is None:
+            return values, np.inf
+        if width <= _ROUND_OFF * self._scene.end:
+            return np.zeros_like(values), np.inf
+        return values, t + width
 
 
-def measured(t: float, seen: Sample, names: tuple[str, ...]) -> SeenState:
-    """Return what controllers are given: numbers of their own, with joints by name."""
+def _measured(t: float, seen: Sample, names: tuple[str, ...]) -> SeenState:
+    """Return the measurement for a controller, with copies of all arrays and joints by name."""
     x, xdot, base = Vector.of(seen.x, names, "x"), Vector.of(seen.xdot, names, "xdot"), seen.base
-    if base is None:  # left out, which a scene allows only where nobody looks at it
+    if base is None:  # Scenes leave out the base only if no controller observes it.
         return SeenState(t, x, xdot, None, None, None, None)
-    space = (np.array(part) for part in (base.pose, base.xi, base.mu, base.J))
-    return SeenState(t, x, xdot, *space)
+    return SeenState(t, x, xdot, *map(np.array, (base.pose, base.xi, base.mu, base.J)))
 
 
 class Replay:
-    """The actions of a motion, again: the numbers that were in the forces, stretch by stretch."""
+    """The actions of a motion, repeated segment by segment."""
 
     def __init__(self, ends: Array, numbers: Sequence[Array]) -> None:
-        """Take the ends of the stretches (S,) [s] and the numbers (p,) in each."""
+        """Take the end times of the segments, (S,) [s], and the force parameters (p,) of each."""
         self._ends, self._numbers = ends, numbers
 
     def begin(self, numbers: Array, t: float, stop: float, see: See) -> float:  # noqa: ARG002
-        """Do as Actions.begin."""
+        """Set the force parameters of the motion at t; see Control.begin."""
         k = min(int(np.searchsorted(self._ends, t, side="right")), len(self._ends) - 1)
         numbers[:] = self._numbers[k]
         return min(stop, float(self._ends[k])) if self._ends[k] > t else stop

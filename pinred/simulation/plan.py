@@ -1,9 +1,8 @@
-"""The plan of a scene: everything that follows from it before anything is integrated.
+"""The plan of a scene: everything that follows from it before integration.
 
-It is made once, and everybody takes it: both routes, `simulate_many`, the balances, and what
-is told of a scene.  The one thing it leaves open is whether the angular momentum of the base
-is zero, which depends on the initial state: `kind` has both answers, for of many members some
-may have momentum and others none.
+A plan is made once for a scene and used everywhere.  It leaves open whether the angular momentum
+of the base is zero, because that depends on the initial state, and members of one plan may differ
+in it.  `Plan.kind` gives the equations of both cases.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from ..common.errors import SymmetryError
 from ..common.memo import once
 from ..forces.force_model import ForceModel, touched_by
 from ..integrators.methods import Method
-from ..kernels.layout import Layout, Structure, layout_of
+from ..kernels.kernel import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.potential import acting_gravity, pivot_weight
 from ..reduction.tree.free_bodies import NOTHING, Freed, freed_of
@@ -29,13 +28,18 @@ from ..system.system import System
 from .choose_method import Choice, choose
 
 _NONE = read_only(np.empty(0))
+# Stops closer than this fraction of the duration are one stop.
+_ROUND_OFF = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """The terms of a plan with angular momentum of the base, or without any.
+    """The equations of a plan, either with angular momentum of the base or without.
 
-    structure: which terms there are.
+    Attributes:
+        system: The system.
+        forces: Forces besides gravity and prescribed joints; None if there are none.
+        structure: Terms of the equations.
     """
 
     system: System
@@ -44,7 +48,7 @@ class Kind:
 
     @cached_property
     def layout(self) -> Layout:
-        """Numbers that are integrated, and where they stand; made when first looked at."""
+        """Places of the integrated variables and of the parameters, computed at first access."""
         return layout_of(self.system, self.structure, self.forces)
 
 
@@ -92,14 +96,19 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Acting:
-    """What a system and the forces on it say of every scene with both; arrays are read-only.
+    """Properties of a system with its forces, which several scenes share; arrays are read-only.
 
-    forces: all that acts besides gravity, and the prescribed joints; None if there is nothing.
-    weight: (3,) m g in the root joint's fixed frame where it turns a pivoted base, else zero
-    [N].  gravity: (3,) what of it acts on the shape or turns the base, in that frame [m/s²].
-    momentum_changes: whether something acts on the angular momentum of the base.
-    cyclic, driven, free: indices of the joints whose momentum is constant, of those that are
-    prescribed, and of all others than these last.
+    Attributes:
+        system: The system.
+        forces: Forces besides gravity and prescribed joints; None if there are none.
+        weight: Gravity force m g in the root joint's fixed frame if it turns a pivoted base,
+            else zero, (3,) [N].
+        gravity: The part of gravity that acts on the shape or turns the base, in that frame,
+            (3,) [m/s²].
+        momentum_changes: Whether a force changes the angular momentum of the base.
+        cyclic: Indices of the joints whose momentum is constant.
+        driven: Indices of the prescribed joints.
+        free: Indices of all other joints.
     """
 
     system: System
@@ -121,42 +130,16 @@ class Acting:
         """Whether gravity turns a pivoted base."""
         return bool(self.weight.any())
 
-    def kind(
-        self, *, zero_momentum: bool, base: bool, symplectic: bool, freed: Freed, every: bool
-    ) -> Kind:
-        """Return the terms there are, made once.
-
-        zero_momentum: whether the angular momentum is exactly zero.  base: whether somebody asks
-        for the base.  symplectic: whether the integrator is.  freed: numbers of bodies that vary.
-        every: whether gravity may come to act along any axis.
-        """
-        zero = zero_momentum and not self.momentum_changes
-        # A constant angular momentum that turns in the body is a quaternion to symplectic methods.
-        constant = self.system.group.turns == 3 and not (zero or self.momentum_changes)
-        lifted = symplectic and constant
-        key = (zero, base, lifted, freed, every)
-        return once(self, key, lambda: self._kind(*key))
-
-    def _kind(self, zero: bool, base: bool, lifted: bool, freed: Freed, every: bool) -> Kind:
-        acts = self.gravity.any()
-        axes = (0, 1, 2) if every and acts else tuple(np.flatnonzero(self.gravity).tolist())
-        structure = Structure(
-            zero_momentum=zero,
-            cyclic=self.cyclic,
-            gravity=axes,
-            base=base,
-            lifted=lifted,
-            freed=freed,
-        )
-        return Kind(self.system, self.forces, structure)
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All that follows from a scene before it is integrated; arrays are read-only.
+    """Everything that follows from a scene before integration; arrays are read-only.
 
-    acting: what it shares with other scenes.  stops: (S,) times at which integration stops, the
-    end last [s].  numbers: (p,) those in the forces at the start.
+    Attributes:
+        scene: The scene.
+        acting: Properties of its system and forces.
+        stops: Times at which integration stops, the end of the scene last, (S,) [s].
+        numbers: Initial force parameters, (p,).
     """
 
     scene: Scene
@@ -171,12 +154,12 @@ class Plan:
 
     @property
     def forces(self) -> ForceModel | None:
-        """All that acts besides gravity, and the prescribed joints; None if there is nothing."""
+        """Forces besides gravity and prescribed joints; None if there are none."""
         return self.acting.forces
 
     @property
     def wanted(self) -> bool:
-        """Whether somebody asks for the base."""
+        """Whether the scene requests the base."""
         return self.scene.outputs == "all"
 
     @cached_property
@@ -192,30 +175,43 @@ class Plan:
 
     @cached_property
     def choice(self) -> Choice:
-        """The integrator of the compiled route, and why it is this one."""
+        """The integrator of the compiled engine, with the reason for it."""
         return choose(self.scene, self.stops)
 
     @property
     def method(self) -> Method:
-        """The integrator of the compiled route."""
+        """The integrator of the compiled engine."""
         return self.choice.method
 
     def kind(self, *, zero_momentum: bool, generic: bool = False) -> Kind:
-        """Return the terms there are if the angular momentum is exactly zero, or if it is not.
+        """Return the equations with or without angular momentum, made once.
 
-        generic: whether numbers of the robot that vary may become any.
+        Args:
+            zero_momentum: Whether the initial angular momentum of the base is exactly zero.
+            generic: Whether variable parameters of the robot may take any value.
+        Returns:
+            The equations.
         """
-        varied = self.scene.varied
-        return self.acting.kind(
-            zero_momentum=zero_momentum,
+        acting, varied = self.acting, self.scene.varied
+        zero = zero_momentum and not acting.momentum_changes
+        # Symplectic methods integrate a constant angular momentum that rotates in the body by a
+        # quaternion.
+        constant = self.system.group.turns == 3 and not (zero or acting.momentum_changes)
+        axes = tuple(np.flatnonzero(acting.gravity).tolist())
+        if axes and generic and varied is not None and varied.gravity_name() == "gravity":
+            axes = (0, 1, 2)
+        structure = Structure(
+            zero_momentum=zero,
+            cyclic=acting.cyclic,
+            gravity=axes,
             base=self.wanted,
-            symplectic=self.method.symplectic,
+            lifted=self.method.symplectic and constant,
             freed=self.freed(generic=generic),
-            every=generic and varied is not None and varied.gravity_name() == "gravity",
         )
+        return once(acting, structure, lambda: Kind(self.system, self.forces, structure))
 
     def freed(self, *, generic: bool = False) -> Freed:
-        """Return the numbers of the robot that are inputs of the kernel; see `kind`."""
+        """Return the parameters of the robot that are inputs of the kernel; see `kind`."""
         varied, forces = self.scene.varied, self.forces
         if varied is None:
             return NOTHING
@@ -235,27 +231,31 @@ def stops_of(scene: Scene) -> Array:
     stops = np.unique(np.concatenate(times))
     stops = stops[stops <= end]
     # Times that differ by round-off are one stop, and the end has to remain.
-    distinct = np.append(np.diff(stops) > 1e-12 * end, True)
+    distinct = np.append(np.diff(stops) > _ROUND_OFF * end, True)
     return np.asarray(stops[distinct])
 
 
 def plan_of(scene: Scene) -> Plan:
     """Return the plan of a scene, made once.
 
-    Raises SymmetryError if gravity breaks the symmetry.
+    Args:
+        scene: The scene.
+    Returns:
+        Its plan.
+    Raises:
+        SymmetryError: Gravity breaks the symmetry.
     """
-    return once(scene, Plan, lambda: _plan(scene))
 
+    def make() -> Plan:
+        system, forces, varied = scene.system, scene.force_model, scene.varied
+        # Scenes of one force model, which belongs to one system, share these properties.
+        owner = system if forces is None else forces
+        key = (Acting, *(varied.names if varied is not None else ()))
+        acting = once(owner, key, lambda: _acting(system, forces, varied))
+        numbers = _NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end))
+        return Plan(scene, acting, read_only(stops_of(scene)), numbers)
 
-def _plan(scene: Scene) -> Plan:
-    system, forces = scene.system, scene.force_model
-    # A force model belongs to one system.
-    varied = scene.varied
-    key = (Acting, *(varied.names if varied is not None else ()))
-    owner = system if forces is None else forces
-    acting = once(owner, key, lambda: _acting(system, forces, varied))
-    numbers = _NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end))
-    return Plan(scene, acting, read_only(stops_of(scene)), numbers)
+    return once(scene, Plan, make)
 
 
 def _acting(system: System, forces: ForceModel | None, varied: ModelParameters | None) -> Acting:
@@ -264,9 +264,10 @@ def _acting(system: System, forces: ForceModel | None, varied: ModelParameters |
     driven = forces.joints if forces is not None else ()
     pushed = forces is not None and forces.has_wrench
     cyclic = cyclic_of(system, touched_by(forces), pushed=pushed)
-    if varied is not None:  # a joint that another value would not leave cyclic is none
+    if varied is not None:
+        # Other values of the parameters must leave joints cyclic and pivots balanced.
         other = varied.system(varied.perturbed(np.random.default_rng(0)))
-        if not weight.any() and pivot_weight(other).any():  # nor a base that others would turn
+        if not weight.any() and pivot_weight(other).any():
             gravity = system.model.jointPlacements[1].rotation.T @ system.gravity
             weight = system.mass * gravity
         always = cyclic_of(other, touched_by(forces), pushed=pushed)

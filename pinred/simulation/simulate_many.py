@@ -1,4 +1,4 @@
-"""simulate_many(): many motions of one system, as many at once as there are lanes, over threads."""
+"""simulate_many(): many motions of one system, in SIMD lanes and on several threads."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Unpack
 
 from ..common.arrays import entries_of
 from ..common.errors import InputError, IntegrationError
-from ..common.plain_names import brief
+from ..common.names import brief
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
 from ..scene.option_checks import check_seed
@@ -33,64 +33,70 @@ def simulate_many(
     explain: bool = False,
     **options: Unpack[SceneOptions],
 ) -> Trajectories:
-    """Simulate many motions of one system, with one kernel, in lanes and over threads.
+    """Simulate many motions of one system with one kernel, in SIMD lanes and on threads.
 
-    system: a System; or a Scene, whose options then stand where none are given; or a list of
-        Scenes of one System with the same times, which are the members.
-    options: those of Scene; of x0, xdot0, xi0, momentum, pose0, q0 and v0, what has a leading
-        axis (N, …) differs between members, and of parameters={name: …}, what has (N,) values; the
-        rest is common.  By joint, that is {joint: (N,) values}, beside which numbers are common.
-    members: {name: (N, …) values} of the same, of Parameters, and of gravity, (N, 3) in the world
-        frame [m/s²].
-    seeds: (N,) one random state each instead.  threads: as many as processors if None.
-    progress: as in `simulate`; the part of the members that is done.
-    explain: print how the members run.
+    With DOP853 and Tsit5, eight members are integrated at once (sixteen of small robots), each
+    with its own steps.  The results of a member do not depend, to the bit, on the other members,
+    on their order, or on the number of threads.  They agree with `simulate` within round-off times
+    the growth along the motion; with other methods they are equal to the bit.
 
-    With DOP853 and Tsit5, eight members run at once, sixteen of small robots, each with steps of
-    its own.  A member's numbers are the same to the bit beside any others, in any order and on any
-    number of threads.  They are those of `simulate` within round-off times the stretch of the flow;
-    with other methods they are those of `simulate` to the bit.  Where `simulate` would choose
-    AdaptiveGauss, members are given to DOP853, which costs less of many.  Members with controllers,
-    events, or plans of joints that have breaks run one by one, as in `simulate`.
-    A member that fails is reported in `failures` and disturbs no other.
-    Raises InputError or ShapeError for scenes that make no sense.
+    Where `simulate` would choose AdaptiveGauss, DOP853 is used, which costs less for many members.
+    Members with controllers, events, or prescribed joints whose plans have breaks are simulated
+    one by one, as by `simulate`.  A member that fails is listed in `failures` and does not affect
+    the others.  A ShapeError is raised for arrays of different numbers of members.
+
+    Args:
+        system: A System; or a Scene whose options are used where none are given; or a list of
+            Scenes of one System with equal report times, one for each member.
+        members: Values by name, (N, …): initial states, Parameters, parameters of the robot, and
+            gravity, (N, 3), in the world frame [m/s²].
+        seeds: A seed of a random initial state for each member, (N,).
+        threads: Number of threads; as many as processors if None.
+        progress: As in `simulate`, with the finished fraction of the members.
+        explain: Whether to print how the members are integrated.
+        **options: Fields of Scene.  Of x0, xdot0, xi0, momentum, pose0, q0, v0 and values of
+            parameters, those with a leading axis (N, …) differ between members.
+    Returns:
+        The trajectories of all members.
+    Raises:
+        InputError: The scenes or options are invalid, or do not belong together.
     """
     if isinstance(system, (System, Scene)):
-        found = MemberOptions(system, options, members, _checked(seeds)).members()
+        resolved = MemberOptions(system, options, members, _checked(seeds)).members()
     else:
         scenes = entries_of(system)
         if scenes is None:
             checked_system(system, "simulate_many")
-        given = {**options, "members": members, "seeds": seeds}
-        for name, value in given.items():
+        excluded = {**options, "members": members, "seeds": seeds}
+        for name, value in excluded.items():
             if value is not None:
                 raise InputError(f"a list of Scenes says all itself; do not give {name} beside it")
         if not scenes:
             raise InputError("simulate_many needs at least one member")
-        found = of_scenes(scenes)
+        resolved = of_scenes(scenes)
     if explain:
-        print(_explained(found))
-    name = found.groups[0].plan.system.name
-    with shown(progress, f"simulating {found.count} of {name}") as done:
-        return _run(found, threads, done)
+        print(_explained(resolved))
+    name = resolved.groups[0].plan.system.name
+    with shown(progress, f"simulating {resolved.count} of {name}") as done:
+        return _run(resolved, threads, done)
 
 
 def _checked(seeds: Sequence[int] | None) -> list[int] | None:
     if seeds is None:
         return None
-    drawn = entries_of(seeds)
-    if drawn is None:
+    entries = entries_of(seeds)
+    if entries is None:
         raise InputError(f"seeds must be a list of whole numbers, got {brief(seeds)}")
-    return [check_seed(seed) for seed in drawn]
+    return [check_seed(seed) for seed in entries]
 
 
-def _explained(found: Members) -> str:
-    """Return how members run, a line for each group."""
+def _explained(resolved: Members) -> str:
+    """Describe how members are integrated, in one line for each group."""
     from .compiled.compiled_flow import flows_of
     from .members.integrate_members import lanes_of
 
     lines = []
-    for group in found.groups:
+    for group in resolved.groups:
         plan = group.plan
         if why := group.one_by_one:
             lines.append(f"{len(group.members)} members one by one, {plan.method.name}: {why}")
@@ -132,8 +138,8 @@ def _run(
                 report(0.0, 0)
             continue
         for some, flow in flows_of(group.plan, group.given, group.own):
-            told = partial(report, share=len(some)) if progress is not None else None
-            batch = integrate_members(flow, group.plan, group.members[some], threads, told)
+            part = None if progress is None else partial(report, share=len(some))
+            batch = integrate_members(flow, group.plan, group.members[some], threads, part)
             batches.append(batch)
             failures += batch.failures
             done += len(some)

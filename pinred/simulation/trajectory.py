@@ -1,4 +1,4 @@
-"""Trajectory: what a simulation returns, at the times asked for and at any other."""
+"""Trajectory: the result of a simulation, at the report times and at any other time."""
 
 from __future__ import annotations
 
@@ -31,8 +31,12 @@ if TYPE_CHECKING:
 class Cost:
     """The cost of an integration.
 
-    engine: "compiled" or "pinocchio".  method: name of the integrator.  steps: accepted.
-    evaluations: of the vector field.  wall: seconds.
+    Attributes:
+        engine: "compiled" or "pinocchio".
+        method: Name of the integrator.
+        steps: Number of accepted steps.
+        evaluations: Number of evaluations of the vector field.
+        wall: Wall time [s].
     """
 
     engine: Engine
@@ -43,7 +47,12 @@ class Cost:
 
 
 class Trajectory(OverTime):
-    """The motion of a scene.  Fields of State over the report times; call it for any time."""
+    """The motion of a scene: fields of State at the report times; call it for other times.
+
+    Attributes:
+        scene: The scene; it ends at the event that has ended the motion, if one has.
+        run: Cost of the integration, with engine, method, steps, evaluations and wall time [s].
+    """
 
     def __init__(
         self,
@@ -74,10 +83,10 @@ class Trajectory(OverTime):
 
     @property
     def motion(self) -> Motion:
-        """The motion at all times; of a trajectory that was pickled, it is integrated again."""
+        """The motion at all times; it is integrated again after unpickling."""
         if self._motion is None:
             if self._again is None:
-                raise NotCopyable("this motion was made by hand, and is not integrated again")
+                raise NotCopyable("this motion was changed by hand; it cannot be integrated again")
             self._motion = self._again().motion
         return self._motion
 
@@ -93,7 +102,7 @@ class Trajectory(OverTime):
 
     @cached_property
     def outputs(self) -> State | ShapeState:
-        """States that the scene asks for at the report times; made when first looked at."""
+        """States at the report times, computed at first access."""
         return self.motion.states(self.scene.report_times)
 
     @property
@@ -107,27 +116,27 @@ class Trajectory(OverTime):
 
     @cached_property
     def events(self) -> Mapping[str, Crossings]:
-        """Crossings of the scene's events, by name."""
+        """Crossings of the scene's events by name."""
         from .events import crossings_by_event
 
         return crossings_by_event(self.scene, self.motion.crossings, self.motion.states)
 
     @property
     def ended_by(self) -> str | None:
-        """Name of the terminal event that ended the motion, and so its scene; None if none did."""
+        """Name of the terminal event that ended the motion, None if none did."""
         end = self.motion.ended_by
         return None if end is None else self.scene.events_given[end.event].name
 
     @property
     def actions(self) -> tuple[ControlAction, ...]:
-        """What the controllers were given and gave, call by call."""
+        """Calls of the controllers, with the observed state and the action of each."""
         return self.motion.actions
 
     @cached_property
     def energy_balance(self) -> EnergyBalance:
-        """Energy, and the work of what has no potential, over the report times.
+        """Energy and the work of forces without potential at the report times.
 
-        Raises InputError if the scene leaves out the base.
+        It raises an InputError if the scene leaves out the base.
         """
         from .balances import energy_balance
 
@@ -135,9 +144,9 @@ class Trajectory(OverTime):
 
     @cached_property
     def momentum_balance(self) -> MomentumBalance:
-        """Momentum, and the impulse of wrenches and gravity, over the report times.
+        """Momentum and the impulse of wrenches and gravity at the report times.
 
-        Raises InputError if the scene leaves out the base.
+        It raises an InputError if the scene leaves out the base.
         """
         from .balances import momentum_balance
 
@@ -145,8 +154,8 @@ class Trajectory(OverTime):
 
     @cached_property
     def driving_torques(self) -> Array:
-        """Torques that the prescribed joints need, (T, k) [N·m | N], in their order."""
-        from .driving_torques import driving_torques
+        """Torques that drive the prescribed joints, in their order, (T, k) [N·m | N]."""
+        from .balances import driving_torques
 
         return driving_torques(self.plan, self.t, self.motion.samples(self.t))
 
@@ -190,17 +199,29 @@ class Trajectory(OverTime):
         )
 
     def __call__(self, t: ArrayLike) -> State:
-        """Return the state at time t, or states at times (T,), within the duration [s].
+        """Compute the state at any time of the motion.
 
-        Raises InputError outside it or if the base was left out, ShapeError for anything but
-        a time or a vector of them.
+        An InputError is raised outside the motion or if the base was left out, and a ShapeError
+        for other shapes.
+
+        Args:
+            t: A time, or times (T,), within the duration [s].
+        Returns:
+            The state at this time, or the states at these times.
         """
         return with_base(self.at(t), self.system.name)
 
     def at(self, t: ArrayLike) -> State | ShapeState:
-        """Return what the scene asks for at time t, or at times (T,), within the duration [s].
+        """Compute the state at any time of the motion, with or without the base.
 
-        Raises InputError outside it, ShapeError for anything but a time or a vector of them.
+        Args:
+            t: A time, or times (T,), within the duration [s].
+        Returns:
+            The state at this time, or the states at these times; without the base if the scene
+            leaves it out.
+        Raises:
+            InputError: A time is outside the motion.
+            ShapeError: `t` is neither a time nor a vector.
         """
         times = as_floats(t, "t")
         flat = np.atleast_1d(times)
@@ -214,9 +235,13 @@ class Trajectory(OverTime):
         return map_arrays(lambda values: np.asarray(values[0]), state)
 
     def save(self, path: str | Path) -> None:
-        """Write the states to a .npz, .csv or .zarr file (see trajectory_files.py).
+        """Write the states to a file.
 
-        Raises InputError, OutputError, and MissingPackageError where zarr is not installed.
+        An InputError is raised for another suffix or a missing folder, an OutputError if writing
+        fails, and a MissingPackageError if zarr is not installed.
+
+        Args:
+            path: Path of the file; its suffix, .npz, .csv or .zarr, selects the format.
         """
         from .trajectory_files import save
 

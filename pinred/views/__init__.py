@@ -1,4 +1,4 @@
-"""Motions to look at: figures, playback in a browser, films.
+"""Views of motions: figures, playback in a browser, films.
 
 Imports `simulation`, `analysis`, `judge`, `planning` and the packages below them.
 """

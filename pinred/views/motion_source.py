@@ -1,4 +1,4 @@
-"""The motions that views show: simulated, or read back from a file."""
+"""Type of motions that views accept: simulated, or read from a file."""
 
 from __future__ import annotations
 

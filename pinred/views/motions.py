@@ -1,4 +1,4 @@
-"""Views of a motion: a figure, a player, a page, a film."""
+"""Public functions for views of a motion: figure, player, HTML page, film."""
 
 from __future__ import annotations
 
@@ -24,25 +24,50 @@ def play(
     wait: bool | None = None,
     **options: Unpack[ViewOptions],
 ) -> Player:
-    """Play the motion in a browser on this machine, and return what serves it.
+    """Play a motion in a browser on this machine.
 
-    port: any free one if None.  show: open the browser.  wait: serve until Ctrl-C (in a
-    script; where somebody types on, return at once).  ghost: also draw the full simulation (ABA)
-    beside it.  speed: seconds of the motion in one of playback, to begin with.  fps: frames in
-    a second of playback.  pair: two joints, the axes of the shape panel (those that move the
-    most without spinning).  meshes: draw what the robot's file says, else bodies made from the
-    inertias; or folders in which meshes are looked for.  Raises InputError, OutputError.
+    Args:
+        traj: The motion: a Trajectory, or a recording read from a file.
+        port: Port of the server; any free one if None.
+        show: Open the user's browser.
+        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
+        ghost: Also draw the full simulation (Pinocchio's ABA) next to the motion.
+        speed: Seconds of the motion in one second of playback, initially.
+        fps: Frames per second of playback.
+        pair: Names of two joints for the axes of the shape panel. If None, the two that move most
+            without full rotations.
+        meshes: Draw the shapes of the robot's file; False draws ellipsoids of its inertias. Folders
+            are searched for meshes.
+        **options: The options of View, listed above.
+    Returns:
+        The server of the page.
+    Raises:
+        InputError: An option is invalid, or the port is taken.
+        OutputError: The page cannot be served.
     """
-    from .playback.show import play as serve
+    from .playback.server import play as serve
 
     return serve(traj, as_view(options, "play"), port=port, show=show, wait=wait)
 
 
 @shows_fields(View)
 def save_html(traj: Trajectory, path: str | Path, **options: Unpack[ViewOptions]) -> int:
-    """Write the playback as one HTML file that needs no network; return its size in bytes.
+    """Write the playback as one self-contained HTML file.
 
-    options: as of `play`.  Raises InputError, OutputError.
+    Args:
+        traj: The motion: a Trajectory, or a recording read from a file.
+        path: The .html file.
+        ghost: Also draw the full simulation (Pinocchio's ABA) next to the motion.
+        speed: Seconds of the motion in one second of playback, initially.
+        fps: Frames per second of playback.
+        pair: Names of two joints for the axes of the shape panel, see `play`.
+        meshes: Draw the shapes of the robot's file, see `play`.
+        **options: The options of View, listed above.
+    Returns:
+        Size of the file in bytes.
+    Raises:
+        InputError: An option or the suffix is invalid.
+        OutputError: The file cannot be written.
     """
     from .playback.page import save_html as write
 
@@ -60,8 +85,22 @@ def save_film(
 ) -> int:
     """Write the playback as film.mp4 or film.gif, or as frames film_0000.png and so on.
 
-    size: width and height in pixels.  progress: called with the part that is done.
-    options: as of `play`.  Returns the number of frames.  Raises InputError, OutputError.
+    Args:
+        traj: The motion: a Trajectory, or a recording read from a file.
+        path: The file; its suffix .mp4, .gif or .png determines the format.
+        size: Width and height in pixels.
+        progress: Called with the completed fraction.
+        ghost: Also draw the full simulation (Pinocchio's ABA) next to the motion.
+        speed: Seconds of the motion in one second of the film.
+        fps: Frames per second of the film.
+        pair: Names of two joints for the axes of the shape panel, see `play`.
+        meshes: Draw the shapes of the robot's file, see `play`.
+        **options: The options of View, listed above.
+    Returns:
+        Number of frames.
+    Raises:
+        InputError: An option is invalid, or Chromium or ffmpeg is not installed.
+        OutputError: Rendering or writing fails.
     """
     from .playback.film import save_film as write
 

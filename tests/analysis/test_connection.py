@@ -15,8 +15,8 @@ from pinred.kernels.connection.form import ConnectionForm
 
 @settings(max_examples=4)
 @given(case=cases(most=4))
-def test_it_is_the_reduction(case: Case) -> None:
-    """A, M, B and −A ẋ are those that Pinocchio's CRBA and RNEA derivatives give."""
+def test_mechanical_connection_equals_reduction(case: Case) -> None:
+    """A, M, B and −A ẋ against Pinocchio's CRBA and RNEA derivatives."""
     A, at = pinred.Connection.mechanical(case.system), pinred.Reduction(case.system).at(case.x)
     size = 1.0 + float(np.abs(at.curvature).max(initial=0.0))
     close(A.local(case.x), at.local_connection, 1e-11 * size)
@@ -26,8 +26,8 @@ def test_it_is_the_reduction(case: Case) -> None:
     close(A.velocity(case.x, case.xdot), -at.local_connection @ case.xdot, 1e-11 * size)
 
 
-def test_a_grid_is_the_same_point_by_point() -> None:
-    """Leading axes come first; the two parts of the curvature make up the whole."""
+def test_grid_equals_single_shapes() -> None:
+    """Leading axes come first, and both terms of the curvature add up."""
     system = pinred.load("falling_cat")
     A, red = pinred.Connection.mechanical(system), pinred.Reduction(system)
     shapes = np.random.default_rng(3).uniform(-1.0, 1.0, (3, 4, system.m))
@@ -41,7 +41,7 @@ def test_a_grid_is_the_same_point_by_point() -> None:
 
 
 @pytest.mark.parametrize("name", ["falling_cat", "three_rods"])
-def test_slopes_are_those_of_the_reduction(name: str) -> None:
+def test_horizontal_slopes_equal_derivatives_of_reduction(name: str) -> None:
     """The derivatives of ξ and ẋᵀ M ẋ by x and ẋ, from Pinocchio's exact dA and dM."""
     system = pinred.load(name)
     rng = np.random.default_rng(4)
@@ -76,7 +76,7 @@ def test_locked_derivatives_equal_derivatives_of_locked_inertia() -> None:
         ("P_b", lambda A, x: A.code.locked_derivatives(x[None], np.ones((1, 3)))),
     ],
 )
-def test_code_that_disagrees_never_runs(what: str, call: object) -> None:
+def test_code_that_disagrees_with_reference_raises(what: str, call: object) -> None:
     """A reference that differs by 1e-4 in two entries is detected for each function."""
     system = pinred.load("three_rods")
     own = pinred.Connection.mechanical(system).form
@@ -93,13 +93,13 @@ def test_code_that_disagrees_never_runs(what: str, call: object) -> None:
         call(pinred.Connection.of(form), np.array([0.3, 0.4]))  # type: ignore[operator]
 
 
-def test_the_judge_looks_at_healthy_shapes() -> None:
-    """The trial shapes exist: a judge without any would pass everything."""
+def test_trial_shapes_exist() -> None:
+    """Validation without trial shapes would accept everything."""
     form = pinred.Connection.mechanical(pinred.load("falling_cat")).form
     assert len(list(trial_shapes(form))) == 2
 
 
-def test_wrong_shapes_are_refused() -> None:
+def test_invalid_shapes_raise_and_name_joints() -> None:
     """By name, with the joints."""
     A = pinred.Connection.mechanical(pinred.load("three_rods"))
     with pytest.raises(pinred.ShapeError, match="alpha1, alpha2"):

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 import three_links
 from assertions import close
-from lifts import lifted
+from lifts import pose_after_cycle
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
@@ -26,8 +26,8 @@ def swimmer() -> pinred.Connection:
 
 
 @pytest.mark.parametrize("x", SHAPES)
-def test_resistive_force_theory(x: Array) -> None:
-    """Drag of three links, written by hand: A to round-off, and the dissipation metric."""
+def test_viscous_connection_equals_resistive_force_theory(x: Array) -> None:
+    """Drag of three links, derived manually: A to round-off, and the dissipation metric."""
     drag = np.diag([LENGTH, 2.0 * LENGTH, 2.0 * LENGTH**3 / 12.0])
     G = three_links.form(x, drag)
     A = swimmer()
@@ -35,7 +35,7 @@ def test_resistive_force_theory(x: Array) -> None:
     close(A.metric(x), G[3:, 3:] - G[3:, :3] @ three_links.local(G), 1e-15)
 
 
-def test_purcells_circle() -> None:
+def test_purcell_swimmer_has_published_displacement() -> None:
     """The published displacement of a circle of radius 1, ratio 2, base in the middle link."""
     p = pinred.phase(swimmer(), CIRCLE, tolerance=1e-12)
     assert float(np.hypot(*p.pose[:2])) == pytest.approx(0.0512808243, abs=5e-11)
@@ -44,15 +44,15 @@ def test_purcells_circle() -> None:
     assert p.screw.slide == pytest.approx(0.0512808243, abs=5e-11)
 
 
-def test_tensors_are_taken_as_rods_are() -> None:
-    """A tensor in the link's frame says the same."""
+def test_drag_tensor_equals_rod() -> None:
+    """A tensor in the link's frame gives the same connection."""
     by_hand = {name: np.array(rod.tensor) for name, rod in RODS.items()}
     A = pinred.Connection.viscous(pinred.load("purcell_swimmer"), by_hand)
     close(A.local(SHAPES[1]), swimmer().local(SHAPES[1]), 1e-16)
 
 
-def test_a_rod_across_space() -> None:
-    """Along any axis: the drag of its middle, integrated over its length by hand."""
+def test_rod_in_space_has_integrated_drag() -> None:
+    """Along any axis, against the integral over its length."""
     axis, centre = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.1, -0.2])
     tensor = pinred.Rod(0.8, 3.0, 1.5, centre, axis).tensor
     u = axis / np.linalg.norm(axis)
@@ -66,7 +66,7 @@ def test_a_rod_across_space() -> None:
 
 
 @pytest.mark.parametrize("convention", ["textbook", "sysplotter"])
-def test_three_ellipses(convention: str) -> None:
+def test_three_ellipses_in_fluid(convention: str) -> None:
     """Added masses π b², π a² and moment π/8 (a² − b²)², or (a² − b²)² as sysplotter has it."""
     a, b, rho = 0.5 * LENGTH, 0.04, 1.3
     factor = np.pi / 8.0 if convention == "textbook" else 1.0
@@ -87,8 +87,8 @@ def test_three_ellipses(convention: str) -> None:
     assert ratio == pytest.approx(8.0 / np.pi if other == "sysplotter" else np.pi / 8.0)
 
 
-def test_lambs_ellipsoids() -> None:
-    """A sphere has half its mass; 2:1:1 has Lamb's 0.209, 0.702 (his table) and 0.240 in turns."""
+def test_added_masses_of_ellipsoids_equal_lambs_table() -> None:
+    """A sphere has half its mass; 2:1:1 has Lamb's 0.209 and 0.702, and a moment of 0.240."""
     mass, moment = added_masses(np.array([0.7, 0.7, 0.7]))
     close(mass, np.full(3, 0.5 * 4.0 / 3.0 * np.pi * 0.7**3), 1e-14)
     close(moment, np.zeros(3), 1e-14)
@@ -107,7 +107,7 @@ def test_lambs_ellipsoids() -> None:
     close(moment / (volume * (a**2 + b**2) / 5.0), [0.0, turn, turn], 1e-13)
 
 
-def test_a_long_ellipsoid_has_the_textbooks_moment() -> None:
+def test_long_ellipsoid_has_moment_of_ellipses() -> None:
     """Sliced across, it is ellipses: π/8 (b² − c²)² integrated along it, 16 a/15 times that."""
     a, b, c = 3000.0, 0.9, 0.4
     _, moment = added_masses(np.array([a, b, c]))
@@ -120,7 +120,7 @@ def snake() -> pinred.Connection:
     return pinred.Connection.kinematic(pinred.load("purcell_swimmer"), wheels)
 
 
-def test_the_wheels_of_a_snake() -> None:
+def test_kinematic_connection_of_snake() -> None:
     """A = W_b⁻¹ W_s, W the sideways speeds of the links' centres."""
     A = snake()
     for x in (np.array([0.9, -0.4]), np.array([-1.3, 2.1])):
@@ -137,13 +137,13 @@ def test_the_wheels_of_a_snake() -> None:
         W = np.array([J[name][1] for name in LINKS])
         return -np.linalg.solve(W[:, :3], W[:, 3:] @ xdot)
 
-    close(p.pose, lifted(A.group, gait, velocity), 1e-10)
+    close(p.pose, pose_after_cycle(A.group, gait, velocity), 1e-10)
     with pytest.raises(pinred.InputError, match="carry no momentum"):
         pinred.phase(A, gait, [1.0, 0.0, 0.0])
 
 
-def test_singular_wheels_are_refused() -> None:
-    """On one arc, straight included, the wheels leave a motion open; no gait crosses that."""
+def test_kinematic_connection_at_singular_shape_raises() -> None:
+    """On one arc, also straight, the wheels do not determine the motion; no gait may cross it."""
     A = snake()
     for x in ([0.0, 0.0], [0.6, 0.6]):
         with pytest.raises(pinred.SingularInertiaError, match="leave a motion of the body open"):
@@ -175,8 +175,8 @@ def car(trailers: int) -> pin.Model:
     return model
 
 
-def test_the_kinematic_car() -> None:
-    """It goes at R φ̇ and turns at R φ̇ tan(steering)/ℓ."""
+def test_kinematic_car() -> None:
+    """It moves at R φ̇ and rotates at R φ̇ tan(steering)/ℓ."""
     wheels: list[pinred.Wheel | pinred.Rolling] = [
         pinred.Wheel("chassis"),
         pinred.Wheel("axle"),
@@ -192,7 +192,7 @@ def test_the_kinematic_car() -> None:
         close(A.local(x), expected, 1e-14)
 
 
-def test_a_car_with_a_trailer() -> None:
+def test_car_with_trailer() -> None:
     """Without an engine: steering and hitch move it, as ω = ḣ-rate of the hitch says."""
     system = pinred.load(car(1), lock={"drive": 0.0})
     wheels = [pinred.Wheel("chassis"), pinred.Wheel("axle"), pinred.Wheel("trailer", (-0.5, 0, 0))]
@@ -209,8 +209,8 @@ def test_a_car_with_a_trailer() -> None:
     close(A.local(x), expected, 1e-13)
 
 
-def test_refusals() -> None:
-    """Links, wheels and numbers that are not there, by name."""
+def test_invalid_drag_fluid_and_wheels_raise() -> None:
+    """Unknown links, wrong wheels and numbers, by name."""
     system = pinred.load("purcell_swimmer")
     with pytest.raises(pinred.InputError, match=r"did you mean 'rear'.*the links are"):
         pinred.Connection.viscous(system, {"raer": RODS["rear"]})

@@ -10,11 +10,11 @@ from assertions import close
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lifts import random_gait
+from link_poses import link_pose
 from strategies import groups, make_case, seeds
 from trees import random_model
 
 import pinred
-from pinred.analysis.connections.other_frames import link_pose
 from pinred.common.arrays import Array
 from pinred.lie import Group
 
@@ -26,16 +26,16 @@ def conjugate(group: Group, g: Array, h: Array) -> Array:
 
 def agree(group: Group, found: Array, expected: Array, tolerance: float) -> None:
     """Assert that two poses agree."""
-    apart = group.error(expected, found)
+    error = group.error(expected, found)
     size = 1.0 + float(np.abs(expected).max())
-    assert apart.rotation <= tolerance
-    assert apart.translation <= tolerance * size
+    assert error.rotation <= tolerance
+    assert error.translation <= tolerance * size
 
 
 @pytest.mark.by_hand
 @settings(max_examples=2)
 @given(joints=st.integers(1, 2), seed=seeds)
-def test_any_link_may_be_the_base(joints: int, seed: int) -> None:
+def test_other_base_link_has_conjugate_phase(joints: int, seed: int) -> None:
     """On random trees in space: the phase is conjugate, and B′ = Ad_{h⁻¹} B."""
     model = random_model("SE3", joints, seed)
     rng = np.random.default_rng(seed)
@@ -59,7 +59,7 @@ def test_any_link_may_be_the_base(joints: int, seed: int) -> None:
 
 @settings(max_examples=4)
 @given(group=groups, joints=st.integers(1, 2), seed=seeds)
-def test_any_section(group: str, joints: int, seed: int) -> None:
+def test_other_section_has_conjugate_phase(group: str, joints: int, seed: int) -> None:
     """On all groups, in a random frame h(x): conjugate phases, A′ = Ad_{h⁻¹}A − h⁻¹∂h."""
     case = make_case(group, joints, seed)
     A, G = pinred.Connection.mechanical(case.system), case.system.group
@@ -94,7 +94,7 @@ def test_any_section(group: str, joints: int, seed: int) -> None:
     close(B.local(x), expected, 1e-9 * (1.0 + np.abs(expected).max()))
 
 
-def test_drag_and_wheels_too() -> None:
+def test_other_base_link_of_drag_and_wheels() -> None:
     """Any connection of a robot can be seen from another of its links."""
     system = pinred.load("purcell_swimmer")
     wheels = [pinred.Wheel(name, (c, 0, 0)) for name, c in (("rear", -0.1), ("front", 0.2))]
@@ -108,8 +108,8 @@ def test_drag_and_wheels_too() -> None:
         agree(A.group, q.pose, conjugate(A.group, p.pose, h), 1e-11)
 
 
-def test_refusals() -> None:
-    """A link that leaves the group cannot be the base, nor one that is not there."""
+def test_invalid_base_links_raise() -> None:
+    """A link with motions outside the group, and an unknown one."""
     system = pinred.load("double_spherical_pendulum")
     A = pinred.Connection.mechanical(system)
     frames = [frame.name for frame in system.model.frames]

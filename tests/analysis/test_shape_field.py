@@ -16,7 +16,7 @@ from trees import random_model
 import pinred
 from pinred.analysis.connections import shape_field
 from pinred.common.arrays import Array
-from pinred.kernels.connection import unit_rates
+from pinred.kernels import evaluate
 from pinred.kernels.connection.code import ConnectionCode
 from pinred.system.catalogue import bundled_robots
 
@@ -35,15 +35,15 @@ def agree(red: pinred.Reduction, shapes: Array) -> None:
     field = red.grid(shapes)
     lead = shapes.shape[:-1]
     for name in NAMES:
-        found = getattr(field, name)
-        assert found.shape[: len(lead)] == lead
+        computed = getattr(field, name)
+        assert computed.shape[: len(lead)] == lead
         for index in np.ndindex(lead):
-            close(found[index], getattr(red.at(shapes[index]), name))
+            close(computed[index], getattr(red.at(shapes[index]), name))
 
 
 @settings(max_examples=60)
 @given(cases(0, 8))
-def test_mass_matrix_against_crba(case: Case) -> None:
+def test_grid_mass_matrix_equals_crba(case: Case) -> None:
     """H at any pose of the base, and its blocks, for trees on every group."""
     system, r = case.system, case.system.r
     shapes = case.rng.uniform(-3.0, 3.0, (4, system.m))
@@ -62,7 +62,7 @@ def test_mass_matrix_against_crba(case: Case) -> None:
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(cases(0, 6))
-def test_curvature_against_rnea_derivatives(case: Case) -> None:
+def test_grid_curvature_equals_rnea_derivatives(case: Case) -> None:
     """B of trees on every group, with any leading axes."""
     red = pinred.Reduction(case.system)
     for lead in ((), (3,), (2, 2)):
@@ -72,7 +72,7 @@ def test_curvature_against_rnea_derivatives(case: Case) -> None:
 
 
 @pytest.mark.parametrize("name", [*sorted(bundled_robots()), "solo12", "talos"])
-def test_robots(name: str) -> None:
+def test_grid_of_robots_equals_pinocchio(name: str) -> None:
     """Bundled robots (some with cyclic joints, one without joints), a quadruped, a humanoid."""
     if name in ("solo12", "talos"):
         pytest.importorskip("example_robot_data")
@@ -82,16 +82,16 @@ def test_robots(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["satellite_two_arms", "planar_chain5"])
-def test_slices(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in slices, some of them not full, gives what all shapes at once give."""
+def test_grid_in_chunks_equals_pinocchio(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chunks of shapes, the last one smaller, give the values of single shapes."""
     system = pinred.load(name)
     red, rng = pinred.Reduction(system), np.random.default_rng(1)
     shapes = rng.uniform(-2.0, 2.0, (11, system.m))
-    monkeypatch.setattr(unit_rates, "_ENTRIES", 4 * system.m * (1 + system.r * (1 + system.m)))
+    monkeypatch.setattr(evaluate, "_ENTRIES", 4 * system.m * (1 + system.r * (1 + system.m)))
     agree(red, shapes)
 
 
-def test_armature_of_the_root() -> None:
+def test_grid_includes_armature_of_root() -> None:
     """A flywheel on the axis of SO(2) is part of the locked inertia."""
     model = random_model("SO2", 3, 7)
     armature = np.array(model.armature)
@@ -100,8 +100,8 @@ def test_armature_of_the_root() -> None:
     system = pinred.load(model)
     x = np.array([0.3, -0.4, 1.1])
     expected = pin.crba(system.model, system.model.createData(), system.q(np.zeros(1), x))[0, 0]
-    found = pinred.Reduction(system).grid(x).locked_inertia
-    np.testing.assert_allclose(found, [[expected]], rtol=1e-13)
+    locked_inertia = pinred.Reduction(system).grid(x).locked_inertia
+    np.testing.assert_allclose(locked_inertia, [[expected]], rtol=1e-13)
 
 
 def two_sliders(spin: float, carriage: float, load: float) -> pinred.System:
@@ -122,8 +122,8 @@ def two_sliders(spin: float, carriage: float, load: float) -> pinred.System:
     return pinred.load(model)
 
 
-def test_sliders_on_a_turntable() -> None:
-    """I = J + (m1 + m2) s² + m2 u², A = m2 (−u, s)/I, and B = 2 m2 J/I² is left of it."""
+def test_grid_of_sliders_on_turntable_has_closed_form() -> None:
+    """I = J + (m1 + m2) s² + m2 u², A = m2 (−u, s)/I, and B = 2 m2 J/I²."""
     J, m1, m2 = 1.5, 2.0, 0.7
     red = pinred.Reduction(two_sliders(J, m1, m2))
     a = np.linspace(-1.0, 1.0, 7)
@@ -139,7 +139,7 @@ def test_sliders_on_a_turntable() -> None:
     close(field.curvature[..., 0, 0, 1], 2.0 * m2 * J / inertia**2, 1e-14)
 
 
-def test_coupled_planar_bodies() -> None:
+def test_grid_of_coupled_planar_bodies_is_constant() -> None:
     """A cyclic joint: A = (0, −1/30, 4/15) and M = 11/60 at every shape, no curvature."""
     field = pinred.Reduction(pinred.load("coupled_planar")).grid(np.linspace(-3, 3, 9)[:, None])
     ones = np.ones(9)[:, None]
@@ -148,7 +148,7 @@ def test_coupled_planar_bodies() -> None:
     close(field.curvature, np.zeros((9, 3, 1, 1)), 1e-14)
 
 
-def test_cartpole() -> None:
+def test_grid_of_cartpole_has_closed_form() -> None:
     """A = −cos(x)/6, V = −4.905 cos(x), and I = 3 in the amended potential."""
     field = pinred.Reduction(pinred.load("cartpole")).grid(np.linspace(-3, 3, 12).reshape(3, 4, 1))
     cosine = np.cos(field.x[..., 0])
@@ -159,7 +159,7 @@ def test_cartpole() -> None:
 
 @settings(max_examples=30)
 @given(cases(0, 6))
-def test_potential(case: Case) -> None:
+def test_grid_potential_equals_pinocchio(case: Case) -> None:
     """Springs, and gravity that keeps the symmetry, against Pinocchio's potential energy."""
     springs = dict.fromkeys(case.system.shape_names[:2], (2.0, 0.3))
     if case.system.group is pinred.lie.R:
@@ -174,8 +174,8 @@ def test_potential(case: Case) -> None:
         close(amended[index], np.array(expected))
 
 
-def test_gravity_that_breaks_the_symmetry() -> None:
-    """It forbids the potential and nothing else."""
+def test_grid_with_broken_symmetry_lacks_potential_only() -> None:
+    """Only the potential raises."""
     model = random_model("SO3", 2, 3)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     field = pinred.Reduction(pinred.load(model)).grid(np.zeros((4, 2)))
@@ -216,8 +216,8 @@ def test_shape_field_array_is_computed_once_at_first_use(monkeypatch: pytest.Mon
         assert calls == ["centres_of_mass", "locals", "curvature"]
 
 
-def test_nothing_can_be_changed() -> None:
-    """Arrays are read-only, and the field does not follow the array it was made from."""
+def test_grid_arrays_are_read_only() -> None:
+    """The field does not change with the array from which it was built."""
     shapes = np.zeros((2, 3))
     field = pinred.Reduction(pinred.load("falling_cat")).grid(shapes)
     shapes[:] = 1.0
@@ -231,7 +231,7 @@ def test_nothing_can_be_changed() -> None:
         field.x = shapes  # type: ignore[misc]
 
 
-def test_no_shapes() -> None:
+def test_grid_of_no_shapes_is_empty() -> None:
     """An empty field has empty arrays."""
     field = pinred.Reduction(pinred.load("falling_cat")).grid(np.zeros((0, 4, 3)))
     assert field.curvature.shape == (0, 4, 6, 3, 3)
@@ -251,13 +251,13 @@ def test_no_shapes() -> None:
         ([[1j]], "numbers"),
     ],
 )
-def test_bad_shapes(shapes: Any, words: str) -> None:
-    """A wrong length or a number that is not finite is refused at once, with its index."""
+def test_grid_of_invalid_shapes_raises(shapes: Any, words: str) -> None:
+    """A wrong length or a number that is not finite raises at once, with its index."""
     with pytest.raises(pinred.ShapeError, match=words):
         pinred.Reduction(pinred.load("coupled_planar")).grid(shapes)
 
 
-def test_bad_momentum() -> None:
+def test_amended_potential_of_many_momenta_raises() -> None:
     """The momentum of the amended potential is one body momentum."""
     field = pinred.Reduction(pinred.load("falling_cat")).grid(np.zeros((2, 3)))
     with pytest.raises(pinred.ShapeError, match=r"mu must have shape \(6,\)"):
@@ -265,8 +265,8 @@ def test_bad_momentum() -> None:
 
 
 @pytest.mark.parametrize("nearly", [0.0, 2e-8])
-def test_a_singular_shape_is_named(nearly: float) -> None:
-    """Gimbal lock of massless rings: only where the outer and inner axes fall together."""
+def test_grid_names_singular_shape(nearly: float) -> None:
+    """Gimbal lock of massless rings, where the outer and inner axes coincide."""
     model, parent = pin.Model(), 0
     model.name = "gimbal"
     model.gravity.setZero()

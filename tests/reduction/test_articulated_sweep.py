@@ -10,7 +10,7 @@ from strategies import Case, cases, make_case
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.kernels.layout import Structure
+from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.lie.rotations import rotation
 from pinred.reduction.canonical_form import CanonicalForm
@@ -30,7 +30,7 @@ def evaluate(function: ca.Function, *arguments: Array) -> Array:
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(cases(0))
-def test_sweep_solves_for_velocities_and_forces(case: Case) -> None:
+def test_sweep_random_momenta_solves_velocities_and_forces(case: Case) -> None:
     """H v = (μ, π) for any momentum, and π̇ of the canonical form, on every group."""
     system, r, m = case.system, case.system.r, case.system.m
     x = [ca.SX.sym(f"x{k}") for k in range(m)]
@@ -57,7 +57,7 @@ def test_sweep_solves_for_velocities_and_forces(case: Case) -> None:
 @pytest.mark.slow
 @settings(max_examples=30)
 @given(cases(1))
-def test_frames_put_every_axis_along_z(case: Case) -> None:
+def test_body_frames_have_joint_axis_along_z(case: Case) -> None:
     """At random shapes, bodies in their frames have Pinocchio's placements and inertias."""
     bodies = bodies_of(case.system)
     total = sum(body.mass for body in bodies)
@@ -74,7 +74,7 @@ def test_frames_put_every_axis_along_z(case: Case) -> None:
              "satellite_two_arms", "falling_cat", "cartpole", "double_spherical_pendulum",
              "reaction_wheel_satellite"],
 )  # fmt: skip
-def test_reduced_rates_are_those_of_the_pinocchio_route(name: str, zero: bool) -> None:
+def test_reduced_graph_rates_equal_pinocchio_route(name: str, zero: bool) -> None:
     """The graph of every bundled robot gives the rates of the readable route."""
     system = pinred.load(name)
     springs = {system.shape_names[0]: (2.0, 0.3)} if system.m else {}
@@ -108,8 +108,8 @@ def test_reduced_rates_are_those_of_the_pinocchio_route(name: str, zero: bool) -
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * max(1, np.abs(rate).max()))
 
 
-def test_planar_robots_compile_to_planar_arithmetic() -> None:
-    """Zeros fold away: a planar joint costs a fraction of a spatial one, a cyclic one nothing."""
+def test_graph_of_planar_robot_has_few_operations() -> None:
+    """Zeros fold away: a planar joint costs a fraction of a spatial one, a cyclic one none."""
     sizes = {
         name: ReducedGraph(pinred.load(name), Structure(zero_momentum=False))
         .rate()
@@ -121,7 +121,7 @@ def test_planar_robots_compile_to_planar_arithmetic() -> None:
     assert sizes["planar_chain5"] / 5 < sizes["coupled_spatial"] / 3
 
 
-def test_wheels_are_parameters() -> None:
+def test_reaction_wheels_are_not_integrated() -> None:
     """Three reaction wheels leave three numbers instead of six: their angles, as quadratures."""
     system = pinred.load("reaction_wheel_satellite")
     cyclic = cyclic_joints(pinred.Reduction(system))
@@ -134,8 +134,8 @@ def test_wheels_are_parameters() -> None:
     assert [system.shape_names[k] for k in cyclic_joints(sprung)] == ["wheel_x", "wheel_z"]
 
 
-def test_almost_cyclic_is_not_cyclic() -> None:
-    """A wheel a millionth out of balance depends on its angle, and says so."""
+def test_unbalanced_wheel_is_not_cyclic() -> None:
+    """The inertia depends on the angle of a wheel that is a millionth out of balance."""
     system = pinred.load("reaction_wheel_satellite")
     k = system.shape_names.index("wheel_x") + 2
     inertia = system.model.inertias[k]
@@ -144,8 +144,8 @@ def test_almost_cyclic_is_not_cyclic() -> None:
     assert "wheel_x" not in [system.shape_names[j] for j in cyclic_joints(pinred.Reduction(system))]
 
 
-def test_momentum_turns_with_the_body() -> None:
-    """With momentum, the attitude enters only as the direction of J in the body, any length."""
+def test_rates_depend_on_attitude_through_body_momentum_only() -> None:
+    """With momentum, only the direction of J in the body enters, for a quaternion of any length."""
     case = make_case("SO3", 2, 5)
     graph = ReducedGraph(case.system, Structure(zero_momentum=False))
     rng = case.rng

@@ -33,7 +33,7 @@ def close(a: Array, b: Array, tolerance: float) -> bool:
 
 @settings(max_examples=60)
 @given(cases(0))
-def test_split_of_the_mass_matrix(case: Case) -> None:
+def test_split_equals_blocks_of_mass_matrix(case: Case) -> None:
     """I, A and M are the blocks of H by definition, at any pose of the base."""
     red, r = pinred.Reduction(case.system), case.system.r
     H = joint_space_inertia(case, case.q)
@@ -47,7 +47,7 @@ def test_split_of_the_mass_matrix(case: Case) -> None:
 
 @settings(max_examples=30)
 @given(cases())
-def test_energy_and_momentum(case: Case) -> None:
+def test_energy_and_momentum_equal_sums_over_bodies(case: Case) -> None:
     """Kinetic energy, momentum and locked velocity against body-by-body sums."""
     red, system = pinred.Reduction(case.system), case.system
     model, data = system.model, system.model.createData()
@@ -74,7 +74,7 @@ def test_energy_and_momentum(case: Case) -> None:
 
 @settings(max_examples=30)
 @given(cases())
-def test_connection_is_that_of_the_centroidal_map(case: Case) -> None:
+def test_connection_equals_centroidal_map(case: Case) -> None:
     """For SE(3), A = A_g,b⁻¹ A_g,s with Pinocchio's centroidal momentum map at any pose."""
     if case.system.group is not pinred.lie.SE3:
         case = make_case("SE3", case.system.m, int(case.rng.integers(2**32)))
@@ -97,7 +97,7 @@ def difference(f: object, x: Array, step: float = 1e-3) -> Array:
 
 @settings(max_examples=25)
 @given(cases(1, 6))
-def test_derivatives_and_curvature(case: Case) -> None:
+def test_derivatives_and_curvature_equal_differences(case: Case) -> None:
     """dI, dA, dM and B against central differences of I, A and M."""
     red, group, x = pinred.Reduction(case.system), case.system.group, case.x
     at = red.at(x)
@@ -115,7 +115,7 @@ def test_derivatives_and_curvature(case: Case) -> None:
 
 @settings(max_examples=25)
 @given(cases(0, 6))
-def test_everything_at_a_shape_says_the_same(case: Case) -> None:
+def test_at_agrees_with_single_methods(case: Case) -> None:
     """`at` agrees with the single methods, is frozen, and its arrays are read-only."""
     case.system.model.gravity.linear = np.zeros(3)
     springs = dict.fromkeys(case.system.shape_names[:2], (2.0, 0.3))
@@ -134,7 +134,7 @@ def test_everything_at_a_shape_says_the_same(case: Case) -> None:
         at.x = x  # type: ignore[misc]
 
 
-def test_cost_of_everything_at_a_shape() -> None:
+def test_at_calls_crba_once_and_rnea_derivatives_n_times() -> None:
     """`at` makes one CRBA and n RNEA-derivative calls, and no other call into Pinocchio."""
     system = pinred.load("cartpole")
     red = pinred.Reduction(system)
@@ -157,8 +157,8 @@ def test_cost_of_everything_at_a_shape() -> None:
     assert sorted(calls) == ["computeRNEADerivatives"] * system.n + ["crba"]
 
 
-def test_nothing_is_cached() -> None:
-    """The same shape array, changed in place, gives the numbers of its new values."""
+def test_changed_shape_array_gives_new_values() -> None:
+    """The same shape array, changed in place, gives the values at its new entries."""
     system = pinred.load("coupled_spatial")
     red, x = pinred.Reduction(system), np.zeros(system.m)
     before = red.at(x)
@@ -169,8 +169,8 @@ def test_nothing_is_cached() -> None:
     np.testing.assert_array_equal(after.local_connection, fresh.local_connection)
 
 
-def test_positive_definiteness_is_checked() -> None:
-    """A mass matrix without full rank is refused, and the joint at fault is named."""
+def test_singular_mass_matrix_raises_and_names_joint() -> None:
+    """A mass matrix without full rank is refused, and the singular joint is named."""
     system = pinred.load("coupled_planar")
     for i in range(1, 3):  # after loading, past the checks: bodies without rotational inertia
         inertia = system.model.inertias[i]
@@ -189,7 +189,7 @@ def test_positive_definiteness_is_checked() -> None:
         (["a"], "numbers"),
     ],
 )
-def test_bad_shapes(x: Any, words: str) -> None:
+def test_invalid_shape_raises_shape_error(x: Any, words: str) -> None:
     """A wrong length or a number that is not finite is refused by every method."""
     red = pinred.Reduction(pinred.load("coupled_planar"))
     for method in (red.mass_matrix, red.curvature, red.potential, red.at):

@@ -14,8 +14,8 @@ from pinred.reduction.potential import Potential
 
 @settings(max_examples=30)
 @given(cases(1, 6))
-def test_given_rates_leave_the_others_the_momentum(case: Case) -> None:
-    """The velocity whose momenta by RNEA were given comes back; those of driven joints are lost."""
+def test_driven_velocity_keeps_momenta_of_free_joints(case: Case) -> None:
+    """Momenta by RNEA give the velocity back; those of driven joints are not needed."""
     system, model = case.system, case.system.model
     form = CanonicalForm(system, Potential(system))
     at_rest = np.zeros(model.nv)
@@ -33,7 +33,7 @@ def test_given_rates_leave_the_others_the_momentum(case: Case) -> None:
 
 @settings(max_examples=30)
 @given(cases(1, 6))
-def test_slope_of_the_centre_of_mass(case: Case) -> None:
+def test_com_slope_equals_differences(case: Case) -> None:
     """By central differences of Pinocchio's centre of mass, in the root body's frame."""
     system, model = case.system, case.system.model
     form, data = CanonicalForm(system, Potential(system)), model.createData()

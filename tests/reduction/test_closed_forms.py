@@ -22,7 +22,7 @@ def bar(values: ArrayLike, expected: ArrayLike) -> None:
 
 
 @pytest.mark.parametrize("x", SHAPES)
-def test_elroys_beanie(x: Array) -> None:
+def test_elroys_beanie_has_closed_form(x: Array) -> None:
     """I = I1 + I2, A = I2/I, M = I1 I2/I, no curvature, and θ̈2 = −V′ (I1 + I2)/(I1 I2)."""
     k, rest = 3.0, 0.2
     system = pinred.load("elroys_beanie")
@@ -45,8 +45,8 @@ def test_elroys_beanie(x: Array) -> None:
 
 
 @pytest.mark.parametrize("x", SHAPES)
-def test_coupled_planar_bodies(x: Array) -> None:
-    """The second body is pinned at its centre of mass: nothing depends on the shape."""
+def test_coupled_planar_bodies_do_not_depend_on_shape(x: Array) -> None:
+    """The second body is pinned at its centre of mass: no term depends on the shape."""
     red = pinred.Reduction(pinred.load("coupled_planar"))
     at = red.at(x)
     locked = [[M, 0, 0], [0, M, M2 * D], [0, M2 * D, J1 + J2 + M2 * D**2]]
@@ -59,7 +59,7 @@ def test_coupled_planar_bodies(x: Array) -> None:
     bar(at.amended_potential(mu), 0.5 * mu @ np.linalg.solve(np.array(locked), mu))
 
 
-def test_euler_poincare_on_the_plane() -> None:
+def test_euler_poincare_on_se2_has_closed_form() -> None:
     """ξ̇1 = ξ2ξ3 + (m2 d/m) ξ3², ξ̇2 = −ξ1ξ3, ξ̇3 = 0 with the locked inertia above."""
     red = pinred.Reduction(pinred.load("coupled_planar"))
     for xi in rng.normal(size=(5, 3)):
@@ -67,8 +67,8 @@ def test_euler_poincare_on_the_plane() -> None:
         bar(found, [xi[1] * xi[2] + M2 * D / M * xi[2] ** 2, -xi[0] * xi[2], 0.0])
 
 
-def test_bracket_of_the_plane() -> None:
-    """[e1, e3] = −e2, [e2, e3] = e1, [e1, e2] = 0, as the matrices of se(2) give."""
+def test_bracket_of_se2_equals_matrix_commutator() -> None:
+    """[e1, e3] = −e2, [e2, e3] = e1, [e1, e2] = 0, by the matrices of se(2)."""
     e1, e2, e3 = np.eye(3)
     bracket = pinred.lie.SE2.bracket
     bar(bracket(e1, e3), -e2)
@@ -76,7 +76,7 @@ def test_bracket_of_the_plane() -> None:
     bar(bracket(e1, e2), np.zeros(3))
 
 
-def test_eulers_top() -> None:
+def test_eulers_equations_of_rigid_body() -> None:
     """I1 ξ̇1 = (I2 − I3) ξ2 ξ3 and cyclic."""
     red = pinred.Reduction(pinred.load("rigid_body"))
     moments = np.diag(red.locked_inertia([]))
@@ -89,7 +89,7 @@ def test_eulers_top() -> None:
         bar(euler_poincare(red, [], xi).xidot, expected)
 
 
-def test_signs_and_factors_of_the_shape_equation() -> None:
+def test_shape_equation_needs_every_sign_and_factor() -> None:
     """Each quadratic term carries ½, the potential −, the coadjoint −; dropping one shows.
 
     The terms, rebuilt from central differences of the energy of a robot on which all of
@@ -119,7 +119,7 @@ def test_signs_and_factors_of_the_shape_equation() -> None:
         assert min(abs(metric), abs(inertia), abs(float(mu @ twisted))) > 1e-6
 
 
-def test_sign_of_the_curvature_and_factor_of_the_momentum_line() -> None:
+def test_sign_of_curvature_and_factor_of_momentum_equation() -> None:
     """By ABA on the falling cat: ⟨μ, B_αβ⟩ ẋ^β with +, and (ẋ⌟dI) Ω with 1, not ½."""
     system = pinred.load("falling_cat")
     red, model = pinred.Reduction(system), system.model
@@ -143,8 +143,8 @@ def test_sign_of_the_curvature_and_factor_of_the_momentum_line() -> None:
     assert np.abs(left - (coadjoint - 0.5 * dragged)).max() > 1e-3 * size
 
 
-def test_horizontal_distribution_of_coupled_bodies() -> None:
-    """(0, I2 m2 d/Δ, −I2 m/Δ, 1) has no momentum by Pinocchio; 𝒜 at a pose that is turned."""
+def test_horizontal_vector_of_coupled_bodies_has_no_momentum() -> None:
+    """(0, I2 m2 d/Δ, −I2 m/Δ, 1) has no momentum by Pinocchio; 𝒜 at a rotated pose."""
     system = pinred.load("coupled_planar")
     red, model = pinred.Reduction(system), system.model
     lift = red.horizontal_lift([0.4], [1.0])
@@ -167,7 +167,7 @@ def test_horizontal_distribution_of_coupled_bodies() -> None:
     bar(J, [h.linear[0], h.linear[1], about_origin[2]])
 
 
-def test_the_beanies_momentum_by_aba() -> None:
+def test_momentum_equation_of_beanie_by_aba() -> None:
     """With a stretched spring θ̈1 = −A θ̈2 is not zero; Ω̇ is."""
     system = pinred.load("elroys_beanie")
     model, torque = system.model, np.array([0.0, -3.0 * 0.7])
@@ -179,7 +179,7 @@ def test_the_beanies_momentum_by_aba() -> None:
     bar(a[0] + A * a[1], 0.0)
 
 
-def test_stretched_chain() -> None:
+def test_locked_inertia_of_stretched_chain() -> None:
     """Six unit links in a row: 6 · 0.1 about their middles and Σ (k − 2.5)² between them, 18.1."""
     red = pinred.Reduction(pinred.load("planar_chain5"))
     at = red.at(np.zeros(5))
@@ -187,7 +187,7 @@ def test_stretched_chain() -> None:
     bar(at.locked_inertia[2, 2] - 6.0 * 3.0**2, 18.1)
 
 
-def test_cartpole() -> None:
+def test_cartpole_has_closed_form() -> None:
     """A = −m l cos(x)/3, M = I_pole − (m l cos x)²/3, V = −m g l cos(x), with m l = 0.5."""
     red = pinred.Reduction(pinred.load("cartpole"))
     for x in (0.0, 0.7, 2.5):

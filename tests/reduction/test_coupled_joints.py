@@ -21,8 +21,8 @@ from pinred.reduction.tree.momenta import momenta
 
 @settings(max_examples=60)
 @given(coupled_cases())
-def test_mass_matrix_and_its_derivatives(case: CoupledCase) -> None:
-    """At one shape by Pinocchio, at many by composite bodies: GᵀHG, and its slope."""
+def test_coupled_mass_matrix_and_derivatives(case: CoupledCase) -> None:
+    """At one shape by Pinocchio, and at many by compiled code: GᵀHG and its derivative."""
     system, red = case.system, pinred.Reduction(case.system)
     x = case.rng.uniform(-2.0, 2.0, system.m)
     at, H = red.at(x), case.mass_matrix(x)
@@ -42,7 +42,7 @@ def test_mass_matrix_and_its_derivatives(case: CoupledCase) -> None:
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(coupled_cases())
-def test_sweep_solves_for_velocities_and_forces(case: CoupledCase) -> None:
+def test_sweep_of_coupled_joints_solves_velocities_and_forces(case: CoupledCase) -> None:
     """H v = (μ, π) for any momentum, and π̇ against the derivative of the Lagrangian by y."""
     system, r, m = case.system, case.system.r, case.system.m
     y, v = case.rng.uniform(-2.0, 2.0, m), case.rng.normal(size=system.n)
@@ -84,8 +84,8 @@ def swept(system: pinred.System, y: Array, p: Array) -> tuple[Array, Array]:
 @pytest.mark.slow
 @settings(max_examples=30)
 @given(coupled_cases())
-def test_prescribed_rates(case: CoupledCase) -> None:
-    """Where the rate of a coordinate is given, the sweep finds its momentum, of all its joints."""
+def test_sweep_with_prescribed_rate_computes_its_momentum(case: CoupledCase) -> None:
+    """The momentum of a prescribed coordinate sums over all its joints."""
     system, r, m = case.system, case.system.r, case.system.m
     y, v = case.rng.uniform(-2.0, 2.0, m), case.rng.normal(size=system.n)
     p = case.mass_matrix(y) @ v
@@ -105,8 +105,8 @@ def test_prescribed_rates(case: CoupledCase) -> None:
 
 @settings(max_examples=30)
 @given(coupled_cases())
-def test_momenta_as_expressions(case: CoupledCase) -> None:
-    """H v of CasADi's Functions, as users take it."""
+def test_casadi_functions_of_coupled_joints(case: CoupledCase) -> None:
+    """H v of CasADi's Functions, as users call them."""
     system = case.system
     y, v = case.rng.uniform(-2.0, 2.0, system.m), case.rng.normal(size=system.n)
     x, w = ca.SX.sym("x", system.m), ca.SX.sym("v", system.n)
@@ -115,7 +115,7 @@ def test_momenta_as_expressions(case: CoupledCase) -> None:
     np.testing.assert_allclose(p, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_several_groups_are_open_at_once() -> None:
+def test_cases_have_crossing_groups() -> None:
     """The cases above have groups that cross on one chain, with free joints between them."""
     crossing = 0
     for seed in range(40):
@@ -127,8 +127,8 @@ def test_several_groups_are_open_at_once() -> None:
     assert crossing > 10
 
 
-def test_a_fault_in_the_columns_shows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without its share of the groups that are open, an ordinary joint is wrong."""
+def test_sweep_without_shares_of_open_groups_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without its share of the open groups, the rate of an ordinary joint is wrong."""
     from pinred.reduction.tree.coupled_groups import Groups
 
     monkeypatch.setattr(Groups, "momentum", lambda *_, **__: 0.0)

@@ -63,8 +63,8 @@ def cubic(theta: float, xi: Array) -> tuple[np.polynomial.Polynomial, Array]:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_nutation(engine: Engine) -> None:
-    """The height cos θ runs between two roots of the cubic, in the period that the cubic gives."""
+def test_nutation_has_range_and_period_of_cubic(engine: Engine) -> None:
+    """The height cos θ oscillates between two roots of the cubic, with the period of the cubic."""
     theta, xi = 0.6, np.array([0.8, -0.5, 30.0])
     system = top()
     traj = pinred.simulate(
@@ -104,7 +104,9 @@ def test_nutation(engine: Engine) -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize("theta", [0.4, 2.2])
-def test_steady_precession(theta: float, sign: float, engine: Engine) -> None:
+def test_steady_precession_has_slow_and_fast_rate(
+    theta: float, sign: float, engine: Engine
+) -> None:
     """A Ω² cos θ − C ω3 Ω + m g l = 0: the slow and the fast rate, above and below the pivot."""
     spin = 60.0
     root = np.sqrt((C * spin) ** 2 - 4 * A * TORQUE * np.cos(theta))
@@ -119,8 +121,8 @@ def test_steady_precession(theta: float, sign: float, engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("part", [0.97, 1.03])
-def test_sleeping_top(part: float) -> None:
-    """Upright it stays, and a kick grows only below (C ω3)² = 4 A m g l."""
+def test_sleeping_top_is_stable_above_critical_spin(part: float) -> None:
+    """Upright it stays, and a perturbation grows only below (C ω3)² = 4 A m g l."""
     spin = part * np.sqrt(4 * A * TORQUE) / C
     still = pinred.simulate(top(), pose0=tilted(0.0), xi0=spin * E3, duration=3.0)
     np.testing.assert_allclose(axis(still.pose), np.broadcast_to(E3, (201, 3)), atol=1e-12)
@@ -132,7 +134,7 @@ def test_sleeping_top(part: float) -> None:
     assert (most < 0.02) if part > 1 else (most > 0.2)
 
 
-def test_without_the_base() -> None:
+def test_top_without_base_integrates_momentum_and_gravity_direction() -> None:
     """outputs="shape" integrates μ and Γ, 6 numbers for 7, and they are Rᵀ of J and gravity."""
     scene = pinred.Scene(
         system=top(), pose0=tilted(0.6), xi0=[0.8, -0.5, 30.0], rtol=1e-12, duration=2.0
@@ -150,8 +152,8 @@ def test_without_the_base() -> None:
         np.testing.assert_allclose(part.energy, every.energy, atol=1e-9)
 
 
-def test_gravity_too_small_to_square_is_none() -> None:
-    """The square of 1e-300 is zero: the top is free, and nothing is divided by that zero."""
+def test_tiny_gravity_counts_as_zero() -> None:
+    """The square of 1e-300 is zero: the top is free, and no division by zero occurs."""
     model = top().model.copy()
     model.gravity.linear = -1e-300 * E3
     system = pinred.load(model)
@@ -164,7 +166,7 @@ def test_gravity_too_small_to_square_is_none() -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("name", ["cartpole", "double_spherical_pendulum"])
-def test_shapes_under_gravity(name: str, engine: Engine) -> None:
+def test_shapes_under_gravity_agree_with_aba(name: str, engine: Engine) -> None:
     """A cart-pole across gravity, pendulums about the vertical: a potential on the shape."""
     system = pinred.load(name)
     traj = pinred.simulate(system, duration=3.0, engine=engine)
@@ -172,10 +174,10 @@ def test_shapes_under_gravity(name: str, engine: Engine) -> None:
     assert report.passed, str(report)
     state = traj(np.array([0.0, 1.5, 3.0]))
     q, _ = aba.integrate(system.model, state.q[0], state.v[0], state.t)
-    assert aba.apart(system.model, q, state.q) < 1e-8
+    assert aba.max_difference(system.model, q, state.q) < 1e-8
 
 
-def test_pendulum_on_a_cart_swings_as_the_reduced_metric_says() -> None:
+def test_cartpole_frequency_follows_from_reduced_metric() -> None:
     """Small swings of the cart-pole: ω² = m g l / M(0)."""
     system = pinred.load("cartpole")
     traj = pinred.simulate(system, x0=[1e-6], momentum=0, duration=5.0, rtol=1e-12, atol=1e-18)
@@ -186,8 +188,8 @@ def test_pendulum_on_a_cart_swings_as_the_reduced_metric_says() -> None:
 @pytest.mark.slow
 @settings(max_examples=6)
 @given(seeds, st.integers(1, 3))
-def test_pinned_chains(seed: int, joints: int) -> None:
-    """Random trees hung on a ball joint, in any direction of gravity: both engines against ABA."""
+def test_pinned_trees_under_gravity_agree_with_aba(seed: int, joints: int) -> None:
+    """Random trees on a ball joint, in any direction of gravity: both engines against ABA."""
     model = random_model("SO3", joints, seed)
     rng = np.random.default_rng(seed)
     model.gravity.linear = rng.normal(size=3) * 5.0
@@ -201,7 +203,7 @@ def test_pinned_chains(seed: int, joints: int) -> None:
     other = pinred.simulate(scene, engine="pinocchio")
     allowed = max(1e-8, 10 * float(report.shape_bounds.max()))
     q, _ = aba.integrate(model, other.q[0], other.v[0], traj.t)
-    assert aba.apart(model, q, other.q) < allowed
+    assert aba.max_difference(model, q, other.q) < allowed
     assert other.momentum_balance.residual == pytest.approx(0.0, abs=1e-7)
     for engine in ENGINES:
         shape = pinred.simulate(scene, engine=engine, outputs="shape")
@@ -210,7 +212,7 @@ def test_pinned_chains(seed: int, joints: int) -> None:
 
 
 @pytest.mark.parametrize("outputs", ["all", "shape"])
-def test_a_pivot_at_the_centre_of_mass_does_not_feel_gravity(outputs: Any) -> None:
+def test_pivot_at_centre_of_mass_moves_as_without_gravity(outputs: Any) -> None:
     """The motion is that without gravity, by every method, and ABA agrees."""
     light = pinred.load("rigid_body")
     heavy = pinred.load("rigid_body", gravity=(0.3, -2.0, 9.0))
@@ -229,7 +231,7 @@ def test_a_pivot_at_the_centre_of_mass_does_not_feel_gravity(outputs: Any) -> No
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_robot_balanced_on_a_pivot_in_the_air(engine: Any) -> None:
+def test_robot_balanced_on_raised_pivot_has_energy_of_height(engine: Any) -> None:
     """It moves as without gravity, and the energy of its height is −m g·p."""
     place, weight = np.array([0.3, -0.4, 1.2]), np.array([0.5, 0.3, -9.0])
     systems = []

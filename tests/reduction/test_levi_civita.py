@@ -30,7 +30,7 @@ def at_zero_momentum(case: Case) -> tuple[Array, Array]:
 
 @settings(max_examples=40)
 @given(cases(1, 6))
-def test_motion_without_momentum_is_a_geodesic(case: Case) -> None:
+def test_aba_at_zero_momentum_has_no_covariant_acceleration(case: Case) -> None:
     """ẍ of ABA at zero momentum has no covariant acceleration."""
     _, xddot = at_zero_momentum(case)
     red = pinred.Reduction(case.system)
@@ -40,7 +40,7 @@ def test_motion_without_momentum_is_a_geodesic(case: Case) -> None:
     np.testing.assert_allclose(symbols, np.swapaxes(symbols, 1, 2), atol=1e-11)
 
 
-def test_a_simulated_geodesic() -> None:
+def test_simulated_motion_at_zero_momentum_is_geodesic() -> None:
     """The cat without momentum: no covariant acceleration along its motion, constant speed."""
     cat = pinred.load("falling_cat")
     traj = pinred.simulate(
@@ -85,7 +85,7 @@ def brioschi(system: pinred.System) -> ca.Function:
 
 
 @pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
-def test_two_joints_curve_as_brioschi_says(group: str) -> None:
+def test_gauss_curvature_of_two_joints_equals_brioschi(group: str) -> None:
     """Gauss's curvature by CasADi's derivatives of the metric's coefficients."""
     for seed in range(3):
         case = make_case(group, 2, seed)
@@ -124,7 +124,7 @@ def above(case: Case, u: Array, v: Array) -> float:
 
 @settings(max_examples=40)
 @given(cases(2, 5))
-def test_oneill(case: Case) -> None:
+def test_oneill_formula(case: Case) -> None:
     """R_B(u, v, u, v) = R_Q of the horizontal lifts + ¾ B(u, v)ᵀ I B(u, v): M, A, B, R at once."""
     red = pinred.Reduction(case.system)
     at, R = red.at(case.x), red.riemann(case.x)
@@ -140,7 +140,7 @@ def test_oneill(case: Case) -> None:
     assert abs(found - expected) <= max(1e-12, 1e-15 * condition) * scale
 
 
-def test_symmetries_of_the_curvature_tensor() -> None:
+def test_riemann_tensor_has_its_symmetries() -> None:
     """R_abcd = −R_bacd = R_cdab, and the first Bianchi identity."""
     case = make_case("SE3", 5, 4)
     R = pinred.Reduction(case.system).riemann(case.x)
@@ -163,8 +163,8 @@ def test_riemann_of_a_quadruped_takes_less_than_a_second() -> None:
 
 
 @pytest.mark.parametrize("group", ["SO3", "SE2", "SE3", "RxSE2"])
-def test_left_invariant_metrics(group: str) -> None:
-    """Proposition 3.1: without torsion, metric, and its geodesics are Euler–Poincaré's by ABA."""
+def test_left_invariant_derivative_is_levi_civita(group: str) -> None:
+    """Proposition 3.1: torsion-free, metric, and its geodesics are Euler–Poincaré's by ABA."""
     case = make_case(group, 0, 2)
     system, red, G = case.system, pinred.Reduction(case.system), case.system.group
     xi, eta, zeta = case.rng.normal(size=(3, system.r))
@@ -181,7 +181,7 @@ def test_left_invariant_metrics(group: str) -> None:
     np.testing.assert_allclose(-nabla(xi, xi), free, atol=1e-11 * max(1.0, np.abs(free).max()))
 
 
-def test_parallel_directions_are_refused() -> None:
+def test_sectional_curvature_of_parallel_vectors_raises() -> None:
     """They span no plane."""
     red = pinred.Reduction(pinred.load("falling_cat"))
     with pytest.raises(pinred.InputError, match="span a plane"):

@@ -50,8 +50,8 @@ def of_pinocchio(model: pin.Model, case: Case) -> Array:
 
 @settings(max_examples=12)
 @given(cases(1, 6))
-def test_momenta_and_locked_inertia(case: Case) -> None:
-    """By RNEA and CRBA, of inertias and of twice the same as tensors; rotors can be left out."""
+def test_momenta_and_locked_inertia_equal_rnea_and_crba(case: Case) -> None:
+    """From inertias, and from twice the same as tensors; with and without rotors."""
     system, model = case.system, case.system.model
     x, v, r = ca.SX(case.x), ca.SX(case.v), system.r
     true = of_pinocchio(model, case)
@@ -72,7 +72,7 @@ def test_momenta_and_locked_inertia(case: Case) -> None:
 
 @settings(max_examples=12)
 @given(cases(1, 6))
-def test_centre_of_mass_and_speeds_of_points(case: Case) -> None:
+def test_centre_of_mass_and_point_speeds_equal_forward_kinematics(case: Case) -> None:
     """By forward kinematics: in the root body's frame, and along directions fixed to bodies."""
     system, model, rng = case.system, case.system.model, case.rng
     data, bodies = model.createData(), bodies_of(case.system)
@@ -92,8 +92,8 @@ def test_centre_of_mass_and_speeds_of_points(case: Case) -> None:
 
 @settings(max_examples=12)
 @given(cases(1, 6))
-def test_bracket_and_twist_of_the_root(case: Case) -> None:
-    """The bracket is that of se(3); the root's twist is what gives a frame on a body its own."""
+def test_bracket_and_root_twist(case: Case) -> None:
+    """The bracket is that of se(3); the root's twist gives the twist of a frame on a body."""
     system, model, rng = case.system, case.system.model, case.rng
     axes = list(system.group.axes)
     a, b = np.zeros((2, 6))
@@ -114,8 +114,8 @@ def test_bracket_and_twist_of_the_root(case: Case) -> None:
 
 @settings(max_examples=12)
 @given(cases(1, 6))
-def test_freed_bodies_are_those_of_another_model(case: Case) -> None:
-    """Inertias by the map of their moments, placements by their numbers; momenta by RNEA."""
+def test_variable_bodies_equal_bodies_of_other_model(case: Case) -> None:
+    """Inertias by their linear map, placements by their parameters; momenta by RNEA."""
     system, model, rng = case.system, case.system.model.copy(), case.rng
     bodies, count = bodies_of(system), system.m + 1
     heavy = sorted(rng.choice(count, size=min(2, count), replace=False).tolist())
@@ -147,8 +147,8 @@ def test_freed_bodies_are_those_of_another_model(case: Case) -> None:
 
 
 @pytest.mark.parametrize("name", ["planar_chain5", "satellite_two_arms", "falling_cat"])
-def test_what_is_folded_is_not_read(name: str) -> None:
-    """Zeros and ones of a step are its pattern's, so that nothing else can be given for them."""
+def test_constants_of_step_pattern_are_not_read(name: str) -> None:
+    """The zeros and ones of a step are those of its pattern, whatever the input."""
     system = pinred.load(name)
     bodies = bodies_of(system)
     steps = tuple((i, pattern_of(system, i)) for i in range(1, len(bodies)))
@@ -164,8 +164,8 @@ def test_what_is_folded_is_not_read(name: str) -> None:
 
 @settings(max_examples=12)
 @given(cases(1, 6))
-def test_slopes_of_places(case: Case) -> None:
-    """Of a link's numbers and of a step's, by central differences of moved placements."""
+def test_derivatives_of_placements_equal_differences(case: Case) -> None:
+    """For the parameters of links and steps, by central differences of moved placements."""
     system, rng, h = case.system, case.rng, 1e-6
     bodies, place = bodies_of(system), placement(rng)
     i = int(rng.integers(1, system.m + 1))

@@ -30,8 +30,8 @@ def heavy(joints: int, seed: int) -> pinred.System:
 
 @settings(max_examples=25)
 @given(cases(0, 4))
-def test_the_connection_pushes_one_form_into_the_other(case: Case) -> None:
-    """With σ(x, π, μ) = (x, π − Aᵀμ, μ): Tσ P Tσᵀ, where A and its slopes are CasADi's."""
+def test_canonical_tensor_maps_to_connection_tensor(case: Case) -> None:
+    """With σ(x, π, μ) = (x, π − Aᵀμ, μ): Tσ P Tσᵀ, with A and its derivatives from CasADi."""
     system = case.system
     space = poisson.phase_space(system, form="canonical")
     A = pinred.casadi_functions(system).local_connection(space.x)
@@ -55,8 +55,8 @@ def test_the_connection_pushes_one_form_into_the_other(case: Case) -> None:
 
 @pytest.mark.parametrize("form", ["connection", "canonical"])
 @pytest.mark.parametrize("group", [*GROUPS, "heavy"])
-def test_jacobi(group: str, form: str) -> None:
-    """{{f, g}, k} and its turns cancel, to round-off of the largest of them."""
+def test_jacobi_identity(group: str, form: str) -> None:
+    """The cyclic sum of {{f, g}, k} vanishes to round-off of its largest term."""
     system = heavy(2, 3) if group == "heavy" else make_case(group, 2, 3).system
     space = poisson.phase_space(system, form=form)  # type: ignore[arg-type]
     rng = np.random.default_rng(4)
@@ -126,8 +126,8 @@ def along(system: pinred.System, traj: pinred.Trajectory, t: float, step: float)
     "name",
     ["falling_cat", "double_spherical_pendulum", "planar_chain5", "upright_drone", "cartpole"],
 )
-def test_rates_along_motions(name: str) -> None:
-    """Of random functions, on bundled robots, falling ones too."""
+def test_bracket_with_energy_is_rate_along_motion(name: str) -> None:
+    """For random functions, on bundled robots, also in free fall."""
     system = pinred.load(name)
     traj = pinred.simulate(system, duration=2.0, rtol=1e-13, atol=1e-14)
     for t in (0.6, 1.4):
@@ -135,7 +135,7 @@ def test_rates_along_motions(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_rates_along_a_heavy_top() -> None:
+def test_bracket_with_energy_is_rate_of_heavy_top() -> None:
     """With Γ, on a pivoted tree in gravity."""
     system = heavy(1, 5)
     traj = pinred.simulate(system, seed=1, duration=1.0, rtol=1e-13, atol=1e-14)
@@ -153,8 +153,8 @@ EXPECTED = {
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_casimirs_of_groups(group: str) -> None:
-    """As many as the rank leaves room for, and their brackets with all momenta vanish."""
+def test_casimirs_of_groups_commute_with_momenta(group: str) -> None:
+    """Their number follows from the rank, and their brackets with all momenta vanish."""
     system = make_case(group, 1, 0).system
     found = poisson.casimirs(system)
     assert [str(each) for each in found] == EXPECTED[group]
@@ -170,9 +170,7 @@ def test_casimirs_of_groups(group: str) -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_nothing_is_near_what_counts_as_nothing(
-    group: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_casimirs_do_not_depend_on_tolerance(group: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Structure constants are whole numbers: 1e-13 and 1e-3 tell the same Casimirs from none."""
     for bound in (1e-13, 1e-3):
         monkeypatch.setattr(casimirs, "_ZERO", bound)
@@ -180,21 +178,23 @@ def test_nothing_is_near_what_counts_as_nothing(
         assert [str(each) for each in found] == EXPECTED[group]
 
 
-def test_formulas_have_their_numbers() -> None:
-    """Signs, and sizes that are not one."""
+def test_casimir_formula_shows_signs_and_sizes() -> None:
+    """Signs, and coefficients other than one."""
     assert casimirs._formula(np.array([2.0, -1.0, 0.0, -0.5]), "abcd") == "2 a − b − 0.5 d"
     assert casimirs._formula(np.array([-1.0, 1.0]), "ab") == "− a + b"
 
 
 @pytest.mark.parametrize(("form", "momentum"), [("connection", "p"), ("canonical", "pi")])
-def test_symbols_are_named(form: Literal["connection", "canonical"], momentum: str) -> None:
-    """As the form has them."""
+def test_phase_space_symbols_are_named_by_form(
+    form: Literal["connection", "canonical"], momentum: str
+) -> None:
+    """The momentum is p or pi."""
     system = make_case("SE3", 1, 0).system
     assert str(poisson.phase_space(system, form=form).z).startswith(f"[x, {momentum}, mu_0")
 
 
-def test_casimirs_of_a_heavy_top() -> None:
-    """μ·Γ and |Γ|², constant in any motion by ABA; |μ|² is none any more."""
+def test_casimirs_of_heavy_top_are_constant_by_aba() -> None:
+    """μ·Γ and |Γ|² are constant in any motion by ABA; |μ|² is not."""
     system = heavy(2, 1)
     found = poisson.casimirs(system)
     assert [str(each) for each in found] == ["L1 Γ1 + L2 Γ2 + L3 Γ3", "Γ1² + Γ2² + Γ3²"]
@@ -210,8 +210,8 @@ def test_casimirs_of_a_heavy_top() -> None:
 
 @settings(max_examples=10)
 @given(seeds)
-def test_observables_are_their_expressions(seed: int) -> None:
-    """Functions with gradients of their own have the bracket of the same CasADi expressions."""
+def test_observables_have_bracket_of_their_expressions(seed: int) -> None:
+    """Functions with gradients have the bracket of the same CasADi expressions."""
     case = make_case("SE3", 2, seed)
     system, red = case.system, pinred.Reduction(case.system)
     space = poisson.phase_space(system)
@@ -231,8 +231,8 @@ def test_observables_are_their_expressions(seed: int) -> None:
     assert poisson.bracket(*numbers)(case.x, p, mu) == pytest.approx(float(expected(z)), abs=1e-10)
 
 
-def test_refusals() -> None:
-    """Symbols of nowhere, of two spaces, mixed kinds, unknown forms, missing Γ."""
+def test_bracket_of_invalid_arguments_raises() -> None:
+    """Unknown symbols, two spaces, mixed types, unknown forms, missing Γ."""
     cat, top = pinred.load("falling_cat"), heavy(1, 2)
     one, two = poisson.phase_space(cat), poisson.phase_space(cat, form="canonical")
     with pytest.raises(pinred.InputError, match="no variable of a phase space"):

@@ -61,8 +61,8 @@ def sprung(x: Array) -> float:
 
 @pytest.mark.parametrize("springs", [False, True])
 @pytest.mark.parametrize("group", GROUPS)
-def test_values_and_slopes(group: str, springs: bool) -> None:
-    """Of gravity across the slides and of springs: −m g·c + ½ k (x − r)², from any base."""
+def test_potential_and_gradient_have_closed_form(group: str, springs: bool) -> None:
+    """Gravity across the translations and springs: −m g·c + ½ k (x − r)², from any base."""
     system, slides, acting = hung(group)
     names = system.shape_names
     given = {names[k]: pair for k, pair in SPRINGS.items()} if springs else None
@@ -96,8 +96,8 @@ def test_values_and_slopes(group: str, springs: bool) -> None:
         assert potential.gradient(x) == pytest.approx(slopes, rel=1e-7, abs=1e-7)
 
 
-def test_no_shape_has_no_potential() -> None:
-    """A body without joints on a slide across gravity: it acts, and moves nothing."""
+def test_body_without_joints_has_zero_potential() -> None:
+    """A body without joints on a slide across gravity: gravity acts, but moves no joint."""
     system, _, acting = hung("R", 0)
     potential = Potential(system)
     assert potential.is_zero
@@ -121,8 +121,8 @@ def pivot(
     return pinred.load(model)
 
 
-def test_weights_of_pivots() -> None:
-    """The weight in the root's frame, where it turns the base; that is all that acts then."""
+def test_pivot_weight_is_gravity_force_in_root_frame() -> None:
+    """It is zero if gravity does not rotate the base."""
     gravity, turn = np.array([1.0, -2.0, 3.0]), np.array([0.3, 0.2, -0.5])
     back = pin.exp3(turn).T
     heavy, light = pivot(0.3, gravity, turn), pivot(0.0, gravity, turn, (2.0, 4.0, 2.0))
@@ -145,15 +145,15 @@ def test_weights_of_pivots() -> None:
 
 
 @pytest.mark.parametrize(("part", "lifted"), [(0.9e-12, False), (1.1e-12, True), (-1.1e-12, True)])
-def test_what_counts_as_lifted(part: float, lifted: bool) -> None:
+def test_pivot_weight_of_raised_pivot(part: float, lifted: bool) -> None:
     """A height of 1e-12 of the distance from the world's origin, above or below it."""
     system = pivot(0.0, np.array([0.0, 0.0, -9.0]), np.zeros(3), (2.0, 0.0, 2.0 * part))
     assert pivot_weight(system).any() == lifted
 
 
 @pytest.mark.parametrize(("part", "kept"), [(3e-16, False), (6e-16, True)])
-def test_round_off_of_a_rotation(part: float, kept: bool) -> None:
-    """Entries of the acting gravity below 4e-16 of it are none."""
+def test_acting_gravity_drops_round_off(part: float, kept: bool) -> None:
+    """Entries below 4e-16 of the acting gravity are zero."""
     for size in (1e-3, 1e6):
         found = acting_gravity(pivot(0.3, size * np.array([part, 0.0, -1.0]), np.zeros(3)))
         assert found.tolist() == [part * size if kept else 0.0, 0.0, -size]
@@ -161,7 +161,7 @@ def test_round_off_of_a_rotation(part: float, kept: bool) -> None:
 
 @pytest.mark.parametrize(("part", "broken"), [(0.9e-10, False), (1.1e-10, True)])
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
-def test_what_counts_as_a_moment(part: float, broken: bool, size: float) -> None:
+def test_small_gravity_moment_keeps_symmetry(part: float, broken: bool, size: float) -> None:
     """About a hinge: 1e-10 of the weight times the distance of the centre of mass, or gyration."""
     for lever, radius, along in ((1.0, 0.0, 0.0), (0.1, 1.0, 0.0), (0.1, 0.0, 1.0)):
         model, mass, away = pin.Model(), 20.0 / size, pin.SE3(np.eye(3), np.array([3e6, 0, 0]))
@@ -175,8 +175,8 @@ def test_what_counts_as_a_moment(part: float, broken: bool, size: float) -> None
         assert bool(broken_by_gravity(pinred.load(model))) is broken
 
 
-def test_axes_are_named() -> None:
-    """That of a hinge by its direction in the world, of length one."""
+def test_symmetry_error_names_hinge_axis() -> None:
+    """By its direction in the world, with length one."""
     model, axis = pin.Model(), np.array([0.6, 0.0, 0.8])
     root = model.addJoint(
         0, pin.JointModelRevoluteUnaligned(axis), pin.SE3(np.eye(3), np.ones(3)), "hinge"
@@ -188,8 +188,8 @@ def test_axes_are_named() -> None:
     assert "turning about its axis (0.6, 0, 0.8), which is not along gravity" in said
 
 
-def test_springs_are_refused_by_name() -> None:
-    """Of joints that are not there or follow others, or pairs that are none."""
+def test_invalid_springs_raise_and_name_joint() -> None:
+    """Unknown or following joints, or values that are not pairs."""
     system = pinred.load("planar_chain5")
     name = system.shape_names[0]
     pairs: list[Any] = [(1.0,), (1.0, 2.0, 3.0), (np.inf, 0.0), (1.0, np.nan)]

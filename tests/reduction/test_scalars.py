@@ -19,7 +19,7 @@ NUMBERS = [0.0, 1.0, -1.0, 10.0, 0.1, -2.5]
     ("ours", "true"), [(add, operator.add), (sub, operator.sub), (mul, operator.mul)]
 )
 @pytest.mark.parametrize("known", list(itertools.product([True, False], repeat=2)))
-def test_values(
+def test_operations_equal_plain_arithmetic(
     ours: Callable[[Any, Any], Any], true: Callable[[Any, Any], Any], known: tuple[bool, bool]
 ) -> None:
     """Of any two, each known or not; what is known of both is a number."""
@@ -33,8 +33,8 @@ def test_values(
             assert isinstance(found, float)
 
 
-def test_what_costs_nothing() -> None:
-    """Zeros and ones."""
+def test_operations_with_zero_and_one_are_simplified() -> None:
+    """They return an operand or a float."""
     s = ca.SX.sym("s")
     assert add(0.0, s) is add(s, 0.0) is sub(s, 0.0) is mul(1.0, s) is mul(s, 1.0) is s
     for nothing in (mul(0.0, s), mul(s, 0.0)):

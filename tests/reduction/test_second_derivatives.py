@@ -59,21 +59,21 @@ def check(system: pinred.System, x: Array) -> None:
 
 @settings(max_examples=15)
 @given(cases(1, 6))
-def test_random_trees(case: Case) -> None:
+def test_second_derivatives_of_random_trees_equal_differences(case: Case) -> None:
     """Any group, branched, every kind of joint, with armature."""
     check(case.system, case.x)
 
 
 @settings(max_examples=8)
 @given(coupled_cases(2, 5))
-def test_joints_that_follow_others(case: CoupledCase) -> None:
+def test_second_derivatives_of_coupled_joints_equal_differences(case: CoupledCase) -> None:
     """By the independent joints alone."""
     check(case.system, case.rng.uniform(-2.0, 2.0, case.system.m))
 
 
 @pytest.mark.parametrize("count", [1, 7])
-def test_many_shapes_at_once(count: int) -> None:
-    """Each is what it is alone."""
+def test_many_shapes_equal_single_shapes(count: int) -> None:
+    """Each shape gives its values alone."""
     system = pinred.load("satellite_two_arms")
     x = np.random.default_rng(1).uniform(-2.0, 2.0, (count, system.m))
     every = inertia_derivatives(system, x)
@@ -86,8 +86,8 @@ def test_many_shapes_at_once(count: int) -> None:
 
 @settings(max_examples=15)
 @given(cases(1, 6))
-def test_some_entries_alone(case: Case) -> None:
-    """`of` some joints: their rows and columns and the base's, as in the whole."""
+def test_derivatives_of_some_joints_equal_all(case: Case) -> None:
+    """Their rows and columns, and the base's, as without `of`."""
     system, r = case.system, case.system.r
     some = {k for k in range(system.m) if case.rng.random() < 0.4}
     whole = inertia_derivatives(system, case.x[None])

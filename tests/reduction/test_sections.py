@@ -70,8 +70,8 @@ def pinocchios(case: Case) -> Array:
 
 @settings(max_examples=60)
 @given(cases(1, 6))
-def test_formulas_of_a_change(case: Case) -> None:
-    """A′, B′, I′ to 1e-13 of their terms: by their definitions from Pinocchio's moved H."""
+def test_change_section_transforms_all_terms(case: Case) -> None:
+    """A′, B′, I′ to 1e-13 of their terms: by their definitions from Pinocchio's transformed H."""
     system, G, r = case.system, case.system.group, case.system.r
     h, H = wavy(case), pinocchios(case)
     red = pinred.Reduction(system)
@@ -103,8 +103,8 @@ def test_formulas_of_a_change(case: Case) -> None:
 
 @settings(max_examples=30)
 @given(cases(1, 5))
-def test_slopes_in_another_section(case: Case) -> None:
-    """∂(I′A′) and ∂I′ by the slopes of Pinocchio's H and those of Ad_h, exactly."""
+def test_change_section_transforms_derivatives(case: Case) -> None:
+    """∂(I′A′) and ∂I′ from the derivatives of Pinocchio's H and of Ad_h, exactly."""
     system, G, r = case.system, case.system.group, case.system.r
     h = wavy(case)
     pose, theta, slope = h(case.x)
@@ -130,8 +130,8 @@ def test_slopes_in_another_section(case: Case) -> None:
 
 @settings(max_examples=15)
 @given(cases(1, 5))
-def test_slope_of_the_centre_of_mass_in_another_section(case: Case) -> None:
-    """∂c′ by differences of c, which Pinocchio puts there, taken back through h."""
+def test_com_slope_in_other_section_equals_differences(case: Case) -> None:
+    """∂c′ by differences of Pinocchio's c, transformed by h."""
     system, h, root = case.system, wavy(case), case.system.model.jointPlacements[1]
 
     def com(x: Array) -> Array:
@@ -152,8 +152,8 @@ def test_slope_of_the_centre_of_mass_in_another_section(case: Case) -> None:
 @settings(max_examples=30)
 @given(cases(1, 5), st.booleans())
 @example(case=make_case("R", 1, 787), heavy=False)  # all terms nearly cancel
-def test_motion_does_not_see_the_section(case: Case, heavy: bool) -> None:
-    """Both equations in a moved frame have ABA's accelerations; gravity may turn a pivot."""
+def test_accelerations_do_not_depend_on_section(case: Case, heavy: bool) -> None:
+    """Both equations in a moved frame have ABA's accelerations; gravity may rotate a pivot."""
     system, G = case.system, case.system.group
     pose0 = {}
     if heavy and G.is_pivot:
@@ -181,8 +181,8 @@ def test_motion_does_not_see_the_section(case: Case, heavy: bool) -> None:
 
 @settings(max_examples=20)
 @given(cases(1, 5))
-def test_fields_over_many_shapes(case: Case) -> None:
-    """`grid` in another section, of two changes, is what `at` has at each shape."""
+def test_grid_in_other_section_equals_at(case: Case) -> None:
+    """After two changes of section, `grid` equals `at` at each shape."""
     h = wavy(case)
     red = pinred.Reduction(case.system).change_section(h).change_section(lambda x: h(x)[:2])
     shapes = case.rng.uniform(-2.0, 2.0, (2, 3, case.system.m))
@@ -196,8 +196,8 @@ def test_fields_over_many_shapes(case: Case) -> None:
         assert field.amended_potential(mu)[index] == pytest.approx(at.amended_potential(mu))
 
 
-def test_flat_coordinates_of_coupled_bodies() -> None:
-    """Remark 2.6: where nothing depends on the shape, h = exp(A x) leaves no connection."""
+def test_flat_section_of_coupled_bodies_removes_connection() -> None:
+    """Remark 2.6: if no term depends on the shape, A vanishes in the section h = exp(A x)."""
     system = pinred.load("coupled_planar")
     red = pinred.Reduction(system)
     A = red.local_connection([0.0])[:, 0]
@@ -211,7 +211,7 @@ def test_flat_coordinates_of_coupled_bodies() -> None:
         assert np.abs(flat.curvature([x])).max() < 1e-15
 
 
-def test_twice_is_the_product() -> None:
+def test_two_changes_of_section_equal_their_product() -> None:
     """h₁ and then h₂ are h₁ h₂."""
     case = make_case("SE3", 3, 5)
     G, (one, two) = case.system.group, (wavy(case), wavy(case))
@@ -227,8 +227,8 @@ def test_twice_is_the_product() -> None:
     assert relative(there.com, at_once.com) < 1e-13
 
 
-def test_a_wrong_derivative_is_refused() -> None:
-    """The spatial derivative for the body's, a missing one, and what is no section at all."""
+def test_change_section_with_wrong_derivative_raises() -> None:
+    """The spatial instead of the body derivative, a missing one, and values that are no section."""
     case = make_case("SE2", 2, 1)
     red, h, G = pinred.Reduction(case.system), wavy(case), case.system.group
 
@@ -253,8 +253,8 @@ def test_a_wrong_derivative_is_refused() -> None:
         lagrange_poincare(first, case.x, case.xdot, case.xi)
 
 
-def test_a_derivative_agrees_to_a_millionth() -> None:
-    """A section that stands still with a Θ of 4e-6 is refused; 4e-7 is what differences see."""
+def test_change_section_checks_derivative_to_a_millionth() -> None:
+    """A constant section with a Θ of 4e-6 is refused, with 4e-7 accepted."""
     red = pinred.Reduction(make_case("SE2", 2, 1).system)
     identity = red.group.identity()
     red.change_section(lambda _: (identity, np.full((3, 2), 4e-7)))
@@ -264,8 +264,8 @@ def test_a_derivative_agrees_to_a_millionth() -> None:
 
 @settings(max_examples=30)
 @given(cases(0, 5))
-def test_global_forms(case: Case) -> None:
-    """J = 𝕀 𝒜(v) by Pinocchio; 𝒜 of a rigid motion is its twist; 𝒜 turns with the base."""
+def test_connection_form_and_spatial_inertia(case: Case) -> None:
+    """J = 𝕀 𝒜(v) by Pinocchio; 𝒜 of a rigid motion is its twist; 𝒜 is equivariant."""
     system, G, r = case.system, case.system.group, case.system.r
     red, model = pinred.Reduction(system), system.model
     v = np.concatenate([case.xi, case.xdot])
@@ -293,7 +293,7 @@ def test_global_forms(case: Case) -> None:
     assert np.abs(form @ across).max(initial=0.0) <= 1e-11 * max(1.0, np.abs(v).max())
 
 
-def test_curvature_form_is_d_minus_bracket() -> None:
+def test_curvature_form_equals_derivative_minus_bracket() -> None:
     """d𝒜(X, Y) − [𝒜(X), 𝒜(Y)] by differences, on random horizontal and vertical fields."""
     case = make_case("SE3", 3, 8)
     system, G, r = case.system, case.system.group, case.system.r

@@ -29,8 +29,8 @@ def leaning(by: float) -> pinred.System:
 
 
 @pytest.mark.parametrize("by", [1e-3, 1e-6, 1e-8])
-def test_an_axis_beside_gravity_is_refused(by: float) -> None:
-    """However little it leans."""
+def test_axis_tilted_from_gravity_raises(by: float) -> None:
+    """However small the tilt."""
     Potential(leaning(0.0))
     said = r"breaks the SO2 symmetry of .*: turning about its axis"
     with pytest.raises(pinred.SymmetryError, match=said):
@@ -38,8 +38,8 @@ def test_an_axis_beside_gravity_is_refused(by: float) -> None:
 
 
 @pytest.mark.parametrize(("part", "heavy"), [(0.9e-10, False), (2e-10, True)])
-def test_a_pivot_beside_the_centre_of_mass(part: float, heavy: bool) -> None:
-    """By more than 1e-10 of the body's size, gravity turns it."""
+def test_pivot_beside_centre_of_mass_is_rotated_by_gravity(part: float, heavy: bool) -> None:
+    """If the distance is above 1e-10 of the body's size."""
     model, radius = pin.Model(), 0.3
     pivot = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "pivot")
     body = pin.Inertia.FromSphere(2.0, radius)
@@ -50,8 +50,8 @@ def test_a_pivot_beside_the_centre_of_mass(part: float, heavy: bool) -> None:
 
 
 @pytest.mark.parametrize(("by", "acts"), [(0.5e-14, False), (3e-14, True)])
-def test_gravity_beside_a_slide(by: float, acts: bool) -> None:
-    """Of what leans from it by more than 1e-14, the part across acts on the shape."""
+def test_gravity_tilted_from_slide_acts_on_shape(by: float, acts: bool) -> None:
+    """If the tilt is above 1e-14, its component across the slide acts on the shape."""
     model = pin.Model()
     for i, kind in enumerate((pin.JointModelPZ(), pin.JointModelRY())):
         joint = model.addJoint(i, kind, pin.SE3.Identity(), f"joint{i}")
@@ -64,8 +64,8 @@ def test_gravity_beside_a_slide(by: float, acts: bool) -> None:
 
 
 @pytest.mark.parametrize("by", [1e-6, 1e-9])
-def test_a_wheel_out_of_true_is_not_cyclic(by: float) -> None:
-    """By a nanometre, or with moments that differ by that part."""
+def test_wheel_off_its_axis_is_not_cyclic(by: float) -> None:
+    """By a nanometre, or with moments that differ by this fraction."""
     model = pinred.load("reaction_wheel_satellite").model
     assert cyclic_joints(Reduction(pinred.load(model.copy()))) == (1, 2, 3)
     beside = model.copy()
@@ -78,8 +78,8 @@ def test_a_wheel_out_of_true_is_not_cyclic(by: float) -> None:
 
 
 @pytest.mark.parametrize("far", [0.0, 1.0, 1e3])
-def test_a_true_wheel_is_cyclic_however_far_out(far: float) -> None:
-    """Round-off of where it sits is no dependence on its angle."""
+def test_balanced_wheel_far_from_root_is_cyclic(far: float) -> None:
+    """Round-off of its position is no dependence on its angle."""
     model = pinred.load("reaction_wheel_satellite").model.copy()
     place = model.jointPlacements[3]
     model.jointPlacements[3] = pin.SE3(
@@ -89,8 +89,8 @@ def test_a_true_wheel_is_cyclic_however_far_out(far: float) -> None:
 
 
 @pytest.mark.parametrize("away", [0.0, 1e9])
-def test_where_the_root_is_placed_hides_nothing(away: float) -> None:
-    """What a joint changes is measured about the root, not about the world's origin."""
+def test_cyclic_joints_do_not_depend_on_root_placement(away: float) -> None:
+    """Changes by a joint are measured about the root, not about the world's origin."""
     model = random_model("SO3", 2, 0)
     model.gravity.setZero()
     model.jointPlacements[1] = pin.SE3(np.eye(3), np.array([0.0, away, 0.0]))
@@ -107,8 +107,8 @@ def slide(pushed: bool) -> tuple[int, ...]:
     return cyclic_joints(Reduction(pinred.load(model)), pushed=pushed)
 
 
-def test_a_slide_along_the_base_is_cyclic_unless_that_is_pushed() -> None:
-    """Its momentum is told in the frame of the centre of mass, which a push moves."""
+def test_slide_along_base_is_cyclic_without_push() -> None:
+    """Its momentum is that in the frame of the centre of mass, which a push moves."""
     assert slide(pushed=False) == (0,)
     assert slide(pushed=True) == ()
 
@@ -131,7 +131,7 @@ def wheel(
 
 
 @pytest.mark.parametrize("gravity", [0.0, 9.81, 1e6])
-def test_wheels_on_a_heavy_pivot(gravity: float) -> None:
+def test_wheels_on_heavy_pivot_are_cyclic_if_balanced(gravity: float) -> None:
     """Cyclic where they carry no weight round, though the mass matrix may not feel that.
 
     Round an axis through the pivot, moments of (a + m d², a) and a lever of d make none.
@@ -150,6 +150,6 @@ def test_wheels_on_a_heavy_pivot(gravity: float) -> None:
     ([[1.0, 0.0, 0.0], [0.0, 0.0, 3e-7]], "x"), ([[1.0, 0.0, 0.0], [0.0, 0.0, 3e-6]], "x, z"),
     ([[1e3, 0.0, 0.0], [0.0, 0.0, 3e-4]], "x"),
 ])  # fmt: skip
-def test_axes_of_small_moments_are_not_named(moments: list[list[float]], axes: str) -> None:
+def test_symmetry_error_omits_axes_of_small_moments(moments: list[list[float]], axes: str) -> None:
     """Below a thousandth of the axis, or a millionth of the largest moment."""
     assert potential._axes(np.array(moments)) == axes

@@ -35,8 +35,8 @@ def by_aba(scene: pinred.Scene) -> Array:
     return full.run(y0, scene.report_times, 1e-12, 1e-14).x
 
 
-def test_a_pivoted_base_is_left_out() -> None:
-    """Under gravity, μ and the direction of gravity stand for the attitude: 6 for 4 + 3."""
+def test_pivoted_base_under_gravity_has_six_variables() -> None:
+    """Without the base, μ and the direction of gravity replace the attitude: 6 instead of 4 + 3."""
     model = random_model("SO3", 2, 3)
     model.gravity.linear = np.array([1.0, -2.0, 9.0])
     system = pinred.load(model)
@@ -48,8 +48,8 @@ def test_a_pivoted_base_is_left_out() -> None:
         np.testing.assert_allclose(traj.x, by_aba(scene), rtol=0, atol=1e-8)
 
 
-def test_files_of_a_shape(tmp_path: Path) -> None:
-    """What is saved is what was asked for."""
+def test_saved_shape_motion_has_requested_arrays(tmp_path: Path) -> None:
+    """The file has only the requested outputs."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=0.5, outputs="shape")
     for suffix in ("npz", "csv"):
         traj.save(tmp_path / f"traj.{suffix}")
@@ -61,7 +61,7 @@ def test_files_of_a_shape(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_time_is_integrated_only_where_it_counts() -> None:
+def test_time_is_integrated_only_if_forces_depend_on_it() -> None:
     """A constant torque needs no clock, one that depends on time does."""
     system = pinred.load("falling_cat")
     joint = system.shape_names[0]
@@ -94,8 +94,8 @@ WHEELS = ("wheel_x", "wheel_y", "wheel_z")
         (Wrench([0.1, 0.0, 0.0, 0.0, 0.0, 0.02]), WHEELS),
     ],
 )
-def test_cyclic_joints_among_forces(force: Force, cyclic: tuple[str, ...]) -> None:
-    """A force that acts on a wheel, or looks at its angle, makes it act; others do not."""
+def test_force_on_wheel_makes_it_acyclic(force: Force, cyclic: tuple[str, ...]) -> None:
+    """A force that acts on a wheel, or depends on its angle, makes it acyclic; others do not."""
     system = pinred.load("reaction_wheel_satellite")
     scene = pinred.Scene(system=system, duration=1.0, forces=[force])
     layout = CompiledFlow.of_plan(plan_of(scene)).kernel.layout
@@ -106,8 +106,8 @@ def test_cyclic_joints_among_forces(force: Force, cyclic: tuple[str, ...]) -> No
 
 @pytest.mark.parametrize("kind", [pin.JointModelFreeFlyer, pin.JointModelSpherical])
 @pytest.mark.parametrize("size", [1.0, 1e-4, 1e-7, 1e-8])
-def test_small_bodies_about_one_point_are_not_cyclic(kind: Any, size: float) -> None:
-    """Gimbals: their inertias are small beside nothing but the base's, and round-off of none."""
+def test_small_gimbals_are_not_cyclic(kind: Any, size: float) -> None:
+    """Their inertias are small only beside the base's, and are not round-off."""
     rng = np.random.default_rng(3)
     model = pin.Model()
 

@@ -51,8 +51,8 @@ def springs_of(case: Case) -> dict[str, tuple[float, float]]:
 
 @settings(max_examples=60)
 @given(cases(0))
-def test_lagrange_poincare(case: Case) -> None:
-    """Accelerations with joint torques, springs and a base wrench are those of ABA."""
+def test_lagrange_poincare_has_accelerations_of_aba(case: Case) -> None:
+    """With joint torques, springs and a base wrench."""
     system, x, xdot = case.system, case.x, case.xdot
     torque, wrench = case.rng.normal(size=system.m), case.rng.normal(size=system.r)
     springs = springs_of(case)
@@ -71,8 +71,8 @@ def test_lagrange_poincare(case: Case) -> None:
 
 @settings(max_examples=60)
 @given(cases())
-def test_hamilton_poincare(case: Case) -> None:
-    """ẋ, ṗ and μ̇ are those that ABA's accelerations give to p = M ẋ and μ = I ξ + I A ẋ."""
+def test_hamilton_poincare_has_rates_of_aba(case: Case) -> None:
+    """ẋ, ṗ and μ̇ follow from ABA's accelerations by p = M ẋ and μ = I ξ + I A ẋ."""
     system, x, xdot = case.system, case.x, case.xdot
     red = pinred.Reduction(system)
     torque, wrench = case.rng.normal(size=system.m), case.rng.normal(size=system.r)
@@ -92,7 +92,7 @@ def test_hamilton_poincare(case: Case) -> None:
 
 @settings(max_examples=60)
 @given(cases(0))
-def test_canonical_form(case: Case) -> None:
+def test_canonical_form_has_rates_of_aba(case: Case) -> None:
     """In (x, π, μ): velocities from momenta, and π̇ = d/dt ∂L/∂ẋ from ABA's accelerations."""
     system, r = case.system, case.system.r
     springs = springs_of(case)
@@ -111,7 +111,7 @@ def test_canonical_form(case: Case) -> None:
 
 @settings(max_examples=40)
 @given(cases(0, 0))
-def test_euler_poincare(case: Case) -> None:
+def test_euler_poincare_has_accelerations_of_aba(case: Case) -> None:
     """A system without joints obeys Euler–Poincaré, with a wrench on the base."""
     wrench = case.rng.normal(size=case.system.r)
     red = pinred.Reduction(case.system)
@@ -121,7 +121,7 @@ def test_euler_poincare(case: Case) -> None:
 
 
 @pytest.mark.parametrize("group", [name for name in GROUPS if GROUPS[name].linear])
-def test_falling_is_left_out(group: str) -> None:
+def test_equations_hold_in_falling_frame(group: str) -> None:
     """With gravity, the equations hold in the frame that falls with the translations."""
     case = make_case(group, 4, 3)
     model = case.system.model
@@ -145,8 +145,8 @@ def test_falling_is_left_out(group: str) -> None:
     assert backward_error(H, found, wanted, terms.shape, terms.momentum, H @ wanted) <= RELATIVE
 
 
-def test_every_term_is_needed_and_printed() -> None:
-    """On a generic state no term vanishes, and the table names each one with its numbers."""
+def test_every_term_is_printed_and_not_zero() -> None:
+    """On a generic state no term vanishes, and the table names each one with its values."""
     case = make_case("SE3", 3, 11)
     red = pinred.Reduction(case.system, springs=springs_of(case))
     terms = lagrange_poincare(
@@ -172,7 +172,9 @@ def test_every_term_is_needed_and_printed() -> None:
         ("wrench must have shape", ([0.0], [0.0], [0.0] * 3), {"wrench": [1.0]}),
     ],
 )
-def test_bad_states(words: str, arguments: tuple[object, ...], options: dict[str, object]) -> None:
+def test_invalid_states_raise_and_name_argument(
+    words: str, arguments: tuple[object, ...], options: dict[str, object]
+) -> None:
     """Wrong lengths and numbers that are not finite are refused by name."""
     red = pinred.Reduction(pinred.load("coupled_planar"))
     with pytest.raises(pinred.ShapeError, match=words):
@@ -182,8 +184,8 @@ def test_bad_states(words: str, arguments: tuple[object, ...], options: dict[str
 @settings(max_examples=60)
 @given(st.integers(0, 5), seeds)
 @example(joints=1, seed=1_073_741_823)  # terms of size 1 that sum to 0.004
-def test_gravity_at_a_pivot(joints: int, seed: int) -> None:
-    """All three equations of a pivoted tree in gravity, springs and forces too, are ABA's."""
+def test_equations_of_pivoted_tree_agree_with_aba(joints: int, seed: int) -> None:
+    """All three equations of a pivoted tree in gravity, also with springs and forces."""
     model = random_model("SO3", joints, seed)
     rng = np.random.default_rng(seed)
     model.gravity.linear = rng.normal(size=3) * 9.0
@@ -228,8 +230,8 @@ def test_gravity_at_a_pivot(joints: int, seed: int) -> None:
         assert backward_error(H, frozen.xidot, a, frozen.momentum) <= RELATIVE
 
 
-def test_gravity_at_a_pivot_needs_its_direction() -> None:
-    """Γ or the pose is required there, and refused elsewhere; other gravity breaks the symmetry."""
+def test_equations_of_pivoted_tree_require_gravity_direction() -> None:
+    """Γ or the pose is required there and refused elsewhere; other gravity breaks the symmetry."""
     heavy = random_model("SO3", 2, 3)
     heavy.gravity.linear = np.array([0.0, 0.0, -9.81])
     zero = np.zeros(3)

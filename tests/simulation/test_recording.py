@@ -108,7 +108,7 @@ def test_phase_portrait_of_recording(tmp_path: Path) -> None:
     sprung = pinred.simulate(system, duration=3.0, springs={"pole_pivot": (1.0, 0.3)})
     sprung.save(path)
     figure = plots.phase(read_recording(path))
-    assert "does not hold its forces" in figure.get_suptitle()
+    assert "does not store its forces" in figure.get_suptitle()
     (axes,) = figure.axes
     np.testing.assert_array_equal(drawn(axes, "path"), [sprung.x[:, 0], sprung.xdot[:, 0]])
 

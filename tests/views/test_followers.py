@@ -1,4 +1,4 @@
-"""Joints that follow others, in figures and films."""
+"""Follower joints in figures and films."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KINDS = ("base", "curvature", "energy", "error", "momentum", "phase", "poincare"
 
 @pytest.fixture
 def hand(tmp_path: Path) -> pinred.System:
-    """A wrist and two fingers that slide apart, the second by half; a thumb on the second."""
+    """Load a wrist with two sliding fingers, the second at half the stroke, and a thumb on it."""
     slide = '<axis xyz="0 1 0"/>'
     text = robot(
         *(link(name) for name in ("base", "palm", "left", "right", "thumb")),
@@ -32,32 +32,32 @@ def hand(tmp_path: Path) -> pinred.System:
     return pinred.load(write(tmp_path, text))
 
 
-def test_films_move_followers(hand: pinred.System) -> None:
-    """The placements are those of Pinocchio with the follower where its leader puts it."""
+def test_film_moves_followers(hand: pinred.System) -> None:
+    """Placements are Pinocchio's with the follower at its coupled value."""
     traj = pinred.simulate(hand, seed=2, duration=0.5)
-    seen = playback(traj, View(fps=20.0, ghost=True))
+    shown = playback(traj, View(fps=20.0, ghost=True))
     model = hand.model
     data = model.createData()
-    left, right = (model.getJointId(f"palm-{side}") for side in ("left", "right"))
-    moved = []
-    for k, t in enumerate(seen.t):
+    left_palm, right = (model.getJointId(f"palm-{side}") for side in ("left", "right"))
+    shifted = []
+    for k, t in enumerate(shown.t):
         q = pin.neutral(model)
         state = traj(t)
         q[:7] = state.pose
         for name, value in zip(hand.shape_names, state.x, strict=True):
             q[model.joints[model.getJointId(name)].idx_q] = value
-        moved.append(q[model.joints[right].idx_q])
-        q[model.joints[left].idx_q] = -0.5 * q[model.joints[right].idx_q]
+        shifted.append(q[model.joints[right].idx_q])
+        q[model.joints[left_palm].idx_q] = -0.5 * q[model.joints[right].idx_q]
         pin.forwardKinematics(model, data, q)
-        place = data.oMi[left].translation
-        np.testing.assert_allclose(seen.placements[k, left, :3], place, atol=1e-12)
-    assert np.ptp(moved) > 1e-3
-    assert seen.ghost is not None
-    assert seen.ghost.apart.max() < 1e-6
+        place = data.oMi[left_palm].translation
+        np.testing.assert_allclose(shown.placements[k, left_palm, :3], place, atol=1e-12)
+    assert np.ptp(shifted) > 1e-3
+    assert shown.ghost is not None
+    assert shown.ghost.apart.max() < 1e-6
 
 
-def test_labels_and_limbs(hand: pinred.System) -> None:
-    """Names, units and rows are those of the shape, without the follower between."""
+def test_labels_omit_followers(hand: pinred.System) -> None:
+    """Names, units and branches are those of the shape."""
     labels = labels_of(hand)
     assert labels.joints == ("base-palm", "palm-right", "right-thumb")
     assert labels.units == ("rad", "m", "rad")
@@ -65,15 +65,15 @@ def test_labels_and_limbs(hand: pinred.System) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_figures(hand: pinred.System, kind: str) -> None:
+def test_all_figures_of_robot_with_followers(hand: pinred.System, kind: str) -> None:
     """Every kind of figure can be drawn."""
     traj = pinred.simulate(hand, seed=2, duration=0.5)
     options = {"direction": -1} if kind == "poincare" else {}
     assert pinred.plot(traj, kind, **options).axes
 
 
-def test_shape_panel(hand: pinred.System) -> None:
-    """The two joints that move the most, with their own units."""
+def test_shape_panel_of_robot_with_followers(hand: pinred.System) -> None:
+    """The axes are the two joints that move most, with their units."""
     traj = pinred.simulate(hand, seed=2, duration=0.5)
     panel = shape_panel(hand, traj.x, traj.xdot, ("palm-right", "base-palm"))
     assert panel is not None

@@ -1,4 +1,4 @@
-"""Shapes that come with a model, and meshes in folders that are named."""
+"""Shapes that are given with a model, and search folders for meshes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.system.catalogue import has_example_robots
-from pinred.views.playback.drawn_bodies import drawn_bodies
-from pinred.views.playback.solids import Bodies
+from pinred.views.playback.drawn_bodies import Bodies, drawn_bodies
 
 needs_robots = pytest.mark.skipif(
     not has_example_robots(), reason="example-robot-data is not installed"
@@ -23,14 +22,14 @@ needs_robots = pytest.mark.skipif(
 
 
 def wrapper(name: str) -> Any:
-    """A RobotWrapper of example-robot-data."""
+    """Return a RobotWrapper of example-robot-data."""
     import example_robot_data
 
     return example_robot_data.load(name)
 
 
 def assert_same_bodies(one: Bodies, other: Bodies) -> None:
-    """The same shapes in the same places, of the same meshes."""
+    """Assert equal shapes, placements and meshes."""
     assert [(s.joint, s.kind, s.size) for s in one.solids] == [
         (s.joint, s.kind, s.size) for s in other.solids
     ]
@@ -43,8 +42,8 @@ def assert_same_bodies(one: Bodies, other: Bodies) -> None:
 
 @needs_robots
 @pytest.mark.parametrize("lock", [(), {"FL_HFE": 0.7, "HR_KFE": -0.4}])
-def test_a_wrapper_is_the_robot_of_that_name(lock: Any) -> None:
-    """The same dynamics and the same shapes, whole or with joints frozen, as wrapper or pair."""
+def test_wrapper_equals_robot_by_name(lock: Any) -> None:
+    """Dynamics and shapes agree, with or without frozen joints, as wrapper or as pair."""
     robot, named = wrapper("solo12"), pinred.load("solo12", lock=lock)
     for source in (robot, (robot.model, robot.visual_model)):
         system = pinred.load(source, lock=lock)
@@ -54,8 +53,10 @@ def test_a_wrapper_is_the_robot_of_that_name(lock: Any) -> None:
         reach = np.ones(named.model.nq)
         q = pin.randomConfiguration(named.model, -reach, reach)
         v, tau = rng.normal(size=(2, named.n))
-        found, wanted = (pin.aba(s.model, s.model.createData(), q, v, tau) for s in (system, named))
-        np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10)
+        result, wanted = (
+            pin.aba(s.model, s.model.createData(), q, v, tau) for s in (system, named)
+        )
+        np.testing.assert_allclose(result, wanted, rtol=1e-10, atol=1e-10)
         drawn = drawn_bodies(system)
         assert drawn.note == ""
         assert len(drawn.meshes) == 10
@@ -63,8 +64,8 @@ def test_a_wrapper_is_the_robot_of_that_name(lock: Any) -> None:
 
 
 @needs_robots
-def test_a_page_of_a_wrapper_holds_its_meshes(tmp_path: Path) -> None:
-    """As many as the page of the robot by its name, and no word of inertias."""
+def test_page_of_wrapper_contains_meshes(tmp_path: Path) -> None:
+    """As many as the page of the robot by name, without a remark on inertias."""
     robot = wrapper("solo12")
     pages = []
     for source in (robot, "solo12"):
@@ -79,7 +80,7 @@ def test_a_page_of_a_wrapper_holds_its_meshes(tmp_path: Path) -> None:
 
 
 def test_shapes_on_joints_without_frames() -> None:
-    """Of a pair made by hand: on its joint, or, if that is frozen, said."""
+    """A manual pair has its shape on the joint; a frozen joint is reported."""
     model = pin.Model()
     ball = pin.Inertia.FromSphere(1.0, 0.2)
     base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
@@ -107,8 +108,8 @@ def test_shapes_on_joints_without_frames() -> None:
 
 
 @pytest.mark.parametrize("source", [(1, 2), (pin.Model(),), (pin.Model(), 3)])
-def test_pairs_that_are_none_are_refused(source: Any) -> None:
-    """With what is wanted."""
+def test_invalid_pairs_are_rejected(source: Any) -> None:
+    """The message says what is expected."""
     with pytest.raises(pinred.InputError, match="GeometryModel"):
         pinred.load(source)
 
@@ -116,7 +117,7 @@ def test_pairs_that_are_none_are_refused(source: Any) -> None:
 URDF = (
     '<robot name="r"><link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" '
     'izz="1" ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry><mesh '
-    'filename="package://parts/meshes/tip.stl"/></geometry></visual></link></robot>'
+    'filename="package://urdf_and_package/meshes/tip.stl"/></geometry></visual></link></robot>'
 )
 STL = (
     "solid s\n facet normal 0 0 1\n  outer loop\n   vertex 0 0 0\n   vertex 1 0 0\n"
@@ -125,22 +126,22 @@ STL = (
 
 
 @pytest.fixture
-def parts(tmp_path: Path) -> tuple[Path, Path]:
-    """A URDF, and the folder of the package that its mesh is in, somewhere else."""
+def urdf_and_package(tmp_path: Path) -> tuple[Path, Path]:
+    """Write a URDF, and the package of its mesh in another folder."""
     (tmp_path / "robots").mkdir()
     robot = tmp_path / "robots/r.urdf"
     robot.write_text(URDF)
-    package = tmp_path / "elsewhere/parts"
+    package = tmp_path / "elsewhere/urdf_and_package"
     (package / "meshes").mkdir(parents=True)
     (package / "meshes/tip.stl").write_text(STL)
     return robot, package
 
 
-def test_meshes_names_folders(parts: tuple[Path, Path], tmp_path: Path) -> None:
-    """The folder of the package or the one above it; in load, in views, in scenes, in play."""
-    robot, package = parts
+def test_meshes_option_names_folders(urdf_and_package: tuple[Path, Path], tmp_path: Path) -> None:
+    """The package or its parent folder, in load, in views, in scenes, in play."""
+    robot, package = urdf_and_package
     without = drawn_bodies(pinred.load(robot))
-    assert "Mesh package://parts/meshes/tip.stl could not be found" in without.note
+    assert "Mesh package://urdf_and_package/meshes/tip.stl could not be found" in without.note
     for folder in (package, str(package.parent), [tmp_path, package]):
         for drawn in (
             drawn_bodies(pinred.load(robot, meshes=folder)),
@@ -163,11 +164,11 @@ def test_meshes_names_folders(parts: tuple[Path, Path], tmp_path: Path) -> None:
         assert ("could not be found" in page.read_text("utf-8")) == said
 
 
-def test_folders_that_are_not_there_are_refused(
-    parts: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+def test_missing_folders_are_rejected(
+    urdf_and_package: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By name; so are folders for what has no use for them."""
-    robot, package = parts
+    """Folders without use are rejected too."""
+    robot, package = urdf_and_package
     with pytest.raises(pinred.InputError, match="no folder 'gone'"):
         pinred.load(robot, meshes="gone")
     with pytest.raises(pinred.InputError, match="a folder or a list"):

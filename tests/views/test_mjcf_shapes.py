@@ -1,4 +1,4 @@
-"""The shapes of MJCF files sit where MuJoCo puts them."""
+"""Shapes of MJCF files have MuJoCo's placements."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def write(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("locked", [False, True])
-def test_shapes_sit_where_mujoco_puts_them(tmp_path: Path, locked: bool) -> None:
-    """At a random state, with a joint frozen or not; what the viewer hides is not drawn."""
+def test_shapes_have_mujoco_placements(tmp_path: Path, locked: bool) -> None:
+    """At a random state, with a frozen joint or not; hidden groups are not drawn."""
     path = write(tmp_path, TEXT)
     system = pinred.load(path, lock={"elbow": 0.6} if locked else {})
     drawn = drawn_bodies(system)
     assert drawn.note == ""
-    for solid, (kind, size) in zip(drawn.solids, DRAWN.values(), strict=True):
-        assert solid.kind == kind
+    for solid, (category, size) in zip(drawn.solids, DRAWN.values(), strict=True):
+        assert solid.kind == category
         assert solid.size == pytest.approx(size)
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
@@ -67,14 +67,14 @@ def test_shapes_sit_where_mujoco_puts_them(tmp_path: Path, locked: bool) -> None
     placed = system.model.createData()
     pin.forwardKinematics(system.model, placed, system.q(pose, [x[n] for n in system.shape_names]))
     for solid, name in zip(drawn.solids, DRAWN, strict=True):
-        found = placed.oMi[solid.joint] * pin.XYZQUATToSE3(solid.placement)
+        result = placed.oMi[solid.joint] * pin.XYZQUATToSE3(solid.placement)
         geom = data.geom(name)
-        assert found.translation == pytest.approx(geom.xpos, abs=1e-12)
-        assert found.rotation == pytest.approx(geom.xmat.reshape(3, 3), abs=1e-12)
+        assert result.translation == pytest.approx(geom.xpos, abs=1e-12)
+        assert result.rotation == pytest.approx(geom.xmat.reshape(3, 3), abs=1e-12)
 
 
-def test_meshes_and_colours(tmp_path: Path) -> None:
-    """Vertices are where the file puts them; a material gives its colour to what has none."""
+def test_mesh_vertices_and_material_colours(tmp_path: Path) -> None:
+    """A material colours shapes without a colour."""
     system = pinred.load(write(tmp_path, TEXT))
     drawn = drawn_bodies(system)
     by_name = dict(zip(DRAWN, drawn.solids, strict=True))
@@ -84,22 +84,22 @@ def test_meshes_and_colours(tmp_path: Path) -> None:
     (mesh,) = drawn.meshes
     arm = system.model.frames[system.model.getFrameId("arm", pin.FrameType.BODY)].placement
     on_arm = arm.inverse() * pin.XYZQUATToSE3(by_name["tip"].placement)
-    found = np.array([on_arm.act(vertex) for vertex in mesh.vertices.astype(float)])
+    result = np.array([on_arm.act(vertex) for vertex in mesh.vertices.astype(float)])
     turn = pin.SE3(pin.exp3(np.array([0.0, np.pi / 2, 0.0])), np.array([0.1, 0.0, 0.0]))
     corners = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.4, 0], [0, 0, 0.5]])
-    assert found == pytest.approx(np.array([turn.act(corner) for corner in corners]), abs=1e-6)
+    assert result == pytest.approx(np.array([turn.act(corner) for corner in corners]), abs=1e-6)
     assert mesh.faces.shape == (4, 3)
 
 
-def test_shapes_for_contact_are_drawn_where_there_are_no_others(tmp_path: Path) -> None:
-    """Robots keep them in groups that MuJoCo's viewer does not show at first."""
+def test_collision_shapes_are_drawn_without_visual_shapes(tmp_path: Path) -> None:
+    """They are in groups that MuJoCo's viewer hides by default."""
     text = TEXT.replace("<geom contype", '<geom group="4" contype')
     system = pinred.load(write(tmp_path, text))
     assert len(drawn_bodies(system).solids) == len(DRAWN) + 1
 
 
-def test_a_mesh_that_is_missing_is_said(tmp_path: Path) -> None:
-    """It carries no mass, so that the robot loads; it is drawn from its inertias."""
+def test_missing_mesh_is_reported(tmp_path: Path) -> None:
+    """The mesh carries no mass, so the robot loads and is drawn from its inertias."""
     text = TEXT.replace(
         '<mesh name="tip" vertex="0 0 0 .3 0 0 0 .4 0 0 0 .5"/>', '<mesh file="tip.stl"/>'
     )
@@ -109,8 +109,8 @@ def test_a_mesh_that_is_missing_is_said(tmp_path: Path) -> None:
     assert {solid.kind for solid in drawn.solids} == {"ellipsoid", "capsule"}
 
 
-def test_a_robot_that_was_chosen(tmp_path: Path) -> None:
-    """Of several bodies in the world, only its shapes are drawn."""
+def test_chosen_robot_has_its_shapes_only(tmp_path: Path) -> None:
+    """Of several bodies in the world, only one is drawn."""
     ball = '<body name="toy"><freejoint/><geom name="toy" size=".7"/></body></worldbody>'
     path = write(tmp_path, TEXT.replace("</worldbody>", ball))
     with pytest.warns(pinred.LeftOutWarning):

@@ -1,4 +1,4 @@
-"""Playback: its numbers against closed forms and sums over bodies."""
+"""Playback numbers, against closed forms and sums over bodies."""
 
 from __future__ import annotations
 
@@ -25,60 +25,60 @@ from pinred.views.playback.view import View
 
 
 def film(name: str, *, ghost: bool = False, fps: float = 60.0, **scene: Any) -> Playback:
-    """The playback of a robot's simulation."""
+    """Return the playback of a robot's simulation."""
     return playback(pinred.simulate(pinred.load(name), **scene), View(ghost=ghost, fps=fps))
 
 
 def bodies(of: Playback) -> tuple[Array, Array, Array, Array]:
-    """Masses (n,), centres (F, n, 3), inertias (F, n, 3, 3) and rotations in the world frame."""
+    """Return masses (n,), centres (F, n, 3), inertias (F, n, 3, 3) and world rotations."""
     inertias = [of.system.model.inertias[i] for i in range(1, of.system.model.njoints)]
     mass = np.array([inertia.mass for inertia in inertias])
-    turned = rotation(of.placements[:, 1:, 3:])
+    rotations = rotation(of.placements[:, 1:, 3:])
     lever = np.array([inertia.lever for inertia in inertias])
-    centre = of.placements[:, 1:, :3] + np.einsum("fnij,nj->fni", turned, lever)
-    own = np.array([inertia.inertia for inertia in inertias])
-    return mass, centre, turned @ own @ np.swapaxes(turned, -1, -2), turned
+    centre = of.placements[:, 1:, :3] + np.einsum("fnij,nj->fni", rotations, lever)
+    expected = np.array([inertia.inertia for inertia in inertias])
+    return mass, centre, rotations @ expected @ np.swapaxes(rotations, -1, -2), rotations
 
 
 @pytest.mark.parametrize("name", ["falling_cat", "solo12", "planar_chain5"])
-def test_numbers_are_sums_over_bodies(name: str) -> None:
-    """CoM, inertia ellipsoid and angular momentum, from the drawn placements alone."""
+def test_playback_equals_sums_over_bodies(name: str) -> None:
+    """CoM, inertia ellipsoid and angular momentum are computed from drawn placements."""
     options: dict[str, Any] = {"seed": 1} if name == "solo12" else {}
-    seen = film(name, fps=2000.0, duration=0.1, **options)
-    mass, centre, inertia, turned = bodies(seen)
+    shown = film(name, fps=2000.0, duration=0.1, **options)
+    mass, centre, inertia, rotations = bodies(shown)
     com = np.einsum("n,fni->fi", mass, centre) / mass.sum()
-    np.testing.assert_allclose(seen.com, com, atol=1e-12)
+    np.testing.assert_allclose(shown.com, com, atol=1e-12)
     arm = centre - com[:, None]
     steiner = np.einsum("fni,fni->fn", arm, arm)[..., None, None] * np.eye(3)
     steiner = steiner - arm[..., :, None] * arm[..., None, :]
     locked = (inertia + mass[:, None, None] * steiner).sum(axis=1)
     # A homogeneous ellipsoid x = S u of mass m has the inertia m/5 (tr(S²) − S²).
-    square = seen.ellipsoid @ seen.ellipsoid
+    square = shown.ellipsoid @ shown.ellipsoid
     trace = np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     np.testing.assert_allclose(mass.sum() / 5.0 * (trace - square), locked, rtol=1e-9, atol=1e-12)
     # Velocities by central differences of the frames, half a millisecond apart.
-    step = seen.t[2] - seen.t[0]
+    step = shown.t[2] - shown.t[0]
     speed = (arm[2:] - arm[:-2]) / step
-    turning = (turned[2:] - turned[:-2]) / step @ np.swapaxes(turned[1:-1], -1, -2)
+    turning = (rotations[2:] - rotations[:-2]) / step @ np.swapaxes(rotations[1:-1], -1, -2)
     spin = np.stack([turning[..., 2, 1], turning[..., 0, 2], turning[..., 1, 0]], axis=-1)
     momentum = np.einsum("fnij,fnj->fi", inertia[1:-1], spin)
     momentum += np.einsum("n,fni->fi", mass, np.cross(arm[1:-1], speed))
     scale = np.abs(momentum).max()
-    np.testing.assert_allclose(seen.momentum.vector[1:-1], momentum, atol=2e-5 * scale)
+    np.testing.assert_allclose(shown.momentum.vector[1:-1], momentum, atol=2e-5 * scale)
 
 
-def test_arrow_stands_still_while_the_body_turns() -> None:
-    """Over a long flight in gravity: the same arrow, its tail on the parabola of the CoM."""
-    seen = film("solo12", seed=2, duration=2.0)
-    vector = seen.momentum.vector
+def test_arrow_is_constant_in_flight() -> None:
+    """In a long flight in gravity the arrow's tail follows the parabola of the CoM."""
+    shown = film("solo12", seed=2, duration=2.0)
+    vector = shown.momentum.vector
     assert np.linalg.norm(vector[0]) > 1e-3
     np.testing.assert_allclose(vector, np.broadcast_to(vector[0], vector.shape), atol=1e-9)
-    fall = seen.t[:, None] ** 2 * [0.0, 0.0, -9.81 / 2.0]
-    straight = seen.com - fall
-    even = straight[0] + (straight[-1] - straight[0]) * (seen.t / seen.t[-1])[:, None]
+    fall = shown.t[:, None] ** 2 * [0.0, 0.0, -9.81 / 2.0]
+    straight = shown.com - fall
+    even = straight[0] + (straight[-1] - straight[0]) * (shown.t / shown.t[-1])[:, None]
     np.testing.assert_allclose(straight, even, atol=1e-8)
-    np.testing.assert_array_equal(seen.momentum.tail, seen.com)
-    first, last = (rotation(seen.placements[k, 1, 3:]) for k in (0, -1))
+    np.testing.assert_array_equal(shown.momentum.tail, shown.com)
+    first, last = (rotation(shown.placements[k, 1, 3:]) for k in (0, -1))
     assert np.abs(first - last).max() > 0.3
 
 
@@ -93,53 +93,53 @@ def test_arrow_stands_still_while_the_body_turns() -> None:
     ],
 )
 def test_arrow_in_closed_form(name: str, wanted: list[float]) -> None:
-    """The momentum that the group conserves, for one axis of turning, of sliding, for a pivot."""
+    """For one axis of rotation, one of translation, and a pivot."""
     np.testing.assert_allclose(film(name, duration=1.0).momentum.vector, [wanted] * 61, atol=1e-9)
 
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_arrow_of_random_trees_stands_still(group: str, seed: int) -> None:
-    """Slanted roots, branches that leave the plane: what is drawn is what is conserved."""
+def test_arrow_of_random_trees_is_constant(group: str, seed: int) -> None:
+    """For tilted roots and branches out of plane, the arrow is the conserved momentum."""
     model = random_model(group, 4, seed)
     if group == "SO2":  # only there may the root have a rotor
         model.armature = np.array([0.5, *model.armature[1:]])
     system = pinred.load(model)
-    seen = playback(pinred.simulate(system, seed=seed, duration=1.0), View(fps=20.0))
-    vector = seen.momentum.vector
+    shown = playback(pinred.simulate(system, seed=seed, duration=1.0), View(fps=20.0))
+    vector = shown.momentum.vector
     scale = float(np.linalg.norm(vector[0]))
     assert scale > 1e-3
     assert np.abs(vector - vector[0]).max() < 1e-8 * max(1.0, scale)
     if group != "SE3":  # the tail too, but for what slides
-        away = seen.momentum.tail - seen.momentum.tail[0]
+        away = shown.momentum.tail - shown.momentum.tail[0]
         assert (np.abs(away).max() > 1e-3) == (GROUPS[group].linear > 0)
-    mass, centre, _, _ = bodies(seen)
-    np.testing.assert_allclose(seen.com, np.einsum("n,fni->fi", mass, centre) / mass.sum())
+    mass, centre, _, _ = bodies(shown)
+    np.testing.assert_allclose(shown.com, np.einsum("n,fni->fi", mass, centre) / mass.sum())
 
 
-def test_no_arrow_without_momentum() -> None:
-    """A cat that turns with no momentum has none to draw, not one of round-off."""
+def test_zero_momentum_has_no_arrow() -> None:
+    """Round-off is not drawn."""
     options: dict[str, Any] = {"x0": [0.5, 0.2, -0.3], "xdot0": [3.0, -2.0, 1.0], "momentum": 0}
     assert not film("falling_cat", duration=2.0, **options).momentum.vector.any()
 
 
-def test_ghost_is_the_full_simulation() -> None:
-    """It stays with an accurate motion, and leaves one that is integrated badly."""
+def test_ghost_is_full_simulation() -> None:
+    """It stays with an accurate motion and leaves an inaccurate one."""
     good = film("falling_cat", ghost=True, duration=2.0)
     assert good.ghost is not None
     assert good.ghost.apart.max() < 1e-9
     assert good.ghost.placements.shape == good.placements.shape
     bad = film("falling_cat", ghost=True, duration=2.0, method=pinred.RKMK4(0.2))
     assert bad.ghost is not None
-    apart = np.linalg.norm((bad.ghost.placements - bad.placements)[..., :3], axis=2).max(axis=1)
-    assert 1e-7 < apart.max() <= bad.ghost.apart.max() < 1e-1
+    distance = np.linalg.norm((bad.ghost.placements - bad.placements)[..., :3], axis=2).max(axis=1)
+    assert 1e-7 < distance.max() <= bad.ghost.apart.max() < 1e-1
 
 
-def test_frames_and_options(tmp_path: Path) -> None:
-    """Speed and fps make the frames; what makes no sense is refused."""
+def test_frames_follow_speed_and_fps(tmp_path: Path) -> None:
+    """Invalid options are rejected."""
     traj = pinred.simulate(pinred.load("rigid_body"), duration=3.0)
-    seen = playback(traj, View(speed=2.0, fps=20.0))
-    np.testing.assert_allclose(seen.t, np.linspace(0.0, 3.0, 31))
+    shown = playback(traj, View(speed=2.0, fps=20.0))
+    np.testing.assert_allclose(shown.t, np.linspace(0.0, 3.0, 31))
     with pytest.raises(pinred.InputError, match=r"180001 frames are too many.*lower fps"):
         playback(traj, View(fps=60_000.0))
     for options, words in (
@@ -148,7 +148,7 @@ def test_frames_and_options(tmp_path: Path) -> None:
         ({"pair": "ab"}, "pair must be the names of two joints"),
         ({"pair": 3}, "pair must be the names of two joints, got 3"),
         ({"pair": [1, 2]}, "pair must be the names of two joints"),
-        ({"gost": True}, "no option 'gost'; they are ghost, speed"),
+        ({"gost": True}, "no option 'gost'; the options are ghost, speed"),
     ):
         with pytest.raises(pinred.InputError, match=words):
             pinred.save_html(traj, tmp_path / "a.html", **options)
@@ -162,20 +162,20 @@ def test_frames_and_options(tmp_path: Path) -> None:
         playback(shape, View())
 
 
-def test_curvature_field_of_the_panel() -> None:
-    """Of the cat: the two joints asked for, the third held, and Pinocchio's curvature there."""
-    seen = film("falling_cat", duration=1.0)
-    panel = shape_panel(seen.system, seen.x, seen.xdot, ("twist", "bend"))
+def test_panel_field_is_curvature() -> None:
+    """Two chosen joints of the cat, the third frozen; compared with Pinocchio."""
+    shown = film("falling_cat", duration=1.0)
+    panel = shape_panel(shown.system, shown.x, shown.xdot, ("twist", "bend"))
     assert panel is not None
     assert panel.labels == ("twist [rad]", "bend [rad]")
-    np.testing.assert_array_equal(panel.path, seen.x[:, [2, 0]])
+    np.testing.assert_array_equal(panel.path, shown.x[:, [2, 0]])
     assert (panel.low < panel.path.min(axis=0)).all()
     assert (panel.high > panel.path.max(axis=0)).all()
     n = panel.field.shape[1]
-    x = seen.x[0].copy()
+    x = shown.x[0].copy()
     x[2] = panel.low[0] + (panel.high[0] - panel.low[0]) * 10 / (n - 1)
     x[0] = panel.low[1] + (panel.high[1] - panel.low[1]) * 40 / (n - 1)
-    B = pinred.Reduction(seen.system).curvature(x)[:, 2, 0]
+    B = pinred.Reduction(shown.system).curvature(x)[:, 2, 0]
     names = ["shift along x", "shift along y", "shift along z", *map("turn about {}".format, "xyz")]
     for name, component in zip(panel.components, panel.field, strict=True):
         k = names.index(name.split(" [")[0])
@@ -193,11 +193,11 @@ def test_curvature_field_of_the_panel() -> None:
     assert phase.labels[1] == "rate of beanie [rad/s]"
     np.testing.assert_array_equal(phase.path[:, 1], one.xdot[:, 0])
     with pytest.raises(pinred.InputError, match="no joint 'knee'; the joints are bend"):
-        shape_panel(seen.system, seen.x, seen.xdot, ("knee", "bend"))
+        shape_panel(shown.system, shown.x, shown.xdot, ("knee", "bend"))
 
 
-def test_shapes_sit_where_the_file_puts_them() -> None:
-    """With a joint locked and a free root, against Pinocchio's placements in the file's model."""
+def test_shapes_have_placements_of_file() -> None:
+    """With a locked joint and a free root, against Pinocchio's model of the file."""
     system = pinred.load("solo12", lock={"FL_HFE": 0.7, "HR_KFE": -0.4})
     assert system.origin is not None
     path = pinred.system.catalogue.example_robot("solo12").urdf
@@ -217,13 +217,13 @@ def test_shapes_sit_where_the_file_puts_them() -> None:
     drawn = drawn_bodies(system)
     assert (drawn.note, len(drawn.solids), len(drawn.meshes)) == ("", 17, 10)
     for solid, wanted in zip(drawn.solids, place.oMg, strict=True):
-        found = ours.oMi[solid.joint] * pin.XYZQUATToSE3(solid.placement)
-        np.testing.assert_allclose(found.homogeneous, (base * wanted).homogeneous, atol=1e-9)
+        result = ours.oMi[solid.joint] * pin.XYZQUATToSE3(solid.placement)
+        np.testing.assert_allclose(result.homogeneous, (base * wanted).homogeneous, atol=1e-9)
     assert all(mesh.faces.max() < len(mesh.vertices) for mesh in drawn.meshes)
 
 
-def test_shapes_from_inertias() -> None:
-    """A homogeneous box of sides 0.6, 0.4, 0.2 becomes the ellipsoid √(5/3) times its halves."""
+def test_ellipsoid_of_box_inertia() -> None:
+    """A homogeneous box becomes the ellipsoid with √(5/3) times its half sides."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(3.0, 0.6, 0.4, 0.2), pin.SE3.Random())
@@ -236,8 +236,8 @@ def test_shapes_from_inertias() -> None:
     assert len(capsules) >= 12
 
 
-def test_missing_meshes_are_said(tmp_path: Path) -> None:
-    """A file whose meshes cannot be found is played all the same, and the page says why."""
+def test_missing_meshes_are_reported(tmp_path: Path) -> None:
+    """The motion is played, and the page states the reason."""
     (tmp_path / "r.urdf").write_text(
         '<robot name="r"><link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" '
         'izz="1" ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry><mesh '
@@ -256,18 +256,18 @@ def test_missing_meshes_are_said(tmp_path: Path) -> None:
     assert "line" not in note
 
 
-def test_framing() -> None:
-    """The robot is within its radius, all of its way within the span, the arrow seen sidelong."""
-    seen = film("falling_cat", duration=10.0)
-    framing = frame(seen, drawn_bodies(seen.system))
-    _, centre, _, _ = bodies(seen)
-    assert np.linalg.norm(centre - seen.com[:, None], axis=2).max() < framing.radius < 0.6
-    assert np.linalg.norm(seen.com - framing.middle, axis=1).max() < framing.span
+def test_framing_contains_robot_and_path() -> None:
+    """The robot is within the radius, its path within the span, the arrow seen sideways."""
+    shown = film("falling_cat", duration=10.0)
+    framing = frame(shown, drawn_bodies(shown.system))
+    _, centre, _, _ = bodies(shown)
+    assert np.linalg.norm(centre - shown.com[:, None], axis=2).max() < framing.radius < 0.6
+    assert np.linalg.norm(shown.com - framing.middle, axis=1).max() < framing.span
     assert framing.follow
     np.testing.assert_allclose(np.linalg.norm(framing.eye), 1.0)
-    arrow = seen.momentum.vector[0] / np.linalg.norm(seen.momentum.vector[0])
+    arrow = shown.momentum.vector[0] / np.linalg.norm(shown.momentum.vector[0])
     assert abs(arrow @ framing.eye) < 0.15
-    assert framing.grid[2] < seen.com[:, 2].min() - framing.radius
+    assert framing.grid[2] < shown.com[:, 2].min() - framing.radius
     np.testing.assert_array_equal(framing.normal, [0.0, 0.0, 1.0])
     fallen = film("solo12", seed=0, duration=2.0)  # 20 m down: a wall behind, all the way
     framing = frame(fallen, drawn_bodies(fallen.system))
@@ -283,7 +283,7 @@ def test_framing() -> None:
 
 
 def test_frames_are_written_all_or_none(tmp_path: Path) -> None:
-    """A film that fails on the way leaves what was there, and nothing of its own."""
+    """A film that fails leaves existing files and none of its frames."""
     (tmp_path / "film_0000.png").write_bytes(b"old")
 
     def shots(fail: bool) -> Iterator[bytes]:
@@ -305,10 +305,8 @@ def test_frames_are_written_all_or_none(tmp_path: Path) -> None:
     }
 
 
-def test_frames_that_cannot_be_moved_into_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A folder in the way, a disk that fails in between: what was there is there again."""
+def test_failed_move_restores_old_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a folder with a frame's name, and for a disk error."""
     before = {"z_0000.png": b"old 0", "z_0001.png": b"old 1", "z_00a1.png": b"no frame"}
     for name, content in before.items():
         (tmp_path / name).write_bytes(content)
@@ -344,8 +342,8 @@ def test_frames_that_cannot_be_moved_into_place(
 
 
 @pytest.mark.parametrize("fps", [50.0, 45.0, 30.0, 29.97, 25.0, 7.0, 0.5])
-def test_gifs_keep_time(tmp_path: Path, fps: float) -> None:
-    """By the file's own durations each frame begins within half a hundredth of its time."""
+def test_gif_frames_keep_time(tmp_path: Path, fps: float) -> None:
+    """Each frame starts within half a hundredth of a second of its time."""
     film = tmp_path / "film.gif"
     image = Image.new("RGB", (8, 8))
     pictures = []

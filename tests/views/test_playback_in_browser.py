@@ -1,4 +1,4 @@
-"""Playback in a real browser: what is seen, what moves, what stands still, what is asked for."""
+"""Playback in a real browser: visible objects, motion, controls, requests."""
 
 from __future__ import annotations
 
@@ -46,42 +46,42 @@ def show(screen: Browser, url: str) -> None:
 
 
 def picture(screen: Browser) -> Picture:
-    """What is seen, (height, width, 3)."""
+    """Return a screenshot, (height, width, 3)."""
     image = Image.open(io.BytesIO(screen.screenshot())).convert("RGB")
     return np.asarray(image, dtype=np.int16)
 
 
-def at(screen: Browser, t: float) -> Picture:
-    """What is seen at a time."""
+def picture_at(screen: Browser, t: float) -> Picture:
+    """Return a screenshot picture_at a time of the motion."""
     screen.run(f"pinred.seek({t})")
     return picture(screen)
 
 
-def differ(a: Picture, b: Picture) -> int:
-    """How many pixels are visibly different."""
+def count_different(a: Picture, b: Picture) -> int:
+    """Count the visibly different pixels."""
     return int((np.abs(a - b).max(axis=2) > 12).sum())
 
 
-def near(image: Picture, colour: tuple[int, int, int]) -> NDArray[np.bool_]:
-    """Where a picture has a colour."""
+def has_colour(image: Picture, colour: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """Return the pixels has_colour a colour."""
     return np.asarray(np.abs(image - np.array(colour)).max(axis=2) < 12)
 
 
 def switch(screen: Browser, **switches: bool) -> None:
-    """Set the page's switches by their names; `_` stands for a blank."""
+    """Set the page's switches by name; `_` stands for a space."""
     for name, value in switches.items():
         box = f"document.getElementsByName({name.replace('_', ' ')!r})[0]"
         screen.run(f"{box}.checked === {str(value).lower()} || {box}.click()")
 
 
 def complaints(screen: Browser) -> list[str]:
-    """What the console says, errors that nobody caught, and log entries."""
+    """Return console messages, uncaught errors and log entries."""
     kinds = ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded")
     return [str(event["params"]) for event in screen.events if event["method"] in kinds]
 
 
 def requests(screen: Browser) -> list[str]:
-    """Every address that was asked for, but for what stands in the page itself."""
+    """Return all requested addresses except data in the page."""
     asked = [
         event["params"]["request"]["url"]
         for event in screen.events
@@ -90,8 +90,8 @@ def requests(screen: Browser) -> list[str]:
     return [url for url in asked if not url.startswith(("data:", "blob:"))]
 
 
-def test_the_checks_can_fail(screen: Browser, tmp_path: Path) -> None:
-    """A page that complains, throws and asks other machines is seen to."""
+def test_complaints_and_requests_are_detected(screen: Browser, tmp_path: Path) -> None:
+    """A page that logs, throws and requests other hosts is detected."""
     page = tmp_path / "bad.html"
     page.write_text(
         "<img src='http://192.0.2.1/a.png'><script>console.error('one');"
@@ -104,13 +104,13 @@ def test_the_checks_can_fail(screen: Browser, tmp_path: Path) -> None:
     assert "two" in said
     assert "http://192.0.2.1/a.png" in requests(screen)
     blank = picture(screen)
-    assert differ(blank, blank) == 0
+    assert count_different(blank, blank) == 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["falling_cat", *OTHERS])
-def test_saved_page(screen: Browser, tmp_path: Path, name: str) -> None:
-    """It opens from disk, is not blank, plays by itself, says nothing, asks nobody."""
+def test_saved_page_plays_offline(screen: Browser, tmp_path: Path, name: str) -> None:
+    """It opens from disk, is not blank, plays, logs nothing, and requests nothing."""
     traj = pinred.simulate(pinred.load(name), **ROBOTS[name])
     path = tmp_path / "page.html"
     assert pinred.save_html(traj, path) == path.stat().st_size < 6e6
@@ -119,42 +119,44 @@ def test_saved_page(screen: Browser, tmp_path: Path, name: str) -> None:
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 200
     screen.wait_for(f"pinred.time > {began} + 0.3 || pinred.time < {began}")
     assert screen.run("pinred.playing")
-    assert differ(first, picture(screen)) > 500
+    assert count_different(first, picture(screen)) > 500
     # The robot itself, without overlays: it is there, and turns.
     switch(screen, Grid=False, Shape=False, Momentum=False, Locked_inertia=False,
            Base_frame=False, CoM_trail=False)  # fmt: skip
-    early, late = at(screen, 0.0), at(screen, 0.9 * traj.scene.end)
+    early, late = picture_at(screen, 0.0), picture_at(screen, 0.9 * traj.scene.end)
     switch(screen, Robot=False)
-    empty = at(screen, 0.0)
-    assert differ(early, empty) > 1000
-    assert differ(early, late) > 1000
+    empty = picture_at(screen, 0.0)
+    assert count_different(early, empty) > 1000
+    assert count_different(early, late) > 1000
     # Its centre of mass is where something of it is drawn, or between its limbs.
     x, y = screen.run("pinred.project(['CoM trail', 'CoM', '<object>'])")
-    rows, columns = np.nonzero(np.abs(early - empty).max(axis=2) > 12)
-    assert rows.min() < y < rows.max()
+    table_rows, columns = np.nonzero(np.abs(early - empty).max(axis=2) > 12)
+    assert table_rows.min() < y < table_rows.max()
     assert columns.min() < x < columns.max()
     # All of it is within the window.
-    assert 0 < rows.min() < rows.max() < SIZE["height"] - 1
+    assert 0 < table_rows.min() < table_rows.max() < SIZE["height"] - 1
     assert 0 < columns.min() < columns.max() < SIZE["width"] - 1
     assert complaints(screen) == []
     assert requests(screen) == [path.as_uri()]
 
 
-def test_served_page(screen: Browser) -> None:
-    """The served page plays as well, and nothing but it is asked for."""
+def test_served_page_plays(screen: Browser) -> None:
+    """Only the page is requested."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=2.0)
     with pinred.play(traj, show=False, wait=False) as player:
         show(screen, player.url)
         first, began = picture(screen), screen.run("pinred.time")
         screen.wait_for(f"pinred.time > {began} + 0.3 || pinred.time < {began}")
-        assert differ(first, picture(screen)) > 500
+        assert count_different(first, picture(screen)) > 500
         assert complaints(screen) == []
         assert requests(screen) == [player.url]
 
 
 @pytest.mark.parametrize("name", ["falling_cat", pytest.param("solo12", marks=BY_HAND)])
-def test_bodies_are_where_pinocchio_puts_them(screen: Browser, tmp_path: Path, name: str) -> None:
-    """Joints, CoM, arrow and inertia in the browser's scene, at a frame and between frames."""
+def test_scene_objects_have_pinocchio_placements(
+    screen: Browser, tmp_path: Path, name: str
+) -> None:
+    """Joints, CoM, arrow and inertia, picture_at a frame and between frames."""
     system = pinred.load(name)
     traj = pinred.simulate(system, **ROBOTS[name])
     pinred.save_html(traj, tmp_path / "page.html", ghost=True)
@@ -172,9 +174,9 @@ def test_bodies_are_where_pinocchio_puts_them(screen: Browser, tmp_path: Path, n
                 place = np.array(screen.run(f"{node}.position.toArray()"))
                 turn = np.array(screen.run(f"{node}.quaternion.toArray()"))
                 np.testing.assert_allclose(np.linalg.norm(turn), 1.0, atol=1e-5)
-                found = pin.XYZQUATToSE3(np.append(place, turn / np.linalg.norm(turn)))
+                result = pin.XYZQUATToSE3(np.append(place, turn / np.linalg.norm(turn)))
                 wanted = data.oMi[i].homogeneous
-                np.testing.assert_allclose(found.homogeneous, wanted, atol=5e-4)
+                np.testing.assert_allclose(result.homogeneous, wanted, atol=5e-4)
         dot = screen.run("pinred.node('CoM trail', 'CoM', '<object>').position.toArray()")
         np.testing.assert_allclose(dot, data.com[0], atol=5e-4)
         across = screen.run(
@@ -185,54 +187,60 @@ def test_bodies_are_where_pinocchio_puts_them(screen: Browser, tmp_path: Path, n
         np.testing.assert_allclose(across, spin / np.linalg.norm(spin), atol=1e-5)
 
 
-def test_arrow_stands_still_on_the_screen(screen: Browser, tmp_path: Path) -> None:
-    """The camera goes along with the CoM; the arrow's pixels stay while the cat's move."""
+def test_arrow_stays_still_on_screen(screen: Browser, tmp_path: Path) -> None:
+    """The camera follows the CoM; the arrow's pixels stay while the cat's move."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=6.0)
     pinred.save_html(traj, tmp_path / "page.html")
     show(screen, (tmp_path / "page.html").as_uri())
     switch(screen, Grid=False, Shape=False, Locked_inertia=False, Base_frame=False,
            CoM_trail=False, Follow=True)  # fmt: skip
     times = np.linspace(0.0, 6.0, 5)
-    with_robot = [at(screen, t) for t in times]
+    with_robot = [picture_at(screen, t) for t in times]
     switch(screen, Robot=False)
-    arrows = [near(at(screen, t), (213, 94, 0)) for t in times]
+    arrows = [has_colour(picture_at(screen, t), (213, 94, 0)) for t in times]
     assert arrows[0].sum() > 300
-    rows, columns = np.nonzero(arrows[0][:, 300:])  # all of it is in sight
-    assert 0 < rows.min() < rows.max() < SIZE["height"] - 60
+    table_rows, columns = np.nonzero(arrows[0][:, 300:])  # all of it is in sight
+    assert 0 < table_rows.min() < table_rows.max() < SIZE["height"] - 60
     assert 0 < columns.min() < columns.max() < SIZE["width"] - 301
     for arrow, image in zip(arrows[1:], with_robot[1:], strict=True):
         assert (arrow != arrows[0])[60:-80, 300:].sum() < 0.02 * arrows[0].sum()
-        assert differ(image, with_robot[0]) > 1000
+        assert count_different(image, with_robot[0]) > 1000
     # It is seen through the robot, too.
-    assert (near(with_robot[0], (213, 94, 0)) & arrows[0]).sum() > 0.95 * arrows[0].sum()
+    assert (has_colour(with_robot[0], (213, 94, 0)) & arrows[0]).sum() > 0.95 * arrows[0].sum()
     # Without the camera going along, the arrow goes with the CoM.
     switch(screen, Follow=False)
-    gone = near(at(screen, 0.0), (213, 94, 0)), near(at(screen, 6.0), (213, 94, 0))
+    gone = (
+        has_colour(picture_at(screen, 0.0), (213, 94, 0)),
+        has_colour(picture_at(screen, 6.0), (213, 94, 0)),
+    )
     assert (gone[0] & gone[1]).sum() < 0.5 * gone[0].sum()
 
 
 @BY_HAND
-def test_every_switch_shows_something(screen: Browser, tmp_path: Path) -> None:
-    """Each overlay is visible, and its switch takes it away and brings it back."""
+def test_every_switch_toggles_an_overlay(screen: Browser, tmp_path: Path) -> None:
+    """Each overlay disappears and reappears with its switch."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=2.0)
     pinred.save_html(traj, tmp_path / "page.html", ghost=True)
     show(screen, (tmp_path / "page.html").as_uri())
-    before = at(screen, 1.5)
+    before = picture_at(screen, 1.5)
     names = screen.run("[...document.querySelectorAll('#switches input')].map((box) => box.name)")
     assert names == ["Robot", "See-through", "Ghost", "Ghost beside", "Locked inertia", "Momentum",
                      "Base frame", "CoM trail", "Shape", "Grid", "Follow"]  # fmt: skip
     for name in names:
         was = screen.run(f"document.getElementsByName({name!r})[0].checked")
         switch(screen, **{name: not was})
-        assert differ(at(screen, 1.5)[:, 300:], before[:, 300:]) > 100 or name == "Shape"
-        assert differ(at(screen, 1.5), before) > 150, name
+        assert (
+            count_different(picture_at(screen, 1.5)[:, 300:], before[:, 300:]) > 100
+            or name == "Shape"
+        )
+        assert count_different(picture_at(screen, 1.5), before) > 150, name
         switch(screen, **{name: was})
-        assert differ(at(screen, 1.5), before) < 30, name
+        assert count_different(picture_at(screen, 1.5), before) < 30, name
     assert complaints(screen) == []
 
 
 def test_controls(screen: Browser, tmp_path: Path) -> None:
-    """Scrub bar, speed, loop, play and pause, and the choice of the curvature's component."""
+    """Scrub bar, speed, loop, play, pause, and choice of the curvature component."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=1.0)
     pinred.save_html(traj, tmp_path / "page.html", speed=0.25)
     show(screen, (tmp_path / "page.html").as_uri())
@@ -250,11 +258,11 @@ def test_controls(screen: Browser, tmp_path: Path) -> None:
     first = picture(screen)
     turn("#panel select", "1", "change")
     changed = np.abs(picture(screen) - first).max(axis=2) > 12
-    rows, columns = np.nonzero(changed)
+    table_rows, columns = np.nonzero(changed)
     assert changed.sum() > 500
     assert columns.max() < 300
-    assert rows.min() > 200
-    # Without loop it stops at the end, and play begins again.
+    assert table_rows.min() > 200
+    # Without loop it stops picture_at the end, and play begins again.
     screen.run("document.getElementById('loop').click()")
     turn("#speed", "10", "change")
     screen.run("document.getElementById('play').click()")
@@ -270,20 +278,20 @@ def test_controls(screen: Browser, tmp_path: Path) -> None:
 
 
 @BY_HAND
-def test_a_minute_at_sixty_frames(screen: Browser, tmp_path: Path) -> None:
-    """60 s at 60 frames a second of the cat: below 20 MB, ready in less than 5 s."""
+def test_page_of_a_minute_is_small_and_fast(screen: Browser, tmp_path: Path) -> None:
+    """60 s of the cat picture_at 60 fps: below 20 MB, ready in less than 5 s."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=60.0)
     assert pinred.save_html(traj, tmp_path / "page.html") < 20e6
     loaded = []
-    for _ in range(3):  # the fastest of three, as others may be at work on the machine
+    for _ in range(3):  # the fastest of three, as others may be picture_at work on the machine
         show(screen, (tmp_path / "page.html").as_uri())
         assert screen.run("pinred.end") == 60.0
         loaded.append(screen.run("pinred.loaded"))
     assert min(loaded) < 5000.0
 
 
-def test_names_are_only_names(screen: Browser, tmp_path: Path) -> None:
-    """What stands in a robot's file cannot become part of the page's script."""
+def test_robot_names_cannot_inject_scripts(screen: Browser, tmp_path: Path) -> None:
+    """Names of the robot's file are shown as text."""
     text = (pinred.system.catalogue.bundled_folder() / "elroys_beanie.urdf").read_text(
         encoding="utf-8"
     )
@@ -300,8 +308,8 @@ def test_names_are_only_names(screen: Browser, tmp_path: Path) -> None:
 
 
 @BY_HAND
-def test_films(screen: Browser, tmp_path: Path) -> None:
-    """Frames, gif and mp4: as many pictures as were asked for, of that size, that move."""
+def test_films_have_requested_frames_and_size(screen: Browser, tmp_path: Path) -> None:
+    """Frames, gif and mp4; the pictures change."""
     del screen  # one is started for each film; this only skips where there is none
     traj = pinred.simulate(pinred.load("falling_cat"), duration=0.5)
     assert pinred.save_film(traj, tmp_path / "film.png", fps=4, size=(320, 240)) == 3
@@ -310,15 +318,15 @@ def test_films(screen: Browser, tmp_path: Path) -> None:
         for k in range(3)
     ]
     assert frames[0].shape == (240, 320, 3)
-    assert differ(frames[0], frames[1]) > 100
-    assert differ(frames[1], frames[2]) > 100
+    assert count_different(frames[0], frames[1]) > 100
+    assert count_different(frames[1], frames[2]) > 100
     pictures = (path.read_bytes() for path in sorted(tmp_path.glob("film_*.png")))
     assert write_gif(tmp_path / "film.gif", pictures, 4.0) == 3
     with Image.open(tmp_path / "film.gif") as film:
         assert (film.size, film.n_frames) == ((320, 240), 3)  # type: ignore[attr-defined]
         shown = np.asarray(film.convert("RGB"), dtype=np.int16)
     # Its few colours are those of what is drawn: the arrow is still there.
-    arrow = near(frames[0], (213, 94, 0))
+    arrow = has_colour(frames[0], (213, 94, 0))
     assert arrow.sum() > 50
     assert (np.abs(shown - frames[0])[arrow].max(axis=1) < 40).mean() > 0.9
     try:
@@ -333,8 +341,8 @@ def test_films(screen: Browser, tmp_path: Path) -> None:
     assert len(count.stdout) == 3 * 320 * 240 * 3
 
 
-def test_player_is_not_needed_afterwards(screen: Browser) -> None:
-    """A page that is open goes on playing when its server has ended."""
+def test_page_continues_without_player(screen: Browser) -> None:
+    """An open page plays after its server has ended."""
     traj = pinred.simulate(pinred.load("elroys_beanie"), duration=1.0)
     player: Player = pinred.play(traj, show=False, wait=False)
     show(screen, player.url)
@@ -345,11 +353,11 @@ def test_player_is_not_needed_afterwards(screen: Browser) -> None:
 
 
 @pytest.mark.by_hand
-def test_sigterm_leaves_nothing_of_a_film(screen: Browser, tmp_path: Path) -> None:
-    """It ends the process, which takes its unfinished frames and its folders with it."""
+def test_sigterm_removes_unfinished_film(screen: Browser, tmp_path: Path) -> None:
+    """The process ends and removes its frames and folders."""
     del screen  # as above
-    out = tmp_path / "out"
-    out.mkdir()
+    printed = tmp_path / "out"
+    printed.mkdir()
     (tmp_path / "scene.toml").write_text('robot = "falling_cat"\n[run]\nduration = 600.0\n')
     command = [sys.executable, "-m", "pinred", "play", "scene.toml", "--out", "out/film.png"]
     with (
@@ -362,7 +370,7 @@ def test_sigterm_leaves_nothing_of_a_film(screen: Browser, tmp_path: Path) -> No
     ):
         try:
             until = time.monotonic() + 120.0
-            while not list(out.glob(".film.png.*/new/film_0001.png")):
+            while not list(printed.glob(".film.png.*/new/film_0001.png")):
                 assert process.poll() is None
                 assert time.monotonic() < until
                 time.sleep(0.05)
@@ -371,4 +379,4 @@ def test_sigterm_leaves_nothing_of_a_film(screen: Browser, tmp_path: Path) -> No
         finally:
             process.kill()
         assert os.listdir(scratch) == []
-    assert list(out.iterdir()) == []
+    assert list(printed.iterdir()) == []

@@ -1,4 +1,4 @@
-"""The player: a page for this machine only, on a port that is free, ended by Ctrl-C."""
+"""The player: local access only, ports, Ctrl-C, and film errors."""
 
 from __future__ import annotations
 
@@ -16,24 +16,23 @@ from commands import refused
 
 import pinred
 from pinred.cli.main import main
-from pinred.views.playback.server import Player
-from pinred.views.playback.show import play
+from pinred.views.playback.server import Player, play
 from pinred.views.playback.view import View
 
 
 def listeners(port: int) -> set[str]:
-    """The addresses on which somebody listens at a port, as the kernel's tables have them."""
-    found = set()
+    """Return the addresses that listen at a port, from the kernel's tables."""
+    result = set()
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for line in Path(table).read_text().splitlines()[1:]:
             address, at = line.split()[1].split(":")
             if line.split()[3] == "0A" and int(at, 16) == port:
-                found.add(address)
-    return found
+                result.add(address)
+    return result
 
 
 def own_address() -> str:
-    """An address of this machine that is not the loopback's; nothing is sent."""
+    """Return an address of this machine other than loopback; nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))
@@ -45,7 +44,7 @@ def own_address() -> str:
 def answer(
     player: Player, path: str = "/", method: str = "GET", **headers: str
 ) -> tuple[int, bytes]:
-    """Status and body of a request."""
+    """Return status and body of a request."""
     link = http.client.HTTPConnection("127.0.0.1", int(player.url.split(":")[2].strip("/")))
     link.request(method, path, headers=headers)
     response = link.getresponse()
@@ -54,8 +53,8 @@ def answer(
     return response.status, body
 
 
-def test_listens_on_loopback_only() -> None:
-    """Nobody else can connect; a socket on every interface would be seen to."""
+def test_player_listens_on_loopback_only() -> None:
+    """A socket on all interfaces would be detected."""
     with Player(b"page") as player:
         port = int(player.url.split(":")[2].strip("/"))
         assert listeners(port) == {"0100007F"}
@@ -67,8 +66,8 @@ def test_listens_on_loopback_only() -> None:
         socket.create_connection((own_address(), port), timeout=5.0).close()
 
 
-def test_answers_one_page_to_its_own_name() -> None:
-    """Other paths are not found; another site that points its name here gets nothing."""
+def test_player_rejects_other_paths_and_hosts() -> None:
+    """Other paths are not found; foreign host names are forbidden."""
     with Player(b"page") as player:
         assert answer(player) == (200, b"page")
         assert answer(player, method="HEAD") == (200, b"")
@@ -79,8 +78,8 @@ def test_answers_one_page_to_its_own_name() -> None:
         assert answer(player, method="POST")[0] == 501
 
 
-def test_a_taken_port(capsys: pytest.CaptureFixture[str]) -> None:
-    """It is said; without a port there is always one; after close() it is free again."""
+def test_taken_port_is_rejected(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a port a free one is used; close() frees the port."""
     first = Player(b"1")
     port = int(first.url.split(":")[2].strip("/"))
     with pytest.raises(pinred.InputError, match=f"port {port} is taken; choose another, or none"):
@@ -105,8 +104,8 @@ def test_a_taken_port(capsys: pytest.CaptureFixture[str]) -> None:
         assert words in capsys.readouterr().err
 
 
-def test_play_in_a_session_and_in_a_script(capsys: pytest.CaptureFixture[str]) -> None:
-    """Where somebody types on, play() returns; the page is that of the trajectory."""
+def test_play_waits_in_scripts_only(capsys: pytest.CaptureFixture[str]) -> None:
+    """In interactive sessions play() returns at once."""
     traj = pinred.simulate(pinred.load("elroys_beanie"), duration=0.5)
     with pinred.play(traj, show=False, wait=False) as player:
         said = capsys.readouterr().out
@@ -117,8 +116,8 @@ def test_play_in_a_session_and_in_a_script(capsys: pytest.CaptureFixture[str]) -
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_the_command(tmp_path: Path) -> None:
-    """`pinred play` serves until Ctrl-C, and then ends at once with exit code 0."""
+def test_ctrl_c_ends_play_command(tmp_path: Path) -> None:
+    """`pinred play` serves until Ctrl-C and ends with exit code 0."""
     path = tmp_path / "traj.npz"
     assert main(["simulate", "elroys_beanie", "--time", "0.5", "--out", str(path)]) == 0
     # A job that a shell has put in the background ignores Ctrl-C, and so would its children.
@@ -138,14 +137,14 @@ def test_ctrl_c_ends_the_command(tmp_path: Path) -> None:
         assert said.startswith("playing at http://127.0.0.1:")
         assert listeners(port) == {"0100007F"}
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=20.0)
-        assert (process.returncode, out, err) == (0, "", "")
+        printed, err = process.communicate(timeout=20.0)
+        assert (process.returncode, printed, err) == (0, "", "")
     assert not listeners(port)
 
 
 @pytest.mark.parametrize("when", ["print", "open", "wait"])
-def test_ctrl_c_at_any_time(when: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As soon as the page is served Ctrl-C ends it well; where nobody waits it is an interrupt."""
+def test_ctrl_c_during_play(when: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ends the player; without waiting it raises KeyboardInterrupt."""
     traj = pinred.simulate(pinred.load("elroys_beanie"), duration=0.1)
     players: list[Player] = []
     begin = Player.__init__
@@ -189,7 +188,7 @@ def test_ctrl_c_at_any_time(when: str, monkeypatch: pytest.MonkeyPatch) -> None:
         (("traj.npz", "--fps", "30"), "--fps is for films and for scenes"),
     ],
 )
-def test_bad_input_is_one_line(
+def test_bad_input_is_reported_in_one_line(
     arguments: tuple[str, ...],
     words: str,
     tmp_path: Path,
@@ -203,22 +202,24 @@ def test_bad_input_is_one_line(
     assert [path.name for path in tmp_path.iterdir()] == ["traj.npz"]
 
 
-def test_command_writes_pages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """From a file and from a scene; the size is said."""
+def test_play_command_writes_pages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From a file and from a scene; the size is printed."""
     pinred.simulate(pinred.load("elroys_beanie"), duration=0.1).save(tmp_path / "traj.npz")
     scene = tmp_path / "scene.toml"
     scene.write_text('robot = "falling_cat"\n[run]\nduration = 0.2\n')
     for motion, more in ((tmp_path / "traj.npz", ()), (scene, ("--ghost",))):
-        out = tmp_path / "page.html"
-        assert main(["play", str(motion), "--out", str(out), *more]) == 0
-        size = out.stat().st_size
-        assert f"written to {out} ({size / 1e6:.2f} MB)" in capsys.readouterr().out
+        printed = tmp_path / "page.html"
+        assert main(["play", str(motion), "--out", str(printed), *more]) == 0
+        size = printed.stat().st_size
+        assert f"written to {printed} ({size / 1e6:.2f} MB)" in capsys.readouterr().out
         assert size < 2e6
-        out.unlink()
+        printed.unlink()
 
 
-def test_films_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What makes no sense, and what to install, before anything is rendered."""
+def test_invalid_films_are_rejected_before_rendering(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Invalid options, and missing programs with instructions."""
     traj = pinred.simulate(pinred.load("elroys_beanie"), duration=0.1)
 
     def refused(words: str, name: str, **options: Any) -> None:
@@ -233,7 +234,7 @@ def test_films_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     refused(r"fps must be from 0\.01 to 50 in a gif.*got 60; an \.mp4", "film.gif", fps=60)
     refused(r"100001 frames are too many.*lower fps", "film.png", speed=1e-6, fps=1)
     refused("suffix must be .mp4 or .gif or .png", "film.avi")
-    refused("no option 'frames'; they are ghost", "film.gif", frames=3)
+    refused("no option 'frames'; the options are ghost", "film.gif", frames=3)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     refused(r"pip install \"pinred\[film\]\" or apt-get install ffmpeg", "film.mp4")

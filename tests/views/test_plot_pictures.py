@@ -1,4 +1,4 @@
-"""Figures look as they did: against small pictures on file, with tolerance."""
+"""Figures look like stored small pictures, within a tolerance."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ SMALL = ("start", "_far", "_near", "levels of the energy")  # or hidden by other
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_picture(name: str) -> None:
-    """The figure looks like its picture, and without any one of its curves it does not."""
+def test_figure_equals_picture(name: str) -> None:
+    """Without any one of its curves the figure differs."""
     figure, expected = FIGURES[name](), baseline(name)
     assert mismatch(picture(figure), expected) < ENOUGH
     curves = [
@@ -29,15 +29,15 @@ def test_picture(name: str) -> None:
     assert mismatch(expected[2:, :-2], expected[1:-1, 1:-1]) < ENOUGH
 
 
-def test_fields_are_told_apart() -> None:
+def test_field_with_other_colours_differs() -> None:
     """A field with other colours is another picture."""
     figure = FIGURES["curvature"]()
     figure.axes[0].collections[0].set_cmap("viridis")
     assert mismatch(picture(figure), baseline("curvature")) > 1000.0
 
 
-def test_pictures_are_small_and_all_used() -> None:
-    """Pictures weigh little, and there is none without a figure."""
+def test_pictures_are_small_and_used() -> None:
+    """Every picture belongs to a figure."""
     files = list(FOLDER.iterdir())
     assert {path.stem for path in files} == set(FIGURES)
     assert sum(path.stat().st_size for path in files) < 300_000

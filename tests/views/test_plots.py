@@ -1,4 +1,4 @@
-"""Plots: the numbers that are drawn, by routes of their own; labels, units, and errors."""
+"""Plots of motions: drawn numbers, labels, units, and errors."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from pinred import plots
 
 @pytest.fixture(scope="module")
 def cat() -> pinred.Trajectory:
-    """The falling cat, from its own start."""
+    """Simulate the falling cat from its default state."""
     return pinred.simulate(pinred.load("falling_cat"), duration=3.0)
 
 
-def test_shape_in_closed_form() -> None:
-    """One joint: the curve is the harmonic motion, the axes say angle and time."""
+def test_shape_plot_in_closed_form() -> None:
+    """One joint: the curve is the harmonic motion, with labels of angle and time."""
     traj, t = beanie()
     figure = plots.shape(traj)
     (axes,) = figure.axes
@@ -35,7 +35,7 @@ def test_shape_in_closed_form() -> None:
     assert figure.get_suptitle() == "elroys_beanie: shape"
 
 
-def test_base_in_closed_form() -> None:
+def test_base_plot_in_closed_form() -> None:
     """θ̇ = (J − I2 ẋ) / (I1 + I2) with J = 1.5, integrated."""
     traj, t = beanie()
     (axes,) = plots.base(traj).axes
@@ -44,8 +44,8 @@ def test_base_in_closed_form() -> None:
     assert axes.get_ylabel() == "θ: angle [rad]"
 
 
-def test_many_joints_stand_limb_by_limb() -> None:
-    """Limbs of their own have panels of their own; every joint is drawn once, and can be told."""
+def test_shape_plot_has_panels_by_branch() -> None:
+    """Every joint is drawn once and is labelled."""
     traj = pinred.simulate(pinred.load("planar_chain5"), duration=0.1)
     assert len(plots.shape(traj).axes) == 1
     pytest.importorskip("example_robot_data")
@@ -66,8 +66,8 @@ def test_many_joints_stand_limb_by_limb() -> None:
     assert len(plots.shape(solo, joints=["HR_KFE", "FL_HAA"]).axes[0].lines) == 2
 
 
-def test_lines_can_be_told_apart_without_colour() -> None:
-    """Of as many lines as a panel bears, no two have the same dashes and marker."""
+def test_lines_of_panel_differ_in_dashes_or_marker() -> None:
+    """For the largest number of lines in a panel."""
     from pinred.views.plots.motion_labels import MOST
     from pinred.views.plots.style import line
 
@@ -81,21 +81,21 @@ JOINT = """<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/><
 <limit lower="-9" upper="9" effort="1" velocity="1"/></joint>"""
 
 
-def test_units_follow_the_joints(tmp_path: Path) -> None:
-    """A sliding joint is drawn in metres, in a panel of its own."""
-    parts = [LINK.format(name) for name in "abc"]
-    parts += [
+def test_prismatic_joint_has_panel_in_metres(tmp_path: Path) -> None:
+    """Units determine panels."""
+    sections = [LINK.format(name) for name in "abc"]
+    sections += [
         JOINT.format("slide", "prismatic", "a", "b"),
         JOINT.format("turn", "revolute", "b", "c"),
     ]
     path = tmp_path / "arm.urdf"
-    path.write_text(f'<robot name="arm">{"".join(parts)}</robot>')
+    path.write_text(f'<robot name="arm">{"".join(sections)}</robot>')
     traj = pinred.simulate(pinred.load(path, gravity=(0, 0, 0)), seed=0, duration=0.1)
     assert units(plots.shape(traj)) == ["slide [m]", "turn [rad]"]
 
 
-def test_base_of_a_body_in_space(cat: pinred.Trajectory) -> None:
-    """Position and quaternion are those of Pinocchio's q, the sign continuous."""
+def test_base_plot_of_body_in_space(cat: pinred.Trajectory) -> None:
+    """Position and quaternion are Pinocchio's, with continuous sign."""
     top, bottom = plots.base(cat).axes
     for k, name in enumerate(("x", "y", "z")):
         np.testing.assert_array_equal(drawn(top, name)[1], cat.q[:, k])
@@ -105,8 +105,8 @@ def test_base_of_a_body_in_space(cat: pinred.Trajectory) -> None:
     assert units(plots.base(cat)) == ["position [m]", "quaternion [1]"]
 
 
-def test_quaternions_do_not_jump() -> None:
-    """Where a quaternion changes its sign, the curve does not."""
+def test_quaternion_curves_are_continuous() -> None:
+    """Sign changes of a quaternion do not appear."""
     from pinred.views.plots.time_series import continuous
 
     angle = np.linspace(0.0, 4.0, 9)
@@ -115,8 +115,8 @@ def test_quaternions_do_not_jump() -> None:
     np.testing.assert_array_equal(continuous(flipped), pose)
 
 
-def test_momentum_is_pinocchio_s(cat: pinred.Trajectory) -> None:
-    """The components are those of Pinocchio's centroidal momentum, moved to the origin."""
+def test_momentum_plot_equals_pinocchio(cat: pinred.Trajectory) -> None:
+    """Components of the centroidal momentum, moved to the origin."""
     figure = plots.momentum(cat)
     linear, angular, drift = figure.axes
     model = cat.system.model
@@ -134,8 +134,8 @@ def test_momentum_is_pinocchio_s(cat: pinred.Trajectory) -> None:
     assert np.nanmax(drawn(drift, "linear")[1]) < 1e-13
 
 
-def test_energy_and_its_drift_are_pinocchio_s() -> None:
-    """Of a coarse run, the drift is that of Pinocchio's energy of q and v, and can be seen."""
+def test_energy_plot_equals_pinocchio() -> None:
+    """The visible drift of a coarse run is that of Pinocchio's energy at q and v."""
     system = pinred.load("falling_cat")
     traj = pinred.simulate(system, duration=3.0, rtol=1e-4, atol=1e-6)
     figure = plots.energy(traj)
@@ -153,17 +153,17 @@ def test_energy_and_its_drift_are_pinocchio_s() -> None:
         pin.ccrba(system.model, data, q, v)
         carried.append(0.5 * data.hg.linear @ data.hg.linear / system.mass)
     expected = np.abs(kinetic - kinetic[0]) / (kinetic - carried).max()
-    found = drawn(bottom, "energy")[1]
-    np.testing.assert_allclose(found[1:], expected[1:], rtol=1e-6, atol=1e-12)
+    result = drawn(bottom, "energy")[1]
+    np.testing.assert_allclose(result[1:], expected[1:], rtol=1e-6, atol=1e-12)
     assert expected.max() > 1e-8
-    assert np.isnan(found[0])  # zero has no place on a logarithmic axis
+    assert np.isnan(result[0])  # zero has no place on a logarithmic axis
     assert units(figure) == ["energy [J]", "drift [relative]"]
     limits = top.get_ylim()
     assert limits[1] - limits[0] > 1e-3 * abs(kinetic[0])  # round-off is not blown up
 
 
-def test_work_of_forces_is_drawn() -> None:
-    """A damper's work is the energy lost; what is left over is the drift."""
+def test_energy_plot_has_work_of_forces() -> None:
+    """A damper's work is the lost energy; the rest is the drift."""
     system = pinred.load("elroys_beanie")
     damper = pinred.forces.Damper("beanie", 0.2)
     traj = pinred.simulate(system, x0=[0.0], xdot0=[1.0], forces=[damper], duration=3.0)
@@ -175,25 +175,25 @@ def test_work_of_forces_is_drawn() -> None:
     assert np.nanmax(drawn(bottom, "energy")[1]) < 1e-8
 
 
-def test_error_against_the_full_simulation() -> None:
-    """The curves are the distance of a bad trajectory from the closed form."""
+def test_error_plot_equals_distance_to_closed_form() -> None:
+    """For an inaccurate trajectory."""
     system = pinred.load("elroys_beanie")
     options: dict[str, Any] = {"x0": [0.4], "momentum": [1.5], "springs": {"beanie": (1.0, 0.0)}}
     traj = pinred.simulate(system, **options, duration=5.0, rtol=1e-3, atol=1e-5)
     report = pinred.compare(traj)
     figure = plots.error(report)
     (axes,) = figure.axes
-    t, found = drawn(axes, "shape [rad | m]")
+    t, result = drawn(axes, "shape [rad | m]")
     expected = np.abs(traj(t).x[:, 0] - 0.4 * np.cos(np.sqrt(1.5) * t))
-    np.testing.assert_allclose(found[1:], expected[1:], atol=3e-7)
+    np.testing.assert_allclose(result[1:], expected[1:], atol=3e-7)
     assert expected.max() > 3e-6
     assert axes.get_yscale() == "log"
     assert units(figure) == ["error [rad | m]"]
     assert not [line for line in axes.lines if "position" in str(line.get_label())]
 
 
-def test_work_against_precision() -> None:
-    """Points are those measured: wall in ms, largest error; failures and unknown errors apart."""
+def test_work_precision_plot_has_measured_points() -> None:
+    """Wall time in ms against largest error; failures are omitted."""
     figure = plots.work_precision(measured())
     first = figure.axes[0]
     for name, wall, power in (("fast", 0.1, 0.05), ("slow", 1.0, 0.1)):
@@ -219,8 +219,8 @@ def test_work_against_precision() -> None:
 
 
 @pytest.mark.slow
-def test_names_are_not_formulas(tmp_path: Path) -> None:
-    """Names with $, and names that begin with _, are drawn and stand in legends as they are."""
+def test_names_are_not_parsed_as_formulas(tmp_path: Path) -> None:
+    """Names with $ and names that start with _ are in legends."""
     text = '<robot name="$a_$"><link name="base">{}</link>{}</robot>'
     joints = "".join(
         LINK.format(name) + JOINT.format(f"{name}$^", "revolute", "base", name)
@@ -229,16 +229,16 @@ def test_names_are_not_formulas(tmp_path: Path) -> None:
     path = tmp_path / "odd.urdf"
     path.write_text(text.format(LINK.format("x").split(">", 1)[1].rsplit("<", 1)[0], joints))
     traj = pinred.simulate(pinred.load(path, gravity=(0, 0, 0)), seed=0, duration=0.1)
-    for kind in ("shape", "phase", "curvature", "sphere"):
-        figure = pinred.plot(traj, kind)
+    for category in ("shape", "phase", "curvature", "sphere"):
+        figure = pinred.plot(traj, category)
         figure.savefig(BytesIO())
     legend = plots.shape(traj).axes[0].get_legend()
     assert legend is not None
     assert [entry.get_text().strip() for entry in legend.get_texts()] == ["_$^", "b$^"]
 
 
-def test_refusals(cat: pinred.Trajectory) -> None:
-    """Kinds, options and joints that are not there are refused with those that are."""
+def test_plots_reject_unknown_kinds_options_joints(cat: pinred.Trajectory) -> None:
+    """The messages list the valid ones."""
     with pytest.raises(pinred.InputError, match="the kinds are base, branches, curvature, cycles"):
         pinred.plot(cat, "shapes")
     with pytest.raises(pinred.InputError, match="no option 'joint'; its options are joints"):
@@ -259,8 +259,8 @@ def test_refusals(cat: pinred.Trajectory) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_shown_and_no_setting_is_changed() -> None:
-    """Neither pyplot nor a GUI is imported; the user's settings stay, and do not show."""
+def test_plots_do_not_touch_pyplot_or_settings() -> None:
+    """Neither pyplot nor a GUI is imported; user settings have no effect and stay."""
     code = (
         "import sys, matplotlib, io, pinred\n"
         "matplotlib.rcParams['axes.facecolor'] = 'black'\n"
@@ -277,8 +277,8 @@ def test_nothing_is_shown_and_no_setting_is_changed() -> None:
 
 
 @pytest.mark.slow
-def test_without_matplotlib() -> None:
-    """The error says how to get it; the rest of pinred does without."""
+def test_missing_matplotlib_is_reported() -> None:
+    """The message says how to install it; the rest of pinred works."""
     code = (
         "import sys, pinred\n"
         "sys.modules['matplotlib'] = None\n"

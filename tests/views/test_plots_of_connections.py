@@ -1,4 +1,4 @@
-"""Figures of connections and phases: what is drawn is what Pinocchio says."""
+"""Figures of connections and phases, against Pinocchio."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ CIRCLE = pinred.Gait.fourier([0.3, 0.2], [[0.5, 0.0]], [[0.0, 0.5]])
 
 
 def rods() -> pinred.Connection:
-    """Three rods in the plane."""
+    """Load three rods in the plane."""
     return pinred.Connection.mechanical(pinred.load("three_rods"))
 
 
-def test_the_zero_contour_is_where_the_curvature_is_zero() -> None:
-    """By Pinocchio at points of the line that is drawn."""
+def test_zero_contour_has_zero_curvature() -> None:
+    """At points of the drawn line, by Pinocchio."""
     figure = plots.field(rods(), limits=[(-2.0, 2.0)] * 2, gait=CIRCLE)
     axes = figure.axes[0]
-    sets = [each for each in axes.collections if isinstance(each, QuadContourSet)]
-    (zero,) = [each for each in sets if list(each.levels) == [0.0]]
+    sets = [item for item in axes.collections if isinstance(item, QuadContourSet)]
+    (zero,) = [item for item in sets if list(item.levels) == [0.0]]
     points = np.concatenate(
         [np.asarray(p.vertices) for p in zero.get_paths() if p.vertices is not None]
     )
@@ -37,8 +37,8 @@ def test_the_zero_contour_is_where_the_curvature_is_zero() -> None:
     )
 
 
-def test_the_integral_in_the_title_is_the_turn() -> None:
-    """The angle of planar bodies commutes: minus the integral over the gait is the phase."""
+def test_integral_in_title_equals_phase() -> None:
+    """For planar bodies the phase is minus the integral over the gait."""
     figure = plots.field(rods(), gait=CIRCLE)
     text = " ".join(
         [figure.get_suptitle(), figure.axes[0].get_title(), *(t.get_text() for t in figure.texts)]
@@ -49,14 +49,14 @@ def test_the_integral_in_the_title_is_the_turn() -> None:
 
 
 @pytest.mark.parametrize("part", ["exterior", "bracket", "connection"])
-def test_parts(part: str) -> None:
-    """The parts of the curvature, and the vector field of the connection."""
+def test_field_draws_terms_and_connection(part: str) -> None:
+    """The terms of the curvature, and the vector field of the connection."""
     figure = plots.field(rods(), part=part, component="v1")  # type: ignore[arg-type]
     assert "alpha1" in figure.axes[0].get_xlabel()
 
 
-def test_cycles_in_the_plane_and_in_space() -> None:
-    """The path passes through the pose after each cycle."""
+def test_cycles_plot_passes_poses() -> None:
+    """The path passes through the pose after each cycle, in the plane and in space."""
     p = pinred.phase(rods(), CIRCLE)
     axes = pinred.plot(p, "cycles", count=3).axes[0]
     x, y = drawn(axes, "after each cycle")
@@ -65,13 +65,13 @@ def test_cycles_in_the_plane_and_in_space() -> None:
     cat = pinred.Connection.mechanical(pinred.load("falling_cat"))
     gait = pinred.Gait.fourier(np.zeros(3), [[0.5, 0.0, 0.0]], [[0.0, 0.5, 0.0]])
     q = pinred.phase(cat, gait)
-    t, turned = drawn(plots.cycles(q, count=2).axes[0], "θx")
+    t, rotated = drawn(plots.cycles(q, count=2).axes[0], "θx")
     assert t[-1] == pytest.approx(2.0)
-    assert turned[-1] == pytest.approx(cat.group.log(q.cycles(2))[3], abs=1e-12)
+    assert rotated[-1] == pytest.approx(cat.group.log(q.cycles(2))[3], abs=1e-12)
 
 
-def test_loops_that_were_looked_for() -> None:
-    """The best gait and a plan: the path, the joints, and where the base ends."""
+def test_loop_plot_of_gait_and_plan() -> None:
+    """The path, the joints, and the final base of a best gait and of a plan."""
     best = pinred.optimise_gait(rods(), limits=1.5, harmonics=1, starts=1)
     plan = pinred.reorient(pinred.load("three_rods"), 0.3, limits=2.5, x0=[0.4, 0.5])
     for source, gait, end in (
@@ -92,8 +92,8 @@ def test_loops_that_were_looked_for() -> None:
     assert t[-1] == pytest.approx(1.0)
 
 
-def test_refusals() -> None:
-    """What is no connection, no phase, or not two joints."""
+def test_plots_of_connections_reject_invalid_input() -> None:
+    """Wrong types, and other than two joints."""
     with pytest.raises(pinred.InputError, match="field draws a Connection"):
         plots.field(pinred.load("three_rods"))  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="loop draws a BestGait or a TurnPlan"):

@@ -1,4 +1,4 @@
-"""Portraits, curvature, momentum sphere and sections: data by closed forms and by Pinocchio."""
+"""Portraits, curvature, momentum sphere and sections, against closed forms and Pinocchio."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from scipy.spatial.transform import Rotation
 import pinred
 from pinred import plots
 from pinred.common.arrays import Array
-from pinred.views.plots.crossings import crossings
+from pinred.views.plots.poincare_section import crossings
 
 
 def contours(axes: Axes) -> list[Any]:
-    """The contour sets of some axes."""
-    return [each for each in axes.collections if isinstance(each, QuadContourSet)]
+    """Return the contour sets of some axes."""
+    return [item for item in axes.collections if isinstance(item, QuadContourSet)]
 
 
 def vertices(contour: Any) -> Array:
-    """All points of all lines of a contour set, (P, 2)."""
+    """Return all points of all lines of a contour set, (P, 2)."""
     return np.concatenate([path.vertices for path in contour.get_paths() if len(path.vertices)])
 
 
-def passes(path: tuple[Array, Array], points: list[Array]) -> None:
-    """A path goes through all points, in order, and turns little from step to step."""
+def assert_passes(path: tuple[Array, Array], points: list[Array]) -> None:
+    """Assert that a path assert_passes through points in order, with small turns."""
     where = [
         int(np.argmin(np.hypot(path[0] - a, path[1] - b))) for a, b in zip(*points, strict=True)
     ]
@@ -43,12 +43,12 @@ def passes(path: tuple[Array, Array], points: list[Array]) -> None:
 
 
 def cartpole() -> pinred.Trajectory:
-    """The cart with a pole swinging, from its own start."""
+    """Simulate the cart with a swinging pole from its default state."""
     return pinred.simulate(pinred.load("cartpole"), duration=3.0)
 
 
 def test_portrait_of_one_joint_in_closed_form() -> None:
-    """V = −4.905 cos x, M = 0.34 − cos²x/12; the path lies on a level of ½ M ẋ² + V."""
+    """V = −4.905 cos x, M = 0.34 − cos²x/12; the path is on a level of ½ M ẋ² + V."""
     traj = cartpole()
     figure = plots.phase(traj)
     top, portrait = figure.axes
@@ -69,8 +69,8 @@ def test_portrait_of_one_joint_in_closed_form() -> None:
     assert units(figure) == ["potential [J]", "rate [rad/s]"]
 
 
-def test_portrait_counts_springs_and_momentum() -> None:
-    """Of the beanie with J = 1.5 and k = 1: V = ½ x² + ½ 1.5²/3."""
+def test_portrait_includes_springs_and_momentum() -> None:
+    """For the beanie with J = 1.5 and k = 1: V = ½ x² + ½ 1.5²/3."""
     traj, _ = beanie()
     top, _ = plots.phase(traj, limits=[(-1.0, 1.0)]).axes
     x, potential = drawn(top, "amended potential")
@@ -78,8 +78,8 @@ def test_portrait_counts_springs_and_momentum() -> None:
     assert (x[0], x[-1]) == (-1.0, 1.0)
 
 
-def test_energy_of_the_portrait_is_pinocchio_s() -> None:
-    """In the plane, it is Pinocchio's kinetic energy less that of the centre of mass."""
+def test_portrait_energy_equals_pinocchio() -> None:
+    """In the plane, it is Pinocchio's kinetic energy without that of the centre of mass."""
     system = pinred.load("planar_chain5", lock=["joint2", "joint3", "joint4", "joint5"])
     traj = pinred.simulate(system, x0=[0.7], xdot0=[0.9], xi0=[1.0, -2.0, 0.8], duration=5.0)
     model, data = system.model, system.model.createData()
@@ -99,8 +99,8 @@ def test_energy_of_the_portrait_is_pinocchio_s() -> None:
     assert ", potential for" not in figure.get_suptitle()
 
 
-def test_portrait_of_two_joints_is_pinocchio_s() -> None:
-    """½ L·I⁻¹L with Pinocchio's centroidal inertia at every shape that is drawn."""
+def test_portrait_of_two_joints_equals_pinocchio() -> None:
+    """½ L·I⁻¹L with Pinocchio's centroidal inertia at every drawn shape."""
     system = pinred.load("falling_cat")
     traj = pinred.simulate(system, duration=2.0)
     figure = plots.phase(traj, joints=["bend", "twist"], limits=[(-1, 1), (-0.5, 0.5)], when=1.0)
@@ -111,7 +111,7 @@ def test_portrait_of_two_joints_is_pinocchio_s() -> None:
     state = traj(1.0)
     pin.ccrba(model, data, state.q, state.v)
     L = Rotation.from_quat(state.q[3:7]).inv().apply(data.hg.angular)
-    field = next(each for each in contours(main if contours(main) else bar) if each.filled)
+    field = next(item for item in contours(main if contours(main) else bar) if item.filled)
     low, high = np.inf, -np.inf
     for a in np.linspace(-1, 1, 61):
         for b in np.linspace(-0.5, 0.5, 61):
@@ -124,12 +124,12 @@ def test_portrait_of_two_joints_is_pinocchio_s() -> None:
     assert "sway" in figure.get_suptitle()
     assert "μ of t = 1 s" in figure.get_suptitle()
     assert units(figure).count("rate [rad/s]") == 2
-    passes(drawn(first, "path"), [traj.x[:, 0], traj.xdot[:, 0]])
-    passes(drawn(second, "path"), [traj.x[:, 2], traj.xdot[:, 2]])
+    assert_passes(drawn(first, "path"), [traj.x[:, 0], traj.xdot[:, 0]])
+    assert_passes(drawn(second, "path"), [traj.x[:, 2], traj.xdot[:, 2]])
 
 
-def test_all_motion_of_two_joints_stays_inside_the_energy() -> None:
-    """The potential nowhere on the path exceeds the energy whose level is drawn."""
+def test_path_stays_below_energy_level() -> None:
+    """On the path the potential never exceeds the drawn energy level."""
     system = pinred.load("planar_chain5", lock=["joint3", "joint4", "joint5"])
     springs = {"joint1": (2.0, 0.0), "joint2": (1.0, 0.2)}
     traj = pinred.simulate(
@@ -137,7 +137,7 @@ def test_all_motion_of_two_joints_stays_inside_the_energy() -> None:
     )
     figure = plots.phase(traj)
     (main,) = [axes for axes in figure.axes if contours(axes) and "joint2" in axes.get_ylabel()]
-    level = [each for each in contours(main) if len(each.levels) == 1]
+    level = [item for item in contours(main) if len(item.levels) == 1]
     assert len(level) == 1
     red = pinred.Reduction(system, springs=springs)
     potential = [red.amended_potential(x, [0, 0, 1.0]) for x in traj.x]
@@ -149,8 +149,8 @@ def test_all_motion_of_two_joints_stays_inside_the_energy() -> None:
         )
 
 
-def test_portraits_without_potential() -> None:
-    """A pivot in gravity has a portrait and says why there is no potential."""
+def test_portrait_without_potential_states_reason() -> None:
+    """For example, a pivot in gravity."""
     top = pinred.load("coupled_spatial", group="SO3", gravity=(0, 0, -9.81))
     figure = plots.phase(pinred.simulate(top, seed=0, duration=0.5))
     assert "gravity turns the pivot" in figure.get_suptitle()
@@ -161,7 +161,7 @@ def test_portraits_without_potential() -> None:
 
 
 def curvature_by_differences(system: pinred.System, x: Array, a: int, b: int) -> Array:
-    """B_ab of Pinocchio's mass matrix, by central differences of A = I⁻¹ H_bs."""
+    """Compute B_ab by central differences of A = I⁻¹ H_bs from Pinocchio's mass matrix."""
     data, r = system.model.createData(), system.r
 
     def connection(x: Array) -> Array:
@@ -177,8 +177,8 @@ def curvature_by_differences(system: pinred.System, x: Array, a: int, b: int) ->
     return np.asarray(slope[0][:, b] - slope[1][:, a] - system.group.bracket(A[:, a], A[:, b]))
 
 
-def test_curvature_field_and_its_zero() -> None:
-    """The extremes of the field, and its zero contour, are those of differences of A."""
+def test_curvature_plot_equals_differences() -> None:
+    """Extremes and zero contour are those of differences of A."""
     system = pinred.load("planar_chain5")
     at = np.array([0.0, 0.0, 0.3, -0.2, 0.1])
     figure = plots.curvature(system, joints=["joint1", "joint2"], component="w",
@@ -204,14 +204,14 @@ def test_curvature_field_and_its_zero() -> None:
     assert figure.axes[1].get_ylabel() == "B, component ω [rad/rad²]"
 
 
-def test_curvature_of_a_motion_has_its_path() -> None:
-    """The path is the motion's, the largest rotation is chosen, and can be chosen otherwise."""
+def test_curvature_plot_of_motion_has_path() -> None:
+    """The largest rotation is selected by default."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=1.0)
     axes = pinred.plot(traj, "curvature", joints=("sway", "twist")).axes[0]
-    passes(drawn(axes, "path"), [traj.x[:, 1], traj.x[:, 2]])
+    assert_passes(drawn(axes, "path"), [traj.x[:, 1], traj.x[:, 2]])
     figure = pinred.plot(traj, "curvature", component="v2")
     assert figure.axes[1].get_ylabel() == "B, component v2 [m/rad²]"
-    with pytest.raises(pinred.InputError, match="they are v1, v2, v3, w1, w2, w3"):
+    with pytest.raises(pinred.InputError, match="the components are v1, v2, v3, w1, w2, w3"):
         pinred.plot(traj, "curvature", component="w4")
     with pytest.raises(pinred.InputError, match="must be two"):
         pinred.plot(traj, "curvature", joints=["bend"])
@@ -225,8 +225,8 @@ def test_curvature_of_a_motion_has_its_path() -> None:
         pinred.plot(traj, "curvature", path=[0.0, 1.0, 2.0])
 
 
-def test_a_field_that_is_zero_says_so() -> None:
-    """On rails, A = ∂c/∂x is a gradient, so that its curvature is zero."""
+def test_zero_curvature_is_stated() -> None:
+    """On rails, A = ∂c/∂x is a gradient, so its curvature is zero."""
     rails = pinred.load("falling_cat", group="R")
     figure = plots.curvature(rails)
     assert "component v, is zero everywhere" in figure.get_suptitle()
@@ -234,31 +234,31 @@ def test_a_field_that_is_zero_says_so() -> None:
     assert "zero" not in plots.curvature(pinred.load("falling_cat")).get_suptitle()
 
 
-def test_rigid_body_moves_on_its_sphere() -> None:
+def test_rigid_body_moves_on_sphere() -> None:
     """|L| is constant, and L = (1, 2, 2.5) times the rates, which obey Euler's equations."""
     traj = pinred.simulate(pinred.load("rigid_body"), duration=6.0)
     figure = plots.sphere(traj)
     axes: Any = figure.axes[0]
     (near,) = [line for line in axes.lines if line.get_label() == "path"]
     points = np.array(near.get_data_3d()).T
-    seen = ~np.isnan(points).any(axis=1)
+    visible = ~np.isnan(points).any(axis=1)
     moments = np.array([1.0, 2.0, 2.5])
-    assert seen.sum() > 100
+    assert visible.sum() > 100
     for rates in traj.xi[::20]:
-        apart = np.linalg.norm(points[seen] - rates * moments, axis=1)
-        assert apart.min() < 1e-12
+        distance = np.linalg.norm(points[visible] - rates * moments, axis=1)
+        assert distance.min() < 1e-12
     start = moments * [0.5, 0.7, 1.6]
     size = np.linalg.norm(start)
-    np.testing.assert_allclose(np.linalg.norm(points[seen], axis=1), size, rtol=1e-9)
-    energy = 0.5 * points[seen] ** 2 @ (1 / moments)
+    np.testing.assert_allclose(np.linalg.norm(points[visible], axis=1), size, rtol=1e-9)
+    energy = 0.5 * points[visible] ** 2 @ (1 / moments)
     np.testing.assert_allclose(energy, 0.5 * start**2 @ (1 / moments), rtol=1e-8)
     assert f"|L| = {size:.4g}" in figure.get_suptitle()
     assert axes.get_zlabel() == "L3 [N·m·s]"
 
 
 @pytest.mark.parametrize("moments", [(1.0, 2.0, 2.5), (1.0, 1.0, 1.5), (1.0, 1.5, 1.5), (2, 2, 2)])
-def test_level_curves_are_levels(moments: tuple[float, float, float]) -> None:
-    """Each keeps |L| and L·I⁻¹L; they cover both sides of the separatrix, if there is one."""
+def test_level_curves_keep_momentum_and_energy(moments: tuple[float, float, float]) -> None:
+    """They cover both sides of the separatrix, if there is one."""
     from pinred.views.plots.momentum_sphere import level_curves
 
     turn = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
@@ -280,8 +280,8 @@ def test_level_curves_are_levels(moments: tuple[float, float, float]) -> None:
         assert np.isclose(energies, middle).sum() == 2
 
 
-def test_momentum_in_the_body_is_pinocchio_s() -> None:
-    """About the centre of mass, turned into the body's frame, for a robot of many bodies."""
+def test_body_momentum_equals_pinocchio() -> None:
+    """About the centre of mass, rotated to the body frame, for a robot of many bodies."""
     from pinred.views.plots.momentum_sphere import angular_momentum
 
     traj = pinred.simulate(pinred.load("satellite_two_arms"), duration=2.0)
@@ -293,8 +293,8 @@ def test_momentum_in_the_body_is_pinocchio_s() -> None:
         np.testing.assert_allclose(momentum[k], expected, atol=1e-11)
 
 
-def test_spheres_that_are_none() -> None:
-    """No momentum, or another group: each says so."""
+def test_sphere_plot_rejects_zero_momentum_and_other_groups() -> None:
+    """The messages state the reason."""
     cat = pinred.load("falling_cat")
     still = pinred.simulate(cat, x0=[0.1, 0.2, 0.3], xdot0=[1, 0, 0], momentum=0, duration=0.5)
     with pytest.raises(pinred.InputError, match="no angular momentum"):
@@ -304,7 +304,7 @@ def test_spheres_that_are_none() -> None:
 
 
 def test_crossings_in_closed_form() -> None:
-    """The beanie, 0.4 cos(ωt), is zero at (k + ½)π/ω."""
+    """For the beanie, 0.4 cos(ωt) is zero at (k + ½)π/ω."""
     traj, _ = beanie()
     omega = np.sqrt(1.5)
 
@@ -317,7 +317,7 @@ def test_crossings_in_closed_form() -> None:
 
 
 def two_pendulums() -> list[pinred.Trajectory]:
-    """Two motions of the double spherical pendulum."""
+    """Simulate two motions of the double spherical pendulum."""
     system = pinred.load("double_spherical_pendulum")
     return [
         pinred.simulate(system, x0=[a, 0.1, 0.0], xdot0=[0, 0.5, 0.2], xi0=[1.0], duration=20.0)
@@ -325,8 +325,8 @@ def two_pendulums() -> list[pinred.Trajectory]:
     ]
 
 
-def test_section_is_where_the_full_simulation_crosses() -> None:
-    """Pinocchio's ABA, integrated by SciPy with its event detection, pierces at the same points."""
+def test_section_equals_full_simulation() -> None:
+    """Pinocchio's ABA with SciPy's event detection crosses at the same points."""
     from scipy.integrate import solve_ivp
 
     (traj, _) = two_pendulums()
@@ -354,8 +354,8 @@ def test_section_is_where_the_full_simulation_crosses() -> None:
     assert units(figure) == [f"rate of {names[1]} [rad/s]"]
 
 
-def test_sections_of_several_motions_and_turns() -> None:
-    """Each motion has its mark; a joint that turns crosses once a turn."""
+def test_section_of_several_motions_and_full_rotations() -> None:
+    """Each motion has a marker; a rotating joint crosses once per rotation."""
     motions = two_pendulums()
     assert len(plots.poincare(motions, value=0.0, direction=0).axes[0].lines) == 2
     up, down, both = (
@@ -374,8 +374,8 @@ def test_sections_of_several_motions_and_turns() -> None:
     assert len(figure.axes[0].lines[0].get_xdata()) == turns  # type: ignore[arg-type]
 
 
-def test_section_in_the_middle_of_the_motion() -> None:
-    """Without a value, the section lies where the joint passes most often: between its ends."""
+def test_section_default_value_is_middle_of_range() -> None:
+    """Without a value, the section is in the middle of the joint's range."""
     traj = two_pendulums()[0]
     t = np.linspace(0.0, 20.0, 20001)
     x = traj.at(t).x[:, 0]
@@ -387,7 +387,7 @@ def test_section_in_the_middle_of_the_motion() -> None:
     assert f"motion 1: {upwards} crossings" in str(figure.axes[0].lines[0].get_label())
 
 
-def test_sections_that_are_none() -> None:
+def test_section_rejects_invalid_input() -> None:
     """Too few joints, no crossing, several robots, the same joint twice."""
     traj = two_pendulums()[0]
     with pytest.raises(pinred.InputError, match="at least 2 joints"):

@@ -1,13 +1,12 @@
-"""Folds, pitchforks and crossings: where a curvature passes zero along a curve.
+"""Bifurcations of relative equilibria: points of a curve where a curvature vanishes.
 
-There ∂F/∂z has a null vector v.  If v·∂F/∂J ≠ 0 the curve turns back: a fold.  If it vanishes,
-another curve crosses: a pitchfork where the third derivative along v vanishes, as it does on shapes
-that v leaves by a mirror symmetry, else a crossing of two curves that both go on.  A fold solves
-the extended system
+There ∂F/∂z has a null vector v. If v·∂F/∂J ≠ 0, the curve turns back: the point is a fold.
+Otherwise a second curve crosses it. The crossing is a pitchfork if the third derivative along v
+vanishes, as a mirror symmetry implies. A fold must solve the extended system
 
     F(z, J) = 0,   ∂F/∂z v = 0,   |v| = 1
 
-and is found again with steps of half the length; else it is none, but an artefact of long steps.
+and must appear again with half the step. Otherwise it is an artefact of long steps.
 Source: R. Seydel, "Practical bifurcation and stability analysis", 2010, ch. 5.
 """
 
@@ -22,17 +21,21 @@ from ...common.arrays import Array
 from ..equilibria.amended_energy import Energies, Points
 from .curve import Curve, CurvePoint
 
-_TURNS = 1e-6  # of |∂F/∂J|, its part along the null vector from where on the curve turns back
-_EVEN = 1e-4  # of the curvatures, the third derivative that counts as none
-_SAME = 1e-7  # of the momentum, by which a fold may move when steps are halved
-_STEP = 1e-3  # rad, of the differences along the null vector
+_FOLD = 1e-6  # least v·∂F/∂J of a fold, relative to |∂F/∂J|
+_EVEN = 1e-4  # largest third derivative of a pitchfork, relative to the curvatures
+_SAME_FOLD = 1e-7  # largest relative change of a fold's momentum with half the step
+_STEP = 1e-3  # rad, step of the differences along the null vector
 
 
 @dataclass(frozen=True)
 class Bifurcation:
-    """A point of a curve at which a curvature is zero.
+    """A point of a curve where a curvature is zero.
 
-    null: (u,) the null vector.  residual: of the extended system, relative.
+    Attributes:
+        kind: "fold", "pitchfork" or "crossing".
+        at: Point of the curve.
+        null: Null vector v, (u,).
+        residual: Relative residual of F = 0 and ∂F/∂z v = 0.
     """
 
     kind: Literal["fold", "pitchfork", "crossing"]
@@ -42,28 +45,48 @@ class Bifurcation:
 
 
 def bifurcations_between(curve: Curve, a: CurvePoint, b: CurvePoint, h: float) -> list[Bifurcation]:
-    """Return the bifurcations between two points of a curve, a step h apart."""
-    out = []
+    """Return the bifurcations between two points of a curve.
+
+    Args:
+        curve: The curve.
+        a: Point before the step.
+        b: Point after the step.
+        h: Step [rad].
+    Returns:
+        Bifurcations, sorted by distance from a.
+    """
+    bifurcations = []
     for k in range(min(a.index, b.index), max(a.index, b.index)):
-        at = located(curve, a, h, k)
-        if at is None:
+        zero = locate_zero(curve, a, h, k)
+        if zero is None:
             continue
-        found = classified(curve, at)
-        if found is not None and (found.kind != "fold" or _again(curve, a, h, k, at)):
-            out.append(found)
-    return sorted(out, key=lambda each: float(np.linalg.norm(each.at.x - a.x)))
+        bifurcation = classify(curve, zero)
+        if bifurcation is not None and (
+            bifurcation.kind != "fold" or _is_confirmed(curve, a, h, k, zero)
+        ):
+            bifurcations.append(bifurcation)
+    return sorted(bifurcations, key=lambda item: float(np.linalg.norm(item.at.x - a.x)))
 
 
-def located(curve: Curve, a: CurvePoint, h: float, k: int) -> CurvePoint | None:
-    """Return the point within a step h from a at which the k-th curvature is zero."""
+def locate_zero(curve: Curve, a: CurvePoint, h: float, k: int) -> CurvePoint | None:
+    """Locate the zero of the k-th curvature within one step of the curve.
+
+    Args:
+        curve: The curve.
+        a: Point before the step.
+        h: Step [rad].
+        k: Index of the curvature.
+    Returns:
+        The point, or None if the curvature does not change sign or the curve cannot be followed.
+    """
     low, high = 0.0, h
-    there = curve.step(a, h)
-    if there is None or a.values[k] * there.values[k] > 0.0:
+    end = curve.step(a, h)
+    if end is None or a.values[k] * end.values[k] > 0.0:
         return None
-    f_low, f_high = float(a.values[k]), float(there.values[k])
-    best = there if abs(f_high) < abs(f_low) else a
+    f_low, f_high = float(a.values[k]), float(end.values[k])
+    best = end if abs(f_high) < abs(f_low) else a
     for n in range(80):
-        # Illinois: the secant, and the middle now and then.
+        # Secant steps, with a bisection every third time.
         s = 0.5 * (low + high) if n % 3 == 2 else (low * f_high - high * f_low) / (f_high - f_low)
         if not low < s < high:
             s = 0.5 * (low + high)
@@ -82,62 +105,89 @@ def located(curve: Curve, a: CurvePoint, h: float, k: int) -> CurvePoint | None:
     return best
 
 
-def classified(curve: Curve, at: CurvePoint) -> Bifurcation | None:
-    """Return what a point with a zero curvature is; None if it has none."""
-    v, by_J = curve.null_vector(at), curve.slope_by_momentum(at)
+def classify(curve: Curve, at: CurvePoint) -> Bifurcation | None:
+    """Classify a point with a zero curvature; return None if no curvature vanishes."""
+    v, F_J = curve.null_vector(at), curve.slope_by_momentum(at)
     e = curve.energy(at.points, at.J)
     size = _size(e)
     residual = max(float(np.abs(e.hessian[0] @ v).max()) / size, at.residual)
     if residual > 1e-7:
         return None
-    # On symmetric shapes ∂F/∂J may vanish, so that it is compared with curvatures, too.
-    if abs(v @ by_J) > _TURNS * max(float(np.linalg.norm(by_J)), size / curve.unit):
+    # On symmetric shapes ∂F/∂J may vanish, so the bound also scales with the curvatures.
+    if abs(v @ F_J) > _FOLD * max(float(np.linalg.norm(F_J)), size / curve.unit):
         return Bifurcation("fold", at, v, residual)
     curvatures = []
     for sign in (1.0, -1.0):
-        moved = curve.energy(at.points.moved(sign * _STEP * v[None]), at.J)
-        there = at.points.moved(sign * _STEP * v[None])
-        along = _carried(curve, at, there, v)
-        curvatures.append(float(along @ moved.hessian[0] @ along))
-    third = (curvatures[0] - curvatures[1]) / (2.0 * _STEP)
+        energies = curve.energy(at.points.moved(sign * _STEP * v[None]), at.J)
+        neighbour = at.points.moved(sign * _STEP * v[None])
+        direction = _transported(curve, at, neighbour, v)
+        curvatures.append(float(direction @ energies.hessian[0] @ direction))
+    third_derivative = (curvatures[0] - curvatures[1]) / (2.0 * _STEP)
     kind: Literal["pitchfork", "crossing"] = (
-        "pitchfork" if abs(third) <= _EVEN * size else "crossing"
+        "pitchfork" if abs(third_derivative) <= _EVEN * size else "crossing"
     )
     return Bifurcation(kind, at, v, residual)
 
 
 def _size(e: Energies) -> float:
-    """Return the size of curvatures, of which a single one may be zero."""
+    """Return the scale against which a single curvature counts as zero."""
     return max(float(np.abs(e.hessian).max()), float(e.scale[0]), 1e-300)
 
 
-def _carried(curve: Curve, at: CurvePoint, there: Points, v: Array) -> Array:
-    """Return a direction at another point, in its own tangents."""
+def _transported(curve: Curve, at: CurvePoint, there: Points, v: Array) -> Array:
+    """Return a direction (u,) in the tangent coordinates at another point.
+
+    Args:
+        curve: The curve.
+        at: Point where v is defined.
+        there: The other point.
+        v: Direction, (u,).
+    Returns:
+        (u,).
+    """
     ambient = curve.ambient(at, v)
     return curve.local(there.n, ambient)[:-1]
 
 
-def _again(curve: Curve, a: CurvePoint, h: float, k: int, fold: CurvePoint) -> bool:
-    """Return whether a fold solves the extended system, and is there with half the steps."""
+def _is_confirmed(curve: Curve, a: CurvePoint, h: float, k: int, fold: CurvePoint) -> bool:
+    """Return whether a fold solves the extended system and appears again with half the step.
+
+    Args:
+        curve: The curve.
+        a: Point before the step that contains the fold.
+        h: Step [rad].
+        k: Index of the curvature that vanishes.
+        fold: The fold.
+    Returns:
+        False if the fold is an artefact of the step.
+    """
     if not extended_residual(curve, fold) <= 1e-9:
         return False
-    here: CurvePoint | None = a
-    for _ in range(4):  # the curve bends: half steps cover less of it
-        assert here is not None
-        there = curve.step(here, 0.5 * h)
-        if there is None:
+    point: CurvePoint | None = a
+    for _ in range(4):  # Half steps cut a bent curve less, so two may not suffice.
+        assert point is not None
+        next_point = curve.step(point, 0.5 * h)
+        if next_point is None:
             return False
-        if here.values[k] * there.values[k] <= 0.0:
-            at = located(curve, here, 0.5 * h, k)
-            return at is not None and abs(at.J - fold.J) <= _SAME * max(abs(fold.J), curve.unit)
-        here = there
+        if point.values[k] * next_point.values[k] <= 0.0:
+            zero = locate_zero(curve, point, 0.5 * h, k)
+            return zero is not None and abs(zero.J - fold.J) <= _SAME_FOLD * max(
+                abs(fold.J), curve.unit
+            )
+        point = next_point
     return False
 
 
 def extended_residual(curve: Curve, fold: CurvePoint) -> float:
-    """Return how far off the solution of the extended system that Newton's method finds is.
+    """Compute the distance between a fold and the solution of the extended system.
 
-    It starts beside the fold; infinite if it does not arrive.  The relative distance in momentum.
+    Newton's method starts close to the fold.
+
+    Args:
+        curve: The curve.
+        fold: The fold.
+    Returns:
+        Difference in momentum, relative to the curve's unit; infinite without convergence.
     """
     from scipy.optimize import root
 
@@ -148,12 +198,18 @@ def extended_residual(curve: Curve, fold: CurvePoint) -> float:
     def extended(unknown: Array) -> Array:
         step, J, w = unknown[:u], fold.J + unknown[u] * curve.unit, unknown[u + 1 :]
         point = fold.points.moved(step[None])
-        e = energy(point, J)
-        along = _carried(curve, fold, point, w)
-        return np.concatenate([e.gradient[0] / scale, e.hessian[0] @ along / scale, [w @ w - 1.0]])
+        energies = energy(point, J)
+        direction = _transported(curve, fold, point, w)
+        return np.concatenate(
+            [energies.gradient[0] / scale, energies.hessian[0] @ direction / scale, [w @ w - 1.0]]
+        )
 
-    first = np.concatenate([1e-3 * v, [1e-4], v])
-    found = root(extended, first, method="hybr", options={"xtol": 1e-14, "maxfev": 400 * u})
-    if not np.abs(found.fun).max() <= 1e-10 or not np.linalg.norm(found.x[:u]) <= 0.1:
+    start = np.concatenate([1e-3 * v, [1e-4], v])
+    solution = root(extended, start, method="hybr", options={"xtol": 1e-14, "maxfev": 400 * u})
+    if not np.abs(solution.fun).max() <= 1e-10 or not np.linalg.norm(solution.x[:u]) <= 0.1:
         return np.inf
-    return float(abs(found.x[u])) if abs(found.x[u]) > 1e-9 else float(np.abs(found.fun).max())
+    return (
+        float(abs(solution.x[u]))
+        if abs(solution.x[u]) > 1e-9
+        else float(np.abs(solution.fun).max())
+    )

@@ -1,12 +1,12 @@
-"""The curve of critical points over the momentum, by pseudo-arclength.
+"""The curve of critical points over the momentum, by pseudo-arclength continuation.
 
 With F = ∂U/∂z at z = (x, n) and momentum J, a point of the curve and its unit tangent t solve
 
-    F(z, J) = 0,     [∂F/∂z, ∂F/∂J] t = 0,
+    F(z, J) = 0,     [∂F/∂z, ∂F/∂J] t = 0.
 
-and the next point is where the plane across t, a step h further, meets the curve (Newton).  Lengths
-are in radians; the momentum counts by a unit of its own.  Source: H. B. Keller, "Numerical solution
-of bifurcation and nonlinear eigenvalue problems", 1977.
+The next point is the intersection of the curve with the plane normal to t at distance h, by
+Newton's method. Lengths are in radians; one unit of momentum counts as one radian.
+Source: H. B. Keller, "Numerical solution of bifurcation and nonlinear eigenvalue problems", 1977.
 """
 
 from __future__ import annotations
@@ -20,17 +20,22 @@ from ..equilibria.amended_energy import AmendedEnergy, Energies, Points, tangent
 from ..equilibria.search import residuals
 from ..stability.second_variation import weights
 
-FLAT = 1e-7  # of the largest curvature; below it a direction is flat
-_NEWTON = 8
-_NEAR = 1e-7
+FLAT = 1e-7  # relative to the largest curvature; below it a direction is flat
+_MAX_ITERATIONS = 8  # of Newton's method
+_CONVERGED = 1e-7  # Newton step whose square is round-off
 
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """A point of the curve; arrays are read-only.
+    """A point of the curve. Arrays are read-only.
 
-    x: (ma,), n: (3,) or (0,), J: the momentum.  tangent: (ma + 3 or ma, and J's last), unit length
-    where J counts by its unit.  values: (u,) curvatures, as of SecondVariation, sorted.
+    Attributes:
+        x: Values of the active joints, (ma,) [rad | m].
+        n: Direction, (3,), or (0,) if there is none.
+        J: Momentum.
+        tangent: Unit tangent in (x, n, J), (ma + 4,) or (ma + 1,), with J in the curve's unit.
+        values: Curvatures as in SecondVariation, (u,) [1/s²], sorted.
+        residual: Relative residual of F = 0.
     """
 
     x: Array
@@ -45,7 +50,7 @@ class CurvePoint:
 
     @property
     def points(self) -> Points:
-        """The point alone, as a Points of length one."""
+        """The point as a Points of length one."""
         return Points(self.x[None], self.n[None])
 
     @property
@@ -55,56 +60,74 @@ class CurvePoint:
 
 
 class Curve:
-    """The curves of one problem.  unit: of the momentum, that counts as 1 rad."""
+    """The curves of critical points of one problem.
+
+    Attributes:
+        energy: Amended potential.
+        unit: Momentum that counts as 1 rad.
+    """
 
     def __init__(self, energy: AmendedEnergy, unit: float) -> None:
-        """Take the amended potential."""
+        """Store the amended potential and the unit of momentum."""
         self.energy, self.unit = energy, unit
 
     def start(self, point: Points, J: float, along: Array | None = None) -> CurvePoint:
-        """Return the point of the curve at a critical point.
+        """Return the curve point at a critical point.
 
-        along: (k,) a tangent to begin with, else towards larger momentum.
+        Args:
+            point: Critical point, a Points of length one.
+            J: Momentum.
+            along: Direction closest to the tangent, (k,); None: larger momentum.
+        Returns:
+            The point, with its tangent.
         """
-        e = self.energy(point, J)
+        energies = self.energy(point, J)
         size = point.x.shape[1] + point.n.shape[1]
         if along is None:
             along = np.zeros(size + 1)
             along[-1] = 1.0
-        return self._point(point, J, e, along)
+        return self._point(point, J, energies, along)
 
     def step(self, here: CurvePoint, h: float, plane: Array | None = None) -> CurvePoint | None:
-        """Return the point a step h further, or None where Newton's method does not arrive.
+        """Compute the next point of the curve.
 
-        plane: (k,) what to go along, instead of the tangent.
+        Args:
+            here: Current point.
+            h: Step [rad].
+            plane: Direction of the step, (k,), instead of the tangent.
+        Returns:
+            The point, or None if Newton's method does not converge.
         """
-        along = here.tangent if plane is None else plane
-        point = here.points.moved(h * self.local(here.n[None], along)[None, :-1])
-        J = here.J + h * along[-1] * self.unit
-        for _ in range(_NEWTON):
-            e = self.energy(point, J)
-            if not np.isfinite(residuals(e))[0]:
+        direction = here.tangent if plane is None else plane
+        point = here.points.moved(h * self.local(here.n[None], direction)[None, :-1])
+        J = here.J + h * direction[-1] * self.unit
+        for _ in range(_MAX_ITERATIONS):
+            energies = self.energy(point, J)
+            if not np.isfinite(residuals(energies))[0]:
                 return None
-            t = self.local(point.n, along)
-            gone = self._gone(here, point, J) @ along - h
-            matrix = np.vstack([self._slope(e), t])
-            right = np.append(e.gradient[0], gone)
-            change = -np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
+            normal = self.local(point.n, direction)
+            defect = self._difference(here, point, J) @ direction - h
+            matrix = np.vstack([self._derivative(energies), normal])
+            residual = np.append(energies.gradient[0], defect)
+            change = -np.linalg.lstsq(matrix, residual, rcond=1e-13)[0]
             point = point.moved(change[None, :-1])
             J += change[-1] * self.unit
-            if np.linalg.norm(change) <= _NEAR:  # whose square is round-off
+            if np.linalg.norm(change) <= _CONVERGED:
                 break
-        e = self.energy(point, J)
-        if not residuals(e)[0] <= 1e-10 or np.linalg.norm(self._gone(here, point, J)) > 2.0 * h:
+        energies = self.energy(point, J)
+        if (
+            not residuals(energies)[0] <= 1e-10
+            or np.linalg.norm(self._difference(here, point, J)) > 2.0 * h
+        ):
             return None
-        return self._point(point, float(J), e, along)
+        return self._point(point, float(J), energies, direction)
 
     def slope_by_momentum(self, here: CurvePoint) -> Array:
         """Return ∂F/∂J, (u,)."""
         return np.asarray(self.energy(here.points, here.J).by_momentum[0])
 
     def null_vector(self, here: CurvePoint) -> Array:
-        """Return the direction (u,) of least curvature, of unit length."""
+        """Return the unit direction (u,) of least absolute curvature."""
         hessian = self.energy(here.points, here.J).hessian[0]
         W = weights(self.energy.problem, here.points)
         values, vectors = np.linalg.eigh(W @ hessian @ W)
@@ -112,45 +135,71 @@ class Curve:
         return np.asarray(v / np.linalg.norm(v))
 
     def ambient(self, here: CurvePoint, local: Array, momentum: float = 0.0) -> Array:
-        """Return a direction (k,) in the coordinates of tangents from one in (u,)."""
+        """Convert a direction (u,) to the coordinates (k,) of tangents.
+
+        Args:
+            here: Point where the direction is defined.
+            local: Direction in (x, tangent coordinates of the sphere), (u,).
+            momentum: Component along J.
+        Returns:
+            Direction in (x, n, J), (k,).
+        """
         ma = len(here.x)
-        turned = tangents(here.n[None])[0] @ local[ma:] if here.n.size else np.zeros(0)
-        return np.concatenate([local[:ma], turned, [momentum]])
+        n_direction = tangents(here.n[None])[0] @ local[ma:] if here.n.size else np.zeros(0)
+        return np.concatenate([local[:ma], n_direction, [momentum]])
 
     def _point(self, point: Points, J: float, e: Energies, along: Array) -> CurvePoint:
+        """Return the curve point at a solution, with the unit tangent closest to a direction.
+
+        Args:
+            point: Critical point, a Points of length one.
+            J: Momentum.
+            e: Energies at the point.
+            along: Direction, (k,).
+        Returns:
+            The point.
+        """
         W = weights(self.energy.problem, point)
         values = np.linalg.eigvalsh(W @ e.hessian[0] @ W)
-        before = self.local(point.n, along)
-        _, _, rows = np.linalg.svd(self._slope(e))
-        # Of all null directions (of a family, or at a crossing), the one that goes on as before.
-        rank = len(rows) - 1
-        singular = np.linalg.svd(self._slope(e), compute_uv=False)
+        direction = self.local(point.n, along)
+        _, _, vectors = np.linalg.svd(self._derivative(e))
+        # In a family or at a crossing there are several null directions; keep the previous one.
+        rank = len(vectors) - 1
+        singular = np.linalg.svd(self._derivative(e), compute_uv=False)
         if singular.size:
             rank = min(rank, int((singular > 1e-9 * singular[0]).sum()))
-        null = rows[rank:]
-        t = null.T @ (null @ before)
-        size = float(np.linalg.norm(t))
-        t = null[-1] if size < 1e-9 else t / size
+        null = vectors[rank:]
+        t = null.T @ (null @ direction)
+        length = float(np.linalg.norm(t))
+        t = null[-1] if length < 1e-9 else t / length
         ma = point.x.shape[1]
-        turned = tangents(point.n)[0] @ t[ma:-1] if point.n.size else np.zeros(0)
-        tangent = np.concatenate([t[:ma], turned, t[-1:]])
+        n_direction = tangents(point.n)[0] @ t[ma:-1] if point.n.size else np.zeros(0)
+        tangent = np.concatenate([t[:ma], n_direction, t[-1:]])
         return CurvePoint(
             point.x[0].copy(), point.n[0].copy(), J, tangent, values, float(residuals(e)[0])
         )
 
-    def _slope(self, e: Energies) -> Array:
+    def _derivative(self, e: Energies) -> Array:
         """Return [∂F/∂z, ∂F/∂J], (u, u + 1)."""
         return np.hstack([e.hessian[0], self.unit * e.by_momentum[0][:, None]])
 
     def local(self, n: Array, along: Array) -> Array:
-        """Return a direction (u + 1,) on the sphere at n (1, 3) from one in its space."""
+        """Convert a direction (k,) to tangent coordinates (u + 1,) of the sphere at n (1, 3)."""
         if not n.size:
             return along
         T = tangents(n.reshape(1, 3))[0]
         return np.concatenate([along[:-4], T.T @ along[-4:-1], along[-1:]])
 
-    def _gone(self, here: CurvePoint, point: Points, J: float) -> Array:
-        """Return how far a point is from another, (k,)."""
+    def _difference(self, here: CurvePoint, point: Points, J: float) -> Array:
+        """Return the difference in (x, n, J) of a point from a curve point, (k,).
+
+        Args:
+            here: Curve point.
+            point: Other point, a Points of length one.
+            J: Its momentum.
+        Returns:
+            (k,) [rad].
+        """
         return np.concatenate(
             [point.x[0] - here.x, point.n[0] - here.n, [(J - here.J) / self.unit]]
         )

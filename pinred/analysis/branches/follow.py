@@ -24,24 +24,31 @@ from ..stability.second_variation import second_variation
 from .bifurcations import Bifurcation, bifurcations_between, extended_residual
 from .curve import Curve, CurvePoint
 
-STEP = 0.05  # rad, the longest along a curve
-_LEAST = 1e-6  # rad, the shortest
-_BEND = 0.98  # cosine of the angle between tangents, from which on a step is short enough
-_MOST = 4000  # steps of one curve
-_MOST_CURVES = 200
-_UNIT = 0.3  # part of the range of momenta that counts as 1 rad
-_OFF = 0.02  # rad, the first step on a curve that branches off
-_STARTS = 300
-_ROUND_OFF = 1e-12  # rad | m; less is printed as none
+STEP = 0.05  # rad, longest step along a curve
+_SHORTEST = 1e-6  # rad, shortest step along a curve
+_BEND = 0.98  # least cosine of the angle between successive tangents
+_MAX_STEPS = 4000  # of one curve
+_MAX_CURVES = 200
+_UNIT = 0.3  # fraction of the range of momenta that counts as 1 rad
+_SWITCH = 0.02  # rad, first step on a branching curve
+_STARTS = 300  # number of starting points of each search
+_ROUND_SWITCH = 1e-12  # rad | m; smaller values are printed as zero
 
 
 @dataclass(frozen=True, eq=False)
 class BranchPoint:
-    """A relative equilibrium on a branch; arrays are read-only.
+    """A relative equilibrium on a branch. Arrays are read-only.
 
-    branch: number of its branch.  momentum: J.  x: (m,) shape.  direction: as of
-    RelativeEquilibrium.  amended_potential: [J].  index: negative curvatures of the amended
-    potential: even ones may be stable, odd ones never are, zero is.  residual: relative.
+    Attributes:
+        branch: Index of its branch.
+        momentum: Momentum J [N s | N m s].
+        x: Shape, (m,) [rad | m].
+        direction: Direction in the body as in RelativeEquilibrium, (3,) or (0,).
+        amended_potential: Amended potential [J].
+        index: Number of negative curvatures of the amended potential. Index 0 is stable; an odd
+            index is unstable; an even index may be either.
+        residual: Relative residual; for a fold, see Branches.
+        problem: Problem that the equilibrium solves.
     """
 
     branch: int
@@ -57,7 +64,11 @@ class BranchPoint:
         freeze(self)
 
     def equilibrium(self) -> RelativeEquilibrium:
-        """Return the relative equilibrium with its stability, modes and scenes."""
+        """Compute the relative equilibrium with its stability, modes and scenes.
+
+        Returns:
+            The equilibrium.
+        """
         active = self.x[list(self.problem.active)]
         return equilibrium_at(
             self.problem, Points(active[None], self.direction[None]), self.momentum
@@ -68,9 +79,14 @@ class BranchPoint:
 class Branches:
     """Branches of relative equilibria over a range of momenta.
 
-    points: along one branch after the other.  folds: where a branch turns back in momentum;
-    residual: how far, in momentum, the extended system's own solution is, relative to the range.
-    pitchforks, crossings: where another branch begins, symmetric or not.
+    Attributes:
+        system: The system.
+        momentum: Range of momenta (low, high) [N s | N m s].
+        points: Points of all branches, one branch after the other.
+        folds: Points where a branch turns back in momentum. Their residual includes the distance to
+            the solution of the extended system, relative to the range of momenta.
+        pitchforks: Points where a symmetric pair of branches begins.
+        crossings: Points where two branches cross without symmetry.
     """
 
     system: System
@@ -86,7 +102,15 @@ class Branches:
         return 1 + max((point.branch for point in self.points), default=-1)
 
     def branch(self, k: int) -> tuple[BranchPoint, ...]:
-        """Return the points of a branch, in order.  Raises InputError for one there is not."""
+        """Return the points of one branch, in order.
+
+        Args:
+            k: Index of the branch.
+        Returns:
+            The points.
+        Raises:
+            InputError: There is no such branch.
+        """
         if not 0 <= k < self.count:
             raise InputError(f"there are {self.count} branches, counted from 0; got {k}")
         return tuple(point for point in self.points if point.branch == k)
@@ -98,9 +122,9 @@ class Branches:
             f"{low:g} to {high:g}, {len(self.points)} points"
         ]
         for k in range(self.count):
-            some = self.branch(k)
-            J, V = [p.momentum for p in some], [p.amended_potential for p in some]
-            indices = sorted({p.index for p in some})
+            points = self.branch(k)
+            J, V = [p.momentum for p in points], [p.amended_potential for p in points]
+            indices = sorted({p.index for p in points})
             lines.append(
                 f"  {k}: momentum {min(J):.6g} … {max(J):.6g}, amended V {min(V):.6g} … "
                 f"{max(V):.6g} J, index {', '.join(map(str, indices))}"
@@ -108,7 +132,7 @@ class Branches:
         for name in ("folds", "pitchforks", "crossings"):
             for p in getattr(self, name):
                 shape = ", ".join(
-                    f"{0.0 if abs(value) < _ROUND_OFF else value:.6g}" for value in p.x
+                    f"{0.0 if abs(value) < _ROUND_SWITCH else value:.6g}" for value in p.x
                 )
                 lines.append(f"  {name[:-1]} at momentum {p.momentum:.10g}: ({shape})")
         return "\n".join(lines)
@@ -129,21 +153,36 @@ def branches(
 ) -> Branches:
     """Follow relative equilibria over a range of momenta, through folds and pitchforks.
 
-    momentum: (low, high), two momenta, of which others start halfway, too.  step: the longest along
-    a branch [rad].  The rest as of `relative_equilibria`; what is found there is followed both
-    ways, and so is what branches off.  Folds are confirmed by an extended system and by halving
-    the step.
-    Raises InputError for what makes no sense, SymmetryError if gravity breaks the symmetry.
+    Searches at the lowest, middle and highest momentum give the starting points. Each curve is
+    followed in both directions, and so is each curve that branches off. Folds are confirmed by an
+    extended system and by halving the step.
+
+    Args:
+        system: The system.
+        momentum: Range (low, high) [N s | N m s].
+        cyclic: Momenta of cyclic joints by name [N m s | N s].
+        starts: Number of starting points of each search.
+        seed: Seed of the random starting points.
+        step: Longest step along a branch [rad].
+        springs: Spring stiffness and rest value by joint name.
+        forces: Forces that keep the symmetry and do not depend on time.
+        prescribed: Prescribed joints: a value, signal or expression by name.
+        passive: Whether springs and friction of the robot file act.
+    Returns:
+        The branches with their bifurcations.
+    Raises:
+        InputError: An argument is invalid, or nothing can change in a relative equilibrium.
+        SymmetryError: Gravity breaks the symmetry.
     """
     problem = problem_of(
         checked_system(system, "branches"), cyclic=cyclic, springs=springs, forces=forces,
         prescribed=prescribed, passive=passive,
     )  # fmt: skip
-    low, high = _range(problem, momentum)
+    low, high = _momentum_range(problem, momentum)
     if not problem.unknowns:
         raise InputError(
-            f"nothing can change in a relative equilibrium of '{problem.system.name}': all of its "
-            "joints are cyclic or held"
+            f"system: '{problem.system.name}' has no branches of relative equilibria, because "
+            "all its joints are cyclic or prescribed"
         )
     if not (np.isfinite(step) and step > 0.0):
         raise InputError(f"step must be finite and above zero, got {step!r}")
@@ -159,7 +198,7 @@ def branches(
 
 
 class _Follower:
-    """The curves that have been followed, and the points where others are to begin."""
+    """Computed curves, and the points from which others start."""
 
     def __init__(self, problem: Problem, low: float, high: float, step: float) -> None:
         self._problem, self._low, self._high, self._step = problem, low, high, step
@@ -167,38 +206,47 @@ class _Follower:
         self._curve = Curve(self._energy, _UNIT * (high - low))
         self._starts: list[tuple[Points, float, Array | None]] = []
         self._curves: list[list[CurvePoint]] = []
-        self._found: list[tuple[int, Bifurcation]] = []
+        self._bifurcations: list[tuple[int, Bifurcation]] = []
 
     def add(self, point: Points, J: float, along: Array | None = None) -> None:
+        """Queue a critical point from which a curve starts.
+
+        Args:
+            point: Critical point, a Points of length one.
+            J: Momentum.
+            along: Direction of the curve, (k,); None: larger momentum.
+        """
         self._starts.append((point, J, along))
 
     def follow_all(self) -> None:
-        while self._starts and len(self._curves) < _MOST_CURVES:
+        """Follow the queued curves and those that branch off."""
+        while self._starts and len(self._curves) < _MAX_CURVES:
             point, J, along = self._starts.pop(0)
-            if self._known(point, J):
+            if self._is_on_curve(point, J):
                 continue
             first = self._curve.start(point, J, along)
-            searched = along is not None or not self._in_family(point, J)
+            detect = along is not None or not self._is_in_family(point, J)
             number = len(self._curves)
             self._curves.append([first])
-            ways = [self._walk(first, sign, number, searched) for sign in (1.0, -1.0)]
-            self._curves[number] = [*ways[1][::-1], first, *ways[0]]
+            halves = [self._walk(first, sign, number, detect) for sign in (1.0, -1.0)]
+            self._curves[number] = [*halves[1][::-1], first, *halves[0]]
 
     def result(self) -> Branches:
-        kinds: dict[str, list[BranchPoint]] = {"fold": [], "pitchfork": [], "crossing": []}
-        for number, each in self._found:
-            residual = each.residual
-            if each.kind == "fold":
-                residual = max(residual, extended_residual(self._curve, each.at))
-            kinds[each.kind].append(self._point(number, each.at, residual))
-        points = [self._point(k, at) for k, some in enumerate(self._curves) for at in some]
+        """Return all branches and bifurcations."""
+        points_by_kind: dict[str, list[BranchPoint]] = {"fold": [], "pitchfork": [], "crossing": []}
+        for number, item in self._bifurcations:
+            residual = item.residual
+            if item.kind == "fold":
+                residual = max(residual, extended_residual(self._curve, item.at))
+            points_by_kind[item.kind].append(self._point(number, item.at, residual))
+        points = [self._point(k, at) for k, curve in enumerate(self._curves) for at in curve]
         return Branches(
             self._problem.system,
             (self._low, self._high),
             tuple(points),
-            tuple(kinds["fold"]),
-            tuple(kinds["pitchfork"]),
-            tuple(kinds["crossing"]),
+            tuple(points_by_kind["fold"]),
+            tuple(points_by_kind["pitchfork"]),
+            tuple(points_by_kind["crossing"]),
         )
 
     def _point(self, branch: int, at: CurvePoint, residual: float | None = None) -> BranchPoint:
@@ -213,46 +261,54 @@ class _Follower:
             problem=self._problem,
         )
 
-    def _walk(
-        self, first: CurvePoint, sign: float, number: int, searched: bool
-    ) -> list[CurvePoint]:
-        """Follow a curve one way, to the end of the range or back to where it began."""
-        out: list[CurvePoint] = []
-        here, h = _turned(first, sign), 0.2 * self._step
-        while len(out) < _MOST:
-            there = self._curve.step(here, h)
-            if there is None or there.tangent @ here.tangent < _BEND:
+    def _walk(self, first: CurvePoint, sign: float, number: int, detect: bool) -> list[CurvePoint]:
+        """Follow a curve in one direction, to the end of the range or back to its first point.
+
+        Args:
+            first: First point.
+            sign: Direction along its tangent, ±1.
+            number: Index of the branch.
+            detect: Whether to detect bifurcations.
+        Returns:
+            The points after the first.
+        """
+        points: list[CurvePoint] = []
+        point, h = _oriented(first, sign), 0.2 * self._step
+        while len(points) < _MAX_STEPS:
+            next_point = self._curve.step(point, h)
+            if next_point is None or next_point.tangent @ point.tangent < _BEND:
                 h *= 0.5
-                if h < _LEAST:
+                if h < _SHORTEST:
                     break
                 continue
-            if not self._low <= there.J <= self._high:
-                end = self._at_end(here, there)
+            if not self._low <= next_point.J <= self._high:
+                end = self._end_of_range(point, next_point)
                 if end is not None:
-                    out.append(end)
+                    points.append(end)
                 break
-            if searched and there.index != here.index:
-                between = bifurcations_between(self._curve, here, there, h)
-                for found in between:
-                    self._take(found, number)
-                through = [each for each in between if each.kind == "pitchfork"]
-                if through and here.tangent[-1] * there.tangent[-1] < 0.0:
-                    out.append(through[0].at)  # behind it lies the mirror image
+            if detect and next_point.index != point.index:
+                bifurcations = bifurcations_between(self._curve, point, next_point, h)
+                for bifurcation in bifurcations:
+                    self._record(bifurcation, number)
+                pitchforks = [item for item in bifurcations if item.kind == "pitchfork"]
+                if pitchforks and point.tangent[-1] * next_point.tangent[-1] < 0.0:
+                    points.append(pitchforks[0].at)  # The mirror image of the curve follows.
                     break
-            out.append(there)
-            if len(out) > 3 and self._close(first, there, 1.2 * h) and sign > 0.0:
+            points.append(next_point)
+            if len(points) > 3 and self._is_close(first, next_point, 1.2 * h) and sign > 0.0:
                 break
-            here, h = there, min(1.3 * h, self._step)
-        return out
+            point, h = next_point, min(1.3 * h, self._step)
+        return points
 
-    def _at_end(self, here: CurvePoint, there: CurvePoint) -> CurvePoint | None:
-        """Return the point at the end of the range that lies between two."""
+    def _end_of_range(self, here: CurvePoint, there: CurvePoint) -> CurvePoint | None:
+        """Return the point at the end of the momentum range between two points of a curve."""
         J = self._low if self._low > there.J else self._high
         if here.J == J:
             return None
-        part = (J - here.J) / (there.J - here.J)
+        fraction = (J - here.J) / (there.J - here.J)
         guess = Points(
-            (here.x + part * (there.x - here.x))[None], (here.n + part * (there.n - here.n))[None]
+            (here.x + fraction * (there.x - here.x))[None],
+            (here.n + fraction * (there.n - here.n))[None],
         )
         if guess.n.size:
             guess = Points(guess.x, guess.n / np.linalg.norm(guess.n))
@@ -261,57 +317,71 @@ class _Follower:
             return None
         return self._curve.start(point, J, here.tangent)
 
-    def _take(self, found: Bifurcation, number: int) -> None:
-        """Keep a bifurcation that is new, and have what branches off followed."""
+    def _record(self, bifurcation: Bifurcation, number: int) -> None:
+        """Record a bifurcation unless it is known, and queue the curves that branch off."""
         unit = self._curve.unit
-        for _, other in self._found:
-            near = abs(other.at.J - found.at.J) < 1e-5 * unit
-            if near and other.kind == found.kind and self._same(other.at.points, found.at.points):
+        for _, other in self._bifurcations:
+            has_same_momentum = abs(other.at.J - bifurcation.at.J) < 1e-5 * unit
+            if (
+                has_same_momentum
+                and other.kind == bifurcation.kind
+                and self._is_same(other.at.points, bifurcation.at.points)
+            ):
                 return
-        self._found.append((number, found))
-        if found.kind == "fold":
+        self._bifurcations.append((number, bifurcation))
+        if bifurcation.kind == "fold":
             return
         for sign in (1.0, -1.0):
-            plane = self._curve.ambient(found.at, sign * found.null)
-            beside = self._curve.step(found.at, _OFF, plane)
-            if beside is not None and self._low <= beside.J <= self._high:
-                self.add(beside.points, beside.J, plane)
+            plane = self._curve.ambient(bifurcation.at, sign * bifurcation.null)
+            neighbour = self._curve.step(bifurcation.at, _SWITCH, plane)
+            if neighbour is not None and self._low <= neighbour.J <= self._high:
+                self.add(neighbour.points, neighbour.J, plane)
 
-    def _known(self, point: Points, J: float) -> bool:
-        """Return whether one of the curves followed so far goes through a point."""
-        near = 2.0 * self._step
-        for some in self._curves:
-            momenta = np.array([at.J for at in some])
+    def _is_on_curve(self, point: Points, J: float) -> bool:
+        """Return whether a computed curve contains a critical point."""
+        max_distance = 2.0 * self._step
+        for curve in self._curves:
+            momenta = np.array([at.J for at in curve])
             for a in np.flatnonzero((momenta[:-1] - J) * (momenta[1:] - J) <= 0.0).tolist():
-                for at in (some[a], some[a + 1]):
+                for at in (curve[a], curve[a + 1]):
                     guess, _ = critical_points(self._energy, at.points, J)
-                    moved = np.linalg.norm(guess.x - at.x) if len(guess) else np.inf
-                    if moved <= near and self._same(guess, point):
+                    distance = np.linalg.norm(guess.x - at.x) if len(guess) else np.inf
+                    if distance <= max_distance and self._is_same(guess, point):
                         return True
-            ends = [at for at in (some[0], some[-1]) if abs(at.J - J) <= 1e-9 * self._curve.unit]
-            if any(self._same(at.points, point) for at in ends):
+            ends = [at for at in (curve[0], curve[-1]) if abs(at.J - J) <= 1e-9 * self._curve.unit]
+            if any(self._is_same(at.points, point) for at in ends):
                 return True
         return False
 
-    def _same(self, a: Points, b: Points) -> bool:
+    def _is_same(self, a: Points, b: Points) -> bool:
+        """Return whether two points are the same equilibrium, up to symmetry."""
         places = [place_of(self._problem, self._problem.shapes(p.x)[0], p.n[0]) for p in (a, b)]
         return places[0].same(places[1], reversible=self._problem.reversible)
 
-    def _close(self, first: CurvePoint, there: CurvePoint, h: float) -> bool:
-        gone = np.concatenate([there.x - first.x, there.n - first.n])
+    def _is_close(self, first: CurvePoint, there: CurvePoint, h: float) -> bool:
+        difference = np.concatenate([there.x - first.x, there.n - first.n])
         momentum = abs(there.J - first.J) / self._curve.unit
-        return bool(np.linalg.norm(gone) < h and momentum < h)
+        return bool(np.linalg.norm(difference) < h and momentum < h)
 
-    def _in_family(self, point: Points, J: float) -> bool:
+    def _is_in_family(self, point: Points, J: float) -> bool:
         return second_variation(self._energy, point, J).dimension > 0
 
 
-def _turned(at: CurvePoint, sign: float) -> CurvePoint:
+def _oriented(at: CurvePoint, sign: float) -> CurvePoint:
     return CurvePoint(at.x, at.n, at.J, sign * at.tangent, at.values, at.residual)
 
 
-def _range(problem: Problem, momentum: ArrayLike) -> tuple[float, float]:
-    """Return least and greatest momentum.  Raises InputError."""
+def _momentum_range(problem: Problem, momentum: ArrayLike) -> tuple[float, float]:
+    """Return the lowest and highest momentum of a valid range.
+
+    Args:
+        problem: Problem of the relative equilibria.
+        momentum: Argument of `branches`.
+    Returns:
+        (low, high).
+    Raises:
+        InputError: The range is not two finite momenta in order, or not positive where J is |J|.
+    """
     ends = as_floats(momentum, "momentum")
     if ends.shape != (2,) or not np.isfinite(ends).all() or not ends[0] < ends[1]:
         raise InputError(f"momentum must be (low, high), both finite, low first, got {momentum!r}")

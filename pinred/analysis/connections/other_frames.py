@@ -13,7 +13,6 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
-import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.differences import central_differences
@@ -143,25 +142,6 @@ def _transformed(
         form.group, form.joints, form.units, what, values, reference,
         symmetric=form.symmetric, momentum=form.momentum, locked=locked,
     )  # fmt: skip
-
-
-def link_pose(system: System, name: str, x: Array) -> Array:
-    """Return h(x), the pose (size,) of a link relative to the root, by Pinocchio."""
-    link, model, data = link_named(system, name, "the base"), system.model, system.data
-    pin.forwardKinematics(model, data, system.model_q(system.group.identity(), x))
-    place = data.oMi[1].actInv(data.oMi[link.joint]) * link.placement
-    matrix = np.array(place.homogeneous)
-    return _pose_of(system.group, matrix)
-
-
-def _pose_of(group: Group, matrix: Array) -> Array:
-    """Return the pose coordinates of a homogeneous matrix (4, 4) in the group."""
-    axes = [axis for axis in group.axes if axis < 3]
-    linear = matrix[axes, 3]
-    if group.turns == 3:
-        return np.concatenate([linear, np.array(pin.Quaternion(matrix[:3, :3]).coeffs())])
-    angle = [np.arctan2(matrix[1, 0], matrix[0, 0])] if group.turns else []
-    return np.concatenate([linear, angle])
 
 
 def _rotation(group: Group, pose: ca.SX) -> ca.SX:

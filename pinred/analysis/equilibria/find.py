@@ -15,9 +15,9 @@ from ...scene.option_checks import check_seed
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.system import System, checked_system
-from ..stability.linearised import linearised
+from ..stability.linearisation import linearised
 from ..stability.second_variation import second_variation
-from ..stability.verdict import Stability, judge
+from ..stability.verdict import Stability, assess_stability
 from .amended_energy import AmendedEnergy, Energies, Points
 from .problem import Problem, finite, problem_of
 from .relative_equilibrium import Equilibria, RelativeEquilibrium, pose_of
@@ -171,7 +171,7 @@ def _stability(
     second = second_variation(energy, point, J)
     flow = flow_at(problem, point, xdot, xi)
     linear = linearised(flow, flow.y0)
-    return judge(linear, second, flow.kernel.layout.active, problem.system.shape_names)
+    return assess_stability(linear, second, flow.kernel.layout.active, problem.system.shape_names)
 
 
 def flow_at(problem: Problem, point: Points, xdot: Array, xi: Array) -> CompiledFlow:

@@ -1,1 +1,1 @@
-"""Stability: of relative equilibria, of states along motions, of chaotic and periodic ones."""
+"""Stability of relative equilibria and of motions, from the linearised reduced flow."""

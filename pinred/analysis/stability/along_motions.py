@@ -14,19 +14,22 @@ from ...forces.acting import ForceInputs
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.trajectory import Trajectory
-from .linearised import Linearisation, linearised
-from .variational import Variational, scene_at, variational
+from .linearisation import Linearisation, linearised
+from .linearised_flow import LinearisedFlow, linearised_flow, scene_at
 
-_BETWEEN = 10  # steps, from one orthonormal basis to the next
-_CLOSED = 1e-6  # relative; by how much a period may miss its start
+_STEPS_PER_BASIS = 10  # number of steps between two orthonormalisations
+_MAX_CLOSURE = 1e-6  # largest relative difference between the two ends of a period
 
 
 @dataclass(frozen=True)
 class LyapunovSpectrum:
-    """Lyapunov exponents of a motion on its leaf; arrays are read-only.
+    """Lyapunov exponents of a motion on its symplectic leaf. Arrays are read-only.
 
-    exponents: (d,) [1/s], largest first.  times: (K,) [s], history: (K, d) the exponents up to
-    then.  spread: (d,) by how much each still changed over the last half.
+    Attributes:
+        exponents: Exponents, (d,) [1/s], largest first.
+        times: Times at which the basis was orthonormalised, (K,) [s].
+        history: Exponents computed up to each of these times, (K, d) [1/s].
+        spread: Range of each exponent over the last half of the motion, (d,) [1/s].
     """
 
     exponents: Array
@@ -38,19 +41,23 @@ class LyapunovSpectrum:
         freeze(self)
 
     def __str__(self) -> str:
-        rows = [
+        lines = [
             f"{value:+.6f} ± {spread:.1g} 1/s"
             for value, spread in zip(self.exponents, self.spread, strict=True)
         ]
-        return "\n".join(rows)
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True)
 class FloquetMultipliers:
-    """Floquet multipliers of a periodic motion on its leaf; arrays are read-only.
+    """Floquet multipliers of a periodic motion on its symplectic leaf. Arrays are read-only.
 
-    multipliers: (d,), largest first.  exponents: (d,) log μ/T [1/s].  monodromy: (d, d).
-    period: T [s].  closure: by how much the reduced state missed its start, relative.
+    Attributes:
+        multipliers: Multipliers, (d,), largest first.
+        exponents: log(multipliers)/period, (d,) [1/s].
+        monodromy: Monodromy matrix, (d, d).
+        period: Period T [s].
+        closure: Relative difference of the reduced states at the two ends of the period.
     """
 
     multipliers: NDArray[np.complex128]
@@ -63,16 +70,23 @@ class FloquetMultipliers:
         freeze(self)
 
     def __str__(self) -> str:
-        rows = [f"|{abs(mu):.9g}|  {mu.real:+.9g} {mu.imag:+.9g}i" for mu in self.multipliers]
-        return "\n".join([f"period {self.period:g} s, closes to {self.closure:.1g}", *rows])
+        lines = [f"|{abs(mu):.9g}|  {mu.real:+.9g} {mu.imag:+.9g}i" for mu in self.multipliers]
+        return "\n".join([f"period {self.period:g} s, closes to {self.closure:.1g}", *lines])
 
 
 def linearise(traj: Trajectory, t: float = 0.0) -> Linearisation:
-    """Return the linearised reduced flow at time t of a motion, by the exact Jacobian.
+    """Linearise the reduced flow at time t of a motion, by the exact Jacobian.
 
-    Its state is (x, π, μ) without cyclic angles; its eigenvalues and modes are those on the leaf
-    where the Casimirs are constant.  Raises InputError for a time outside the motion, or a motion
-    without its base.
+    The reduced state is (x, π, μ) without cyclic angles. Eigenvalues and modes are those on the
+    symplectic leaf, where the Casimirs are constant.
+
+    Args:
+        traj: Motion that includes its base (outputs="all").
+        t: Time [s].
+    Returns:
+        The linearisation.
+    Raises:
+        InputError: t is outside the motion, or the motion has no base.
     """
     scene = scene_at(traj, t)
     flow = CompiledFlow.of_plan(plan_of(scene))
@@ -88,29 +102,40 @@ def linearise(traj: Trajectory, t: float = 0.0) -> Linearisation:
 def lyapunov(
     traj: Trajectory, *, every: float | None = None, progress: Progress | bool | None = None
 ) -> LyapunovSpectrum:
-    """Return the Lyapunov spectrum along a motion, from its start to its end.
+    """Compute the Lyapunov spectrum along a motion, from its start to its end.
 
-    every: time from one orthonormal basis to the next (ten steps) [s].  The exponents add up to
-    zero and come in pairs ±λ on the leaf, the latter as the time grows.
-    Raises InputError for forces that are not smooth in time, or motions by the readable route.
+    The exponents sum to zero. On the leaf they approach pairs ±λ as the duration grows.
     Source: G. Benettin et al., "Lyapunov characteristic exponents", Meccanica 15, 1980.
+
+    Args:
+        traj: Motion by the compiled engine.
+        every: Time between two orthonormalisations [s]; None: ten steps.
+        progress: Progress display, or whether to show one.
+    Returns:
+        The exponents, and their convergence over time.
+    Raises:
+        InputError: The forces are not smooth in time, the motion was not computed by the compiled
+            engine, or the leaf is a single point.
     """
-    whole = variational(traj)
-    end, d = traj.scene.end, whole.Y.shape[1]
+    flow = linearised_flow(traj)
+    duration, d = traj.scene.end, flow.Y.shape[1]
     if not d:
-        raise InputError(f"nothing of '{traj.system.name}' can be disturbed on its leaf")
-    step = _BETWEEN * whole.longest if every is None else positive(every, "every")
-    count = max(2, int(np.ceil(end / step)))
-    step, sums, history = end / count, np.zeros(d), np.zeros((count, d))
-    with shown(progress, "Lyapunov") as done:
+        raise InputError(
+            f"traj: the reduced state of '{traj.system.name}' cannot be perturbed on its leaf, so "
+            "it has no Lyapunov exponents"
+        )
+    step = _STEPS_PER_BASIS * flow.longest if every is None else positive(every, "every")
+    count = max(2, int(np.ceil(duration / step)))
+    step, sums, history = duration / count, np.zeros(d), np.zeros((count, d))
+    with shown(progress, "Lyapunov") as report:
         for k in range(count):
-            whole.advance(step)
-            Q, R = np.linalg.qr(whole.Y)
+            flow.advance(step)
+            Q, R = np.linalg.qr(flow.Y)
             sums += np.log(np.abs(np.diag(R)))
-            whole.Y[:] = Q
+            flow.Y[:] = Q
             history[k] = sums / ((k + 1) * step)
-            if done is not None:
-                done((k + 1) / count)
+            if report is not None:
+                report((k + 1) / count)
     history = history[:, np.argsort(-history[-1])]
     half, times = history[count // 2 :], step * np.arange(1.0, count + 1.0)
     spread = np.asarray(half.max(axis=0) - half.min(axis=0), dtype=float)
@@ -118,25 +143,37 @@ def lyapunov(
 
 
 def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipliers:
-    """Return the Floquet multipliers of a motion that is periodic in its reduced state.
+    """Compute the Floquet multipliers of a motion whose reduced state is periodic.
 
-    period: T, the motion's duration if None [s].  Forces and prescribed joints must have it, too.
-    The base need not return: its shift over a period is the motion's phase.
-    Raises InputError if the reduced state is not back after T.
+    The base need not return: its displacement over a period is the phase of the motion.
+
+    Args:
+        traj: Motion by the compiled engine.
+        period: Period T [s] of the reduced state, the forces and the prescribed joints; None: the
+            duration of the motion.
+    Returns:
+        The multipliers, and the closure of the period.
+    Raises:
+        InputError: The motion is shorter than T, or its reduced state at T differs from the initial
+            one.
     """
     T = traj.scene.end if period is None else positive(period, "period")
     if traj.scene.end * (1.0 + 1e-12) < T:
-        raise InputError(f"the motion ends at {traj.scene.end:g} s, before its period {T:g} s")
-    whole = variational(traj)
-    start, first = whole.y.copy(), whole.Y.copy()
-    whole.advance_surely(T)
-    closure = _closure(traj, whole, start, T)
-    if not closure <= _CLOSED:
         raise InputError(
-            f"the motion of '{traj.system.name}' is not back after {T:g} s: its reduced state "
-            f"misses its start by {closure:.2g}; give its period"
+            f"period: expected at most the duration {traj.scene.end:g} s of the motion, got "
+            f"{T:g} s. Simulate at least one period."
         )
-    monodromy = first.T @ whole.Y
+    flow = linearised_flow(traj)
+    initial_y, initial_basis = flow.y.copy(), flow.Y.copy()
+    flow.advance_converged(T)
+    closure = _closure(traj, flow, initial_y, T)
+    if not closure <= _MAX_CLOSURE:
+        raise InputError(
+            f"period: the motion of '{traj.system.name}' is not periodic after {T:g} s; its "
+            f"reduced state differs from the initial one by {closure:.2g}. "
+            "Pass the period of the motion."
+        )
+    monodromy = initial_basis.T @ flow.Y
     values = (
         np.linalg.eigvals(monodromy).astype(complex) if monodromy.size else np.zeros(0, complex)
     )
@@ -144,17 +181,29 @@ def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipli
     return FloquetMultipliers(values, np.log(values) / T, monodromy, T, closure)
 
 
-def _closure(traj: Trajectory, whole: Variational, start: Array, T: float) -> float:
-    """Return how far the reduced state is from its start, whole turns of angles left out."""
-    kept, layout, system = whole.leaf.kept, whole.flow.kernel.layout, traj.system
-    apart = (whole.y - start)[kept]
-    touched = traj.scene.force_model.touched if traj.scene.force_model is not None else ()
+def _closure(traj: Trajectory, flow: LinearisedFlow, initial_y: Array, T: float) -> float:
+    """Return the relative difference of the reduced state from its initial value.
+
+    Full turns of angles are ignored where no force depends on them. Torques and prescribed joints
+    at 0 and T are compared, too.
+
+    Args:
+        traj: The motion.
+        flow: Its linearised flow, at time T.
+        initial_y: Initial reduced state, (size,).
+        T: Period [s].
+    Returns:
+        The largest difference, relative to the size of the reduced state.
+    """
+    indices, layout, system = flow.leaf.indices, flow.flow.kernel.layout, traj.system
+    difference = (flow.y - initial_y)[indices]
+    driven_joints = traj.scene.force_model.touched if traj.scene.force_model is not None else ()
     for i, k in enumerate(layout.active):
-        if system.units[k] == "rad" and k not in touched:
-            apart[i] -= 2.0 * np.pi * np.round(apart[i] / (2.0 * np.pi))
+        if system.units[k] == "rad" and k not in driven_joints:
+            difference[i] -= 2.0 * np.pi * np.round(difference[i] / (2.0 * np.pi))
     model = traj.scene.force_model
     if model is not None and model.needs_time:
-        first, last = (
+        torque_0, torque_T = (
             model.acting(
                 ForceInputs(
                     t, np.zeros(system.m), np.zeros(system.m), np.zeros(system.r),
@@ -163,8 +212,10 @@ def _closure(traj: Trajectory, whole: Variational, start: Array, T: float) -> fl
             ).torque
             for t in (0.0, T)
         )  # fmt: skip
-        plans = [model.prescribed(t, model.numbers_from(t, traj.scene.end)) for t in (0.0, T)]
-        moved = np.concatenate([plans[1].x - plans[0].x, plans[1].xdot - plans[0].xdot])
-        apart = np.concatenate([apart, last - first, moved])
-    size = 1.0 + float(np.abs(start[kept]).max(initial=0.0))
-    return float(np.abs(apart).max(initial=0.0)) / size
+        prescribed = [model.prescribed(t, model.numbers_from(t, traj.scene.end)) for t in (0.0, T)]
+        prescribed_change = np.concatenate(
+            [prescribed[1].x - prescribed[0].x, prescribed[1].xdot - prescribed[0].xdot]
+        )
+        difference = np.concatenate([difference, torque_T - torque_0, prescribed_change])
+    size = 1.0 + float(np.abs(initial_y[indices]).max(initial=0.0))
+    return float(np.abs(difference).max(initial=0.0)) / size

@@ -1,8 +1,8 @@
-"""The reduced state of a scene by names, and the directions in which it can change.
+"""The reduced state of a compiled flow: names, scales, and tangent space of its leaf.
 
-The compiled kernel's state is y = (x, π) of the active joints, x of the cyclic ones, parts of the
-base, and the time.  Angles of cyclic joints and the time are left out, as nothing depends on them;
-the momentum of the base stays on its leaf, where the Casimirs are constant.
+The state of the compiled kernel is y = (x, π) of the active joints, x of the cyclic joints, entries
+of the base, and time. Cyclic angles and time are left out, because the flow does not depend on
+them. The momentum of the base stays on its symplectic leaf, where the Casimirs are constant.
 """
 
 from __future__ import annotations
@@ -19,102 +19,123 @@ from ...reduction.base_parts import BaseParts
 from ...reduction.inertia_split import usual_inertias
 from ...system.system import System
 
-_NONE = 1e-12  # of the inertia at a usual rate; less momentum is none
+_ZERO_MOMENTUM = 1e-12  # largest scaled momentum that counts as zero
 
 
 @dataclass(frozen=True)
 class Leaf:
-    """The tangent of the symplectic leaf at a reduced state.
+    """The tangent space of the symplectic leaf at a reduced state.
 
-    kept: indices of y that count, (k,).  scales: (k,) usual sizes of these entries: 1, and of a
-    momentum the inertia it belongs to.  basis: (k, d) of z/scales, orthonormal.  names: of the kept
-    entries.  places, momenta: where x and π of the active joints stand among the kept entries.
+    Attributes:
+        indices: Indices of the entries z of y that the flow depends on, (k,).
+        scales: Typical sizes of these entries, (k,): 1, or the inertia that belongs to a momentum.
+        basis: Orthonormal basis in z/scales, (k, d).
+        names: Names of these entries.
+        places: Position of x of the active joints in z.
+        momenta: Position of π of the active joints in z.
     """
 
-    kept: Array
+    indices: Array
     scales: Array
     basis: Array
     names: tuple[str, ...]
     places: slice
     momenta: slice
 
-    def restricted(self, matrix: Array) -> Array:
-        """Return what a matrix (k, k) on z does on the leaf, (d, d)."""
+    def restrict(self, matrix: Array) -> Array:
+        """Restrict a matrix (k, k) on z to the leaf, (d, d)."""
         return np.asarray(self.basis.T @ (matrix / self.scales[:, None] * self.scales) @ self.basis)
 
-    def outward(self, vectors: NDArray[Any]) -> NDArray[Any]:
-        """Return vectors (k, …) in z from those on the leaf, (d, …)."""
+    def embed(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """Embed vectors on the leaf, (d, …), in z, (k, …)."""
         return np.asarray((self.scales * (self.basis @ vectors).T).T)
 
 
 def leaf_of(kernel: Kernel, y: Array, rate: float = 1.0) -> Leaf:
-    """Return the leaf through a reduced state (size,) of a kernel.  rate: a usual one [rad/s]."""
+    """Return the leaf through a reduced state.
+
+    Args:
+        kernel: Compiled kernel of the flow.
+        y: Reduced state, (size,).
+        rate: Typical rate [rad/s], which scales momenta.
+    Returns:
+        The leaf.
+    """
     system, layout = kernel.system, kernel.layout
     active, base = len(layout.active), layout.base
-    kept = np.r_[: 2 * active, layout.base_at : layout.base_at + base.size].astype(np.intp)
-    scales = _scales(kernel, rate)[kept]
-    basis = np.eye(len(kept))
+    indices = np.r_[: 2 * active, layout.base_at : layout.base_at + base.size].astype(np.intp)
+    scales = _scales(kernel, rate)[indices]
+    basis = np.eye(len(indices))
     if not base.attitude:
-        rows = _casimir_slopes(y[kept] / scales, 2 * active, base)
-        basis = _null_space(rows) if len(rows) else basis
+        gradients = _casimir_gradients(y[indices] / scales, 2 * active, base)
+        basis = _null_space(gradients) if len(gradients) else basis
     return Leaf(
-        kept,
+        indices,
         scales,
         basis,
-        reduced_names(system, kernel, kept),
+        reduced_names(system, kernel, indices),
         slice(0, active),
         slice(active, 2 * active),
     )
 
 
-def reduced_names(system: System, kernel: Kernel, kept: Array) -> tuple[str, ...]:
-    """Return the names of some entries of the reduced state."""
+def reduced_names(system: System, kernel: Kernel, indices: Array) -> tuple[str, ...]:
+    """Return the names of the reduced-state entries with given indices."""
     layout, base = kernel.layout, kernel.layout.base
     joints = system.shape_names
     names = [joints[k] for k in layout.active]
     names += [f"π {joints[k]}" for k in layout.active]
     names += [joints[k] for k in layout.cyclic]
-    turns = [name.replace("ω", "L") for name in system.group.twist_names[system.group.linear :]]
+    momentum_names = [
+        name.replace("ω", "L") for name in system.group.twist_names[system.group.linear :]
+    ]
     names += [*system.group.pose_names[system.group.linear :]][: base.attitude]
-    names += [f"Γ{k + 1}" for k in range(base.down)] + turns[: base.momentum]
+    names += [f"Γ{k + 1}" for k in range(base.down)] + momentum_names[: base.momentum]
     names += [f"push {k + 1}" for k in range(base.push)] + ["t"] * layout.clock
-    return tuple(names[int(k)] for k in kept)
+    return tuple(names[int(k)] for k in indices)
 
 
 def _scales(kernel: Kernel, rate: float) -> Array:
-    """Return usual sizes of the reduced state's entries, (size,)."""
+    """Return the typical sizes of the reduced-state entries, (size,)."""
     system, layout, base = kernel.system, kernel.layout, kernel.layout.base
-    usual, active, r = rate * usual_inertias(system), len(layout.active), system.r
-    out = np.ones(layout.base_at + base.size)
-    out[active : 2 * active] = usual[r:][list(layout.active)]
+    momenta, active, r = rate * usual_inertias(system), len(layout.active), system.r
+    scales = np.ones(layout.base_at + base.size)
+    scales[active : 2 * active] = momenta[r:][list(layout.active)]
     if base.momentum:
-        at = layout.base_at + base.attitude + base.down
-        out[at : at + base.momentum] = usual[r - base.momentum : r].max()
-    return np.where(out > 0.0, out, 1.0)
+        offset = layout.base_at + base.attitude + base.down
+        scales[offset : offset + base.momentum] = momenta[r - base.momentum : r].max()
+    return np.where(scales > 0.0, scales, 1.0)
 
 
-def _casimir_slopes(z: Array, at: int, base: BaseParts) -> Array:
-    """Return the slopes of the Casimirs at z (k,), in scaled entries, each in a row.
+def _casimir_gradients(z: Array, at: int, base: BaseParts) -> Array:
+    """Return the gradients of the Casimirs in scaled entries z (k,), one per row.
 
-    at: where the base's entries begin.  Where there is no momentum, the leaf is that point alone.
+    At zero momentum the leaf is a single point, so that all momenta are constrained.
+
+    Args:
+        z: Scaled reduced state, (k,).
+        at: Index of the first entry of the base.
+        base: Entries of the base.
+    Returns:
+        (c, k) gradients.
     """
     if base.down:
-        rows = np.zeros((2, len(z)))
+        gradients = np.zeros((2, len(z)))
         down, momentum = z[at : at + 3], z[at + 3 : at + 6]
-        rows[0, at : at + 3] = down
-        rows[1, at : at + 3], rows[1, at + 3 : at + 6] = momentum, down
-        return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+        gradients[0, at : at + 3] = down
+        gradients[1, at : at + 3], gradients[1, at + 3 : at + 6] = momentum, down
+        return np.asarray(gradients / np.linalg.norm(gradients, axis=1, keepdims=True))
     if base.momentum != 3:
         return np.zeros((0, len(z)))
-    rows, momentum = np.zeros((3, len(z))), z[at : at + 3]
-    if np.linalg.norm(momentum) <= _NONE:
-        rows[:, at : at + 3] = np.eye(3)
-        return rows
-    rows[0, at : at + 3] = momentum / np.linalg.norm(momentum)
-    return rows[:1]
+    gradients, momentum = np.zeros((3, len(z))), z[at : at + 3]
+    if np.linalg.norm(momentum) <= _ZERO_MOMENTUM:
+        gradients[:, at : at + 3] = np.eye(3)
+        return gradients
+    gradients[0, at : at + 3] = momentum / np.linalg.norm(momentum)
+    return gradients[:1]
 
 
-def _null_space(rows: Array) -> Array:
-    _, singular, vectors = np.linalg.svd(rows)
+def _null_space(matrix: Array) -> Array:
+    _, singular, vectors = np.linalg.svd(matrix)
     rank = int((singular > 1e-12 * singular[0]).sum())
     return np.asarray(vectors[rank:].T)

@@ -1,25 +1,23 @@
-"""Definiteness of the second variation at a relative equilibrium, across the family it is in.
+"""Definiteness of the second variation at a relative equilibrium, transverse to its family.
 
-The Hessian of the amended potential on shapes × directions is one block of the second variation of
-the energy–momentum function, the reduced kinetic energy the other, which is positive: where both
-are positive definite, the motion stays close for ever.  A body without joints has no other block,
-so that a maximum is as good as a minimum.
+The second variation of the energy–momentum function has two blocks. One is the Hessian of the
+amended potential on shapes × directions. The other is the reduced kinetic energy, which is
+positive. If both are positive definite, the equilibrium is stable. A body without joints has only
+the first block, so that a maximum is stable, too.
 
-Where gravity turns a pivoted body, the momentum about the vertical is kept, and a top that sleeps
-upright is no minimum of what that leaves.  A top that is symmetric about an axis a of its own
-through the pivot also keeps μ·a.  So does one with rotors whose angles nothing depends on: with
-K = K_bb − K_bc K_cc⁻¹ K_cb, the inertia of base and cyclic rotors b, c that these leave, and the
-momentum k that stays when the body stands still,
+Under gravity, a pivoted body conserves its momentum about the vertical. An upright spinning
+("sleeping") top is stable, but it is no minimum of the amended potential. A top that is symmetric
+about a body axis a through the pivot also conserves μ·a. The same holds with cyclic rotors. Let b
+be the base, c the cyclic and d the driven rotors. With K = H_bb − H_bc H_cc⁻¹ H_cb, the effective
+inertia, and k, the momentum of the rotors while the body is at rest, the energy is
 
-    h(Γ, μ) = ½ (μ − k)ᵀ K⁻¹ (μ − k) − m |g| c·Γ,     k = H_bd ν + K_bc K_cc⁻¹ (π − H_cd ν),
+    h(Γ, μ) = ½ (μ − k)ᵀ K⁻¹ (μ − k) − m |g| c·Γ,     k = H_bd ν + H_bc H_cc⁻¹ (π − H_cd ν),
 
 for momenta π of the cyclic rotors and rates ν of the driven ones.
 
-Source: D. Lewis, T. Ratiu, J. C. Simo, J. E. Marsden, "The heavy top: a geometric treatment",
-Nonlinearity 5, 1992.
-
-Source: J. C. Simo, D. Lewis, J. E. Marsden, "Stability of relative equilibria. Part I: The reduced
-energy–momentum method", 1991.
+Sources: J. C. Simo, D. Lewis, J. E. Marsden, "Stability of relative equilibria. Part I: The reduced
+energy–momentum method", 1991; D. Lewis, T. Ratiu, J. C. Simo, J. E. Marsden, "The heavy top: a
+geometric treatment", Nonlinearity 5, 1992.
 """
 
 from __future__ import annotations
@@ -37,24 +35,25 @@ from ..equilibria.amended_energy import AmendedEnergy, Points, tangents
 from ..equilibria.problem import Problem
 from ..equilibria.search import critical_points, residuals
 
-_NULL = 1e-7  # of the largest curvature; below it a direction is flat
-_ALONG = 0.1  # rad | m, how far a family is followed to see that it is one
-_SAME = 1e-9  # of the size of the energies; equilibria of one family have the same
-
-_SYMMETRIC = 1e-12  # of the inertia, by which a body may miss being symmetric
-_CRITICAL = 1e-8  # of the slope of the energy, what may be left of it at an equilibrium
-_RANK = 1e-10  # of the largest singular value
-_DEFINITE = 1e-14  # of the largest entry, the least curvature that counts
-_REACH = 1e3  # times the rates of the body, to which multipliers are tried
+_NULL = 1e-7  # relative to the largest curvature; below it a direction is flat
+_FAMILY_STEP = 0.1  # rad | m, displacement along a flat direction that tests for a family
+_SAME_ENERGY = 1e-9  # largest relative difference of energies within one family
+_SYMMETRIC = 1e-12  # largest asymmetry of a symmetric body, relative to its inertia
+_CRITICAL = 1e-8  # largest residual of the critical-point equations, relative to dh
+_RANK = 1e-10  # smallest singular value that counts, relative to the largest
+_DEFINITE = 1e-14  # least eigenvalue of a definite matrix, relative to its largest entry
+_REACH = 1e3  # largest multiplier in the search, in units of the body's rate
 
 
 @dataclass(frozen=True)
 class SecondVariation:
-    """Curvatures of the amended potential at an equilibrium.
+    """Curvatures of the amended potential at an equilibrium. Arrays are read-only.
 
-    values: (u,) of its Hessian, in units of the kinetic energy [1/s²].  dimension: of the family
-    of equilibria.  index: number of negative curvatures across it.  definite: whether the second
-    variation is, across the family.
+    Attributes:
+        values: Eigenvalues of its Hessian relative to the kinetic metric, (u,) [1/s²].
+        dimension: Dimension of the family of equilibria.
+        index: Number of negative curvatures transverse to the family.
+        definite: Whether the second variation is definite transverse to the family.
     """
 
     values: Array
@@ -67,36 +66,55 @@ class SecondVariation:
 
 
 def second_variation(energy: AmendedEnergy, point: Points, J: float) -> SecondVariation:
-    """Return the second variation at one equilibrium, a Points of length one."""
+    """Compute the second variation at one equilibrium.
+
+    Args:
+        energy: Amended potential of the problem.
+        point: The equilibrium, a Points of length one.
+        J: Momentum.
+    Returns:
+        Its curvatures and their signs.
+    """
     problem = energy.problem
     e = energy(point, J)
     W = weights(problem, point)
     values, vectors = np.linalg.eigh(W @ e.hessian[0] @ W)
     largest = float(np.abs(values).max(initial=0.0))
-    # What round-off leaves of a rigid body's energy, where there is nothing else.
+    # The energy of a rigid body may be constant, and its curvatures round-off only.
     floor = max(_NULL * largest, 1e-13 * float(e.scale[0]) * float(np.max(W, initial=0.0)) ** 2)
     flat = np.abs(values) <= floor
-    dimension = _family(energy, point, J, W @ vectors[:, flat]) if flat.any() else 0
-    rest = values[~flat] if dimension == int(flat.sum()) else values
-    index = int((rest < -floor).sum())
-    positive = bool((rest > floor).all())
-    # A free body without joints has nothing but its direction; a heavy one swings about it.
-    negative = bool((rest < -floor).all()) and not problem.active and problem.kind == "free"
+    dimension = _family_dimension(energy, point, J, W @ vectors[:, flat]) if flat.any() else 0
+    transverse = values[~flat] if dimension == int(flat.sum()) else values
+    index = int((transverse < -floor).sum())
+    positive = bool((transverse > floor).all())
+    # A free body without joints changes only its direction; a heavy one also swings about it.
+    negative = bool((transverse < -floor).all()) and not problem.active and problem.kind == "free"
     definite = positive or negative
     if not definite and problem.kind == "heavy" and not problem.active:
-        definite = definite_with_own_axis(heavy_top(problem, J), point.n[0], J)
+        definite = is_definite_with_axis_momentum(heavy_top(problem, J), point.n[0], J)
     return SecondVariation(values, dimension, index, definite)
 
 
 def weights(problem: Problem, point: Points) -> Array:
-    """Return W with W² the inverse of a metric on the unknowns: the kinetic one, and of turns."""
+    """Return W whose square is the inverse of the kinetic metric on the unknowns.
+
+    The metric on directions is the locked inertia.
+
+    Args:
+        problem: Problem of the relative equilibria.
+        point: One point, a Points of length one.
+    Returns:
+        (u, u), symmetric.
+    """
     ma, system = len(problem.active), problem.system
-    rows = [*range(system.r), *(system.r + k for k in problem.cyclic)]
-    active = [system.r + k for k in problem.active]
+    group_indices = [*range(system.r), *(system.r + k for k in problem.cyclic)]
+    active_indices = [system.r + k for k in problem.active]
     H = mass_matrix(system, problem.shapes(point.x)[0])
-    K, side = H[np.ix_(rows, rows)], H[np.ix_(rows, active)]
+    K, coupling = H[np.ix_(group_indices, group_indices)], H[np.ix_(group_indices, active_indices)]
     metric = np.zeros((problem.unknowns, problem.unknowns))
-    metric[:ma, :ma] = H[np.ix_(active, active)] - side.T @ np.linalg.solve(K, side)
+    metric[:ma, :ma] = H[np.ix_(active_indices, active_indices)] - coupling.T @ np.linalg.solve(
+        K, coupling
+    )
     if problem.directional:
         T = tangents(point.n)[0]
         I = K[system.r - 3 : system.r, system.r - 3 : system.r]
@@ -105,27 +123,36 @@ def weights(problem: Problem, point: Points) -> Array:
     return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
 
 
-def _family(energy: AmendedEnergy, point: Points, J: float, flat: Array) -> int:
-    """Return in how many of the flat directions (u, k), each in a column, equilibria go on."""
-    here = energy(point, J)
+def _family_dimension(energy: AmendedEnergy, point: Points, J: float, flat: Array) -> int:
+    """Count the flat directions (u, k), one per column, that lead to other equilibria."""
+    initial = energy(point, J)
     count = 0
     for direction in (flat / np.linalg.norm(flat, axis=0)).T:
-        there, e = critical_points(energy, point.moved(_ALONG * direction[None]), J)
-        if not len(there):
+        neighbour, energies = critical_points(
+            energy, point.moved(_FAMILY_STEP * direction[None]), J
+        )
+        if not len(neighbour):
             continue
-        apart = np.concatenate([there.x - point.x, there.n - point.n], axis=1)
-        gone = float(np.linalg.norm(apart)) > 0.5 * _ALONG
-        same = abs(float(e.U[0] - here.U[0])) <= _SAME * float(here.scale[0])
-        count += bool(gone and same and residuals(e)[0] <= 1e-9)
+        difference = np.concatenate([neighbour.x - point.x, neighbour.n - point.n], axis=1)
+        is_distinct = float(np.linalg.norm(difference)) > 0.5 * _FAMILY_STEP
+        has_same_energy = abs(float(energies.U[0] - initial.U[0])) <= _SAME_ENERGY * float(
+            initial.scale[0]
+        )
+        count += bool(is_distinct and has_same_energy and residuals(energies)[0] <= 1e-9)
     return count
 
 
 @dataclass(frozen=True)
 class HeavyTop:
-    """A body on a pivot in gravity, with rotors that turn steadily; arrays are read-only.
+    """A body on a pivot under gravity, with steadily spinning rotors. Arrays are read-only.
 
-    inertia: (3, 3) K.  offset: (3,) k.  com: (3,) c.  weight: m |g|.  scales: (6,) usual sizes of
-    (Γ, μ).  rate: a usual one [rad/s].
+    Attributes:
+        inertia: Effective inertia K, (3, 3) [kg m²].
+        offset: Momentum k of the rotors, (3,) [N m s].
+        com: Centre of mass c in the body, (3,) [m].
+        weight: Gravity force m |g| [N].
+        scales: Typical sizes of (Γ, μ), (6,).
+        rate: Typical rate of the body [rad/s].
     """
 
     inertia: Array
@@ -140,40 +167,54 @@ class HeavyTop:
 
     @property
     def axis(self) -> Array | None:
-        """The direction (3,) about which inertia, centre of mass and rotors are symmetric."""
+        """The common symmetry axis (3,) of inertia, centre of mass and rotors, or None."""
         axis = self.com / np.linalg.norm(self.com)
-        bent = np.abs(hat(axis) @ self.inertia - self.inertia @ hat(axis)).max()
-        aside = np.abs(np.cross(axis, self.offset)).max()
-        if bent > _SYMMETRIC * np.abs(self.inertia).max():
+        inertia_asymmetry = np.abs(hat(axis) @ self.inertia - self.inertia @ hat(axis)).max()
+        offset_asymmetry = np.abs(np.cross(axis, self.offset)).max()
+        if inertia_asymmetry > _SYMMETRIC * np.abs(self.inertia).max():
             return None
-        return None if aside > _SYMMETRIC * self.scales[3] else axis
+        return None if offset_asymmetry > _SYMMETRIC * self.scales[3] else axis
 
 
 def heavy_top(problem: Problem, J: float) -> HeavyTop:
-    """Return the top that a problem without active joints is; J sets its usual momentum."""
+    """Return the top that corresponds to a problem without active joints.
+
+    Args:
+        problem: Problem of a pivoted body under gravity.
+        J: Momentum about the vertical [N m s], which sets the typical momentum.
+    Returns:
+        The top.
+    """
     system, cyclic = problem.system, list(problem.cyclic)
-    d = inertia_derivatives(system, problem.shapes(np.zeros((1, 0))), of=())
-    H, c = d.H[0], d.com[0]
-    spins = [3 + k for k in cyclic]
-    across, own = H[:3, spins], H[np.ix_(spins, spins)]
-    driven = [3 + k for k in problem.driven]
-    momenta = problem.cyclic_momenta - H[np.ix_(spins, driven)] @ problem.driven_rate
-    K = H[:3, :3] - across @ np.linalg.solve(own, across.T)
-    offset = H[:3][:, driven] @ problem.driven_rate + across @ np.linalg.solve(own, momenta)
+    derivatives = inertia_derivatives(system, problem.shapes(np.zeros((1, 0))), of=())
+    H, c = derivatives.H[0], derivatives.com[0]
+    spin_indices = [3 + k for k in cyclic]
+    H_bc, H_cc = H[:3, spin_indices], H[np.ix_(spin_indices, spin_indices)]
+    driven_indices = [3 + k for k in problem.driven]
+    momenta = problem.cyclic_momenta - H[np.ix_(spin_indices, driven_indices)] @ problem.driven_rate
+    K = H[:3, :3] - H_bc @ np.linalg.solve(H_cc, H_bc.T)
+    offset = H[:3][:, driven_indices] @ problem.driven_rate + H_bc @ np.linalg.solve(H_cc, momenta)
     weight = system.mass * float(np.linalg.norm(system.gravity))
-    least, most = np.linalg.eigvalsh(K)[[0, -1]]
-    pull = weight * float(np.linalg.norm(c))
-    momentum = abs(J) + float(np.linalg.norm(offset)) + float(np.sqrt(most * pull))
+    least_inertia, largest_inertia = np.linalg.eigvalsh(K)[[0, -1]]
+    torque = weight * float(np.linalg.norm(c))
+    momentum = abs(J) + float(np.linalg.norm(offset)) + float(np.sqrt(largest_inertia * torque))
     scales = np.repeat([1.0, momentum], 3)
-    return HeavyTop(K, offset, c, weight, scales, momentum / float(least))
+    return HeavyTop(K, offset, c, weight, scales, momentum / float(least_inertia))
 
 
-def definite_with_own_axis(top: HeavyTop, up: Array, J: float) -> bool:
-    """Return whether the momentum about the top's own axis makes a steady motion stable.
+def is_definite_with_axis_momentum(top: HeavyTop, up: Array, J: float) -> bool:
+    """Return whether the momentum about the symmetry axis makes a steady motion stable.
 
-    up: (3,) the upward vertical in the body.  In z = (Γ, μ), Γ = −up, the second variation of
-    h − λ₁ μ·Γ − λ₂ ½|Γ|² − κ μ·a on the leaf, where μ·a is constant, is tried for all multipliers
-    that leave the equilibrium critical.
+    With z = (Γ, μ) and Γ = −up, the test takes the second variation of
+    h − λ₁ μ·Γ − λ₂ ½|Γ|² − κ μ·a on the leaf with constant μ·a. It tries all multipliers for which
+    the equilibrium is a critical point.
+
+    Args:
+        top: The body.
+        up: Upward vertical in the body, (3,).
+        J: Momentum about the vertical [N m s].
+    Returns:
+        True if the second variation is definite for some multipliers.
     """
     axis = top.axis
     if axis is None:
@@ -181,41 +222,50 @@ def definite_with_own_axis(top: HeavyTop, up: Array, J: float) -> bool:
     D, K, gamma = top.scales, top.inertia, -up
     omega = (J - float(up @ top.offset)) / float(up @ K @ up) * up
     mu = K @ omega + top.offset
-    slope_h = D * np.concatenate([-top.weight * top.com, omega])
-    slopes = D * np.array([np.r_[mu, gamma], np.r_[gamma, np.zeros(3)], np.r_[np.zeros(3), axis]])
-    first = np.linalg.lstsq(slopes.T, slope_h, rcond=None)[0]
-    if np.linalg.norm(slopes.T @ first - slope_h) > _CRITICAL * np.linalg.norm(slope_h):
+    dh = D * np.concatenate([-top.weight * top.com, omega])
+    constraint_gradients = D * np.array(
+        [np.r_[mu, gamma], np.r_[gamma, np.zeros(3)], np.r_[np.zeros(3), axis]]
+    )
+    multipliers = np.linalg.lstsq(constraint_gradients.T, dh, rcond=None)[0]
+    if np.linalg.norm(constraint_gradients.T @ multipliers - dh) > _CRITICAL * np.linalg.norm(dh):
         return False
-    _, singular, right = np.linalg.svd(slopes.T)
-    free = singular[2] <= _RANK * singular[0]  # upright: a is along the vertical
-    other = right[2] / right[2][0] if free else np.zeros(3)
-    turn = np.concatenate([np.cross(axis, gamma), np.cross(axis, mu)]) / D  # about the own axis
-    rows = np.vstack([slopes, turn]) if np.linalg.norm(turn) > _RANK else slopes
-    _, singular, right = np.linalg.svd(rows)
+    _, singular, right = np.linalg.svd(constraint_gradients.T)
+    is_upright = singular[2] <= _RANK * singular[0]  # then the axis is vertical
+    multiplier_direction = right[2] / right[2][0] if is_upright else np.zeros(3)
+    axis_rotation = np.concatenate([np.cross(axis, gamma), np.cross(axis, mu)]) / D
+    constraints = (
+        np.vstack([constraint_gradients, axis_rotation])
+        if np.linalg.norm(axis_rotation) > _RANK
+        else constraint_gradients
+    )
+    _, singular, right = np.linalg.svd(constraints)
     B = right[int((singular > _RANK * singular[0]).sum()) :].T
 
     def quadratic(multiplier: float) -> Array:
-        one, two, _ = first + multiplier * other
-        whole = np.block(
-            [[-two * np.eye(3), -one * np.eye(3)], [-one * np.eye(3), np.linalg.inv(K)]]
+        lambda_1, lambda_2, _ = multipliers + multiplier * multiplier_direction
+        hessian = np.block(
+            [
+                [-lambda_2 * np.eye(3), -lambda_1 * np.eye(3)],
+                [-lambda_1 * np.eye(3), np.linalg.inv(K)],
+            ]
         )
-        return np.asarray(B.T @ (D[:, None] * whole * D) @ B)
+        return np.asarray(B.T @ (D[:, None] * hessian * D) @ B)
 
-    return _definite(quadratic, _REACH * top.rate if free else 0.0)
+    return _is_definite(quadratic, _REACH * top.rate if is_upright else 0.0)
 
 
-def _definite(quadratic: Callable[[float], Array], reach: float) -> bool:
-    """Return whether some multiplier within reach makes a quadratic form definite."""
+def _is_definite(quadratic: Callable[[float], Array], reach: float) -> bool:
+    """Return whether a multiplier in [−reach, reach] makes a quadratic form definite."""
     from scipy.optimize import minimize_scalar
 
-    for sign in (1.0, -1.0):  # the least eigenvalue is concave in the multiplier
-        best = 0.0
+    for sign in (1.0, -1.0):  # The least eigenvalue is concave in the multiplier.
+        multiplier = 0.0
         if reach:
-            best = minimize_scalar(
+            multiplier = minimize_scalar(
                 lambda k, s=sign: -np.linalg.eigvalsh(s * quadratic(k))[0],
                 bounds=(-reach, reach), method="bounded", options={"xatol": 1e-12 * reach},
             ).x  # fmt: skip
-        matrix = sign * quadratic(best)
+        matrix = sign * quadratic(multiplier)
         if np.linalg.eigvalsh(matrix)[0] > _DEFINITE * np.abs(matrix).max():
             return True
     return False

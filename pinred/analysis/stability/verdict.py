@@ -1,4 +1,4 @@
-"""The verdict on a relative equilibrium: stable, unstable, or undecided, with what decides it."""
+"""The verdict on a relative equilibrium: stable, unstable or undecided, and its reasons."""
 
 from __future__ import annotations
 
@@ -10,22 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array, freeze
-from .linearised import Linearisation, eigen, eigenvalue_errors, norm
+from .linearisation import Linearisation, eigen, eigenvalue_errors, norm
 from .second_variation import SecondVariation
 
 Verdict: TypeAlias = Literal["stable", "unstable", "undecided"]
-_SURE = 10.0  # times its error, from where on a growth is one
-_ROUND_OFF = 1e-14  # of the matrix's norm
-_NO_GROWTH = 1e-9  # of the matrix's norm; swings that grow by less are pure
+_SIGNIFICANT = 10.0  # growth rates above this multiple of their error count as unstable
+_ROUND_OFF = 1e-14  # error of the matrix, relative to its norm
+_NO_GROWTH = 1e-9  # relative to the norm; oscillations with less growth count as undamped
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode δz = Re(amplitude e^{λt}) of the linearised reduced flow.
+    """A mode δz = Re(amplitude e^{λt}) of the linearised reduced flow. Arrays are read-only.
 
-    growth: Re λ [1/s], error: of it.  frequency: Im λ [rad/s].  shape, momentum: (m,) complex
-    amplitudes of x and π of the joints, zero of those that do not swing.  base: of the base's own
-    entries of the reduced state.  Its largest shape amplitude, or else the largest, is 1.
+    Amplitudes are scaled so that the largest shape amplitude is 1; if all are zero, the largest
+    entry is.
+
+    Attributes:
+        growth: Re λ [1/s].
+        error: Error of λ [1/s].
+        frequency: Im λ [rad/s].
+        shape: Complex amplitudes of x, (m,), zero for joints that are not active.
+        momentum: Complex amplitudes of π, (m,), zero for joints that are not active.
+        base: Complex amplitudes of the base entries of the reduced state.
     """
 
     growth: float
@@ -43,11 +50,18 @@ class Mode:
 class Stability:
     """The stability of a relative equilibrium.
 
-    verdict: "stable" (definite second variation), "unstable" (a growth beyond its error), or
-    "undecided".  growth, growth_error: the largest Re λ [1/s].  frequencies: (k,) of pure swings,
-    sorted [rad/s].  modes: one of each pair, largest growth first.  index: negative curvatures of
-    the amended potential.  growing: number of real growing modes.  damped_growth: of an undecided
-    one, the growth that each joint's damper brings, per damping coefficient, largest of all modes.
+    Attributes:
+        verdict: "stable" (definite second variation), "unstable" (a growth rate well above its
+            error), or "undecided".
+        growth: Largest Re λ [1/s]; zero if none is significant.
+        growth_error: Error of that eigenvalue [1/s].
+        frequencies: Frequencies of undamped oscillations, (k,) [rad/s], sorted.
+        modes: Modes, one of each conjugate pair, largest growth first.
+        index: Number of negative curvatures of the amended potential.
+        dimension: Dimension of the family of equilibria.
+        growing: Number of growing modes with real λ.
+        damped_growth: For an undecided verdict, the largest ∂Re λ/∂c over all modes for a damper −c
+            ẋ, by joint name.
     """
 
     verdict: Verdict
@@ -61,48 +75,58 @@ class Stability:
     damped_growth: Mapping[str, float]
 
 
-def judge(
+def assess_stability(
     linear: Linearisation, second: SecondVariation, active: tuple[int, ...], joints: tuple[str, ...]
 ) -> Stability:
-    """Return the stability that linearised flow and second variation show.
+    """Decide stability by the linearised flow and the second variation.
 
-    active: indices of the joints in the reduced state.  joints: names of all.
+    Args:
+        linear: Linearised flow at the equilibrium.
+        second: Second variation of the amended potential.
+        active: Indices of the active joints.
+        joints: Names of all joints.
+    Returns:
+        The verdict, its reasons, and the modes.
     """
     leaf = linear.leaf
-    on_leaf = leaf.restricted(linear.matrix)
+    on_leaf = leaf.restrict(linear.matrix)
     values, left, right = eigen(on_leaf)
     errors = eigenvalue_errors(left, right, _ROUND_OFF * norm(on_leaf))
-    kept = np.ones(len(values), dtype=bool)
-    if second.dimension:  # of each family direction a double zero
-        kept[np.argsort(np.abs(values))[: 2 * second.dimension]] = False
-    values, errors = values[kept], errors[kept]
-    left, right = left[:, kept], right[:, kept]
+    is_transverse = np.ones(len(values), dtype=bool)
+    if second.dimension:  # Each family direction adds a double zero.
+        is_transverse[np.argsort(np.abs(values))[: 2 * second.dimension]] = False
+    values, errors = values[is_transverse], errors[is_transverse]
+    left, right = left[:, is_transverse], right[:, is_transverse]
     growths = values.real
-    sure = growths > _SURE * errors
-    top = int(np.argmax(np.where(sure, growths, -np.inf))) if sure.any() else None
+    is_significant = growths > _SIGNIFICANT * errors
+    top = (
+        int(np.argmax(np.where(is_significant, growths, -np.inf))) if is_significant.any() else None
+    )
     if top is None and len(growths):
         top = int(np.argmax(growths))
-    unstable = bool(sure.any())
+    unstable = bool(is_significant.any())
     verdict: Verdict = "unstable" if unstable else "stable" if second.definite else "undecided"
     modes = tuple(
-        _mode(value, error, leaf.outward(vector), linear, active, len(joints))
+        _mode(value, error, leaf.embed(vector), linear, active, len(joints))
         for value, error, vector in zip(values, errors, right.T, strict=True)
         if value.imag > 0.0 or (value.imag == 0.0 and value.real >= 0.0)
     )
-    swings = (values.imag > 0.0) & (
-        np.abs(growths) <= _SURE * np.maximum(errors, _NO_GROWTH * norm(on_leaf))
+    is_undamped = (values.imag > 0.0) & (
+        np.abs(growths) <= _SIGNIFICANT * np.maximum(errors, _NO_GROWTH * norm(on_leaf))
     )
     return Stability(
         verdict=verdict,
-        growth=float(growths[top]) if top is not None and sure[top] else 0.0,
+        growth=float(growths[top]) if top is not None and is_significant[top] else 0.0,
         growth_error=float(errors[top]) if top is not None else 0.0,
-        frequencies=np.sort(values.imag[swings]),
+        frequencies=np.sort(values.imag[is_undamped]),
         modes=modes,
         index=second.index,
         dimension=second.dimension,
-        growing=int((sure & (values.imag == 0.0)).sum()),
+        growing=int((is_significant & (values.imag == 0.0)).sum()),
         damped_growth=(
-            _damped(linear, values, left, right, active, joints) if verdict == "undecided" else {}
+            _damped_growth(linear, values, left, right, active, joints)
+            if verdict == "undecided"
+            else {}
         ),
     )
 
@@ -110,23 +134,39 @@ def judge(
 def _mode(
     value: complex,
     error: float,
-    vector: NDArray[np.complex128],
+    amplitudes: NDArray[np.complex128],
     linear: Linearisation,
     active: tuple[int, ...],
     count: int,
 ) -> Mode:
+    """Return one mode, scaled so that its largest shape amplitude is 1.
+
+    Args:
+        value: Eigenvalue [1/s].
+        error: Error of the eigenvalue [1/s].
+        amplitudes: Eigenvector, (k,).
+        linear: Linearised flow.
+        active: Indices of the active joints.
+        count: Number of all joints.
+    Returns:
+        The mode.
+    """
     shape, momentum = np.zeros((2, count), dtype=complex)
-    places = vector[linear.leaf.places]
-    whole = places if np.abs(places).max(initial=0.0) > 1e-12 * np.abs(vector).max() else vector
-    size = whole[int(np.argmax(np.abs(whole)))]
-    vector = vector / size
-    shape[list(active)] = vector[linear.leaf.places]
-    momentum[list(active)] = vector[linear.leaf.momenta]
-    base = vector[linear.leaf.momenta.stop :]
+    shape_entries = amplitudes[linear.leaf.places]
+    candidates = (
+        shape_entries
+        if np.abs(shape_entries).max(initial=0.0) > 1e-12 * np.abs(amplitudes).max()
+        else amplitudes
+    )
+    scale = candidates[int(np.argmax(np.abs(candidates)))]
+    amplitudes = amplitudes / scale
+    shape[list(active)] = amplitudes[linear.leaf.places]
+    momentum[list(active)] = amplitudes[linear.leaf.momenta]
+    base = amplitudes[linear.leaf.momenta.stop :]
     return Mode(value.real, float(error), value.imag, shape, momentum, base.copy())
 
 
-def _damped(
+def _damped_growth(
     linear: Linearisation,
     values: NDArray[np.complex128],
     left: NDArray[np.complex128],
@@ -134,12 +174,25 @@ def _damped(
     active: tuple[int, ...],
     joints: tuple[str, ...],
 ) -> dict[str, float]:
-    """Return the largest ∂Re λ/∂c by the coefficient c of a damper −c ẋ at each active joint."""
-    leaf, out = linear.leaf, {}
+    """Compute the largest ∂Re λ/∂c for a damper −c ẋ at each active joint.
+
+    Args:
+        linear: Linearised flow.
+        values: Eigenvalues, (d,).
+        left: Left eigenvectors, one per column.
+        right: Right eigenvectors, one per column.
+        active: Indices of the active joints.
+        joints: Names of all joints.
+    Returns:
+        Largest derivative over all modes, by joint name [1/s per N m s/rad].
+    """
+    leaf, growth_by_joint = linear.leaf, {}
     for i, k in enumerate(active):
         change = np.zeros_like(linear.matrix)
         change[leaf.momenta.start + i] = -linear.matrix[leaf.places.start + i]
-        moved = np.einsum("ij,ik,kj->j", left.conj(), leaf.restricted(change), right)
-        rate = moved / np.einsum("ij,ij->j", left.conj(), right)
-        out[joints[k]] = float(rate.real.max(initial=-np.inf)) if len(values) else 0.0
-    return out
+        numerator = np.einsum("ij,ik,kj->j", left.conj(), leaf.restrict(change), right)
+        eigenvalue_rates = numerator / np.einsum("ij,ij->j", left.conj(), right)
+        growth_by_joint[joints[k]] = (
+            float(eigenvalue_rates.real.max(initial=-np.inf)) if len(values) else 0.0
+        )
+    return growth_by_joint

@@ -242,11 +242,7 @@ def write_inside_state(
 
 @compiled
 def _write_by_segments(run: Run, params: Array, work: Array, h: float, out: Array) -> bool:
-    """Write the state at time h after row Y by 2, 4, … shorter steps, NaN if none are solved.
-
-    The stages of a long step may be solvable only from the good first guess of the whole step.
-    Return whether the state was computed.
-    """
+    """Write the state at time h by 2, 4, … shorter steps; return whether it was computed."""
     n, lanes, segments = run.n, run.lanes, 2
     for i in range(n):
         out[i] = work[Y, i]

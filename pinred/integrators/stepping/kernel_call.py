@@ -19,19 +19,13 @@ SEEDS = 8  # directions per call of a tangent kernel
 
 @make_intrinsic
 def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:
-    """Let the kernel at `address` (int64) fill dydt with the rates at y.
-
-    y (n,), params (p,) and dydt (n,) are contiguous arrays of float64.
-    """
+    """Fill dydt with the rates at y by the kernel at `address` (int64); all arrays are float64."""
     return _calling(y, params, dydt)
 
 
 @make_intrinsic
 def call_tangent(typing: Any, address: Any, y: Any, params: Any, directions: Any, out: Any) -> Any:
-    """Let the tangent kernel at `address` (int64) fill `out` with ∂ẏ/∂y · directions.
-
-    directions and out contain SEEDS consecutive values per entry.
-    """
+    """Fill `out` with ∂ẏ/∂y · directions, SEEDS consecutive values per entry."""
     return _calling(y, params, directions, out)
 
 
@@ -39,19 +33,13 @@ def call_tangent(typing: Any, address: Any, y: Any, params: Any, directions: Any
 def call_slopes(
     typing: Any, address: Any, y: Any, params: Any, along_y: Any, along_params: Any, out: Any
 ) -> Any:
-    """Let the tangent kernel at `address` (int64) fill `out` with derivatives along y and params.
-
-    along_y, along_params and out contain SEEDS consecutive values per entry.
-    """
+    """Fill `out` with derivatives along y and params, SEEDS consecutive values per entry."""
     return _calling(y, params, along_y, along_params, out)
 
 
 @make_intrinsic
 def call_adjoint(typing: Any, address: Any, y: Any, params: Any, covector: Any, out: Any) -> Any:
-    """Let the adjoint kernel at `address` (int64) fill `out` with the derivative of covector · ẏ.
-
-    The derivative by y is followed by that by the parameters.
-    """
+    """Fill `out` with the derivatives of covector · ẏ with respect to y, then the parameters."""
     return _calling(y, params, covector, out)
 
 

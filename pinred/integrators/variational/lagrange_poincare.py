@@ -118,10 +118,7 @@ def _begin(run: Run, params: Array, work: Array, first: int, h: float) -> None:
 
 @compiled
 def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
-    """Compute a step from row Y to row END; return DONE or the reason of a failure.
-
-    The first guess extrapolates rates and rotation of the previous step.
-    """
+    """Compute a step from row Y to row END; return DONE or the reason of a failure."""
     n, pairs, quaternion, half = run.n, run.pairs, run.quaternion, 0.5 * h
     address, spin = run.address, run.spin
     y, end, u = work[Y], work[first + END], work[first + TURN]

@@ -24,6 +24,11 @@ def overview(results: Sequence[WorkPrecision]) -> str:
 
     The tables give pinred's wall time at each error, and the ratio of other methods' times in the
     same run. The last table gives errors of pinred's methods relative to their tolerances.
+
+    Args:
+        results: Results of `bench_accuracy`.
+    Returns:
+        The text.
     """
     scenes = list(dict.fromkeys(result.problem for result in results))
     blocks = [scenes[k : k + _SIDE_BY_SIDE] for k in range(0, len(scenes), _SIDE_BY_SIDE)]

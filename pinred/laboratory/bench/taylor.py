@@ -31,10 +31,18 @@ def reduced_graph(problem: Problem) -> ca.Function:
 
 
 def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list[tuple[Any, Any]]:
-    """Translate a CasADi Function (y, parameters) → dy/dt to heyoka expressions [(yᵢ, dyᵢ/dt)].
+    """Translate a CasADi Function (y, parameters) → dy/dt to heyoka expressions.
 
     Numbers in `parameters` become constants, and constant subexpressions are folded. Expressions in
-    `parameters` stay symbolic. Raises UnsupportedOperationError for an unknown operation.
+    `parameters` stay symbolic.
+
+    Args:
+        function: The CasADi Function.
+        parameters: Numbers or heyoka expressions.
+    Returns:
+        Pairs (yᵢ, dyᵢ/dt).
+    Raises:
+        UnsupportedOperationError: heyoka has no such operation.
     """
     hy = import_module("heyoka")
     y = [hy.expression(f"y{k}") for k in range(function.numel_in(0))]

@@ -62,7 +62,12 @@ class _Header:
 def find_descriptions(folders: Iterable[str | Path]) -> SearchResult:
     """Find all robot descriptions in folders (or files), sorted by path, without duplicates.
 
-    Raises LoadError for a missing folder.
+    Args:
+        folders: Folders or files.
+    Returns:
+        The descriptions, and the numbers of other files.
+    Raises:
+        LoadError: A folder is missing.
     """
     files = sorted({path for folder in folders for path in _files(Path(folder))})
     headers = {path: header for path in files if (header := _read_header(path)) is not None}
@@ -129,10 +134,7 @@ def _has_macros(path: Path) -> bool:
 
 
 def _content_hash(path: Path, headers: dict[Path, _Header], including: set[Path]) -> str:
-    """Hash the content of a file and of all files that it includes.
-
-    including: files that include this one, to stop at circular includes.
-    """
+    """Hash a file with its includes; `including` are the files that include it."""
     content = hashlib.sha256()
     with suppress(OSError):
         content.update(path.read_bytes())

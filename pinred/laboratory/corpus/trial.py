@@ -176,9 +176,12 @@ def _compare_with_mujoco(
 
 
 def _compare_with_aba(system: System, duration: float) -> tuple[Report, float]:
-    """Compare a random motion with ABA; return the report and the simulation's wall time [s].
+    """Compare a random motion with ABA.
 
     If the verdict is CANNOT TELL, a shorter motion is compared.
+
+    Returns:
+        The report, and the wall time of the simulation [s].
     """
     began = time.perf_counter()
     traj = simulate(system, duration=duration, seed=0)

@@ -67,9 +67,12 @@ def _casimir(trial: Trial, count: int) -> Case:
 
 
 def _momenta(system: System, q: Array, v: Array) -> Array:
-    """Compute the angular momentum about the centre of mass, (T, 3), by Pinocchio.
+    """Compute the angular momentum about the centre of mass with Pinocchio.
 
     The base is moved to the origin, because round-off grows with its distance.
+
+    Returns:
+        (T, 3).
     """
     model, data = system.model, system.model.createData()
     centred = q.copy()

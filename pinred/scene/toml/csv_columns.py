@@ -12,7 +12,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError, LoadError
-from ...common.plain_names import quoted_path
+from ...common.names import quoted_path
 from .file_place import shown, unknown
 
 LARGEST = 1_000_000  # largest accepted size of a file [byte]
@@ -21,8 +21,13 @@ LARGEST = 1_000_000  # largest accepted size of a file [byte]
 def read_text(path: Path, what: str) -> str:
     """Return the text of a file.
 
-    `what` names the kind of file in messages.  Raises LoadError if the file is missing, too
-    large, or not UTF-8.
+    Args:
+        path: The file.
+        what: Kind of file in messages.
+    Returns:
+        The text.
+    Raises:
+        LoadError: The file is missing, too large, or not UTF-8.
     """
     try:
         if not path.is_file():
@@ -42,10 +47,18 @@ def read_text(path: Path, what: str) -> str:
 
 
 def read_columns(path: Path, columns: Sequence[str | int]) -> Array:
-    """Return columns of a csv file, (rows, len(columns)).
+    """Return columns of a csv file.
 
-    `columns` are names in the header, or indices from 0.  The first line is a header if one of
-    its cells is not a number.  Raises LoadError or InputError that names file, line and column.
+    The first line is a header if one of its cells is not a number.
+
+    Args:
+        path: The file.
+        columns: Names in the header, or indices from 0.
+    Returns:
+        (rows, len(columns)).
+    Raises:
+        LoadError: The file cannot be read.
+        InputError: A column is missing or a cell is not a number.
     """
     text = read_text(path, "csv file")
     try:

@@ -1,1 +1,1 @@
-"""The compiled route: kernels under the integrators of pinred."""
+"""The compiled engine: kernels under the integrators of pinred."""

@@ -15,7 +15,7 @@ from ...common.errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
-from ...common.plain_names import quoted
+from ...common.names import quoted
 from ...integrators.integrate import Integration
 from ...integrators.methods import Method
 from ...integrators.solution import Solution
@@ -102,11 +102,18 @@ def integrator(
 
 
 def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
-    """Return what is wrong with a run of equal steps in one of which a joint turns many times.
+    """Describe the fault of steps of constant length in which a joint makes many turns.
 
-    Nothing controls the error of such steps, and no method follows a joint so far in one.  Joints
-    whose momentum is constant, as of wheels, may turn as fast as they like.  Where
-    states are more than a step apart, the mean of their steps counts.
+    No error control shortens these steps.  Cyclic joints, such as wheels, are exempt because their
+    momentum is constant.  If the states are several steps apart, their mean step is checked.
+
+    Args:
+        kernel: The kernel.
+        plan: The plan.
+        states: Reduced states, (T, k).
+        times: Their times, (T,) [s].
+    Returns:
+        The fault as a sentence, "" if there is none.
     """
     step = getattr(plan.method, "step", None)
     active = list(kernel.layout.active)
@@ -129,7 +136,7 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
 
 
 def _refined(knots: Array, parts: int) -> Array:
-    """Return knots with every step in so many parts."""
+    """Divide each step between knots into a number of equal parts."""
     if parts == 1:
         return knots
     steps = np.arange(len(knots))
@@ -151,24 +158,18 @@ def explained(
     Returns:
         The error to raise instead.
     """
-    name = scene.system.name
+    if not isinstance(stop, (NonFiniteState, StepSizeUnderflow, NoConvergence, TooManySteps)):
+        return stop
+    name, time = scene.system.name, start + stop.time
+    x = flow.shape(time, stop.state, parameters)
+    shape = f"shape x = {x}{lost_inertia(scene.system, x)}"
     if isinstance(stop, NonFiniteState):
-        time = start + stop.time
-        x = flow.shape(time, stop.state, parameters)
-        return NonFiniteState(
-            f"{flow.entry_name(stop.entry)} of '{name}' is not finite after t = {time:g} s, "
-            f"at shape x = {x}{lost_inertia(scene.system, x)}",
-            time,
-            stop.state,
-            stop.entry,
-        )
-    if isinstance(stop, (StepSizeUnderflow, NoConvergence, TooManySteps)):
-        time = start + stop.time
-        x = flow.shape(time, stop.state, parameters)
-        return type(stop)(
-            f"'{name}' cannot be followed beyond t = {time:g} s of {scene.end:g} s at "
-            f"rtol = {scene.rtol:g}, shape x = {x}{lost_inertia(scene.system, x)}: {stop}",
-            time,
-            stop.state,
-        )
-    return stop
+        entry = flow.entry_name(stop.entry)
+        message = f"{entry} of '{name}' is not finite after t = {time:g} s, at {shape}"
+        return NonFiniteState(message, time, stop.state, stop.entry)
+    return type(stop)(
+        f"'{name}' cannot be followed beyond t = {time:g} s of {scene.end:g} s at "
+        f"rtol = {scene.rtol:g}, {shape}: {stop}",
+        time,
+        stop.state,
+    )

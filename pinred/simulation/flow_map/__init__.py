@@ -1,1 +1,1 @@
-"""The flow of a scene as a prepared map from initial state and parameters, with derivatives."""
+"""Flow maps: scenes as maps from initial state and parameters to states, with derivatives."""

@@ -1,7 +1,7 @@
-"""A flow of many columns at once: value, derivatives along directions, and back.
+"""A flow for batches of vectors: values, derivatives along directions, and backward passes.
 
-Columns, directions and covectors have leading axes (…, size), which broadcast.  Values of many
-columns run in lanes; a run of one serves all directions and covectors that are its own.
+Inputs, directions and covectors have leading axes (…, size) that are broadcast.  Values of a batch
+run in SIMD lanes; one integration serves all directions and covectors of the same inputs.
 """
 
 from __future__ import annotations
@@ -18,14 +18,18 @@ FIRST_ORDER = "flows have derivatives of first order only, and a second was aske
 
 
 class Batched:
-    """The batches of a Columns."""
+    """A flow between vectors with leading axes.
+
+    Attributes:
+        columns: The flow between single vectors.
+    """
 
     def __init__(self, columns: Columns) -> None:
-        """Take a flow between columns."""
+        """Take a flow between vectors."""
         self.columns = columns
 
     def value(self, columns: Sequence[Any]) -> Array:
-        """Return the output of each column, (…, size)."""
+        """Return the output for each of the inputs, (…, size)."""
         lead = _lead(columns)
         if not lead:
             return self.columns.value(*columns)
@@ -33,21 +37,21 @@ class Batched:
         return self.columns.values(*rows).reshape(*lead, self.columns.size)
 
     def along(self, columns: Sequence[Any], directions: Sequence[Any]) -> Array:
-        """Return the derivatives along directions of the columns, (…, size)."""
+        """Return the derivatives along directions of the inputs, (…, size)."""
         lead = _lead([*columns, *directions])
         out = np.zeros((*lead, self.columns.size))
-        for place, own, rest in _runs(columns, directions, lead):
-            flat = [part.reshape(-1, part.shape[-1]) for part in rest]
-            out[place] = self.columns.jvp(own, flat).reshape(out[place].shape)
+        for place, inputs, seeds in _runs(columns, directions, lead):
+            flat = [seed.reshape(-1, seed.shape[-1]) for seed in seeds]
+            out[place] = self.columns.jvp(inputs, flat).reshape(out[place].shape)
         return out
 
     def back(self, columns: Sequence[Any], covector: Any) -> list[Array]:
         """Return the derivatives of covector · output by each input, (…, its size)."""
         lead = _lead([*columns, covector])
         slopes = [np.zeros((*lead, size)) for size in self.columns.sizes]
-        for place, own, (part,) in _runs(columns, [covector], lead):
-            found = self.columns.vjp(own, part.reshape(-1, part.shape[-1]))
-            for out, slope in zip(slopes, found, strict=True):
+        for place, inputs, (seed,) in _runs(columns, [covector], lead):
+            gradients = self.columns.vjp(inputs, seed.reshape(-1, seed.shape[-1]))
+            for out, slope in zip(slopes, gradients, strict=True):
                 out[place] = slope.reshape(out[place].shape)
         return slopes
 
@@ -61,14 +65,14 @@ def _wide(arrays: Sequence[Any], lead: tuple[int, ...]) -> list[Any]:
 
 
 def _runs(
-    columns: Sequence[Any], rest: Sequence[Any], lead: tuple[int, ...]
+    columns: Sequence[Any], seeds: Sequence[Any], lead: tuple[int, ...]
 ) -> Iterator[tuple[Any, list[Any], list[Any]]]:
-    """Yield the places of what each run serves, its columns, and what it serves."""
+    """Yield places of results, inputs, and directions or covectors of each integration."""
     if 0 in lead:
         return
-    own = _lead(columns)
-    own = (1,) * (len(lead) - len(own)) + own
-    columns, rest = _wide(columns, own), _wide(rest, lead)
-    for index in np.ndindex(own):
-        place = tuple(slice(None) if size == 1 else i for i, size in zip(index, own, strict=True))
-        yield place, [a[index] for a in columns], [a[place] for a in rest]
+    shape = _lead(columns)
+    shape = (1,) * (len(lead) - len(shape)) + shape
+    columns, seeds = _wide(columns, shape), _wide(seeds, lead)
+    for index in np.ndindex(shape):
+        place = tuple(slice(None) if size == 1 else i for i, size in zip(index, shape, strict=True))
+        yield place, [a[index] for a in columns], [a[place] for a in seeds]

@@ -1,9 +1,10 @@
-"""flow(): a scene as a map from its initial state and parameters to states, with derivatives."""
+"""flow(): a scene as a map from initial state and parameters to states, with derivatives."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Unpack, get_args
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
-from ...common.plain_names import brief
+from ...common.names import brief
 from ...common.signatures import shows_fields
 from ...kernels.flow_functions import sizes_of
 from ...scene.scene import Scene
@@ -34,41 +35,51 @@ _SHAPE: tuple[Outcome, ...] = ("x", "xdot")
 
 
 class Flow:
-    """The map of a scene from inputs to states, of the steps that the integrator takes.
+    """The map of a scene from inputs to states, with derivatives.
 
-    Inputs are x0, xdot0, pose0, xi0 or momentum (the one that the scene gives), and the names of
-    Parameters; those that are not given at a call have the scene's values.  Derivatives are those
-    of the steps as they are taken: their lengths are constants.  A pose among inputs or outputs is
-    differentiated in the body's coordinates of its tangent, g exp(η̂) at η = 0.
+    Inputs are x0, xdot0, pose0, xi0 or momentum (the one that the scene gives), and names of
+    Parameters.  Inputs that are not given in a call have their values in the scene.  Derivatives
+    are those of the integrator's steps at constant lengths.  A pose among inputs or outputs is
+    differentiated in the body coordinates of its tangent, g exp(η̂) at η = 0.
 
-    inputs: names of the inputs with derivatives, and how many numbers each has.  outputs: the rows
-    of derivatives, by the names of State's fields.  over_times: whether it gives states over the
-    scene's times, or that at the end.
+    Attributes:
+        scene: The scene.
+        inputs: Names of the inputs with derivatives, and the number of entries of each.
+        outputs: Names of the outputs with derivatives, fields of State, and their rows.
+        over_times: Whether the flow gives states at the report times, or one at the end.
+        propagator: Kernels and integrations, for adapters.
+        input_map: Columns of the inputs, for adapters.
     """
 
     def __init__(
         self, scene: Scene, wrt: Sequence[str], of: Sequence[Outcome] | None, *, over_times: bool
     ) -> None:
-        """Prepare the flow.  Raises InputError for scenes or names that it cannot be made of."""
+        """Prepare the flow of a scene; `pinred.flow` is the usual constructor.
+
+        Args:
+            scene: The scene, in which robot parameters among `wrt` are variable.
+            wrt: Names of the inputs with derivatives.
+            of: Names of the outputs with derivatives; x, xdot, pose and xi if None.
+            over_times: Whether the flow gives states at the report times, or one at the end.
+        """
         self.scene = scene
         plan = plan_of(scene)
         self.over_times = over_times
         self.propagator = Propagator(plan, zero_momentum=_stays_zero(scene, wrt))
-        kernel = self.propagator.kernel
-        self.input_map = Inputs(scene, kernel, plan.acting.gravity, wrt)
+        self.input_map = Inputs(scene, self.propagator.kernel, plan.acting.gravity, wrt)
         self._rows = _checked_rows(of, wanted=plan.wanted)
-        sizes, at = sizes_of(scene.system), 0
-        places: dict[str, slice] = {}
-        for row in self._rows:
-            places[row] = slice(at, at + sizes[row])
-            at += sizes[row]
-        self.outputs: Mapping[str, slice] = MappingProxyType(places)
+        sizes = sizes_of(scene.system)
+        ends = np.cumsum([0, *(sizes[row] for row in self._rows)]).tolist()
+        self.outputs: Mapping[str, slice] = MappingProxyType(
+            dict(zip(self._rows, map(slice, ends, ends[1:]), strict=True))
+        )
         self.inputs: Mapping[str, int] = MappingProxyType(self.input_map.sizes)
-        self._size = at
+        self._size = ends[-1]
         self._last: tuple[bytes, Run] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _flow_of, (self.scene, self.input_map.names, self._rows, self.over_times)
+        flow = partial(Flow, over_times=self.over_times)
+        return flow, (self.scene, self.input_map.names, self._rows)
 
     def __repr__(self) -> str:
         inputs = ", ".join(f"{name} ({size})" for name, size in self.inputs.items()) or "nothing"
@@ -82,40 +93,57 @@ class Flow:
 
     @property
     def t(self) -> Array:
-        """The times of the outputs, (T,) [s]."""
+        """Times of the outputs, (T,) [s]."""
         return self.scene.report_times
 
     def __call__(self, **inputs: Any) -> State | ShapeState:
-        """Return the state at the end, or states over the scene's times.
+        """Compute the state at the end, or the states at the report times.
 
-        Raises InputError, and IntegrationError as `simulate` does.
+        An InputError is raised for invalid inputs, and an IntegrationError as by `simulate`.
+
+        Args:
+            **inputs: Values of inputs by name.
+        Returns:
+            The states, without the base if the scene leaves it out.
         """
         run = self.run(inputs)
         return self.propagator.states(run) if self.over_times else self.propagator.end(run)
 
     def jvp(self, along: Mapping[str, Any], /, **inputs: Any) -> Array:
-        """Return the derivative of the outputs along directions of inputs, (…, rows).
+        """Compute the derivative of the outputs along directions of inputs.
 
-        along: {input: direction}; zero where nothing is given.  …: the times, of a flow over times.
+        Args:
+            along: Directions by the name of the input; zero for inputs without one.
+            **inputs: Values of inputs by name.
+        Returns:
+            (rows,), or (T, rows) for a flow over times.
         """
         run = self.run(inputs)
         state, constants = self.input_map.directions(along, run.given)
         return self._shaped(self.propagator.along(run, self._rows, state, constants)[..., 0])
 
     def jacobian(self, **inputs: Any) -> dict[str, Array]:
-        """Return the derivatives of the outputs by each input, {name: (…, rows, size)}.
+        """Compute the derivatives of the outputs with respect to each input.
 
-        Those by a parameter have no last axis.
+        Args:
+            **inputs: Values of inputs by name.
+        Returns:
+            (…, rows, size) by input, with times first for a flow over times.  Parameters with
+            one entry have no last axis.
         """
         run = self.run(inputs)
-        found = self.propagator.along(run, self._rows, *self.input_map.basis(run.given))
-        return {name: self._shaped(part) for name, part in self.input_map.by_name(found).items()}
+        slopes = self.propagator.along(run, self._rows, *self.input_map.basis(run.given))
+        return {name: self._shaped(part) for name, part in self.input_map.by_name(slopes).items()}
 
     def vjp(self, covector: Any, /, **inputs: Any) -> dict[str, Array]:
-        """Return the derivatives of covector · outputs by each input, {name: (size,)}.
+        """Compute the derivatives of covector · outputs with respect to each input.
 
-        covector: (…, rows), or {output: (…, its rows)} with zero for the others.  That by a
-        parameter is a number.
+        Args:
+            covector: Weights of the outputs, (…, rows); or weights (…, its rows) by output, with
+                zero for the others.
+            **inputs: Values of inputs by name.
+        Returns:
+            (size,) by input; a number for parameters with one entry.
         """
         run = self.run(inputs, stages=True)
         by_state, by_constants = self.propagator.back(run, self._rows, self._covectors(covector))
@@ -123,7 +151,7 @@ class Flow:
         return self.input_map.by_name(by_state @ state + by_constants @ constants)
 
     def explain(self) -> str:
-        """Return what the flow skips and integrates, and which numbers are its inputs, as lines."""
+        """Describe the skipped terms, the integrated variables and the inputs, in lines."""
         from ..explain import integrated, seen_and_integrated, skipped, varying
 
         plan = self.propagator.plan
@@ -134,32 +162,61 @@ class Flow:
         return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])
 
     def own(self, name: str) -> Array:
-        """Return the scene's value of an input, (size,)."""
+        """Return the value of an input in the scene.
+
+        Args:
+            name: Name of the input.
+        Returns:
+            (size,).
+        """
         return self.input_map.value(name)
 
     def step(self, h: float) -> StepMap:
-        """Return one step of this length [s] as a map with its Jacobians, for shooting solvers.
+        """Return one step as a map with Jacobians, for shooting solvers.
 
-        It takes a State and the flow's parameters, by any of which it has derivatives.
+        The map takes a State and values of the flow's parameters, and has derivatives with respect
+        to both.
+
+        Args:
+            h: Length of the step [s].
+        Returns:
+            The map.
         """
         from .step_map import StepMap
 
         return StepMap(self, h)
 
     def of_scene(self, scene: Scene, wrt: Sequence[str], of: tuple[Outcome, ...]) -> Flow:
-        """Return the flow of another scene, over its times."""
+        """Return the flow of another scene over its report times.
+
+        Args:
+            scene: The scene.
+            wrt: Names of the inputs with derivatives.
+            of: Names of the outputs with derivatives.
+        Returns:
+            The flow.
+        """
         return Flow(scene, wrt, of, over_times=True)
 
     def one_step(
         self, inputs: Mapping[str, Any], h: float, t: float, *, derivatives: bool
     ) -> tuple[State | ShapeState, Array]:
-        """Return the state after one step from time t [s], and slopes (rows, N)."""
+        """Compute one step of the integrator; see `step`.
+
+        Args:
+            inputs: Values of inputs by name, with the state at the start of the step.
+            h: Length of the step [s].
+            t: Time of its start [s].
+            derivatives: Whether to compute derivatives.
+        Returns:
+            The state after the step, and the derivatives of the outputs, (rows, N).
+        """
         given = self.input_map.given(inputs)
         columns = self.input_map.basis(given) if derivatives else None
         return self.propagator.one_step(given, h, t, self._rows, columns)
 
     def columns(self) -> Columns:
-        """Return the flow between plain columns of numbers, in the order of `inputs`."""
+        """Return the flow as a function between vectors, in the order of `inputs`."""
         from .flow_columns import Columns
 
         return Columns(self, self.propagator, self.input_map, self.run)
@@ -167,28 +224,37 @@ class Flow:
     def casadi(self, name: str = "flow") -> FlowCallback:
         """Return the flow as a CasADi Callback with derivatives; see `columns`.
 
-        The object has to live as long as what is made of it.
+        The Callback must stay referenced as long as expressions use it.
+
+        Args:
+            name: Name of the Callback.
+        Returns:
+            The Callback.
         """
         from .casadi_adapter import FlowCallback
 
         return FlowCallback(self.columns(), name)
 
     def jax(self) -> Callable[..., Any]:
-        """Return the flow as a function of JAX with derivatives; see `columns`."""
+        """Return the flow as a JAX function with derivatives; see `columns`."""
         from .jax_adapter import jax_function
 
         return jax_function(self.columns())
 
     def torch(self) -> Callable[..., Any]:
-        """Return the flow as a function of PyTorch with autograd; see `columns`."""
+        """Return the flow as a PyTorch function with autograd; see `columns`."""
         from .torch_adapter import torch_function
 
         return torch_function(self.columns())
 
     def run(self, inputs: Mapping[str, Any], *, stages: bool = False) -> Run:
-        """Return a run with these inputs: the last one, if they are the same.
+        """Integrate the flow, unless the inputs are those of the last integration.
 
-        stages: whether a new one is to keep those of its steps.
+        Args:
+            inputs: Values of inputs by name.
+            stages: Whether to store stage derivatives for the backward pass.
+        Returns:
+            The solutions between stops.
         """
         given = self.input_map.given(inputs)
         key = given.state.tobytes() + given.constants.tobytes()
@@ -201,27 +267,27 @@ class Flow:
         """Return a covector as (T, rows)."""
         shape = (len(self.t), self._size) if self.over_times else (self._size,)
         if isinstance(covector, Mapping):
-            whole = np.zeros(shape)
+            weights = np.zeros(shape)
             for name, part in covector.items():
                 if name not in self.outputs:
                     raise InputError(
                         f"the flow has no output {brief(name)}; they are {', '.join(self.outputs)}"
                     )
                 place = self.outputs[name]
-                wanted = (*shape[:-1], place.stop - place.start)
-                given = as_floats(part, f"the covector of {name}")
-                if given.shape != wanted:
+                expected = (*shape[:-1], place.stop - place.start)
+                values = as_floats(part, f"the covector of {name}")
+                if values.shape != expected:
                     raise ShapeError(
-                        f"the covector of {name} must have shape {wanted}, got {given.shape}"
+                        f"the covector of {name} must have shape {expected}, got {values.shape}"
                     )
-                whole[..., place] = given
-            covector = whole
-        found = np.array(as_floats(covector, "the covector"), order="C")
-        if found.shape != shape:
-            raise ShapeError(f"the covector must have shape {shape}, got {found.shape}")
-        if not np.isfinite(found).all():
+                weights[..., place] = values
+            covector = weights
+        weights = np.array(as_floats(covector, "the covector"), order="C")
+        if weights.shape != shape:
+            raise ShapeError(f"the covector must have shape {shape}, got {weights.shape}")
+        if not np.isfinite(weights).all():
             raise ShapeError(f"the covector must be finite, got {brief(covector)}")
-        return found.reshape(-1, shape[-1])
+        return weights.reshape(-1, shape[-1])
 
     def _shaped(self, rows: Array) -> Array:
         return rows if self.over_times else rows[-1]
@@ -237,29 +303,28 @@ def flow(
 ) -> Flow:
     """Return the flow of a scene as a prepared map with derivatives.
 
-    scene, options: as for `simulate`.  The flow gives the state at the end, or at `times`, if the
-    scene has them.
-    wrt: names of the inputs that are to have derivatives.
-    of: the rows of derivatives, names of State's fields other than t, q and v; x, xdot, pose and xi
-        if None.
+    The flow gives the state at the end, or at `times` if the scene has them.  An InputError is
+    raised for scenes without derivatives: with Controllers, which are Python functions, or with
+    methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.
 
-    Raises InputError for scenes that have none: with Controllers, which are functions of Python,
-    or with methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.
+    Args:
+        scene: A System, or a Scene whose options are used where none are given.
+        wrt: Names of the inputs with derivatives.
+        of: Names of the outputs with derivatives, fields of State other than t, q and v; x, xdot,
+            pose and xi if None.
+        **options: Fields of Scene.
+    Returns:
+        The flow.
     """
-    made = with_varied(as_scene(scene, options, "flow"), wrt)
-    over_times = made.times is not None
+    resolved = with_varied(as_scene(scene, options, "flow"), wrt)
+    over_times = resolved.times is not None
     if not over_times:
-        made = replace(made, times=np.array([made.end]))
-    return Flow(made, wrt, of, over_times=over_times)
-
-
-def _flow_of(scene: Scene, wrt: Sequence[str], of: Sequence[Outcome], over_times: bool) -> Flow:
-    """Return a flow that was pickled: its kernels are found by their keys."""
-    return Flow(scene, wrt, of, over_times=over_times)
+        resolved = replace(resolved, times=np.array([resolved.end]))
+    return Flow(resolved, wrt, of, over_times=over_times)
 
 
 def _stays_zero(scene: Scene, wrt: Sequence[str]) -> bool:
-    """Return whether the momentum is zero whatever the inputs are that the flow varies."""
+    """Return whether the momentum is zero for all values of the inputs with derivatives."""
     mu = scene.given.mu
     return motion_of(scene) == "mu" and mu is not None and not mu.any() and "momentum" not in wrt
 

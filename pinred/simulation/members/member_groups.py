@@ -1,4 +1,4 @@
-"""Groups: members of one structure, which run with one kernel."""
+"""Groups of members that share a plan, and members given as scenes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import InputError
-from ...common.plain_names import brief
+from ...common.names import brief
 from ...integrators.methods import DOP853_LEAST, AdaptiveGauss
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
@@ -22,10 +22,13 @@ from ..plan import NO_DIFFERENCES, MemberParameters, Plan, plan_of
 
 @dataclass(frozen=True)
 class Group:
-    """Members of one structure.
+    """Members that share a plan.
 
-    members: their indices, sorted.  plan: of all of them, but for what is their own.  given: (k, …)
-    their initial states.  own: numbers of the kernel that differ between them, if some do.
+    Attributes:
+        members: Their indices, (N,) sorted.
+        plan: Their plan.
+        given: Their initial states, (N, …).
+        own: Parameters in which they differ from the plan.
     """
 
     members: Indices
@@ -35,7 +38,7 @@ class Group:
 
     @property
     def one_by_one(self) -> str:
-        """Why these members run one by one; "" if they run together."""
+        """The reason to simulate these members one by one; "" if they are integrated together."""
         plan = self.plan
         if plan.scene.events_given:
             return "events are looked for"
@@ -49,7 +52,13 @@ class Group:
 
 @dataclass(frozen=True)
 class Members:
-    """All members.  groups: by structure.  scene_of: the scene of one of them, by its index."""
+    """All members of a call of simulate_many.
+
+    Attributes:
+        count: Number of members.
+        groups: Groups of members that share a plan.
+        scene_of: Function that returns the scene of a member, given its index.
+    """
 
     count: int
     groups: Sequence[Group]
@@ -57,10 +66,10 @@ class Members:
 
 
 def members_plan(scene: Scene) -> Plan:
-    """Return the plan of a scene as members are to be run.
+    """Return the plan of a scene for the integration of many members.
 
-    Where the choice of the integrator is left open, it is among those that take many members at
-    once: several of these cost less than AdaptiveGauss, whose stages are what it takes at once.
+    If the scene does not select a method, DOP853 replaces AdaptiveGauss.  DOP853 integrates one
+    member in each SIMD lane, but AdaptiveGauss uses the lanes for its stages.
     """
     plan = plan_of(scene)
     exact = scene.tolerance[0] < DOP853_LEAST
@@ -70,9 +79,14 @@ def members_plan(scene: Scene) -> Plan:
 
 
 def of_scenes(scenes: Sequence[Scene]) -> Members:
-    """Return members given as scenes of one system, which report at the same times.
+    """Return members given as scenes of one system with equal report times.
 
-    Raises InputError for others.
+    Args:
+        scenes: The scenes.
+    Returns:
+        The members.
+    Raises:
+        InputError: An entry is no Scene, or the scenes do not belong together.
     """
     for k, scene in enumerate(scenes):
         if not isinstance(scene, Scene):
@@ -105,13 +119,13 @@ def of_scenes(scenes: Sequence[Scene]) -> Members:
 
 
 def _structure(plan: Plan) -> Hashable:
-    """Return what scenes have in common that run with one kernel and one method."""
+    """Return a key that is equal for scenes that share a kernel, a method and stops."""
     forces, given = plan.forces, plan.scene.given
     varied = plan.scene.varied
     robot = None if varied is None else (varied.names, plan.acting.gravity.astype(bool).tobytes())
     pieces: Hashable = (plan.stops.tobytes(), robot)
     if forces is not None and forces.held:
-        pieces = id(plan)  # a controller is its member's own
+        pieces = id(plan)  # Controllers have states, so each member has its own.
     return (None if forces is None else forces.key, plan.method, pieces, given.mu is None)
 
 

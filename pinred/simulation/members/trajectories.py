@@ -1,4 +1,4 @@
-"""Trajectories: the motions of all members, as arrays with names, and each by itself."""
+"""Trajectories: the motions of all members, as arrays, one by one, and in files."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
+from ...common.files import check_path, write_atomic
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System
+from ...system.variants import nominal
 from ..over_time import OverTime
 from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory
+from ..trajectory_files import robot_arrays, write_zarr
 
 if TYPE_CHECKING:
     from ..compiled.compiled_flow import CompiledFlow
@@ -68,10 +71,11 @@ class Batch:
 class Trajectories(OverTime):
     """Motions of one system, member first: the fields of State are (N, T, …).
 
-    `trajectories[i]` is the Trajectory of one member.  Numbers are NaN at times that a member has
+    `trajectories[i]` is the Trajectory of one member.  Entries are NaN at times that a member has
     not reached.
 
-    failures: the members that did not come to their end.
+    Attributes:
+        failures: Members that did not reach their end time.
     """
 
     def __init__(
@@ -120,7 +124,7 @@ class Trajectories(OverTime):
         return card(
             "Trajectories",
             f"{len(self)} of {len(self.t)} times to {self.t[-1]:g} s, {len(self.failures)} failed",
-            table("members that did not come to their end", ["member", "t [s]", "reason"], rows),
+            table("members that did not reach their end", ["member", "t [s]", "reason"], rows),
         )
 
     @property
@@ -156,17 +160,23 @@ class Trajectories(OverTime):
 
     @cached_property
     def outputs(self) -> State | ShapeState:
-        """States of all members over the report times, (N, T, …); made when first looked at."""
-        every = [self._states(member) for member in range(len(self))]
-        return replace(map_arrays(lambda *values: np.stack(values), *every), t=self.t)
+        """States of all members at the report times, (N, T, …), computed at first access."""
+        members = [self._states(member) for member in range(len(self))]
+        return replace(map_arrays(lambda *values: np.stack(values), *members), t=self.t)
 
     def __getitem__(self, member: int) -> Trajectory:
         """Return the motion of one member.
 
-        At the report times its states are those of the arrays here.  At others, and for balances,
-        it is integrated by itself when that is first asked for; this agrees with the arrays
-        within round-off times the stretch of the flow.
-        Raises IntegrationError if it did not come to its end.
+        Its states at the report times are those of the arrays.  For other times and for balances
+        it is simulated again at first use.  This agrees with the arrays within round-off times the
+        growth along the motion.
+
+        Args:
+            member: Index of the member.
+        Returns:
+            The trajectory.
+        Raises:
+            IntegrationError: The member did not reach its end time.
         """
         member = range(len(self))[member]
         if member in self._failed:
@@ -183,27 +193,50 @@ class Trajectories(OverTime):
         return Trajectory(scene, None, run, again, self._states(member))
 
     def save(self, path: str | Path) -> None:
-        """Write all members to a .npz or .zarr file (see save_members.py).  Raises InputError."""
-        from .save_members import save
+        """Write the states of all members to a file; nothing is left of a file that fails.
 
-        scenes = [self._scene_of(member) for member in range(len(self))]
-        save(self, scenes, {f.member: (f.time, f.reason) for f in self.failures}, path)
+        The file contains `t`, (T,), one array (N, T, …) for each other field of State, and the
+        robot as `Trajectory.save` writes it.  For each member there are `failure`, (N,), the reason
+        for its failure or "", and `reached`, (N,), the last time [s].  `gravity` is (N, 3), and
+        `parameter_values`, (N, …), include the parameters of forces.
+
+        An InputError is raised for another suffix or a missing folder, an OutputError if writing
+        fails, and a MissingPackageError if zarr is not installed.
+
+        Args:
+            path: Path of the file; its suffix, .npz or .zarr, selects the format.
+        """
+        path = check_path(path, (".npz", ".zarr"))
+        reasons, reached = [""] * len(self), np.full(len(self), float(self.t[-1]))
+        for failure in self.failures:
+            reasons[failure.member], reached[failure.member] = failure.reason, failure.time
+        arrays = {
+            **robot_arrays(nominal(self.system)),
+            **arrays_of(self.outputs),
+            "failure": np.array(reasons, dtype=str),
+            "reached": reached,
+            **_scene_arrays([self._scene_of(member) for member in range(len(self))]),
+        }
+        if path.suffix == ".npz":
+            write_atomic(path, lambda file: np.savez_compressed(file, **arrays))
+        else:
+            write_zarr(path, arrays)
 
     def _states(self, member: int) -> State | ShapeState:
-        """Return the states of one member over the report times, those of a failed one too."""
-        if "outputs" in vars(self):  # which members that came from elsewhere have
+        """Return the states of one member at the report times; NaN where it has failed."""
+        if "outputs" in vars(self):  # Unpickled members have states, but no flows.
             member_outputs = replace(self.outputs, t=np.broadcast_to(self.t, self.energy.shape))
             return map_arrays(lambda values: values[member], member_outputs)
         if member in self._single:
             return _up_to(self._single[member], self.t, self.system, wanted=self._wanted)
         if not any(member in batch.members for batch in self._batches):
-            return _nothing(self.system, self.t, wanted=self._wanted)
+            return _missing_states(self.system, self.t, wanted=self._wanted)
         batch, k = self._place(member)
         assert batch.flow is not None
         return batch.flow[k].states(self.t, batch.y[k])
 
     def _place(self, member: int) -> tuple[Batch, int]:
-        """Return the batch of a member, and its place there."""
+        """Return the batch of a member, and its index there."""
         for batch in self._batches:
             k = int(np.searchsorted(batch.members, member))
             if k < len(batch.members) and batch.members[k] == member:
@@ -212,10 +245,9 @@ class Trajectories(OverTime):
 
 
 def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State | ShapeState:
-    """Return the states of a motion at times (T,), NaN after an event has ended it."""
-    known = traj.outputs
-    if np.array_equal(known.t, t):
-        return known
+    """Return the states of a motion at times (T,); NaN after the event that ended it."""
+    if np.array_equal(traj.outputs.t, t):
+        return traj.outputs
     reached = t <= traj.scene.end
 
     def fill(missing: Array, values: Array) -> Array:
@@ -223,14 +255,36 @@ def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State
         filled[reached] = values
         return filled
 
-    return replace(map_arrays(fill, _nothing(system, t, wanted=wanted), traj.at(t[reached])), t=t)
+    return replace(
+        map_arrays(fill, _missing_states(system, t, wanted=wanted), traj.at(t[reached])), t=t
+    )
 
 
-def _nothing(system: System, t: Array, *, wanted: bool) -> State | ShapeState:
-    """Return states of a member that failed by itself: all NaN."""
+def _missing_states(system: System, t: Array, *, wanted: bool) -> State | ShapeState:
+    """Return states at times (T,) that are all NaN, for a member that failed one by one."""
     lengths, kind = axis_lengths(system), State if wanted else ShapeState
     fields = {
         name: np.full((len(t), lengths[axis]) if (axis := FIELDS[name].axis) else len(t), np.nan)
         for name in kind.__dataclass_fields__
     }
     return kind(**(fields | {"t": t}))
+
+
+def _scene_arrays(scenes: Sequence[Scene]) -> dict[str, Any]:
+    """Return gravity and parameters of all members, NaN for parameters that a member lacks."""
+    parameters = [
+        {name: np.ravel(value) for name, value in scene.parameters.items()} for scene in scenes
+    ]
+    sizes = {name: len(value) for values in parameters for name, value in values.items()}
+    gravity = {"gravity": np.array([scene.system.gravity for scene in scenes])}
+    if not sizes:
+        return gravity
+    entries = [
+        np.concatenate([values.get(name, np.full(size, np.nan)) for name, size in sizes.items()])
+        for values in parameters
+    ]
+    return gravity | {
+        "parameter_names": np.array(list(sizes), dtype=str),
+        "parameter_sizes": np.array(list(sizes.values())),
+        "parameter_values": np.array(entries),
+    }

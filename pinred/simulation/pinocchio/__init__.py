@@ -1,1 +1,1 @@
-"""The readable route: the same equations by Pinocchio's numbers, under SciPy's DOP853."""
+"""The readable engine: the reduced equations by Pinocchio, under SciPy's DOP853."""

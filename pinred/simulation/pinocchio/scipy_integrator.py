@@ -1,4 +1,4 @@
-"""The integrator of the Pinocchio route: SciPy's DOP853 over a flow called from Python."""
+"""The integrator of the Pinocchio engine: SciPy's DOP853."""
 
 from __future__ import annotations
 
@@ -21,10 +21,14 @@ MOST_STEPS = 1_000_000
 def integrator(
     flow: PinocchioFlow, plan: Plan, progress: Callable[[float], None] | None
 ) -> Integrate:
-    """Return what integrates a flow from one time of its plan to another.
+    """Return the function that integrates a flow from one time of its plan to another.
 
-    That raises IntegrationError, with the time and the entry at fault, if the flow cannot be
-    followed.
+    Args:
+        flow: The flow of the plan.
+        plan: The plan.
+        progress: Called after each step with the finished fraction of the time.
+    Returns:
+        The function; its IntegrationError states the time and the entry of the reduced state.
     """
     scene = plan.scene
     rtol, atol = scene.tolerance
@@ -69,7 +73,7 @@ def integrator(
                     f"'{scene.system.name}' took {MOST_STEPS} steps to t = {solver.t:g} s of "
                     f"{scene.end:g} s; shorten the scene or loosen the tolerance{lost()}"
                 )
-            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is caught below
+            with np.errstate(over="ignore", invalid="ignore"):  # overflows are reported below
                 message = solver.step()
                 step = solver.dense_output() if solver.status != "failed" else None
             if not np.isfinite(solver.y).all():

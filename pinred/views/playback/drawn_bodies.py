@@ -1,70 +1,135 @@
-"""The bodies that are drawn: what the robot's file says, or shapes made from the inertias."""
+"""Shapes of a robot for drawing: those of its URDF or MJCF file, or ellipsoids of its inertias."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
 from ...common.library_output import library_output
 from ...system.catalogue import bundled_robots, example_robot
+from ...system.mjcf.compile import compiled
+from ...system.mjcf.mujoco_joints import frame
+from ...system.mjcf.world import World, robot_in
 from ...system.robot_files import URDFDOM, is_mjcf, read_text
 from ...system.system import System
 from ...system.visuals import Visuals, mesh_folders
-from .mjcf_shapes import mjcf_shapes
-from .solids import Bodies, Mesh, Solid
 
-# Muted colours that the colour-blind tell apart (after Okabe and Ito).
+# Muted colours that are distinguishable for colour-blind people (after Okabe and Ito).
 PALETTE = (
     (0.55, 0.62, 0.70), (0.90, 0.62, 0.20), (0.35, 0.70, 0.85), (0.25, 0.62, 0.48),
     (0.80, 0.55, 0.68), (0.85, 0.80, 0.45), (0.40, 0.48, 0.70),
 )  # fmt: skip
-_SLENDER = 0.04  # radius of a limb, in radii of gyration of the robot
-_THIN = 1e-3  # least semi-axis of an ellipsoid, in radii of gyration
+_SLENDER = 0.04  # radius of a connecting capsule, relative to the robot's size
+_THIN = 1e-3  # smallest semi-axis of an ellipsoid, relative to the robot's size
+
+# MuJoCo's mjtGeom → kind and number of sizes. Planes and height fields are not drawn.
+_SHAPES = {
+    2: ("sphere", 1),
+    3: ("capsule", 2),
+    4: ("ellipsoid", 3),
+    5: ("cylinder", 2),
+    6: ("box", 3),
+}
+_MESHES = (7, 8)  # mesh, and signed distance function, which includes a mesh
+_VISIBLE_GROUPS = 3  # MuJoCo's viewer shows groups below; others usually have collision shapes
+_NO_COLOUR = (0.5, 0.5, 0.5, 1.0)  # default colour, replaced by that of the material
+
+Colour: TypeAlias = tuple[float, float, float, float]  # red, green, blue, opacity
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh.
+
+    Attributes:
+        vertices: Positions, (V, 3) [m].
+        faces: Indices of vertices, (T, 3).
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Solid:
+    """One shape on a joint.
+
+    Attributes:
+        joint: Index of the joint; 0 is the world.
+        kind: Box, sphere, cylinder, capsule, cone (along z), ellipsoid or mesh.
+        size: Box: three half sides; sphere: radius; cylinder, capsule and cone: radius and half
+            length; ellipsoid: three semi-axes [m]; mesh: index of a Mesh.
+        placement: Position [m] and quaternion in the joint's frame, (7,).
+        colour: Red, green, blue, opacity.
+    """
+
+    joint: int
+    kind: str
+    size: tuple[float, ...]
+    placement: Array
+    colour: Colour
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """All shapes of a robot.
+
+    Attributes:
+        solids: The shapes.
+        meshes: Their meshes.
+        note: Remark for the user on the origin of the shapes; may be empty.
+    """
+
+    solids: tuple[Solid, ...]
+    meshes: tuple[Mesh, ...]
+    note: str
 
 
 def drawn_bodies(
     system: System, *, meshes: bool | str | Path | Sequence[str | Path] = True
 ) -> Bodies:
-    """Return the shapes of a system; made from its inertias if it has none to show.
+    """Return the shapes of a system: those of its file, or ellipsoids of its inertias.
 
-    meshes: whether to show those of its file; or folders in which their meshes may be, too.
+    meshes: whether to use the shapes of the file, or folders that are searched for its meshes.
     """
     if meshes is False:
         return Bodies(_from_inertias(system), (), "bodies drawn from their inertias")
     visuals = system.contents.visuals
     if system.origin is None and visuals is None:
-        why = "the model was given without its file"
+        reason = "the model was given without its file"
     else:
         try:
             folders = () if meshes is True else mesh_folders(meshes)
-            bodies = _of(system, folders)
+            bodies = _file_shapes(system, folders)
             if bodies.solids:
                 return bodies
-            why = "there are no shapes with the model"
+            reason = "there are no shapes with the model"
             if visuals is None:
-                why = "its file has no shapes"
+                reason = "its file has no shapes"
         except (PinredError, ValueError, RuntimeError, OSError) as error:
-            why = _reason(error)
-    return Bodies(_from_inertias(system), (), f"bodies drawn from their inertias: {why}")
+            reason = _message(error)
+    return Bodies(_from_inertias(system), (), f"bodies drawn from their inertias: {reason}")
 
 
-def _reason(error: Exception) -> str:
-    """Return why a file cannot be drawn, without the place in Pinocchio's C++ that says so."""
+def _message(error: Exception) -> str:
+    """Return the message of an error without Pinocchio's C++ source location."""
     text = str(error).rpartition("message:")[2].partition("Hint:")[0]
     return " ".join(text.split()) or type(error).__name__
 
 
 def extents(bodies: Bodies) -> list[tuple[int, Array, float]]:
-    """Return joint, centre (3,) on it and radius [m] of a ball around each shape."""
-    out = []
+    """Return joint, centre (3,) in its frame and radius [m] of a ball around each shape."""
+    balls = []
     for solid in bodies.solids:
-        at = pin.XYZQUATToSE3(solid.placement)
+        placement = pin.XYZQUATToSE3(solid.placement)
         centre = np.zeros(3)
         if solid.kind == "mesh":
             vertices = bodies.meshes[int(solid.size[0])].vertices.astype(float)
@@ -76,8 +141,8 @@ def extents(bodies: Bodies) -> list[tuple[int, Array, float]]:
             radius = sum(solid.size)
         else:
             radius = max(solid.size)
-        out.append((solid.joint, np.asarray(at.act(centre)), radius))
-    return out
+        balls.append((solid.joint, np.asarray(placement.act(centre)), radius))
+    return balls
 
 
 def _file(source: str) -> Path:
@@ -87,8 +152,8 @@ def _file(source: str) -> Path:
     return Path(source) if Path(source).is_absolute() else example_robot(source).urdf
 
 
-def _of(system: System, folders: Sequence[str]) -> Bodies:
-    """Return the shapes that came with a model, or those in its file."""
+def _file_shapes(system: System, folders: Sequence[str]) -> Bodies:
+    """Return the shapes given with a model, or those in its file."""
     if system.contents.visuals is not None:
         return _from_geometry(system, system.contents.visuals)
     origin = system.origin
@@ -100,12 +165,16 @@ def _of(system: System, folders: Sequence[str]) -> Bodies:
 
 
 def _from_urdf(path: Path, folders: Sequence[str]) -> Visuals:
-    """Return the visual shapes in a URDF file.  Raises what its reader raises.
+    """Read the visual shapes of a URDF file.
 
-    folders: where its meshes, or the packages that hold them, may be, too.
+    Args:
+        path: The file.
+        folders: Additional search folders for meshes or packages.
+    Returns:
+        The model of the file and its shapes.
     """
-    # A package is a folder in one of those above the file; one that is named may be it itself.
-    named = [place for folder in folders for place in (folder, str(Path(folder).parent))]
+    # Packages are searched in all parent folders of the file, in `folders`, and next to them.
+    named = [path for folder in folders for path in (folder, str(Path(folder).parent))]
     above = [str(folder) for folder in path.resolve().parents][:-1]
     with library_output(URDFDOM):
         raw = pin.buildModelFromUrdf(str(path))
@@ -116,47 +185,47 @@ def _from_urdf(path: Path, folders: Sequence[str]) -> Visuals:
 
 
 def _from_geometry(system: System, visuals: Visuals) -> Bodies:
-    """Return shapes of Pinocchio on the joints of a system."""
+    """Convert Pinocchio's geometry to shapes on the joints of a system."""
     raw, geometry = visuals.model, visuals.geometry
     solids: list[Solid] = []
     meshes: list[Mesh] = []
-    left_out = 0
-    known: dict[tuple[str, tuple[float, ...]], int] = {}
+    skipped = 0
+    mesh_indices: dict[tuple[str, tuple[float, ...]], int] = {}
     for entry in geometry.geometryObjects:
         shape = entry.geometry
         kind, size = _primitive(shape)
         if kind == "mesh":
             key = (entry.meshPath, tuple(entry.meshScale))
-            if key not in known:
-                known[key] = len(meshes)
+            if key not in mesh_indices:
+                mesh_indices[key] = len(meshes)
                 meshes.append(_mesh(shape))
-            size = (float(known[key]),)
+            size = (float(mesh_indices[key]),)
         elif not kind:
-            left_out += 1
+            skipped += 1
             continue
-        joint, at = _carried_by(system, raw, entry)
+        joint, placement = _joint_of(system, raw, entry)
         colour = tuple(float(c) for c in entry.meshColor)
-        solids.append(Solid(joint, kind, size, np.array(pin.SE3ToXYZQUAT(at)), colour))  # type: ignore[arg-type]
-    note = f"{left_out} of its shapes cannot be drawn" if left_out else ""
+        solids.append(Solid(joint, kind, size, np.array(pin.SE3ToXYZQUAT(placement)), colour))  # type: ignore[arg-type]
+    note = f"{skipped} of its shapes cannot be drawn" if skipped else ""
     return Bodies(tuple(solids), tuple(meshes), note)
 
 
-def _carried_by(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]:
-    """Return the joint that moves a shape, and where on it the shape sits.
+def _joint_of(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]:
+    """Return the joint that moves a shape, and the shape's placement on it.
 
-    The link's frame is what the file's model and the system's (whose joints may be frozen,
-    or on another root) have in common.
+    The link frame identifies the shape's position in the system, whose joints may be frozen and
+    whose root may differ from the file's.
     """
-    if entry.parentFrame >= raw.nframes:  # it was put on a joint, without a frame
+    if entry.parentFrame >= raw.nframes:  # the shape is attached to a joint without a frame
         return _on_joint(system, raw, entry)
     link = raw.frames[entry.parentFrame]
     on_link = link.placement.inverse() * entry.placement
-    kinds = link.type
-    if link.name == "universe" or not system.model.existFrame(link.name, kinds):
-        # What stands on the ground of the file floats along with a root that was put under it.
+    frame_type = link.type
+    if link.name == "universe" or not system.model.existFrame(link.name, frame_type):
+        # Shapes on the file's ground move with a root joint that was added below them.
         floats = not raw.existJointName(system.root_name)
         return (1 if floats else 0), link.placement * on_link
-    frame = system.model.frames[system.model.getFrameId(link.name, kinds)]
+    frame = system.model.frames[system.model.getFrameId(link.name, frame_type)]
     return frame.parentJoint, frame.placement * on_link
 
 
@@ -170,7 +239,7 @@ def _on_joint(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]
 
 
 def _primitive(shape: Any) -> tuple[str, tuple[float, ...]]:
-    """Return kind and size of one of coal's shapes; no kind if it cannot be drawn."""
+    """Return kind and size of a coal shape; an empty kind if it cannot be drawn."""
     name = type(shape).__name__
     if name == "Box":
         return "box", tuple(map(float, shape.halfSide))
@@ -192,12 +261,12 @@ def _mesh(shape: Any) -> Mesh:
 
 
 def _from_inertias(system: System) -> tuple[Solid, ...]:
-    """Return an ellipsoid for each body, and capsules from each joint to the next."""
+    """Build an ellipsoid for each body, and capsules from joint to joint."""
     model = system.model
     inertias = [model.inertias[i] for i in range(model.njoints)]
     radii = [np.sqrt(np.trace(y.inertia) / y.mass) for y in inertias[1:] if y.mass > 0]
-    places = [model.jointPlacements[i].translation for i in range(2, model.njoints)]
-    size = max([*radii, *(float(np.linalg.norm(p)) for p in places)])
+    offsets = [model.jointPlacements[i].translation for i in range(2, model.njoints)]
+    size = max([*radii, *(float(np.linalg.norm(p)) for p in offsets)])
     solids = []
     for i in range(1, model.njoints):
         colour = (*PALETTE[(i - 1) % len(PALETTE)], 1.0)
@@ -206,21 +275,73 @@ def _from_inertias(system: System) -> tuple[Solid, ...]:
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
         squares = 2.5 / inertia.mass * (moments.sum() - 2.0 * moments)
         semi = np.maximum(np.sqrt(np.maximum(squares, 0.0)), _THIN * size)
-        at = np.array(pin.SE3ToXYZQUAT(pin.SE3(axes, inertia.lever)))
-        solids.append(Solid(i, "ellipsoid", tuple(map(float, semi)), at, colour))
+        placement = np.array(pin.SE3ToXYZQUAT(pin.SE3(axes, inertia.lever)))
+        solids.append(Solid(i, "ellipsoid", tuple(map(float, semi)), placement, colour))
         parent = model.parents[i]
-        ends = [np.array(inertia.lever)]
         if parent > 0:
-            solids += _limb(parent, model.jointPlacements[i].translation, size)
-        solids += _limb(i, ends[0], size)
+            solids += _capsule(parent, model.jointPlacements[i].translation, size)
+        solids += _capsule(i, np.array(inertia.lever), size)
     return tuple(solids)
 
 
-def _limb(joint: int, end: Array, size: float) -> list[Solid]:
-    """Return the capsule from a joint's origin to a point on it, or nothing if they coincide."""
+def _capsule(joint: int, end: Array, size: float) -> list[Solid]:
+    """Build a capsule from a joint's origin to a point, or nothing if they coincide."""
     length = float(np.linalg.norm(end))
     if length < 1e-3 * size:
         return []
-    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length)
-    at = np.concatenate([0.5 * end, turn.coeffs()])
-    return [Solid(joint, "capsule", (_SLENDER * size, 0.5 * length), at, (0.45, 0.48, 0.52, 1.0))]
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length)
+    placement = np.concatenate([0.5 * end, rotation.coeffs()])
+    colour = (0.45, 0.48, 0.52, 1.0)
+    return [Solid(joint, "capsule", (_SLENDER * size, 0.5 * length), placement, colour)]
+
+
+def mjcf_shapes(system: System, path: Path) -> Bodies:
+    """Return the shapes of the robot in an MJCF file.
+
+    Raises LoadError if MuJoCo cannot read it or one of its meshes.
+    """
+    model = compiled(path, shapes=True)
+    world = robot_in(model, None if system.origin is None else system.origin.root)
+    bodies = set(world.bodies)
+    geoms = [k for k in range(model.ngeom) if int(model.geom_bodyid[k]) in bodies]
+    visible = [k for k in geoms if model.geom_group[k] < _VISIBLE_GROUPS] or geoms
+    meshes: dict[int, int] = {}
+    solids = [solid for k in visible if (solid := _solid(system, world, k, meshes)) is not None]
+    return Bodies(tuple(solids), tuple(_mjcf_mesh(model, k) for k in meshes), "")
+
+
+def _solid(system: System, world: World, geom: int, meshes: dict[int, int]) -> Solid | None:
+    """Convert a geom; None if it is not drawn.  meshes: mesh id → index, extended on use."""
+    model, kind = world.model, int(world.model.geom_type[geom])
+    size: tuple[float, ...]
+    if kind in _MESHES:
+        name, size = "mesh", (float(meshes.setdefault(int(model.geom_dataid[geom]), len(meshes))),)
+    elif kind in _SHAPES:
+        name, count = _SHAPES[kind]
+        size = tuple(map(float, model.geom_size[geom, :count]))
+    else:
+        return None
+    colour = _colour(model, geom)
+    if colour[3] == 0.0:
+        return None
+    body = world.body_names[int(model.geom_bodyid[geom])]
+    link = system.model.frames[system.model.getFrameId(body, pin.FrameType.BODY)]
+    placement = link.placement * frame(model.geom_pos[geom], model.geom_quat[geom])
+    return Solid(link.parentJoint, name, size, np.array(pin.SE3ToXYZQUAT(placement)), colour)
+
+
+def _colour(model: Any, geom: int) -> Colour:
+    material = int(model.geom_matid[geom])
+    colour = tuple(map(float, model.geom_rgba[geom]))
+    rgba = model.mat_rgba[material] if material >= 0 and colour == _NO_COLOUR else colour
+    red, green, blue, opacity = map(float, rgba)
+    return red, green, blue, opacity
+
+
+def _mjcf_mesh(model: Any, mesh: int) -> Mesh:
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    return Mesh(
+        np.array(model.mesh_vert[first : first + count], dtype=np.float32),
+        np.array(model.mesh_face[face : face + faces], dtype=np.uint32),
+    )

@@ -1,4 +1,4 @@
-"""Films: PNG frames, mp4 and gif, photographed from the page in a headless browser."""
+"""Films: PNG frames, mp4 and gif, captured from the page in a headless browser."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .view import View
 
 SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120
-GIF_FPS = (0.01, 50.0)  # a gif counts hundredths of a second, and browsers slow down below two
+GIF_FPS = (0.01, 50.0)  # gif frames last whole 0.01 s, and browsers play shorter than 0.02 s slowly
 SUFFIXES = (".mp4", ".gif", ".png")
 
 
@@ -40,14 +40,20 @@ def save_film(
     size: Sequence[int] = SIZE,
     progress: Progress | None = None,
 ) -> int:
-    """Write a film and return the number of its frames; the suffix decides what it is.
+    """Write a film in the format of the suffix.
 
-    path: film.mp4 (needs ffmpeg), film.gif (up to 50 frames a second), or film.png for frames
-    film_0000.png and so on, which are refused while frames of a longer film are there.
-    view: of it, fps is frames a second, and speed how much of the motion goes into one.
-    size: width and height in pixels, even.  progress: called with the part that is done.
-    Raises InputError for what makes no sense, or if Chromium or ffmpeg is not installed,
-    OutputError if rendering or writing fails; the others as of `page`.
+    Args:
+        source: The motion.
+        path: film.mp4 (needs ffmpeg), film.gif (up to 50 frames per second), or film.png for frames
+            film_0000.png and so on. Existing frames of a longer film are an error.
+        view: Options; its fps and speed determine the frames.
+        size: Width and height in pixels, even.
+        progress: Called with the completed fraction.
+    Returns:
+        Number of frames.
+    Raises:
+        InputError: An option is invalid, or Chromium or ffmpeg is not installed.
+        OutputError: Rendering or writing fails.
     """
     path = check_path(path, SUFFIXES)
     pixels = tuple(size) if isinstance(size, Sequence) else ()
@@ -67,7 +73,7 @@ def save_film(
     try:
         with (
             _tidy_at_sigterm(),
-            closing(_shots(source, times, pixels, view, progress or (lambda _: None))) as shots,
+            closing(_capture(source, times, pixels, view, progress or (lambda _: None))) as shots,
         ):
             if path.suffix == ".png":
                 return write_frames(path, shots)
@@ -79,9 +85,9 @@ def save_film(
 
 
 def find_ffmpeg() -> str:
-    """Return the path of ffmpeg.  Raises InputError that says what to install."""
-    if found := shutil.which("ffmpeg"):
-        return found
+    """Return the path of ffmpeg; raise InputError with instructions if it is not installed."""
+    if path := shutil.which("ffmpeg"):
+        return path
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
 
@@ -94,14 +100,17 @@ def find_ffmpeg() -> str:
 
 
 class _Terminated(BaseException):
-    """SIGTERM has come."""
+    """SIGTERM was received."""
 
 
 @contextmanager
 def _tidy_at_sigterm() -> Iterator[None]:
-    """Let SIGTERM end what is done inside like an error before it ends the process.
+    """Turn SIGTERM into an exception inside the block, so that files are cleaned up first.
 
-    Only where nobody else handles it, and in the main thread, the only one that may.
+    This applies only in the main thread, and only if SIGTERM has its default handler.
+
+    Raises:
+        _Terminated: SIGTERM was received; the process ends.
     """
     if (
         threading.current_thread() is not threading.main_thread()
@@ -110,12 +119,12 @@ def _tidy_at_sigterm() -> Iterator[None]:
         yield
         return
 
-    def leave(number: int, frame: FrameType | None) -> None:
+    def raise_terminated(number: int, frame: FrameType | None) -> None:
         del frame
-        signal.signal(number, signal.SIG_IGN)  # not again while cleaning up
+        signal.signal(number, signal.SIG_IGN)  # ignore further signals during cleanup
         raise _Terminated
 
-    signal.signal(signal.SIGTERM, leave)
+    signal.signal(signal.SIGTERM, raise_terminated)
     try:
         yield
     except _Terminated:
@@ -126,14 +135,14 @@ def _tidy_at_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def _shots(
+def _capture(
     source: MotionSource,
     times: Array,
     size: Sequence[int],
     view: View,
     progress: Progress,
 ) -> Generator[bytes]:
-    """Give PNG pictures of a motion's page at some times."""
+    """Yield PNG pictures of a motion's page at some times."""
     content = page(source, view)
     with tempfile.TemporaryDirectory() as folder, browser() as screen:
         file = Path(folder, "film.html")
@@ -146,34 +155,45 @@ def _shots(
             progress(k / len(times))
 
 
-def _frame(path: Path, k: int) -> Path:
+def _frame_path(path: Path, k: int) -> Path:
     return path.with_name(f"{path.stem}_{k:04d}.png")
 
 
 def check_frames(path: Path, count: int) -> None:
-    """Raise InputError where frames cannot be written, or others would follow the last of them.
+    """Check that frames can be written and that no frames of a longer film exist.
 
-    A later frame is of a longer film, and whoever made it may want it: nothing is removed.
+    Frames of a longer film would seem to continue this one; they are not removed.
+
+    Args:
+        path: Path of the film.
+        count: Number of frames.
+    Raises:
+        InputError: A frame cannot be written, or frames of a longer film exist.
     """
     for k in range(count):
-        if _frame(path, k).is_dir():
-            raise InputError(f"cannot write '{_frame(path, k)}': it is a folder")
+        if _frame_path(path, k).is_dir():
+            raise InputError(f"cannot write '{_frame_path(path, k)}': it is a folder")
     name = re.compile(re.escape(path.stem) + r"_(\d{4,})\.png", re.ASCII)
-    found = (name.fullmatch(entry) for entry in os.listdir(path.parent))
-    later = sorted(int(match[1]) for match in found if match and int(match[1]) >= count)
+    matches = (name.fullmatch(entry) for entry in os.listdir(path.parent))
+    later = sorted(int(match[1]) for match in matches if match and int(match[1]) >= count)
     if later:
         more = f" and {len(later) - 1} more" if len(later) > 1 else ""
         raise InputError(
-            f"a film of {count} frames would be followed by '{_frame(path, later[0])}'{more}, "
-            "of a longer one; remove what is left of that, or take another name"
+            f"a film of {count} frames would be followed by '{_frame_path(path, later[0])}'{more}, "
+            "of a longer one; remove its frames, or choose another name"
         )
 
 
 def write_frames(path: Path, shots: Iterator[bytes]) -> int:
-    """Write PNG pictures as film_0000.png and so on, all or none, and return their number.
+    """Write PNG pictures as film_0000.png and so on, all or none.
 
-    They are moved into place when the last of them is there; if that fails, back again.
-    Raises InputError as of `check_frames`.
+    The frames are moved to their names when all exist. If that fails, old frames are restored.
+
+    Args:
+        path: Path of the film.
+        shots: PNG pictures.
+    Returns:
+        Number of frames.
     """
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         new, old = Path(folder, "new"), Path(folder, "old")
@@ -181,15 +201,15 @@ def write_frames(path: Path, shots: Iterator[bytes]) -> int:
         old.mkdir()
         count = 0
         for count, shot in enumerate(shots, start=1):
-            _frame(new / path.name, count - 1).write_bytes(shot)
+            _frame_path(new / path.name, count - 1).write_bytes(shot)
         check_frames(path, count)
         targets: list[Path] = []
         try:
             for k in range(count):
-                targets.append(_frame(path, k))
+                targets.append(_frame_path(path, k))
                 if targets[k].exists():
                     targets[k].replace(old / targets[k].name)
-                _frame(new / path.name, k).replace(targets[k])
+                _frame_path(new / path.name, k).replace(targets[k])
         except BaseException:
             for target in targets:
                 if not (new / target.name).exists():
@@ -201,15 +221,24 @@ def write_frames(path: Path, shots: Iterator[bytes]) -> int:
 
 
 def write_gif(path: Path, shots: Iterator[bytes], fps: float) -> int:
-    """Write PNG pictures as a gif and return their number.
+    """Write PNG pictures as a gif.
 
-    Frames last whole hundredths of a second, and not all the same: each ends at the hundredth
-    that is nearest to its end in a film of `fps` frames a second.
+    Frame durations are whole hundredths of a second and vary, so that each frame ends as near as
+    possible to its time.
+
+    Args:
+        path: The file.
+        shots: PNG pictures.
+        fps: Frames per second.
+    Returns:
+        Number of frames.
     """
-    from PIL import Image  # meshcat brings it along
+    from PIL import Image  # a dependency of meshcat
 
-    few = Image.Quantize.FASTOCTREE  # the default spends its colours on the background
-    pictures = [Image.open(io.BytesIO(shot)).convert("RGB").quantize(method=few) for shot in shots]
+    method = Image.Quantize.FASTOCTREE  # the default uses most colours for the background
+    pictures = [
+        Image.open(io.BytesIO(shot)).convert("RGB").quantize(method=method) for shot in shots
+    ]
     ends = [round(100.0 * k / fps) for k in range(len(pictures) + 1)]
     write_atomic(
         path,
@@ -230,22 +259,22 @@ def _write_mp4(path: Path, shots: Iterator[bytes], fps: float, encoder: str) -> 
             "-movflags", "+faststart", str(film),
         ]  # fmt: skip
         with (
-            Path(folder, "said").open("w+", encoding="utf-8", errors="replace") as said,
-            subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said) as coder,
+            Path(folder, "log").open("w+", encoding="utf-8", errors="replace") as log,
+            subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log) as ffmpeg,
         ):
             try:
                 for shot in shots:
-                    coder.stdin.write(shot)  # type: ignore[union-attr]
+                    ffmpeg.stdin.write(shot)  # type: ignore[union-attr]
                     count += 1
-                coder.stdin.close()  # type: ignore[union-attr]
+                ffmpeg.stdin.close()  # type: ignore[union-attr]
             except BrokenPipeError:
-                pass  # it says why below
+                pass  # the log is reported below
             except BaseException:
-                coder.kill()
+                ffmpeg.kill()
                 raise
-            if code := coder.wait():
-                said.seek(0)
-                why = said.read().strip().splitlines()
-                raise OutputError(f"ffmpeg failed: {why[-1] if why else f'code {code}'}")
+            if code := ffmpeg.wait():
+                log.seek(0)
+                lines = log.read().strip().splitlines()
+                raise OutputError(f"ffmpeg failed: {lines[-1] if lines else f'code {code}'}")
         write_atomic(path, lambda file: file.write(film.read_bytes()))
     return count

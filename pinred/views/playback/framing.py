@@ -1,4 +1,4 @@
-"""Framing: where the camera looks from, how large things are, where the grid lies."""
+"""Framing of a film: direction of the camera, size of the robot, position of the grid."""
 
 from __future__ import annotations
 
@@ -8,30 +8,34 @@ import numpy as np
 
 from ...common.arrays import Array, freeze
 from ...lie.rotations import rotation
-from .drawn_bodies import extents
+from .drawn_bodies import Bodies, extents
 from .playback import Playback
-from .solids import Bodies
 
 ARROW = 1.3  # length of the momentum arrow with a margin, in radii of the robot
-_LOOKS = 200  # frames from which the size is taken
-_BESIDE = 1.8  # how far beside the robot its ghost stands, in radii
-_ELEVATION, _PLANAR_ELEVATION = 18.0, 50.0  # degrees
-_DEEP = 5.0  # how far above a floor one still sees it, in radii
-_FAR = 10.0  # how far the grid goes on around what is followed, in radii
+_SAMPLES = 200  # number of frames that determine the robot's radius
+_BESIDE = 1.8  # distance between the robot and its ghost, in radii
+_ELEVATION, _PLANAR_ELEVATION = 18.0, 50.0  # elevation of the camera [deg]
+_DEEP = 5.0  # largest fall at which the grid stays a floor, in radii
+_FAR = 10.0  # half of the side of the grid, in radii
 
 
 @dataclass(frozen=True)
 class Framing:
     """The framing of a film; vectors are (3,) in the world frame, lengths in m.
 
-    radius: of the ball about the centre of mass that the robot stays in.  reach: of what is
-    drawn around it, but for a ghost.  middle: of the path of the centre of mass.  span: of
-    what is drawn around that, all along.  follow: whether the robot goes so far that the
-    camera should go along.  eye: unit vector to the camera.  aside: from the robot to its
-    ghost.  cell, cells: side of the grid's squares, how many in a row; they go along with the
-    camera.  wide: how many times as large they are if it stands still and sees all of the way.
-    grid, normal: the middle of the grid when `middle` is followed, and the unit vector across
-    it: a floor, or a wall for what falls.
+    Attributes:
+        radius: Radius of a ball about the centre of mass that contains the robot at all times.
+        reach: The same including the momentum arrow, but not the ghost.
+        middle: Middle of the path of the centre of mass.
+        span: Radius of a ball about `middle` that contains everything at all times.
+        follow: Whether the camera should follow the robot.
+        eye: Unit vector to the camera.
+        aside: Offset from the robot to its ghost.
+        cell: Side of the grid's squares.
+        cells: Number of squares in a row of the grid, which follows the camera.
+        wide: Enlargement of the squares if the camera stands still and shows the whole path.
+        grid: Centre of the grid if the camera looks at `middle`.
+        normal: Unit normal of the grid: a floor, or a wall behind falling robots.
     """
 
     radius: float
@@ -52,7 +56,7 @@ class Framing:
 
 
 def frame(film: Playback, bodies: Bodies) -> Framing:
-    """Return the framing of a film: all of the robot in sight, its momentum seen from the side."""
+    """Compute the framing that shows the whole robot, and its momentum from the side."""
     radius = _radius(film, bodies)
     low, high = film.com.min(axis=0), film.com.max(axis=0)
     middle = 0.5 * (low + high)
@@ -64,7 +68,7 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
     if film.momentum.vector.any():
         arm = film.momentum.tail - film.com
         reach = ARROW * radius + float(np.linalg.norm(arm, axis=1).max())
-    cell = _nice(0.5 * radius)
+    cell = _round_up(0.5 * radius)
     sideways = float(max((high - low)[:2]))
     falls = high[2] - low[2] > max(2.0 * radius, min(sideways, _DEEP * radius))
     normal, grid = np.array([0.0, 0.0, 1.0]), middle.copy()
@@ -73,10 +77,10 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
         grid -= 1.5 * radius * normal
     else:
         grid[2] = low[2] - 1.1 * radius
-    away = film.com - middle
-    along = np.linalg.norm(away - np.outer(away @ normal, normal), axis=1)
+    offsets = film.com - middle
+    distances = np.linalg.norm(offsets - np.outer(offsets @ normal, normal), axis=1)
     cells = 2 * int(np.ceil(_FAR * radius / cell))
-    wide = (float(along.max()) + 6.0 * radius) / (0.5 * cells * cell)
+    wide = (float(distances.max()) + 6.0 * radius) / (0.5 * cells * cell)
     return Framing(
         radius=radius,
         reach=reach,
@@ -87,30 +91,30 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
         aside=aside,
         cell=cell,
         cells=cells,
-        wide=_nice(max(1.0, wide)),
+        wide=_round_up(max(1.0, wide)),
         grid=grid,
         normal=normal,
     )
 
 
 def _radius(film: Playback, bodies: Bodies) -> float:
-    some = np.unique(np.linspace(0, len(film.t) - 1, _LOOKS).astype(int))
-    com, most = film.com[some], 0.0
+    frames = np.unique(np.linspace(0, len(film.t) - 1, _SAMPLES).astype(int))
+    com, most = film.com[frames], 0.0
     for joint, centre, radius in extents(bodies):
         if joint:
-            at = film.placements[some, joint]
-            points = at[:, :3] + np.einsum("fij,j->fi", rotation(at[:, 3:]), centre)
+            pose = film.placements[frames, joint]
+            points = pose[:, :3] + np.einsum("fij,j->fi", rotation(pose[:, 3:]), centre)
             most = max(most, float(np.linalg.norm(points - com, axis=1).max()) + radius)
     return most
 
 
 def _eye(film: Playback) -> Array:
-    """Return the direction, among some around the vertical, most across the momentum."""
+    """Return the camera direction, among several azimuths, most perpendicular to the momentum."""
     group = film.system.group
     planar = group.plane and group.linear == 2
     elevation = np.radians(_PLANAR_ELEVATION if planar else _ELEVATION)
-    turn = np.arange(0.0, 181.0, 15.0)
-    azimuth = np.radians(-60.0 + np.column_stack([-turn, turn]).ravel())
+    steps = np.arange(0.0, 181.0, 15.0)
+    azimuth = np.radians(-60.0 + np.column_stack([-steps, steps]).ravel())
     eyes = np.column_stack(
         [
             np.cos(elevation) * np.cos(azimuth),
@@ -118,11 +122,11 @@ def _eye(film: Playback) -> Array:
             np.full(len(azimuth), np.sin(elevation)),
         ]
     )
-    along = np.abs(eyes @ film.momentum.vector.T).max(axis=1)
-    return np.asarray(eyes[int(np.argmin(np.round(along / max(along.max(), 1e-300), 6)))])
+    overlap = np.abs(eyes @ film.momentum.vector.T).max(axis=1)
+    return np.asarray(eyes[int(np.argmin(np.round(overlap / max(overlap.max(), 1e-300), 6)))])
 
 
-def _nice(length: float) -> float:
-    """Return the least of 1, 2, 5 times a power of ten that is at least `length`."""
+def _round_up(length: float) -> float:
+    """Round up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(next(step * power for step in (1, 2, 5, 10) if step * power >= length))

@@ -1,6 +1,6 @@
-"""A headless browser that is driven through two pipes: no port is opened, nothing is installed.
+"""A headless Chromium controlled through two pipes, without opening a port.
 
-Chromium speaks its DevTools protocol over file descriptors 3 and 4, messages ended by a
+Chromium uses its DevTools protocol over file descriptors 3 and 4, with messages terminated by a
 zero byte (--remote-debugging-pipe).
 """
 
@@ -22,7 +22,7 @@ from typing import Any
 from ...common.errors import InputError, OutputError
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-_PATIENCE = 120.0  # s for any answer; software rendering is slow
+_PATIENCE = 120.0  # time limit for any answer [s]; software rendering is slow
 _FLAGS = (
     "--headless=new", "--remote-debugging-pipe", "--no-first-run", "--mute-audio",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -30,25 +30,25 @@ _FLAGS = (
     "--hide-scrollbars", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--force-device-scale-factor=1",
 )  # fmt: skip
-# Puts the pipes where the browser looks for them, then becomes the browser.  A program of its
-# own does it, as Python code between fork and exec is not safe where there are threads.
-_BECOME = """
+# Program that moves the pipes to descriptors 3 and 4 and then executes the browser. A separate
+# program is used because Python code between fork and exec is unsafe with threads.
+_LAUNCHER = """
 import fcntl, os, sys
-there, back = (fcntl.fcntl(int(n), fcntl.F_DUPFD, 5) for n in sys.argv[1:3])
-os.dup2(there, 3)
-os.dup2(back, 4)
+source, sink = (fcntl.fcntl(int(n), fcntl.F_DUPFD, 5) for n in sys.argv[1:3])
+os.dup2(source, 3)
+os.dup2(sink, 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
 
 
 def find_browser() -> str:
-    """Return the path of a Chromium.  Raises InputError that says what to install."""
-    given = os.environ.get("PINRED_BROWSER")
-    for name in (given,) if given else NAMES:
+    """Return the path of Chromium; raise InputError with instructions if it is not installed."""
+    requested = os.environ.get("PINRED_BROWSER")
+    for name in (requested,) if requested else NAMES:
         if path := shutil.which(name):
             return path
-    if given:
-        raise InputError(f"PINRED_BROWSER is '{given}', but there is no such program")
+    if requested:
+        raise InputError(f"PINRED_BROWSER is '{requested}', but there is no such program")
     raise InputError(
         "frames are rendered by Chromium, which was not found; install it "
         "(apt-get install chromium) or name it in the environment variable PINRED_BROWSER"
@@ -58,12 +58,12 @@ def find_browser() -> str:
 class Browser:
     """One page in a headless Chromium.
 
-    events: what the browser has told since the page was opened, in order, each with
-    `method` and `params`.
+    Attributes:
+        events: DevTools events since the page was opened, in order, with `method` and `params`.
     """
 
     def __init__(self, process: subprocess.Popen[bytes], send: int, receive: int) -> None:
-        """Take the process and its pipes, and open an empty page."""
+        """Open an empty page through the pipes of a browser process."""
         self._process, self._send, self._receive = process, send, receive
         self._unread, self._count = b"", 0
         self.events: list[dict[str, Any]] = []
@@ -75,7 +75,7 @@ class Browser:
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """Call a method of the DevTools protocol.  Raises OutputError if the browser refuses."""
+        """Call a method of the DevTools protocol; raise OutputError if the browser rejects it."""
         self._count += 1
         message: dict[str, Any] = {"id": self._count, "method": method, "params": params}
         if self._session is not None:
@@ -85,16 +85,16 @@ class Browser:
             try:
                 data = data[os.write(self._send, data) :]
             except OSError:
-                raise OutputError("the browser has gone") from None
+                raise OutputError("the browser has ended") from None
         for answer in self._messages():
             if answer.get("id") == self._count:
                 if "error" in answer:
-                    raise OutputError(f"the browser refuses {method}: {answer['error']['message']}")
+                    raise OutputError(f"the browser rejects {method}: {answer['error']['message']}")
                 return dict(answer["result"])
         raise OutputError(f"the browser did not answer {method} within {_PATIENCE:g} s")
 
     def open(self, url: str, *, width: int, height: int) -> None:
-        """Show a page of this size and wait until it is loaded."""
+        """Open a page with a window size [px] and wait until it is loaded."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width, height=height, deviceScaleFactor=1, mobile=False,
@@ -106,7 +106,7 @@ class Browser:
         self.wait_for("document.readyState === 'complete'")
 
     def run(self, script: str) -> Any:
-        """Return the value of a JavaScript expression.  Raises OutputError if it throws."""
+        """Return the value of a JavaScript expression; raise OutputError if it throws."""
         answer = self.call(
             "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
@@ -115,21 +115,21 @@ class Browser:
         return answer["result"].get("value")
 
     def wait_for(self, condition: str) -> None:
-        """Wait until a JavaScript expression is true.  Raises OutputError if it never is."""
-        until = time.monotonic() + _PATIENCE
-        while time.monotonic() < until:
+        """Wait until a JavaScript expression is true; raise OutputError after the time limit."""
+        deadline = time.monotonic() + _PATIENCE
+        while time.monotonic() < deadline:
             if self.run(condition):
                 return
             time.sleep(0.02)
-        raise OutputError(f"the page never came to '{condition}'")
+        raise OutputError(f"the page did not reach '{condition}' within {_PATIENCE:g} s")
 
     def screenshot(self) -> bytes:
-        """Return what the page looks like, as a PNG."""
+        """Return a screenshot of the page as PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
     def _messages(self) -> Iterator[dict[str, Any]]:
-        """Give the answers that arrive; events are kept aside."""
-        until = time.monotonic() + _PATIENCE
+        """Yield answers; store events in `events`."""
+        deadline = time.monotonic() + _PATIENCE
         while True:
             while b"\0" in self._unread:
                 text, self._unread = self._unread.split(b"\0", 1)
@@ -138,8 +138,8 @@ class Browser:
                     yield message
                 else:
                     self.events.append(message)
-            left = until - time.monotonic()
-            if left <= 0.0 or not select.select([self._receive], [], [], left)[0]:
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0 or not select.select([self._receive], [], [], remaining)[0]:
                 return
             data = os.read(self._receive, 1 << 20)
             if not data:
@@ -149,34 +149,34 @@ class Browser:
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a browser with a profile of its own, and end both.  Raises InputError, OutputError."""
+    """Start a browser with a temporary profile; end both after the block."""
     program = find_browser()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [program, *_FLAGS, f"--user-data-dir={profile}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             command.append("--no-sandbox")  # Chromium's sandbox does not work for root
-        there, send = os.pipe()
-        receive, back = os.pipe()
-        with ExitStack() as closing:  # the last first
+        to_browser, send = os.pipe()
+        receive, from_browser = os.pipe()
+        with ExitStack() as closing:  # callbacks run in reverse order
             try:
                 process = subprocess.Popen(
-                    [sys.executable, "-c", _BECOME, str(there), str(back), *command],
-                    pass_fds=(there, back),
+                    [sys.executable, "-c", _LAUNCHER, str(to_browser), str(from_browser), *command],
+                    pass_fds=(to_browser, from_browser),
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
                 )
                 closing.callback(_end, process)
             finally:
-                os.close(there)
-                os.close(back)
-                closing.callback(os.close, send)  # which ends the browser
+                os.close(to_browser)
+                os.close(from_browser)
+                closing.callback(os.close, send)  # closing the pipe ends the browser
                 closing.callback(os.close, receive)
             yield Browser(process, send, receive)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Wait for the browser, whose pipe is closed, to end; make it if it does not."""
+    """Wait until the browser ends after its pipe was closed, and kill it otherwise."""
     try:
         process.wait(10.0)
     except subprocess.TimeoutExpired:

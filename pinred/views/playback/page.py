@@ -1,4 +1,4 @@
-"""The page: meshcat's viewer, a motion and its controls in one HTML file, without a network."""
+"""The page: meshcat's viewer, a motion and its controls in one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -16,19 +16,18 @@ from numpy.typing import NDArray
 from ...common.errors import LoadError
 from ...common.files import check_path, write_atomic
 from ..motion_source import MotionSource
-from .drawn_bodies import drawn_bodies
+from .drawn_bodies import Bodies, drawn_bodies
 from .framing import frame
 from .playback import Playback, playback
 from .shape_panel import ShapePanel, shape_panel
-from .solids import Bodies
 from .view import View
 
-# A page that is sent to somebody carries the licences of the viewer that is in it.
+# The page contains the viewer, so it must contain the viewer's licences.
 _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")
 
 
 def page(source: MotionSource, view: View) -> bytes:
-    """Return the HTML of a motion's playback.  Errors as of `playback`."""
+    """Build the HTML of a motion's playback; raise the errors of `playback`."""
     film = playback(source, view)
     bodies = drawn_bodies(film.system, meshes=view.meshes)
     pair = None if view.pair is None else (view.pair[0], view.pair[1])
@@ -36,22 +35,26 @@ def page(source: MotionSource, view: View) -> bytes:
     blob = _Blob()
     head = _head(film, bodies, panel, view, blob)
     text = json.dumps(head, allow_nan=False).replace("<", "\\u003c")
-    parts = {
+    contents = {
         "%HEAD%": text,
         "%BLOB%": base64.b64encode(bytes(blob.data)).decode("ascii"),
         "%MESHCAT%": _meshcat("viewer/dist/main.min.js"),
         "%LICENCES%": "\n".join(map(_meshcat, _LICENCES)),
-        "%PLAYER%": _own("panel.js") + _own("player.js"),
+        "%PLAYER%": _resource("panel.js") + _resource("player.js"),
     }
-    pieces = re.split("(%[A-Z]+%)", _own("page.html"))
-    return "".join(parts.get(piece, piece) for piece in pieces).encode("utf-8")
+    template = re.split("(%[A-Z]+%)", _resource("page.html"))
+    return "".join(contents.get(text, text) for text in template).encode("utf-8")
 
 
 def save_html(source: MotionSource, path: str | Path, view: View) -> int:
-    """Write the page to a .html file, whole or not at all, and return its size in bytes.
+    """Write the page to a .html file; on failure the old file stays.
 
-    Raises InputError for another suffix or no folder, OutputError if writing fails; the
-    others as of `playback`.
+    Args:
+        source: The motion.
+        path: The file.
+        view: Options of the drawing.
+    Returns:
+        Size of the file in bytes.
     """
     path = check_path(path, (".html",))
     content = page(source, view)
@@ -60,7 +63,7 @@ def save_html(source: MotionSource, path: str | Path, view: View) -> int:
 
 
 class _Blob:
-    """Arrays behind one another as bytes; the page's head says where each is."""
+    """Concatenated bytes of arrays; the page's head stores their offsets."""
 
     _TYPES: ClassVar[dict[str, type[np.generic]]] = {
         "f4": np.float32, "f8": np.float64, "u4": np.uint32,
@@ -70,8 +73,8 @@ class _Blob:
         self.data = bytearray()
 
     def add(self, array: NDArray[Any], kind: str = "f4") -> dict[str, Any]:
-        """Append an array and return where it is."""
-        self.data += bytes(-len(self.data) % 8)  # where JavaScript may begin an array
+        """Append an array and return its type, offset and length."""
+        self.data += bytes(-len(self.data) % 8)  # JavaScript requires aligned arrays
         flat = np.ascontiguousarray(array, dtype=np.dtype(self._TYPES[kind]).newbyteorder("<"))
         entry = {"type": kind, "at": len(self.data), "count": flat.size}
         self.data += flat.tobytes()
@@ -81,7 +84,7 @@ class _Blob:
 def _head(
     film: Playback, bodies: Bodies, panel: ShapePanel | None, view: View, blob: _Blob
 ) -> dict[str, Any]:
-    """Return what the page's script reads, with the arrays put into the blob."""
+    """Return the data of the page's script, with arrays moved to the blob."""
     framing = frame(film, bodies)
     placed = {name: _plain(value) for name, value in vars(framing).items()}
     largest = float(np.linalg.norm(film.momentum.vector, axis=1).max())
@@ -113,7 +116,7 @@ def _head(
             {"vertices": blob.add(mesh.vertices), "faces": blob.add(mesh.faces, "u4")}
             for mesh in bodies.meshes
         ],
-        "solids": [{name: _plain(v) for name, v in vars(one).items()} for one in bodies.solids],
+        "solids": [{name: _plain(v) for name, v in vars(solid).items()} for solid in bodies.solids],
         "panel": None if panel is None else _panel(panel, blob),
     }
 
@@ -134,14 +137,19 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _own(name: str) -> str:
+def _resource(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 def _meshcat(name: str) -> str:
-    """Return a file of meshcat's Python package, fit to stand in a script element.
+    """Read a file of meshcat's Python package, escaped for a script element.
 
-    Raises LoadError if it is not there.
+    Args:
+        name: Path in the package.
+    Returns:
+        Its text.
+    Raises:
+        LoadError: The file is missing.
     """
     spec = find_spec("meshcat")
     for folder in (spec.submodule_search_locations or ()) if spec else ():

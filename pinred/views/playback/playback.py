@@ -1,7 +1,7 @@
-"""Playback: the numbers that are drawn, over the frames of a film.
+"""Numbers for drawing a motion, at the frames of a film.
 
-All of it is Pinocchio's: forward kinematics, centre of mass, centroidal momentum and
-composite inertia of (q, v).
+All are computed by Pinocchio from (q, v): forward kinematics, centre of mass, centroidal momentum
+and composite inertia. The momentum arrow shows the conserved momentum.
 """
 
 from __future__ import annotations
@@ -19,18 +19,21 @@ from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
-from .momentum_arrow import Momentum, conserved_momentum
 from .view import View
 
 MOST_FRAMES = 100_000
 
+STILL = 1e-9  # momentum that counts as zero, relative to √(2mT) of the motion
+
 
 @dataclass(frozen=True)
 class Ghost:
-    """The full simulation, drawn beside the reduced one; arrays are read-only.
+    """The full simulation, drawn next to the reduced one; arrays are read-only.
 
-    placements: (F, joints, 7) as in Playback.  apart: (F,) how far a joint's frame is at most
-    from the same in the other: distance, and angle times the radius of gyration [m].
+    Attributes:
+        placements: Placements of joints as in Playback, (F, joints, 7).
+        apart: Largest distance of a joint frame between both motions, including its rotation
+            times the radius of gyration, (F,) [m].
     """
 
     placements: Array
@@ -42,13 +45,20 @@ class Ghost:
 
 @dataclass(frozen=True)
 class Playback:
-    """The scene drawn at F times; arrays are read-only, in the world frame.
+    """A motion at F frames; arrays are read-only, in the world frame.
 
-    t: (F,) [s].  x, xdot: (F, m).  placements: (F, joints, 7) of Pinocchio's joints (the
-    first is the world), position [m] and quaternion with the real part last.  com: (F, 3) [m].
-    ellipsoid: (F, 3, 3), symmetric: it maps the unit ball to the homogeneous ellipsoid that
-    has the mass and the locked inertia of the system about its centre of mass [m].
-    momentum: the arrow.  ghost: the full simulation, if asked for.
+    Attributes:
+        system: The robot.
+        t: Times, (F,) [s].
+        x: Shapes, (F, m) [rad | m].
+        xdot: Shape rates, (F, m) [rad/s | m/s].
+        placements: Position [m] and quaternion (real part last) of Pinocchio's joints, of which
+            the first is the world, (F, joints, 7).
+        com: Centre of mass, (F, 3) [m].
+        ellipsoid: Symmetric matrices that map the unit ball to the homogeneous ellipsoid with the
+            mass and the locked inertia of the system, (F, 3, 3) [m].
+        momentum: The momentum arrow.
+        ghost: The full simulation, if requested.
     """
 
     system: System
@@ -66,11 +76,17 @@ class Playback:
 
 
 def playback(source: MotionSource, view: View) -> Playback:
-    """Return what is to be drawn of a trajectory or of a recorded one.
+    """Compute the numbers for drawing a motion.
 
-    Raises InputError if the base was left out, if there would be more than MOST_FRAMES
-    frames or fewer than two, or if a ghost is asked for of a recording, which holds no forces;
-    LoadError if the robot of a recording cannot be loaded.
+    Args:
+        source: A trajectory or a recording.
+        view: Options of the drawing.
+    Returns:
+        The numbers at all frames.
+    Raises:
+        InputError: The base was left out, there are too many frames or fewer than two, or a ghost
+            is requested for a recording, which contains no forces.
+        LoadError: The robot of a recording cannot be loaded.
     """
     states = _frames(source, view)
     ghost = None
@@ -78,11 +94,11 @@ def playback(source: MotionSource, view: View) -> Playback:
     if view.ghost:
         if not isinstance(source, Trajectory):
             raise InputError(
-                "a file of a motion holds no forces, so the full simulation cannot be made from "
-                "it; play the trajectory or its scene file with ghost=True"
+                "a file of a motion holds no forces, so the full simulation cannot be run; play "
+                "the trajectory or its scene file with ghost=True"
             )
         ghost = _ghost(source, states.t, placements)
-    return _drawn(source.system, states, placements, ghost)
+    return _playback(source.system, states, placements, ghost)
 
 
 def _frames(source: MotionSource, view: View) -> State:
@@ -92,54 +108,61 @@ def _frames(source: MotionSource, view: View) -> State:
 
 
 def frame_times(source: MotionSource, view: View, most: int, *, even: bool = False) -> Array:
-    """Return the times of the frames, (F,) [s], of which there are two at least.
+    """Return the times of the frames, at least two, (F,) [s].
 
-    They are the view's, evenly from first to last; but those that a recording holds, unless
-    `even`.  Raises InputError for more than `most`, and for a recording of a single time.
+    Args:
+        source: The motion.
+        view: Its fps and speed determine evenly spaced times.
+        most: Largest number of frames.
+        even: Use evenly spaced times also for recordings, instead of their own times.
+    Returns:
+        The times.
+    Raises:
+        InputError: Too many frames, or a recording with a single time.
     """
-    held = isinstance(source, Recording) and not even
+    uses_recorded = isinstance(source, Recording) and not even
     if isinstance(source, Recording):
-        begin, end = float(source.t[0]), float(source.t[-1])
+        start, end = float(source.t[0]), float(source.t[-1])
         if len(source.t) < 2:
             raise InputError(f"{source.path} holds one time only; a film needs two at least")
     else:
-        begin, end = 0.0, source.scene.end
-    wanted = min((end - begin) / view.speed * view.fps, 1e15)
-    count = len(source.t) if held else max(2, round(wanted) + 1)
+        start, end = 0.0, source.scene.end
+    requested = min((end - start) / view.speed * view.fps, 1e15)
+    count = len(source.t) if uses_recorded else max(2, round(requested) + 1)
     if count > most:
         raise InputError(
             f"{count} frames are too many (at most {most}); "
             "play faster, with speed=, or with a lower fps="
         )
-    return source.t if held else np.linspace(begin, end, count)
+    return source.t if uses_recorded else np.linspace(start, end, count)
 
 
 def _placements(system: System, q: Array) -> Array:
-    """Return the placements of all joints, (F, joints, 7), at q (F, nq)."""
+    """Compute the placements of all joints, (F, joints, 7), at q (F, nq)."""
     model, data = system.model, system.model.createData()
-    out = np.empty((len(q), model.njoints, 7))
-    for k, row in enumerate(q):
-        pin.forwardKinematics(model, data, row)
+    placements = np.empty((len(q), model.njoints, 7))
+    for k, configuration in enumerate(q):
+        pin.forwardKinematics(model, data, configuration)
         for i, placement in enumerate(data.oMi):
-            out[k, i] = pin.SE3ToXYZQUAT(placement)
-    return out
+            placements[k, i] = pin.SE3ToXYZQUAT(placement)
+    return placements
 
 
 def _ghost(traj: Trajectory, t: Array, placements: Array) -> Ghost:
-    """Return the full simulation of a trajectory's scene at its own tolerance."""
+    """Run the full simulation of a trajectory's scene at the scene's tolerance."""
     scene = traj.scene
     full, start = FullState(scene, traj.motion.replay), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     motion = full.run(y0, t, scene.rtol, scene.atol)
-    seen = _placements(scene.system, motion.q)
-    apart = np.linalg.norm(seen[..., :3] - placements[..., :3], axis=-1)
-    p, q = seen[..., 3:], placements[..., 3:]  # q and −q are the same rotation
-    turn = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
-    apart += 4.0 * np.arcsin(0.5 * turn) * full.totals.radius_of_gyration(motion.q[0])
-    return Ghost(placements=seen, apart=apart.max(axis=1))
+    reference = _placements(scene.system, motion.q)
+    distance = np.linalg.norm(reference[..., :3] - placements[..., :3], axis=-1)
+    p, q = reference[..., 3:], placements[..., 3:]  # q and −q are the same rotation
+    chord = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
+    distance += 4.0 * np.arcsin(0.5 * chord) * full.totals.radius_of_gyration(motion.q[0])
+    return Ghost(placements=reference, apart=distance.max(axis=1))
 
 
-def _drawn(system: System, states: State, placements: Array, ghost: Ghost | None) -> Playback:
+def _playback(system: System, states: State, placements: Array, ghost: Ghost | None) -> Playback:
     q, v = system.sorted_q(states.q), system.sorted_v(states.v)
     model, data = system.model, system.model.createData()
     com, ellipsoid = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
@@ -163,9 +186,87 @@ def _drawn(system: System, states: State, placements: Array, ghost: Ghost | None
 def _ellipsoid(inertia: Array, mass: float) -> Array:
     """Return R diag(a) Rᵀ for the semi-axes a of the equivalent homogeneous ellipsoid.
 
-    Its moments are I_i = m (a_j² + a_k²)/5, so a_i² = 5 (I_j + I_k − I_i)/(2m).  As a
-    symmetric matrix it is continuous in time, where sorted axes would jump.
+    Its moments are I_i = m (a_j² + a_k²)/5, so a_i² = 5 (I_j + I_k − I_i)/(2m). This symmetric
+    matrix is continuous in time, while sorted axes would jump.
     """
     moments, axes = np.linalg.eigh(inertia)
     squares = 2.5 / mass * (moments.sum() - 2.0 * moments)
     return np.asarray((axes * np.sqrt(np.maximum(squares, 0.0))) @ axes.T)
+
+
+@dataclass(frozen=True)
+class Momentum:
+    """The momentum that the group conserves, over F frames; arrays are read-only.
+
+    Attributes:
+        vector: Momentum in the world frame, (F, 3); exactly zero if it is round-off.
+        tail: Start of the arrow, (F, 3) [m].
+        words: Description of the momentum.
+        unit: Unit of the momentum.
+    """
+
+    vector: Array
+    tail: Array
+    words: str
+    unit: str
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
+    """Compute the momentum arrow by Pinocchio's centroidal momentum.
+
+    If the base can rotate, it is the angular momentum about the centre of mass or the pivot, along
+    the axes of rotation; otherwise it is the linear momentum along the axes of translation.
+
+    Args:
+        system: The robot.
+        q: Pinocchio's configurations, (F, nq).
+        v: Pinocchio's velocities, (F, n).
+    Returns:
+        The arrow at all frames.
+    """
+    model, data = system.model, system.model.createData()
+    linear, slides = system.group.linear, not system.group.turns
+    pivoted = not (slides or system.group.turns_about_com)
+    pivot = np.array(model.jointPlacements[1].translation)
+    axes, rotor = _axes(system), model.armature
+    about = slice(0 if slides else linear, system.r)
+    vector, tail, most = np.empty((len(q), 3)), np.empty((len(q), 3)), 0.0
+    for k in range(len(q)):
+        pin.ccrba(model, data, q[k], v[k])
+        tail[k] = pivot if pivoted else data.com[0]
+        arm = data.com[0] - tail[k]
+        spin = data.hg.angular + np.cross(arm, data.hg.linear)
+        momentum = data.hg.linear if slides else spin
+        vector[k] = axes @ (axes.T @ momentum + rotor[about] * v[k, about])
+        mass, size = data.Ig.mass, np.sqrt(np.trace(data.Ig.inertia) / data.Ig.mass)
+        carried = np.sqrt(2.0 * mass * pin.computeKineticEnergy(model, data, q[k], v[k]))
+        most = max(most, float(carried * (1.0 if slides else size + np.linalg.norm(arm))))
+    vector[np.linalg.norm(vector, axis=1) <= STILL * most] = 0.0
+    return Momentum(vector, tail, *_words(system))
+
+
+def _axes(system: System) -> Array:
+    """Return the unit axes (3, k) of the arrow's momentum in the world frame.
+
+    They are axes of the root joint's frame, which the motion keeps fixed if there are fewer than 3.
+    """
+    model, data = system.model, system.model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    motion = np.array(data.joints[1].S).reshape(6, system.r)
+    linear = system.group.linear
+    axes = motion[3:, linear:] if system.group.turns else motion[:3]
+    return np.asarray(model.jointPlacements[1].rotation @ axes)
+
+
+def _words(system: System) -> tuple[str, str]:
+    """Return the description of the momentum, and its unit."""
+    group = system.group
+    if not group.turns:
+        return "momentum along the axis" if group.dim == 1 else "momentum", "kg m/s"
+    if group.turns_about_com:
+        return "angular momentum about the centre of mass", "kg m²/s"
+    about = "the axis" if group.turns == 1 else "the pivot"
+    return f"angular momentum about {about}", "kg m²/s"

@@ -1,8 +1,7 @@
-"""Player: serves one page to browsers on this machine, and to nobody else.
+"""play() and Player: a server of one page for browsers on this machine only.
 
-meshcat's own server listens on every interface; this one is bound to 127.0.0.1, answers
-only requests that were addressed to it by that name (a page elsewhere could otherwise point
-a name of its own here), and knows one page.
+meshcat's server listens on every interface. This one is bound to 127.0.0.1 and answers only
+requests with that host name, so that a foreign site cannot redirect its host name to this server.
 """
 
 from __future__ import annotations
@@ -19,21 +18,26 @@ from types import TracebackType
 from typing import Any
 
 from ...common.errors import InputError, OutputError
+from ..motion_source import MotionSource
+from .page import page
+from .view import View
 
 HOST = "127.0.0.1"
 
 
 class Player:
-    """A page that is being served.  url: where; give it to a browser.
+    """A server of one page, until close(), the end of a `with` block, or of the process.
 
-    Ends with close(), at the end of a `with` block, or with the process.
+    Attributes:
+        url: Address of the page.
     """
 
     def __init__(self, content: bytes, port: int | None = None) -> None:
         """Serve an HTML page.
 
-        port: where to listen, any free port if None.  Raises InputError for one that is
-        taken or not allowed, OutputError if there is none.
+        Args:
+            content: The page.
+            port: Port; any free one if None.
         """
         self._server = _listen(content, port)
         self.url = f"http://{HOST}:{self._server.server_port}/"
@@ -41,13 +45,13 @@ class Player:
         self._thread.start()
 
     def open(self) -> None:
-        """Show the page in the user's browser, if there is a screen to show it on."""
+        """Open the page in the user's browser, if there is a display."""
         screens = ("DISPLAY", "WAYLAND_DISPLAY")
         if sys.platform != "linux" or any(os.environ.get(name) for name in screens):
             webbrowser.open(self.url)
 
     def wait(self) -> None:
-        """Serve until Ctrl-C, then close."""
+        """Serve until Ctrl-C, then close the server."""
         try:
             while self._thread.is_alive():
                 self._thread.join(0.5)
@@ -79,7 +83,7 @@ class Player:
 
 
 def check_port(port: int | None) -> None:
-    """Raise what Player would raise if it were to listen at a port now."""
+    """Raise the error that Player would raise for a port."""
     if port is not None:
         _listen(b"", port).server_close()
 
@@ -93,23 +97,23 @@ def _listen(content: bytes, port: int | None) -> _Server:
         return _Server(content, port or 0)
     except OSError as error:
         if port is not None and error.errno in (errno.EADDRINUSE, errno.EACCES):
-            why = "taken" if error.errno == errno.EADDRINUSE else "not open to you"
+            reason = "taken" if error.errno == errno.EADDRINUSE else "not permitted"
             raise InputError(
-                f"port {port} is {why}; choose another, or none for any free one"
+                f"port {port} is {reason}; choose another, or none for any free one"
             ) from None
         raise OutputError(f"cannot serve on {HOST}: {error.strerror}") from error
 
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
-    allow_reuse_address = True  # a port that was just closed is free again
+    allow_reuse_address = True  # a recently closed port can be used again
 
     def __init__(self, content: bytes, port: int) -> None:
         self.content = content
         super().__init__((HOST, port), _Handler)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Let a browser that hangs up do so quietly."""
+        """Ignore browsers that close the connection."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -117,11 +121,11 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30.0
 
     def do_GET(self) -> None:
-        """Answer with the page."""
+        """Send the page."""
         self._answer(body=True)
 
     def do_HEAD(self) -> None:
-        """Answer with what goes before the page."""
+        """Send the headers of the page."""
         self._answer(body=False)
 
     def _answer(self, *, body: bool) -> None:
@@ -142,4 +146,41 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(self.server.content)
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
-        """Keep the terminal quiet."""
+        """Print nothing."""
+
+
+def play(
+    source: MotionSource,
+    view: View,
+    *,
+    port: int | None = None,
+    show: bool = True,
+    wait: bool | None = None,
+) -> Player:
+    """Serve the playback of a motion and print its address.
+
+    Args:
+        source: The motion.
+        view: Options of the drawing.
+        port: Port; any free one if None.
+        show: Open the user's browser.
+        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
+    Returns:
+        The server.
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
+    """
+    check_port(port)  # before the page is built, which may take long
+    player = Player(page(source, view), port)
+    wait = not hasattr(sys, "ps1") if wait is None else wait
+    try:
+        print(f"playing at {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)
+        if show:
+            player.open()
+        if wait:
+            player.wait()
+    except KeyboardInterrupt:
+        player.close()
+        if not wait:
+            raise
+    return player

@@ -1,4 +1,4 @@
-"""The shape panel: the path in shape space, on a field of the connection's curvature."""
+"""The shape panel: the path in shape space over the curvature of the connection."""
 
 from __future__ import annotations
 
@@ -11,21 +11,27 @@ from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...system.system import System
 
-_FINE = 61  # shapes along each axis of the field
-_MARGIN = 0.15  # of the path's range, around it
+_FINE = 61  # points along each axis of the field
+_MARGIN = 0.15  # margin around the path, relative to its range
 _TURN = 2.0 * np.pi
-_LEAST = 0.2  # rad | m; a field narrower than that shows nothing
+_LEAST = 0.2  # smallest range of an axis [rad | m]
 
 
 @dataclass(frozen=True)
 class ShapePanel:
     """A path in the plane of two coordinates; arrays are read-only.
 
-    labels: of the axes, with units.  path: (F, 2).  low, high: (2,) the range shown.
-    components: names of the components of the curvature B_αβ, with units.  field:
-    (components, N, N) over a (first) and b, the other joints held as at the first frame.
-    Without a second joint the second axis is the rate of the first, and there is no field;
-    nor is there one where a joint makes so many turns that its waves would be too fine.
+    With a single joint, the second axis is its rate, and there is no field. There is also no field
+    if a joint makes so many rotations that the grid could not resolve it.
+
+    Attributes:
+        labels: Labels of the axes, with units.
+        path: The path, (F, 2).
+        low: Lower limits of the axes, (2,).
+        high: Upper limits of the axes, (2,).
+        components: Names of the components of the curvature B_αβ, with units.
+        field: Curvature over both joints, (components, N, N), with the other joints frozen at the
+            first frame.
     """
 
     labels: tuple[str, str]
@@ -42,10 +48,18 @@ class ShapePanel:
 def shape_panel(
     system: System, x: Array, xdot: Array, pair: tuple[str, str] | None = None
 ) -> ShapePanel | None:
-    """Return the panel of shapes x and rates xdot, (F, m); None for a rigid body.
+    """Compute the panel; None for a rigid body.
 
-    pair: the joints on the axes; if None the two that move the most, but do not spin if possible.
-    Raises InputError for joints that there are not.
+    Args:
+        system: The robot.
+        x: Shapes, (F, m) [rad | m].
+        xdot: Shape rates, (F, m) [rad/s | m/s].
+        pair: Names of the joints on the axes. If None, the two that move most, preferably without
+            full rotations.
+    Returns:
+        The panel.
+    Raises:
+        InputError: Unknown joints.
     """
     names, units = system.shape_names, system.units
     for name in pair or ():
@@ -58,9 +72,9 @@ def shape_panel(
         path = np.column_stack([x[:, 0], xdot[:, 0]])
         return ShapePanel(labels, path, *_range(path), (), np.empty((0, 0, 0)))
     if pair is None:
-        moved = np.ptp(x, axis=0)
-        spins = (moved > _TURN) & np.array([unit == "rad" for unit in units])
-        a, b = sorted(map(int, np.lexsort((-moved, spins))[:2]))
+        ranges = np.ptp(x, axis=0)
+        spins = (ranges > _TURN) & np.array([unit == "rad" for unit in units])
+        a, b = sorted(map(int, np.lexsort((-ranges, spins))[:2]))
     else:
         a, b = names.index(pair[0]), names.index(pair[1])
     path = x[:, [a, b]]
@@ -72,7 +86,7 @@ def shape_panel(
     shapes[..., a] = np.linspace(low[0], high[0], _FINE)[:, None]
     shapes[..., b] = np.linspace(low[1], high[1], _FINE)[None, :]
     field = np.moveaxis(Reduction(system).grid(shapes).curvature[..., a, b], -1, 0)
-    components = _strongest_first(system, field, f"({units[a]}·{units[b]})")
+    components = _sort_components(system, field, f"({units[a]}·{units[b]})")
     return ShapePanel(labels, path, low, high, *components)
 
 
@@ -82,8 +96,8 @@ def _range(path: Array) -> tuple[Array, Array]:
     return 0.5 * (low + high) - half, 0.5 * (low + high) + half
 
 
-def _strongest_first(system: System, field: Array, per: str) -> tuple[tuple[str, ...], Array]:
-    """Return the components with their names, turns before shifts, the strongest first."""
+def _sort_components(system: System, field: Array, per: str) -> tuple[tuple[str, ...], Array]:
+    """Sort components with their names: rotations before translations, the largest first."""
     axes, linear, r = system.group.axes, system.group.linear, system.r
     turns = [f"turn about {'xyz'[axis - 3]}" for axis in axes[linear:]]
     if len(turns) == 1:

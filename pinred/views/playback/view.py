@@ -1,4 +1,4 @@
-"""View: how a motion is to be drawn."""
+"""View: options for drawing a motion."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from ...common.arrays import positive
 from ...common.errors import InputError
 from ...system.visuals import mesh_folders
 
-FPS = 60.0  # frames in a second of playback
-FILM_FPS = 30.0  # and of a film
+FPS = 60.0  # default frames per second of playback
+FILM_FPS = 30.0  # default frames per second of films
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Things drawn besides the robot, and the speed.
+    """Options for drawing a motion; raises InputError for invalid values.
 
-    ghost: also draw the full simulation (ABA on the full state) beside the reduced one.
-    speed: seconds of the motion in a second of playback, to begin with.  fps: frames in a
-    second of playback; the page draws between them, too.  pair: two joints, the axes of the
-    shape panel (those that move the most without spinning).  meshes: draw what the robot's
-    file says, else bodies made from the inertias; or folders in which the meshes of a URDF are
-    looked for, beside those of `load`.
-
-    Raises InputError for values that make no sense.
+    Attributes:
+        ghost: Also draw the full simulation (ABA on the full state) next to the reduced one.
+        speed: Seconds of the motion in one second of playback, initially.
+        fps: Frames per second of playback; the page interpolates between them.
+        pair: Names of two joints for the axes of the shape panel. If None, the two that move most
+            without full rotations.
+        meshes: Draw the shapes of the robot's file; False draws ellipsoids of its inertias. Folders
+            are searched for meshes of a URDF, in addition to those of `load`.
     """
 
     ghost: bool = False
@@ -41,16 +41,16 @@ class View:
         for name in ("speed", "fps"):
             object.__setattr__(self, name, positive(getattr(self, name), name))
         if self.pair is not None:
-            several = isinstance(self.pair, Iterable) and not isinstance(self.pair, str)
-            pair = tuple(self.pair) if several else ()
-            two = len(pair) == 2 and all(isinstance(name, str) for name in pair)
-            if not two or pair[0] == pair[1]:
+            is_list = isinstance(self.pair, Iterable) and not isinstance(self.pair, str)
+            pair = tuple(self.pair) if is_list else ()
+            is_pair = len(pair) == 2 and all(isinstance(name, str) for name in pair)
+            if not is_pair or pair[0] == pair[1]:
                 raise InputError(f"pair must be the names of two joints, got {self.pair!r}")
             object.__setattr__(self, "pair", pair)
 
 
 class ViewOptions(TypedDict, total=False):
-    """The fields of View, for functions that take them as `**options`."""
+    """Fields of View, for functions with `**options`."""
 
     ghost: bool
     speed: float
@@ -60,9 +60,9 @@ class ViewOptions(TypedDict, total=False):
 
 
 def as_view(options: Mapping[str, Any], what: str) -> View:
-    """Return the View that options make.  Raises InputError for one that there is not."""
+    """Build a View from options; raise InputError for an unknown one."""
     names = [entry.name for entry in fields(View)]
     for option in options:
         if option not in names:
-            raise InputError(f"{what} has no option '{option}'; they are {', '.join(names)}")
+            raise InputError(f"{what} has no option '{option}'; the options are {', '.join(names)}")
     return View(**options)

@@ -3,8 +3,8 @@
     pinred.plot(traj, "shape").savefig("shape.png")
     pinred.plots.curvature(system, joints=("bend", "sway")).savefig("curvature.pdf")
 
-Functions are imported when they are first used; they need the extra `plots`.  pyplot is not
-imported, and no GUI is touched.  The stub beside this file says where each function stands.
+Functions are imported on first use; they need the extra `plots`. Neither pyplot nor a GUI is
+imported. The stub `__init__.pyi` lists the modules of the functions.
 """
 
 import lazy_loader

@@ -15,10 +15,10 @@ from ...common.names import joint_index
 from .style import PALETTE, figure, legend, styled
 
 GREY = "#555555"
-_SAME = 2e-3  # of the width and height of the figure; lines that are nearer are one
+_SAME = 2e-3  # distance of identical lines, relative to the size of the figure
 _LINES: dict[
     str, dict[str, Any]
-] = {  # by whether the index of the amended potential is zero, even or odd
+] = {  # line styles by the index of the amended potential: zero, even or odd
     "stable": {"linestyle": "-", "linewidth": 1.8},
     "index even": {"linestyle": (0, (5, 1.5)), "linewidth": 1.2},
     "index odd: unstable": {"linestyle": (0, (1.2, 1.2)), "linewidth": 1.2},
@@ -30,12 +30,20 @@ _MARKS = {"folds": "o", "pitchforks": "^", "crossings": "s"}
 def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
     """Draw branches of relative equilibria over the momentum.
 
-    found: what `pinred.branches` returned.  joint: whose coordinate to draw, by name or index; the
-    amended potential if None.  Full lines are stable, dotted ones unstable.
-    Raises InputError for anything else, or a joint that there is not.
+    Solid lines are stable, dotted lines are unstable.
+
+    Args:
+        found: Result of `pinred.branches`.
+        joint: Name or index of the joint on the vertical axis; the amended potential if None.
+    Returns:
+        The figure.
+    Raises:
+        InputError: `found` has another type, or the joint does not exist.
     """
     if not isinstance(found, Branches):
-        raise InputError("a branch diagram takes what pinred.branches returned")
+        raise InputError(
+            f"a branch diagram takes the result of pinred.branches, got {type(found).__name__}"
+        )
     system = found.system
     k: int | None = None
     if isinstance(joint, str):
@@ -44,8 +52,8 @@ def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
         if isinstance(joint, bool) or not 0 <= joint < system.m:
             raise InputError(f"joint must be a name or an index from 0 to {system.m - 1}")
         k = int(joint)
-    made = figure(f"{system.name}: relative equilibria", height=4.4)
-    axes = made.subplots()
+    drawing = figure(f"{system.name}: relative equilibria", height=4.4)
+    axes = drawing.subplots()
 
     def height(point: BranchPoint) -> float:
         return float(point.amended_potential if k is None else point.x[k])
@@ -56,15 +64,15 @@ def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
     drawn: dict[str, list[Array]] = {}
     for number in range(found.count):
         color = PALETTE[number % len(PALETTE)]
-        for some, kind in _runs(found.branch(number)):
-            line = np.array([(p.momentum, height(p)) for p in some])
-            before = drawn.setdefault(kind, [])
-            # Dashes over dashes would look like a full line: mirror images are drawn once.
-            if not any(_covers(other, line, near) for other in before):
-                axes.plot(*line.T, color=color, **_LINES[kind])
-                before.append(line)
-    for kind in (kind for kind in _LINES if kind in drawn):
-        axes.plot([], [], color=GREY, label=kind, **_LINES[kind])
+        for segment, label in _segments(found.branch(number)):
+            line = np.array([(p.momentum, height(p)) for p in segment])
+            earlier = drawn.setdefault(label, [])
+            # Overlapping dashes would look like a solid line, so mirror images are drawn once.
+            if not any(_covers(other, line, near) for other in earlier):
+                axes.plot(*line.T, color=color, **_LINES[label])
+                earlier.append(line)
+    for label in (label for label in _LINES if label in drawn):
+        axes.plot([], [], color=GREY, label=label, **_LINES[label])
     for name, marker in _MARKS.items():
         points: tuple[BranchPoint, ...] = getattr(found, name)
         if points:
@@ -73,31 +81,31 @@ def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
                 linestyle="", marker=marker, color="black", markerfacecolor="white", label=name,
                 zorder=3,
             )  # fmt: skip
-    one = system.group.turns == 0
-    axes.set_xlabel("momentum [N·s]" if one else "angular momentum [N·m·s]")
+    is_linear = system.group.turns == 0
+    axes.set_xlabel("momentum [N·s]" if is_linear else "angular momentum [N·m·s]")
     unit = "" if k is None else system.units[k]
     axes.set_ylabel("amended potential [J]" if k is None else f"{system.shape_names[k]} [{unit}]")
     legend(axes)
-    return made
+    return drawing
 
 
-def _runs(points: tuple[BranchPoint, ...]) -> list[tuple[list[BranchPoint], str]]:
-    """Return stretches of a branch of one kind and one way; each begins where one before ends."""
-    out: list[tuple[list[BranchPoint], str]] = []
-    was = 0.0
+def _segments(points: tuple[BranchPoint, ...]) -> list[tuple[list[BranchPoint], str]]:
+    """Split a branch into segments of one stability and monotonic momentum, with shared ends."""
+    segments: list[tuple[list[BranchPoint], str]] = []
+    last_direction = 0.0
     for a, b in pairwise(points):
-        kind, way = _kind(b), float(np.sign(b.momentum - a.momentum))
-        if not out or out[-1][1] != kind or way * was < 0.0:
-            out.append(([a], kind))
-        out[-1][0].append(b)
-        was = way or was
-    if not out and points:
-        out.append(([points[0]], _kind(points[0])))
-    return out
+        label, direction = _stability(b), float(np.sign(b.momentum - a.momentum))
+        if not segments or segments[-1][1] != label or direction * last_direction < 0.0:
+            segments.append(([a], label))
+        segments[-1][0].append(b)
+        last_direction = direction or last_direction
+    if not segments and points:
+        segments.append(([points[0]], _stability(points[0])))
+    return segments
 
 
 def _covers(other: Array, line: Array, near: Array) -> bool:
-    """Return whether a line (k, 2) of one way lies on another, nearer than what can be seen."""
+    """Return whether a monotonic line (k, 2) visibly coincides with part of another."""
     if len(other) < 2:
         return False
     x, y = other[np.argsort(other[:, 0])].T
@@ -105,7 +113,7 @@ def _covers(other: Array, line: Array, near: Array) -> bool:
     return bool(within and (np.abs(np.interp(line[:, 0], x, y) - line[:, 1]) <= near[1]).all())
 
 
-def _kind(point: BranchPoint) -> str:
+def _stability(point: BranchPoint) -> str:
     if point.index == 0:
         return "stable"
     return "index odd: unstable" if point.index % 2 else "index even"

@@ -1,4 +1,4 @@
-"""A figure by the name of its kind: the function of that name, with the options it takes."""
+"""plot(): a figure by the name of its kind, with the options of that kind."""
 
 from __future__ import annotations
 
@@ -127,30 +127,59 @@ def plot(source: Any, kind: str) -> Figure: ...
 
 @shows_overloads
 def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
-    """Return the figure of a kind: the function of that name in pinred.plots.
+    """Draw a figure by the function of pinred.plots with the name `kind`.
 
-    source: what the function takes: a Connection for field, a Phase for cycles, a BestGait or
-    TurnPlan for loop, Branches for branches, a Trajectory for all others but work_precision.
-    options: those of the function; no kind takes all that are shown here.
-    Raises InputError for a kind or option that there is not, listing those there are;
-    MissingPackageError if matplotlib is not installed.
+    No kind takes all options; see the functions of pinred.plots.
+
+    Args:
+        source: Argument of the function: a Connection for field, a Phase for cycles, a BestGait or
+            TurnPlan for loop, Branches for branches, results of `bench_accuracy` for
+            work_precision, and a Trajectory for all other kinds.
+        kind: Name of the function, such as "shape", "energy" or "phase".
+        joints: Names or indices of joints.
+        limits: (low, high) of each joint on an axis [rad | m].
+        when: Time at which the momentum and frozen joints are taken [s].
+        component: Name or index of a component of the body twist.
+        at: Shape of the joints that are not on an axis, (m,) [rad | m].
+        path: Shapes to draw over the figure, (T, m) [rad | m].
+        value: Value of the joint at which it crosses the section [rad | m].
+        direction: Direction of the crossing: 1, −1, or 0 for both.
+        against: "wall" or "evaluations".
+        part: "curvature", "exterior", "bracket" or "connection".
+        gait: Gait to draw over the field.
+        joint: Name or index of the joint on the vertical axis.
+        count: Number of cycles.
+        **options: The options listed above that the kind takes.
+    Returns:
+        The figure.
+    Raises:
+        InputError: Unknown kind or option; the message lists the valid ones.
+        MissingPackageError: matplotlib is not installed.
     """
     return draw(source, kind, options)
 
 
 def draw(source: Any, kind: str, options: Mapping[str, Any]) -> Figure:
-    """Return what `plot` does, of options under any names."""
-    known = options_of(kind)
+    """Draw a figure as `plot`, with a mapping of options."""
+    valid = options_of(kind)
     for option in options:
-        if option not in known:
-            has = f"its options are {', '.join(known)}" if known else "it has none"
-            raise InputError(f"plot '{kind}' has no option '{option}'; {has}")
+        if option not in valid:
+            listed = f"its options are {', '.join(valid)}" if valid else "it has none"
+            raise InputError(f"plot '{kind}' has no option '{option}'; {listed}")
     figure: Figure = getattr(plots, kind)(source, **options)
     return figure
 
 
 def options_of(kind: str) -> tuple[str, ...]:
-    """Return the names of the options that a kind of plot takes.  Raises as `plot`."""
+    """Return the names of the options of a kind of plot.
+
+    Args:
+        kind: Name of the kind.
+    Returns:
+        Names of its options.
+    Raises:
+        InputError: Unknown kind.
+    """
     if kind not in plots.KINDS:
         raise InputError(f"no plot of kind {kind!r}; the kinds are {', '.join(plots.KINDS)}")
     return tuple(getattr(plots, kind).__wrapped__.__kwdefaults__ or ())

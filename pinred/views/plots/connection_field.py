@@ -1,4 +1,4 @@
-"""A connection over two joints: its curvature and the parts of it, or where it drives the body."""
+"""A connection over two joints: its curvature, the terms of the curvature, or its vector field."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from ...common.arrays import Array, vector
 from ...common.errors import InputError
 from ...common.names import joint_index
 from .curvature_field import component_of
-from .level_sets import fill, name_axes, outline
-from .shape_plane import Limits, around, draw_path, plane
+from .shape_plane import Limits, around, draw_path, fill, name_axes, outline, plane
 from .style import BLACK, figure, styled
 
 Part = Literal["curvature", "exterior", "bracket", "connection"]
@@ -35,77 +34,82 @@ def field(
     at: ArrayLike | None = None,
     gait: Gait | None = None,
 ) -> Figure:
-    """Draw a connection over two joints, with its zero contour and a gait.
+    """Draw a component of a connection's curvature over two joints, with its zero contour.
 
-    joints: two names or indices, the first two if None.  component: v1 … ω3 (or w3), or its index
-    in the body twist; the rotation that is largest if None.  part: curvature B, or what it is made
-    of, exterior ∂_αA_β − ∂_βA_α and bracket [A_α, A_β], or connection: the row of −A as arrows and
-    flow lines, over its length.  limits: (low, high) of each joint; around the gait, or ±π.  at:
-    (m,) where the other joints stand, the start of the gait or zero.  gait: drawn in, its signed
-    area and the integral of the field over it in the title, if it moves these two joints only.
-    Raises InputError for what does not fit.
+    Args:
+        source: The connection.
+        joints: Names or indices of two joints; the first two if None.
+        component: v1 … ω3 (or w3), or an index in the body twist; the largest rotation if None.
+        part: "curvature" B, its terms "exterior" ∂_αA_β − ∂_βA_α and "bracket" [A_α, A_β], or
+            "connection": the row of −A as a vector field with flow lines over its magnitude.
+        limits: (low, high) of each joint [rad | m]; around the gait, or ±π if None.
+        at: Shape of the other joints, (m,) [rad | m]; the start of the gait, or zero if None.
+        gait: Gait to draw. The title gives its signed area, and the integral of the field over
+            that area if the gait moves only these two joints.
+    Returns:
+        The figure.
+    Raises:
+        InputError: `source` is not a Connection, or an option is invalid.
     """
     if not isinstance(source, Connection):
         raise InputError(f"field draws a Connection, got {type(source).__name__}")
     if part not in _PARTS:
         raise InputError(f"part must be one of {', '.join(_PARTS)}, got {part!r}")
     pair = _pair(source, joints)
-    path = None if gait is None else _path(source, gait)
+    path = None if gait is None else _closed_path(source, gait)
     start = np.zeros(source.m) if path is None else path[0]
-    stands = start if at is None else vector(at, source.m, "at", source.joints)
+    frozen = start if at is None else vector(at, source.m, "at", source.joints)
     units = [source.form.units[k] for k in pair]
     if limits is None:
         limits = [(-np.pi, np.pi)] * 2 if path is None else around(path[:, pair], units)
-    shapes = plane(pair, limits, stands)
-    found = source.grid(shapes.shapes)
+    shapes = plane(pair, limits, frozen)
+    grid = source.grid(shapes.shapes)
     if part == "connection":
-        rows = -found.local[..., pair]
-        which = component_of(source.group, component, np.linalg.norm(rows, axis=-1))
-        values = np.linalg.norm(rows[..., which, :], axis=-1)
+        local = -grid.local[..., pair]
+        index = component_of(source.group, component, np.linalg.norm(local, axis=-1))
+        values = np.linalg.norm(local[..., index, :], axis=-1)
     else:
-        every = getattr(found, part)[..., pair[0], pair[1]]
-        which = component_of(source.group, component, every)
-        values = every[..., which]
-    label = source.group.twist_names[which]
+        components = getattr(grid, part)[..., pair[0], pair[1]]
+        index = component_of(source.group, component, components)
+        values = components[..., index]
+    label = source.group.twist_names[index]
     a, b = (source.joints[k] for k in pair)
     titles = {"curvature": "B", "exterior": "dA", "bracket": "[A, A]", "connection": "−A"}
     title = f"{source.form.what}: {titles[part]}({a}, {b}), component {label}"
     if gait is not None and path is not None:
-        title += _enclosed(source, gait, pair, part, which)
-    made = figure(title, height=4.4)
-    axes = made.subplots()
+        title += _enclosed(source, gait, pair, part, index)
+    drawing = figure(title, height=4.4)
+    axes = drawing.subplots()
     filled = fill(axes, shapes.axes, values)
     if part == "connection":
-        along = rows[..., which, :]
+        flow = local[..., index, :]
         u, v = shapes.axes
-        axes.streamplot(
-            u, v, along[..., 0], along[..., 1], color=BLACK, linewidth=0.6, arrowsize=0.8
-        )
+        axes.streamplot(u, v, flow[..., 0], flow[..., 1], color=BLACK, linewidth=0.6, arrowsize=0.8)
     else:
         outline(axes, shapes.axes, values, filled)
     if path is not None:
         draw_path(axes, path[:, pair[0]], path[:, pair[1]])
     what = f"{titles[part]}, component {label}"
     name_axes(axes, filled, (a, b), units, limits, what)
-    return made
+    return drawing
 
 
 def _pair(source: Connection, joints: Sequence[str | int] | None) -> list[int]:
     if source.m < 2:
         raise InputError(f"a field needs two joints; {source} has {source.m}")
-    given = (0, 1) if joints is None else tuple(joints)
-    if len(given) != 2:
-        raise InputError(f"joints must be two for a field, got {len(given)}")
+    selected = (0, 1) if joints is None else tuple(joints)
+    if len(selected) != 2:
+        raise InputError(f"joints must be two for a field, got {len(selected)}")
     pair = [
-        joint_index(each, source.joints, "joints") if isinstance(each, str) else int(each)
-        for each in given
+        joint_index(item, source.joints, "joints") if isinstance(item, str) else int(item)
+        for item in selected
     ]
     if pair[0] == pair[1] or not all(0 <= k < source.m for k in pair):
         raise InputError(f"joints must be two different ones of {', '.join(source.joints)}")
     return pair
 
 
-def _path(source: Connection, gait: Gait) -> Array:
+def _closed_path(source: Connection, gait: Gait) -> Array:
     if gait.m != source.m:
         raise InputError(f"the gait moves {gait.m} joints, but {source} has {source.m}")
     return gait.at(np.linspace(0.0, gait.period, _ALONG_GAIT, endpoint=False))[0][
@@ -114,7 +118,7 @@ def _path(source: Connection, gait: Gait) -> Array:
 
 
 def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which: int) -> str:
-    """Return the gait's signed area, and the integral over it, as a line of the title."""
+    """Format the gait's signed area, and the integral of the field over it, for the title."""
     x, xdot = gait.samples(4096)
     a, b = pair
     area = 0.5 * gait.period * float(np.mean(x[:, a] * xdot[:, b] - x[:, b] * xdot[:, a]))
@@ -122,7 +126,7 @@ def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which:
     others = [k for k in range(source.m) if k not in pair]
     if part == "connection" or np.ptp(x[:, others], axis=0).max(initial=0.0) > 0.0:
         return text
-    # Over the cone from the centre of the path, whose signed area is that of the gait.
+    # Integrate over the cone from the centre of the path, which has the gait's signed area.
     rho, weights = np.polynomial.legendre.leggauss(16)
     rho, weights = 0.5 * (rho + 1.0), 0.5 * weights
     centre = x.mean(axis=0)

@@ -1,4 +1,4 @@
-"""A motion as a smooth path, whatever times it reports."""
+"""Motions on fine time grids, independent of their report times."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from ...system.state_fields import ShapeState, State, map_arrays
 from ..motion_source import MotionSource
 
 Path: TypeAlias = State | ShapeState
-_PARTS = 8  # in which each step of the integrator is searched for a change of sign
+_PARTS = 8  # subdivisions of each integration step
 
 
 def fine_times(motion: MotionSource) -> Array:
-    """Return times from start to end between which a motion turns little, (T,) [s].
+    """Return a fine time grid from start to end, (T,) [s].
 
-    Of a Trajectory they part the integrator's steps, of a Recording its report times.
+    It subdivides the integration steps of a Trajectory, or the report intervals of a recording.
     """
     knots = motion.t
     if isinstance(motion, Trajectory):
         ends = np.append(motion.motion.knots, [0.0, motion.scene.end])
         knots = np.unique(np.clip(ends, 0.0, motion.scene.end))
-    parts = np.arange(_PARTS) / _PARTS
-    return np.append((knots[:-1, None] + parts * np.diff(knots)[:, None]).ravel(), knots[-1])
+    offsets = np.arange(_PARTS) / _PARTS
+    return np.append((knots[:-1, None] + offsets * np.diff(knots)[:, None]).ravel(), knots[-1])
 
 
 def fine_path(motion: MotionSource) -> Path:
-    """Return the states at the report times and, of a Trajectory, close together in between."""
+    """Return the states at the report times and, for a Trajectory, on the fine time grid."""
     if not isinstance(motion, Trajectory):
         return motion.outputs
     t, times = motion.t, fine_times(motion)
@@ -40,23 +40,32 @@ def fine_path(motion: MotionSource) -> Path:
 
 
 def state_at(motion: MotionSource, time: float) -> Path:
-    """Return the state at a time, of a Recording at the report time that is nearest.
+    """Return the state at a time, or at the nearest report time of a recording.
 
-    Raises InputError outside the motion.
+    Args:
+        motion: The motion.
+        time: Time [s].
+    Raises:
+        InputError: The time is outside the motion.
     """
     if isinstance(motion, Trajectory):
         return motion.at(time)
-    t, out = motion.t, motion.outputs
+    t, states = motion.t, motion.outputs
     if not 0.0 <= time <= t[-1]:
         raise InputError(f"when must lie between 0 and {t[-1]:g} s, got {time}")
     k = int(np.argmin(np.abs(t - time)))
-    return map_arrays(lambda values: np.array(values[k]), out)
+    return map_arrays(lambda values: np.array(values[k]), states)
 
 
 def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:
     """Return the function from times (T,) to shapes and rates, (T, m) each.
 
-    Of a Recording it is the cubic of Hermite between report times: of order 4, rates 3.
+    For a recording it interpolates with cubic Hermite splines (order 4, rates order 3).
+
+    Args:
+        motion: The motion.
+    Raises:
+        InputError: A recording with a single time has no path.
     """
     if isinstance(motion, Trajectory):
 
@@ -66,7 +75,7 @@ def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:
 
         return dense
     if len(motion.t) < 2:
-        raise InputError(f"{motion.path} holds one time only, and no path")
+        raise InputError(f"{motion.path} holds one time only, so it has no path")
     x = CubicHermiteSpline(motion.t, motion.x, motion.xdot)
     xdot = x.derivative()
     return lambda t: (np.asarray(x(t)), np.asarray(xdot(t)))

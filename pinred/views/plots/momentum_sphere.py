@@ -1,4 +1,4 @@
-"""The angular momentum as the body sees it: it moves on a sphere."""
+"""The angular momentum in the body frame, which moves on a sphere."""
 
 from __future__ import annotations
 
@@ -20,22 +20,28 @@ from .fine_path import Path, fine_path, state_at
 from .motion_labels import labels, robot_of
 from .style import BLACK, RED, figure, styled
 
-_NONE = 1e-12  # of moment of inertia times 1 rad/s: no momentum to draw
-_CONSTANT = 1e-6
-_CURVES = 4  # level curves of the energy on either side of the separatrix
-_POINTS = 181
+_NONE = 1e-12  # zero momentum, relative to the moment of inertia times 1 rad/s
+_CONSTANT = 1e-6  # relative change of |L| that counts as constant
+_CURVES = 4  # level curves of the energy on each side of the separatrix
+_POINTS = 181  # points of a curve
 
 
 @styled
 def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
-    """Draw the path of the angular momentum in the body's frame on its sphere.
+    """Draw the path of the angular momentum in the body frame on its sphere.
 
-    The momentum is about the pivot (SO3), or about the centre of mass (SE3).  Thin curves are
-    levels of the energy ½ Lᵀ I⁻¹ L with the shape frozen as it is at the time `when` [s]; a
-    rigid body stays on one of them.  Of a file, the time is the nearest in it; without its robot
-    there are no levels.
-    Raises InputError for another group or where there is no momentum, LoadError if SE3 needs
-    the robot of a file and it cannot be loaded.
+    The momentum is about the pivot (SO3), or about the centre of mass (SE3). Thin curves are
+    levels of the energy ½ Lᵀ I⁻¹ L for a frozen shape; a rigid body stays on one of them. Without
+    the robot of a recording there are no levels.
+
+    Args:
+        motion: Trajectory, or a recording read from a file.
+        when: Time of the frozen shape [s]; a recording uses its nearest time.
+    Returns:
+        The figure.
+    Raises:
+        InputError: Another group, or zero momentum.
+        LoadError: SE3 needs the robot of a recording, which cannot be loaded.
     """
     names = labels(motion)
     L = angular_momentum(motion, fine_path(motion))
@@ -49,12 +55,12 @@ def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
         raise InputError(f"'{names.robot}' has no angular momentum, so there is no sphere")
     steady = np.ptp(np.linalg.norm(L, axis=1)) <= _CONSTANT * size
     about = "pivot" if group_named(names.group).is_pivot else "centre of mass"
-    made = figure(
+    drawing = figure(
         f"{names.robot}: angular momentum about the {about}, in the body's frame\n"
         + (f"|L| = {size:.4g} N·m·s" if steady else f"|L| changes from {size:.4g} N·m·s (sphere)"),
         height=5.4,
     )
-    axes: Any = made.add_subplot(projection="3d", computed_zorder=False)
+    axes: Any = drawing.add_subplot(projection="3d", computed_zorder=False)
     angles = _view(L)
     view = _direction(*angles)
     axes.set_proj_type("ortho")
@@ -71,20 +77,26 @@ def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
               linestyle="none", zorder=6)  # fmt: skip
     reach = 1.05 * max(size, float(np.abs(L).max()))
     _draw_axes(axes, reach)
-    made.legend(loc="outside lower left", ncols=3, frameon=False)
-    return made
+    drawing.legend(loc="outside lower left", ncols=3, frameon=False)
+    return drawing
 
 
 def angular_momentum(motion: MotionSource, path: Path) -> Array:
-    """Return the angular momentum in the body's frame along a path of a motion, (T, 3) [N·m·s].
+    """Compute the angular momentum in the body frame along a path of a motion.
 
-    Raises InputError for groups other than SO3 and SE3; LoadError if SE3 needs the robot of a file
-    and it cannot be loaded.
+    Args:
+        motion: The motion.
+        path: Its states.
+    Returns:
+        (T, 3) angular momentum [N·m·s].
+    Raises:
+        InputError: The group is neither SO3 nor SE3.
+        LoadError: SE3 needs the robot of a recording, which cannot be loaded.
     """
     group = group_named(labels(motion).group)
     if group.turns < 3:
-        known = " and ".join(each.name for each in GROUPS.values() if each.turns == 3)
-        raise InputError(f"the body momentum moves on a sphere for {known}, not for {group}")
+        names = " and ".join(g.name for g in GROUPS.values() if g.turns == 3)
+        raise InputError(f"the body momentum moves on a sphere for {names}, not for {group}")
     mu = with_base(path, labels(motion).robot).body_momentum
     if group.is_pivot:
         return mu
@@ -94,9 +106,9 @@ def angular_momentum(motion: MotionSource, path: Path) -> Array:
 def level_curves(inertia: Array, size: float) -> list[Array]:
     """Return curves of equal energy ½ Lᵀ I⁻¹ L on the sphere |L| = size, each (P, 3).
 
-    In principal axes, with a < b < c the eigenvalues of I⁻¹ and 2h the level for |L| = 1, a
-    curve about the first axis projects along it on the ellipse L2² (b − a) + L3² (c − a) =
-    2h − a, and likewise one about the third.  The first two curves are the separatrix.
+    Let a < b < c be the eigenvalues of I⁻¹ and 2h the level for |L| = 1. In principal axes, a curve
+    about the first axis projects to the ellipse L2² (b − a) + L3² (c − a) = 2h − a, and similarly
+    about the third axis. The first two curves are the separatrix.
     """
     values, axes = np.linalg.eigh(np.linalg.inv(inertia))
     a, b, c = values
@@ -104,11 +116,11 @@ def level_curves(inertia: Array, size: float) -> list[Array]:
     levels: list[tuple[float, int]] = []
     if b - a > gap and c - b > gap:
         levels.append((b, 0))
-    parts = (np.arange(_CURVES) + 0.5) / _CURVES
+    fractions = (np.arange(_CURVES) + 0.5) / _CURVES
     if b - a > gap:
-        levels += [(a + part**2 * (b - a), 0) for part in parts]
+        levels += [(a + f**2 * (b - a), 0) for f in fractions]
     if c - b > gap:
-        levels += [(c - part**2 * (c - b), 2) for part in parts]
+        levels += [(c - f**2 * (c - b), 2) for f in fractions]
     s = np.linspace(0.0, 2.0 * np.pi, _POINTS)
     curves = []
     for level, about in levels:
@@ -116,23 +128,22 @@ def level_curves(inertia: Array, size: float) -> list[Array]:
         L = np.zeros((_POINTS, 3))
         for k, wave in ((first, np.cos(s)), (second, np.sin(s))):
             L[:, k] = np.sqrt((level - values[about]) / (values[k] - values[about])) * wave
-        rest = 1.0 - np.sum(L**2, axis=1)
-        L[:, about] = np.sqrt(np.maximum(rest, 0.0))
+        L[:, about] = np.sqrt(np.maximum(1.0 - np.sum(L**2, axis=1), 0.0))
         for sign in (1.0, -1.0):
-            turned = L.copy()
-            turned[:, about] *= sign
-            curves.append(np.asarray(size * turned @ axes.T))
+            curve = L.copy()
+            curve[:, about] *= sign
+            curves.append(np.asarray(size * curve @ axes.T))
     return curves
 
 
 def _frozen_inertia(system: System, x: Array) -> Array:
-    """Return the rotational inertia with the joints frozen, about pivot or centre of mass."""
+    """Compute the rotational inertia with frozen joints about the pivot or the centre of mass."""
     I = Reduction(system).locked_inertia(x)
     return I if len(I) == 3 else np.asarray(np.linalg.inv(np.linalg.inv(I)[3:, 3:]))
 
 
 def _view(L: Array) -> tuple[float, float]:
-    """Return elevation and azimuth [deg] from which a path is seen, and all three axes are."""
+    """Return elevation and azimuth [deg] that show the path and all three axes."""
     mean = np.mean(L, axis=0)
     if np.linalg.norm(mean) < 0.2 * np.linalg.norm(L[0]):
         mean = L[0]
@@ -147,7 +158,7 @@ def _direction(elevation: float, azimuth: float) -> Array:
 
 
 def _draw(axes: Any, curve: Array, view: Array, label: str, **look: Any) -> None:
-    """Draw a curve on the sphere, pale and dotted where it is on the far side."""
+    """Draw a curve on the sphere, pale and dotted on its far side."""
     front = curve @ view >= 0.0
     near, far = curve.copy(), curve.copy()
     near[~front] = np.nan
@@ -159,7 +170,7 @@ def _draw(axes: Any, curve: Array, view: Array, label: str, **look: Any) -> None
 
 
 def _ball(axes: Any, size: float, view: Array) -> None:
-    """Draw the sphere as it looks from afar: a disc."""
+    """Draw the sphere as a disc, its parallel projection."""
     s = np.linspace(0.0, 2.0 * np.pi, _POINTS)
     _, _, across = np.linalg.svd(view[None])
     rim = size * (np.cos(s)[:, None] * across[1] + np.sin(s)[:, None] * across[2])
@@ -169,7 +180,7 @@ def _ball(axes: Any, size: float, view: Array) -> None:
 
 
 def _draw_axes(axes: Any, reach: float) -> None:
-    """Give a cube of axes their limits, names and units."""
+    """Set limits, labels and units of the three axes."""
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
     axes.set_box_aspect((1, 1, 1))
     axes.set(xlabel="L1 [N·m·s]", ylabel="L2 [N·m·s]", zlabel="L3 [N·m·s]")

@@ -1,4 +1,4 @@
-"""Names of the numbers of a motion: robot, group, joints, units, and which stand together."""
+"""Labels of a motion: robot, group, joints, units, and joints that share a panel."""
 
 from __future__ import annotations
 
@@ -12,14 +12,22 @@ from ...system.state_fields import FIELDS
 from ...system.system import System
 from ..motion_source import MotionSource
 
-FEW = 6  # joints that share a panel whatever they are
-MOST = 8  # lines that a panel can bear
-_SMALL = 4  # limbs of fewer joints in all share a panel
+FEW = 6  # up to this number of joints share a panel, whatever their branches
+MOST = 8  # largest number of lines in a panel
+_SMALL = 4  # branches with up to this number of joints in total share a panel
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Names of a motion.  units: of each joint.  limbs: indices of joints in one row."""
+    """Labels of a motion.
+
+    Attributes:
+        robot: Name of the robot.
+        group: Name of the symmetry group.
+        joints: Names of the joints, (m,).
+        units: Units of the joints, (m,).
+        limbs: Indices of the joints of each unbranched chain.
+    """
 
     robot: str
     group: str
@@ -28,7 +36,7 @@ class Labels:
     limbs: tuple[tuple[int, ...], ...]
 
     def index(self, joint: str | int) -> int:
-        """Return where a joint stands in the shape.  Raises InputError."""
+        """Return the index of a joint in the shape; raise InputError if it does not exist."""
         if isinstance(joint, str):
             if joint not in self.joints:
                 raise InputError(
@@ -40,15 +48,15 @@ class Labels:
         return int(joint)
 
     def indices(self, joints: Sequence[str | int] | str | int) -> list[int]:
-        """Return where some joints stand, each once.  Raises InputError."""
-        given = [joints] if isinstance(joints, (str, int)) else list(joints)
-        found = [self.index(joint) for joint in given]
-        if not found or len(set(found)) != len(found):
-            raise InputError(f"joints must be different ones, at least one, got {given}")
-        return found
+        """Return the indices of distinct joints; raise InputError otherwise."""
+        names = [joints] if isinstance(joints, (str, int)) else list(joints)
+        indices = [self.index(joint) for joint in names]
+        if not indices or len(set(indices)) != len(indices):
+            raise InputError(f"joints must be different ones, at least one, got {names}")
+        return indices
 
     def panels(self, joints: Sequence[str | int] | str | int | None = None) -> list[list[int]]:
-        """Return which joints share a panel: one unit, one limb or a few small ones."""
+        """Group joints into panels: one unit, and one branch or several small ones."""
         if joints is not None:
             groups = [self.indices(joints)]
         elif len(self.joints) <= FEW:
@@ -72,27 +80,27 @@ class Labels:
 
 
 def labels(motion: MotionSource) -> Labels:
-    """Return the labels of a motion.  Raises InputError for anything else."""
+    """Return the labels of a motion; raise InputError for another type."""
     if isinstance(motion, Trajectory):
         return labels_of(motion.system)
     if not isinstance(motion, Recording):
         raise InputError(
-            f"a plot over time takes a Trajectory, or what read_recording makes of a npz file, "
+            f"a plot over time takes a Trajectory, or a recording from read_recording, "
             f"got {type(motion).__name__}"
         )
     system = robot_of(motion)
     if system is not None:
         return labels_of(system)
-    row = tuple(range(len(motion.joints)))
-    limbs = tuple(row[i : i + MOST] for i in range(0, len(row), MOST))
-    units = (FIELDS["x"].unit,) * len(row)  # only the robot says which
+    indices = tuple(range(len(motion.joints)))
+    limbs = tuple(indices[i : i + MOST] for i in range(0, len(indices), MOST))
+    units = (FIELDS["x"].unit,) * len(indices)  # without the robot, units are ambiguous
     return Labels(motion.robot, motion.group, motion.joints, units, limbs)
 
 
 def robot_of(motion: MotionSource) -> System | None:
-    """Return the robot of a motion, or None if that of a file cannot be found.
+    """Return the robot of a motion, or None if the robot of a recording is not found.
 
-    Raises InputError if it is not the one that moved.
+    Raises InputError if the robot does not match the recording.
     """
     try:
         return motion.system
@@ -107,21 +115,20 @@ def labels_of(system: System) -> Labels:
 
 
 def _limbs(system: System) -> tuple[tuple[int, ...], ...]:
-    """Return the joints in unbranched rows."""
-    parents = [_before(system, i) for i in system.joints]
-    rows: list[list[int]] = []
+    """Group the joints into unbranched chains."""
+    parents = [_parent_joint(system, i) for i in system.joints]
+    chains: list[list[int]] = []
     for k, parent in enumerate(parents):
-        follows = k > 0 and parent == k - 1 and parents.count(parent) == 1
-        if follows:
-            rows[-1].append(k)
+        if k > 0 and parent == k - 1 and parents.count(parent) == 1:
+            chains[-1].append(k)
         else:
-            rows.append([k])
-    return tuple(map(tuple, rows))
+            chains.append([k])
+    return tuple(map(tuple, chains))
 
 
-def _before(system: System, joint: int) -> int:
-    """Return the shape coordinate that moves what a joint hangs on; −1 for the root."""
-    at = int(system.model.parents[joint])
-    while at > 1 and at not in system.joints:
-        at = int(system.model.parents[at])
-    return system.joints.index(at) if at > 1 else -1
+def _parent_joint(system: System, joint: int) -> int:
+    """Return the shape index of the next joint towards the root; −1 for the root itself."""
+    parent = int(system.model.parents[joint])
+    while parent > 1 and parent not in system.joints:
+        parent = int(system.model.parents[parent])
+    return system.joints.index(parent) if parent > 1 else -1

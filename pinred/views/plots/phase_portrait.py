@@ -1,4 +1,4 @@
-"""The phase portrait of the shape, with the amended potential that governs it."""
+"""The phase portrait of the shape, with its amended potential."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from .shape_plane import Limits, Plane, around, draw_path, plane, title_at
 from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, styled
 from .time_series import require_joints
 
-_LEVELS = 14
-_TRIED = 50  # states of a file whose energy is looked at
-_CLOSE = 1e-7  # relative; energies that differ by less are the same
-_FLAT = 1e-9  # relative, or J; a potential that changes by less is constant
+_LEVELS = 14  # levels of the potential and the energy
+_TRIED = 50  # states of a recording whose energy is checked
+_CLOSE = 1e-7  # relative difference of energies that count as equal
+_FLAT = 1e-9  # relative change (or J) of a potential that counts as constant
 
 
 @styled
@@ -39,47 +39,54 @@ def phase(
 ) -> Figure:
     """Draw shape against rate, with the amended potential V + ½ μᵀ I⁻¹ μ.
 
-    One joint: the potential above, and below the portrait; if it is the only joint, on the
-    levels of its energy.  Two joints: the path over the potential, and a portrait of each.
-    joints: one or two names or indices, the first two if None.  limits: (low, high) of each
-    joint.  when: the time at which the momentum and the joints that do not vary are taken [s].
+    With one joint, the potential is above the portrait; for a robot with one joint, the portrait
+    has levels of the energy. With two joints, the path is drawn over the potential, next to a
+    portrait of each joint.
 
-    μ is the momentum about the centre of mass where the group translates.  On SO3 and SE3 it
-    turns in the body, so that away from `when` the potential is another one.  Potentials of
-    forces count, torques do not.  A pivot in gravity has no potential; nor has a file whose
-    robot is not found, or whose energy has more in it than the robot's, as it holds no forces;
-    of the others, `when` is the nearest time in it.
-    Raises InputError for a robot without joints, or names that are not there.
+    The momentum μ is about the centre of mass if the group translates. On SO3 and SE3 it rotates
+    in the body frame, so the potential is valid at `when` only. Potentials of forces are included,
+    torques are not. There is no potential for a pivot in gravity, for a recording without its
+    robot, or for a recording whose energy includes forces, because these are not stored.
+
+    Args:
+        motion: Trajectory, or a recording read from a file.
+        joints: Names or indices of one or two joints; the first two if None.
+        limits: (low, high) of each joint [rad | m]; around the path if None.
+        when: Time of the momentum and of the other joints [s]; a recording uses its nearest time.
+    Returns:
+        The figure.
+    Raises:
+        InputError: A robot without joints, or unknown names.
     """
     names = labels(motion)
     require_joints(names, 1, "a phase portrait")
-    chosen = names.indices(joints if joints is not None else range(min(2, len(names.joints))))
-    if len(chosen) > 2:
-        raise InputError(f"joints must be one or two for a phase portrait, got {len(chosen)}")
-    units = [names.units[k] for k in chosen]
+    selected = names.indices(joints if joints is not None else range(min(2, len(names.joints))))
+    if len(selected) > 2:
+        raise InputError(f"joints must be one or two for a phase portrait, got {len(selected)}")
+    units = [names.units[k] for k in selected]
     path = fine_path(motion)
     if limits is None:
-        limits = around(path.x[:, chosen], units)
+        limits = around(path.x[:, selected], units)
     system = robot_of(motion)
-    lack = _lack(motion, system)
-    landscape = None if system is None or lack else _Landscape(motion, system, when)
+    reason = _why_no_potential(motion, system)
+    landscape = None if system is None or reason else _Landscape(motion, system, when)
     at = motion.x[0] if landscape is None else landscape.x
-    shapes = plane(chosen, limits, at)
+    shapes = plane(selected, limits, at)
     values = None if landscape is None else landscape.potential(shapes.shapes)
-    title = f"{names.robot}: phase portrait" + (lack or _remark(names, landscape, values))
-    rest = title_at(names, chosen, at)
-    if rest and values is not None:
-        title += f"\n{rest}"
-    if len(chosen) == 1:
-        return _one(path, names, shapes, landscape, values, title)
-    return _two(path, names, shapes, landscape, values, title)
+    title = f"{names.robot}: phase portrait" + (reason or _remark(names, landscape, values))
+    frozen = title_at(names, selected, at)
+    if frozen and values is not None:
+        title += f"\n{frozen}"
+    if len(selected) == 1:
+        return _draw_one_joint(path, names, shapes, landscape, values, title)
+    return _draw_two_joints(path, names, shapes, landscape, values, title)
 
 
 class _Landscape:
     """The amended potential of a motion at one of its times."""
 
     def __init__(self, motion: MotionSource, system: System, time: float) -> None:
-        """Take the momentum and the shape at a time."""
+        """Evaluate momentum and shape at a time."""
         state = with_base(state_at(motion, time), system.name)
         self.x, self.time = state.x, float(state.t)
         self._forces = motion.scene.force_model if isinstance(motion, Trajectory) else None
@@ -89,12 +96,12 @@ class _Landscape:
         if group.turns:
             com = self._reduction.grid(state.x).com
             self.mu[group.linear :] = group.about(com, state.body_momentum)
-        # Constant in the body: one number, or nothing.
+        # The body momentum is constant if it has one component, or if it is zero.
         self.is_exact = group.turns < 3 or not self.mu.any()
         self._xdot = state.xdot
 
     def potential(self, shapes: Array) -> Array | None:
-        """Return V + ½ μᵀ I⁻¹ μ at shapes (…, m), or None if gravity turns the pivot."""
+        """Return V + ½ μᵀ I⁻¹ μ at shapes (…, m), or None if there is none."""
         field = self._reduction.grid(shapes)
         try:
             values = np.array(field.amended_potential(self.mu))
@@ -112,36 +119,36 @@ class _Landscape:
 
     def energy(self) -> float:
         """Return ½ ẋᵀ M ẋ + V + ½ μᵀ I⁻¹ μ at the time [J]."""
-        potential = self.potential(self.x[None])
-        rest = 0.0 if potential is None else float(potential[0])
-        return rest + 0.5 * float(self._xdot @ self.metric(self.x[None])[0] @ self._xdot)
+        values = self.potential(self.x[None])
+        potential = 0.0 if values is None else float(values[0])
+        return potential + 0.5 * float(self._xdot @ self.metric(self.x[None])[0] @ self._xdot)
 
 
-def _lack(motion: MotionSource, system: System | None) -> str:
-    """Return why a motion read from a file has no potential, "" if it has."""
+def _why_no_potential(motion: MotionSource, system: System | None) -> str:
+    """Return why a recording has no potential, as a remark for the title; "" if it has."""
     if isinstance(motion, Trajectory):
         return ""
     if system is None:
-        return " (the robot of the file is not found, hence no potential)"
+        return " (the robot of the file was not found: no potential)"
     if not isinstance(motion.outputs, State):
-        return " (the file leaves out the base, hence no potential)"
+        return " (the file leaves out the base: no potential)"
     if not _is_all_energy(motion.outputs, system):
-        return " (the file does not hold its forces, hence no potential)"
+        return " (the file does not store its forces: no potential)"
     return ""
 
 
 def _is_all_energy(states: State, system: System) -> bool:
-    """Return whether the energy is that of Pinocchio's model alone, forces aside."""
+    """Return whether the energy is that of Pinocchio's model alone, without forces."""
     model, data = system.model, system.model.createData()
     q, v = system.sorted_q(states.q), system.sorted_v(states.v)
-    off, size = [], 0.0
+    differences, size = [], 0.0
     for k in np.linspace(0, len(states.t) - 1, _TRIED).astype(int):
         H = symmetric(pin.crba(model, data, q[k]))
         kinetic = 0.5 * float(v[k] @ H @ v[k])
         potential = float(pin.computePotentialEnergy(model, data, q[k]))
-        off.append(abs(states.energy[k] - kinetic - potential))
+        differences.append(abs(states.energy[k] - kinetic - potential))
         size = max(size, kinetic + abs(potential))
-    return bool(max(off) <= _CLOSE * size)
+    return bool(max(differences) <= _CLOSE * size)
 
 
 def _remark(names: Labels, landscape: _Landscape | None, values: Array | None) -> str:
@@ -156,16 +163,16 @@ def _is_flat(values: Array) -> bool:
     return bool(np.ptp(values) <= _FLAT * max(_FLAT, float(np.abs(values).max())))
 
 
-def _one(
+def _draw_one_joint(
     path: Path, names: Labels, shapes: Plane, landscape: _Landscape | None,
     values: Array | None, title: str,
 ) -> StyledFigure:  # fmt: skip
     (joint,), (x,) = shapes.joints, shapes.axes
-    rows = 1 if values is None else 2
-    made = figure(title, height=0.7 + 2.1 * rows + (0.6 if rows == 2 else 0.0))
-    panels = made.subplots(
-        rows, 1, sharex=True, squeeze=False,
-        gridspec_kw={"height_ratios": [2, 3][-rows:]},
+    count = 1 if values is None else 2
+    drawing = figure(title, height=0.7 + 2.1 * count + (0.6 if count == 2 else 0.0))
+    panels = drawing.subplots(
+        count, 1, sharex=True, squeeze=False,
+        gridspec_kw={"height_ratios": [2, 3][-count:]},
     )[:, 0]  # fmt: skip
     portrait = panels[-1]
     if landscape is not None and values is not None:
@@ -188,21 +195,21 @@ def _one(
         portrait.set_ylim(low, high)
     portrait.set_xlabel(f"{names.joints[joint]} [{names.units[joint]}]")
     legend(portrait)
-    return made
+    return drawing
 
 
-def _two(
+def _draw_two_joints(
     path: Path, names: Labels, shapes: Plane, landscape: _Landscape | None,
     values: Array | None, title: str,
 ) -> StyledFigure:  # fmt: skip
-    made = figure(title, width=9.6, height=4.6)
-    grid = made.add_gridspec(2, 2, width_ratios=[3, 2])
-    main = made.add_subplot(grid[:, 0])
+    drawing = figure(title, width=9.6, height=4.6)
+    grid = drawing.add_gridspec(2, 2, width_ratios=[3, 2])
+    main = drawing.add_subplot(grid[:, 0])
     a, b = shapes.joints
     if landscape is not None and values is not None and not _is_flat(values):
         field = main.contourf(*shapes.axes, values, levels=_LEVELS, cmap=FIELD)
         main.contour(*shapes.axes, values, levels=_LEVELS, colors=BLACK, linewidths=0.3)
-        bar = made.colorbar(field, ax=main, location="left", pad=0.02)
+        bar = drawing.colorbar(field, ax=main, location="left", pad=0.02)
         bar.set_label("amended potential [J]")
         energy = landscape.energy()
         if len(names.joints) == 2 and landscape.is_exact and values.min() < energy < values.max():
@@ -214,15 +221,15 @@ def _two(
     main.set_xlabel(f"{names.joints[a]} [{names.units[a]}]")
     main.set_ylabel(f"{names.joints[b]} [{names.units[b]}]")
     main.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
-    for row, joint in enumerate((a, b)):
-        axes = made.add_subplot(grid[row, 1])
+    for panel, joint in enumerate((a, b)):
+        axes = drawing.add_subplot(grid[panel, 1])
         _portrait(axes, path, names, joint)
         axes.set_xlabel(f"{names.joints[joint]} [{names.units[joint]}]")
-    return made
+    return drawing
 
 
 def _portrait(axes: Axes, path: Path, names: Labels, joint: int) -> None:
-    """Draw rate against shape of one joint."""
+    """Draw rate against angle or position of one joint."""
     unit = names.units[joint].replace(" | ", "/s | ")
     x, rate = path.x[:, joint], path.xdot[:, joint]
     axes.plot(x, rate, color=BLUE, linewidth=1.6, label="path", zorder=3)

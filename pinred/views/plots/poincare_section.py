@@ -1,8 +1,8 @@
-"""Poincaré sections: where motions pierce a surface in their state space."""
+"""Poincaré sections: crossings of a surface in state space."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,11 +12,12 @@ from ...common.errors import InputError
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ..motion_source import MotionSource
-from .crossings import crossings
-from .fine_path import fine_path, shape_path
+from .fine_path import fine_path, fine_times, shape_path
 from .motion_labels import labels
 from .style import dots, figure, legend, styled
 from .time_series import require_joints
+
+_HALVINGS = 64  # bisections, enough to reach the spacing of floating-point numbers
 
 
 @styled
@@ -27,21 +28,26 @@ def poincare(
     value: float | None = None,
     direction: int = 1,
 ) -> Figure:
-    """Draw shape against rate of one joint at each crossing of another, each motion by its mark.
+    """Draw angle against rate of one joint at each crossing of another joint.
 
-    joints: the one that crosses and the one that is drawn, the first two if None.  value:
-    where it crosses [rad | m], the middle of its motion if None; of a turning joint, whole turns
-    more or less count as well.
-    direction: 1 where its rate is positive, −1 where it is negative, 0 both.
-    Of a file, the motion between two report times is the cubic that shapes and rates give.
-    Raises InputError for fewer than two joints, motions of several robots, or if no motion
-    crosses.
+    A recording is interpolated by cubic splines between its times.
+
+    Args:
+        motions: One or several motions of one robot; each has a separate marker.
+        joints: The crossing joint and the drawn joint, by name or index; the first two if None.
+        value: Value of the crossing joint [rad | m], modulo 2π for rotations; the middle of its
+            range if None.
+        direction: Sign of the rate at the crossing: 1, −1, or 0 for both.
+    Returns:
+        The figure.
+    Raises:
+        InputError: Fewer than two joints, motions of several robots, or no crossing.
     """
-    every = [motions] if isinstance(motions, (Trajectory, Recording)) else list(motions)
-    if not every:
+    sources = [motions] if isinstance(motions, (Trajectory, Recording)) else list(motions)
+    if not sources:
         raise InputError("a Poincaré section takes one or more motions, got none")
-    names = labels(every[0])
-    if any(labels(each) != names for each in every):
+    names = labels(sources[0])
+    if any(labels(motion) != names for motion in sources):
         raise InputError("a Poincaré section takes motions of one robot only")
     require_joints(names, 2, "a Poincaré section")
     pair = names.indices(joints if joints is not None else (0, 1))
@@ -52,49 +58,58 @@ def poincare(
         raise InputError(f"direction must be 1, -1 or 0 for both, got {direction!r}")
     unit = names.units[crossed]
     if value is None:
-        x = fine_path(every[0]).x[:, crossed]
+        x = fine_path(sources[0]).x[:, crossed]
         value = 0.5 * float(x.min() + x.max())
     where = float(as_floats(value, "value"))
     if not np.isfinite(where):
         raise InputError(f"value must be finite, got {value}")
     points = [
-        section(each, crossed, where, direction, turns=unit == "rad", shown=shown) for each in every
+        section(motion, crossed, where, direction, turns=unit == "rad", shown=shown)
+        for motion in sources
     ]
-    if not any(len(part) for part in points):
+    if not any(len(crossed_at) for crossed_at in points):
         raise InputError(
             f"'{names.joints[crossed]}' does not cross {where:g} {unit} in this direction; "
             "choose another value or a longer motion"
         )
     sense = {1: ", upwards", -1: ", downwards", 0: ""}[direction]
-    made = figure(
+    drawing = figure(
         f"{names.robot}: Poincaré section at {names.joints[crossed]} = {where:.4g} {unit}{sense}",
         height=4.2,
     )
-    axes = made.subplots()
+    axes = drawing.subplots()
     size = 5.0 if max(map(len, points)) < 100 else 2.5
-    for k, part in enumerate(points):
+    for k, crossed_at in enumerate(points):
         axes.plot(
-            part[:, 0], part[:, 1], linestyle="none", markersize=size, markeredgewidth=0.0,
-            label=f"motion {k + 1}: {len(part)} crossings", **dots(k),
+            *crossed_at.T, linestyle="none", markersize=size, markeredgewidth=0.0,
+            label=f"motion {k + 1}: {len(crossed_at)} crossings", **dots(k),
         )  # fmt: skip
     axes.set_xlabel(f"{names.joints[shown]} [{names.units[shown]}]")
     axes.set_ylabel(f"rate of {names.joints[shown]} [{names.units[shown]}/s]")
     legend(axes)
-    return made
+    return drawing
 
 
 def section(
     motion: MotionSource, joint: int, value: float, direction: int, *, turns: bool, shown: int
 ) -> Array:
-    """Return (shape, rate) of a joint at the crossings of another, in order of time, (K, 2).
+    """Compute value and rate of a joint at the crossings of another joint.
 
-    turns: whether whole turns more or less than `value` count.
+    Args:
+        motion: The motion.
+        joint: Index of the crossing joint.
+        value: Value at the crossing [rad | m].
+        direction: Sign of the rate at the crossing: 1, −1, or 0 for both.
+        turns: Whether values that differ by full rotations count as crossings.
+        shown: Index of the other joint.
+    Returns:
+        (K, 2) value and rate of the other joint, in order of time.
     """
     path = shape_path(motion)
 
     def height(t: Array) -> Array:
-        apart = path(t)[0][:, joint] - value
-        return np.sin(0.5 * apart) if turns else apart
+        distance = path(t)[0][:, joint] - value
+        return np.sin(0.5 * distance) if turns else distance
 
     t = crossings(motion, height)
     if not t.size:
@@ -102,3 +117,30 @@ def section(
     x, xdot = path(t)
     points = np.stack([x[:, shown], xdot[:, shown]], axis=1)
     return points if not direction else points[np.sign(xdot[:, joint]) == direction]
+
+
+def crossings(motion: MotionSource, function: Callable[[Array], Array]) -> Array:
+    """Find the times at which a continuous function changes its sign, by bisection.
+
+    Two crossings within an eighth of an integration step, or of a report interval, are missed.
+
+    Args:
+        motion: The motion, whose steps are searched.
+        function: Function from times (T,) to values (T,).
+    Returns:
+        Times of the crossings, (K,) [s].
+    """
+    t = fine_times(motion)
+    # An exact zero takes the sign before it, so that the crossing is counted once.
+    signs = np.sign(function(t))
+    for k in np.flatnonzero(signs == 0.0):
+        signs[k] = signs[k - 1] if k else 0.0
+    change = signs[:-1] * signs[1:] < 0.0
+    low, high, sign = t[:-1][change], t[1:][change], signs[:-1][change]
+    if not low.size:
+        return low
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        before = np.sign(function(middle)) == sign
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    return np.asarray(high)

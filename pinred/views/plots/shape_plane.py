@@ -1,4 +1,7 @@
-"""A line or plane of shapes through shape space: some joints vary, the others stand still."""
+"""Lines and planes in shape space: one or two joints vary, the others are frozen.
+
+A quantity over a plane is drawn as a colour map with level sets.
+"""
 
 from __future__ import annotations
 
@@ -8,28 +11,36 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.contour import QuadContourSet
 from matplotlib.patheffects import Stroke, withStroke
+from matplotlib.ticker import MaxNLocator
 
 from ...common.arrays import Array, as_floats, vectors
 from ...common.errors import InputError
 from ...system.joints import is_prismatic
 from ...system.system import System
 from .motion_labels import Labels
-from .style import BLACK, RED
+from .style import BLACK, FIELD, RED, legend
 
-_POINTS = {1: 241, 2: 61}  # along each axis of a line or a plane
+_POINTS = {1: 241, 2: 61}  # points along each axis of a line or a plane
 Limits: TypeAlias = Sequence[Sequence[float]]
-_PAST = 0.2  # of a path's extent that is shown beyond it
-_LEAST = {"rad": 0.4, "m": 0.05}  # half of the least that is shown
-_SLIDE = 0.5  # m; half of what is shown of a sliding joint without limits
+_MARGIN = 0.2  # margin around a path, relative to its extent
+_LEAST = {"rad": 0.4, "m": 0.05}  # half of the smallest range of an axis
+_SLIDE = 0.5  # half of the range of a prismatic joint without limits [m]
+
+NONE = 1e-12  # smaller values and differences are round-off
+_LEVELS = 20
 
 
 @dataclass(frozen=True)
 class Plane:
     """Shapes in which one or two joints vary.
 
-    joints: their indices.  axes: the values of each, (P,).  shapes: (P, m) of one joint,
-    (P, P, m) of two, the second joint first, as contours want it.
+    Attributes:
+        joints: Indices of the varying joints.
+        axes: Values of each, (P,) [rad | m].
+        shapes: (P, m) for one joint; (P, P, m) for two, the second joint along the first axis, as
+            contour plots require.
     """
 
     joints: tuple[int, ...]
@@ -38,9 +49,16 @@ class Plane:
 
 
 def plane(joints: Sequence[int], limits: Limits, at: Array) -> Plane:
-    """Return the shapes in which `joints` take all values within limits, the others those in `at`.
+    """Build the shapes in which some joints vary within limits.
 
-    Raises InputError unless the limits are a finite, increasing pair for each joint.
+    Args:
+        joints: Indices of one or two joints.
+        limits: (low, high) of each [rad | m].
+        at: Values of the other joints, (m,) [rad | m].
+    Returns:
+        The shapes.
+    Raises:
+        InputError: The limits are not a finite, increasing pair for each joint.
     """
     bounds = as_floats(limits, "limits")
     if bounds.shape != (len(joints), 2) or not np.isfinite(bounds).all():
@@ -58,17 +76,17 @@ def plane(joints: Sequence[int], limits: Limits, at: Array) -> Plane:
 
 
 def around(path: Array, units: Sequence[str]) -> list[tuple[float, float]]:
-    """Return limits that show a path (T, k) with some room around it."""
+    """Return limits that enclose a path (T, k) with a margin."""
     limits = []
     for values, unit in zip(path.T, units, strict=True):
         low, high = float(values.min()), float(values.max())
-        half = max(0.5 * (high - low) * (1.0 + 2.0 * _PAST), _LEAST.get(unit, 0.4))
+        half = max(0.5 * (high - low) * (1.0 + 2.0 * _MARGIN), _LEAST.get(unit, 0.4))
         limits.append((0.5 * (low + high) - half, 0.5 * (low + high) + half))
     return limits
 
 
 def reach(system: System, joints: Sequence[int]) -> list[tuple[float, float]]:
-    """Return limits that show all a joint can do: a turn, half a metre, its own limits."""
+    """Return the range of joints: ±π, ±0.5 m, or their position limits if smaller."""
     limits = []
     for k in joints:
         joint = system.model.joints[system.joints[k]]
@@ -82,7 +100,7 @@ def reach(system: System, joints: Sequence[int]) -> list[tuple[float, float]]:
 
 
 def checked_path(path: Any, m: int) -> Array:
-    """Return shapes over time, (T, m).  Raises ShapeError or InputError."""
+    """Validate shapes over time (T, m); raise ShapeError or InputError."""
     array = vectors(path, m, "path")
     if array.ndim != 2 or len(array) == 0:
         raise InputError(f"path must be shapes over time, (T, {m}), got shape {array.shape}")
@@ -90,7 +108,7 @@ def checked_path(path: Any, m: int) -> Array:
 
 
 def draw_path(axes: Axes, x: Array, y: Array) -> None:
-    """Draw a curve over a field so that it stands out, with a dot where it starts."""
+    """Draw a curve with a white outline over a field, and a dot at its start."""
     halo = [Stroke(linewidth=3.4, foreground="white"), withStroke(linewidth=0.0)]
     axes.plot(x, y, color=RED, linewidth=1.6, label="path", path_effects=halo, zorder=4)
     axes.plot(
@@ -100,7 +118,7 @@ def draw_path(axes: Axes, x: Array, y: Array) -> None:
 
 
 def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
-    """Return where the joints that do not vary stand, "" if all vary, in few words."""
+    """Describe the values of the frozen joints in a few words; "" if all joints vary."""
     others = [k for k in range(len(names.joints)) if k not in joints]
     if not others:
         return ""
@@ -109,3 +127,43 @@ def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
     return "drawn for " + ", ".join(
         f"{names.joints[k]} = {at[k]:.3g} {names.units[k]}" for k in others
     )
+
+
+def fill(axes: Axes, plane: Sequence[Array], values: Array) -> QuadContourSet:
+    """Draw values at the points of a plane of shapes as filled contours."""
+    low, high = float(values.min()), float(values.max())
+    if high - low < NONE:
+        low, high = low - 1.0, high + 1.0
+    if low < 0.0 < high:  # a symmetric range puts zero in the middle of the colour map
+        low, high = -max(-low, high), max(-low, high)
+    levels = MaxNLocator(_LEVELS).tick_values(low, high)
+    return axes.contourf(*plane, values, levels=levels, cmap=FIELD)
+
+
+def outline(axes: Axes, plane: Sequence[Array], values: Array, filled: QuadContourSet) -> None:
+    """Draw every second level as a line, and zero as a thick line, unless all is round-off."""
+    if np.abs(values).max() < NONE:
+        return
+    axes.contour(
+        *plane, values, levels=np.asarray(filled.levels)[::2], colors=BLACK, linewidths=0.4
+    )
+    if values.min() < 0.0 < values.max():
+        axes.contour(*plane, values, levels=[0.0], colors=BLACK, linewidths=2.0)
+        axes.plot([], [], color=BLACK, linewidth=2.0, label="zero")
+
+
+def name_axes(
+    axes: Axes,
+    filled: QuadContourSet,
+    joints: Sequence[str],
+    units: Sequence[str],
+    limits: Limits,
+    value: str,
+) -> None:
+    """Label both joint axes and the colour bar, and set the limits."""
+    axes.grid(visible=False)
+    axes.set(xlabel=f"{joints[0]} [{units[0]}]", ylabel=f"{joints[1]} [{units[1]}]")
+    axes.set(xlim=limits[0], ylim=limits[1])
+    bar = axes.figure.colorbar(filled, ax=axes, location="left", pad=0.02, shrink=0.9)
+    bar.set_label(value)
+    legend(axes)

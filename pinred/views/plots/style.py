@@ -1,9 +1,8 @@
-"""The looks of every figure: colours, dashes, sizes, legends, units.
+"""Style of all figures: colours, dashes, sizes, legends.
 
-Nothing here touches pyplot, a GUI, or the settings of the user: a figure carries its own style
-and puts it on while it is built, drawn and saved.  Colours are those of Okabe and Ito ("Color
-universal design", 2008), which colour-blind people can tell apart; each comes with its own dashes,
-so that a grey print can be read too.
+The style is applied only while a figure is built, drawn or saved; pyplot, GUIs and the user's
+settings are not touched. The colours of Okabe and Ito ("Color universal design", 2008) are
+distinguishable for colour-blind people. Each colour has distinct dashes for black-and-white prints.
 """
 
 from __future__ import annotations
@@ -33,10 +32,10 @@ DASHES: tuple[Any, ...] = (
     *((0, (3, 1.2, 1.2, 1.2, 1.2, 1.2)), (0, (9, 2.5)), (0, (2.5, 1.2))),
 )
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-FIELD = "cividis"  # a colour map that is as good in grey
-WIDTH = 6.4  # in; as wide as a page's text
-PANEL = 1.9  # in; height of one of several panels
-STEADY = 1e-6  # relative; what changes by less is drawn as a straight line
+FIELD = "cividis"  # colour map that is also readable in grey
+WIDTH = 6.4  # text width of a page [in]
+PANEL = 1.9  # height of one of several panels [in]
+STEADY = 1e-6  # relative change of values that count as constant
 
 _SETTINGS: dict[str, Any] = {
     "font.size": 9.0,
@@ -58,7 +57,7 @@ _SETTINGS: dict[str, Any] = {
     "lines.linewidth": 1.4,
     "lines.markersize": 4.0,
     "savefig.dpi": 200.0,
-    "svg.hashsalt": "pinred",  # the same figure is the same file
+    "svg.hashsalt": "pinred",  # makes files of equal figures identical
     "svg.fonttype": "path",
     "pdf.fonttype": 42,
     "xtick.labelsize": 8.0,
@@ -66,98 +65,101 @@ _SETTINGS: dict[str, Any] = {
 }
 
 
-def _worn() -> AbstractContextManager[None]:
+def _style_context() -> AbstractContextManager[None]:
     return matplotlib.style.context(["default", _SETTINGS])
 
 
 class StyledFigure(Figure):
-    """A figure that wears pinred's style whenever it is drawn; `savefig` writes it to a file."""
+    """A figure that is always drawn and saved in pinred's style."""
 
     def draw(self, renderer: Any) -> None:
-        """Draw the figure in its own style."""
-        with _worn():
+        """Draw the figure in pinred's style."""
+        with _style_context():
             super().draw(renderer)
 
     def savefig(self, *arguments: Any, **options: Any) -> None:
         """Write the figure to a file or stream, as `matplotlib.figure.Figure.savefig`."""
-        with _worn():
+        with _style_context():
             super().savefig(*arguments, **options)
 
     def _repr_png_(self) -> bytes:
-        """Return the picture that notebooks show where a figure is a cell's value."""
+        """Return the PNG picture that notebooks show."""
         stream = BytesIO()
         self.savefig(stream, format="png", dpi=100.0)
         return stream.getvalue()
 
 
 def styled(function: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Make a function that builds a figure build it in pinred's style."""
+    """Decorate a function that builds a figure, so that it uses pinred's style."""
 
     @wraps(function)
     def build(*arguments: P.args, **options: P.kwargs) -> Figure:
-        with _worn():
-            made = function(*arguments, **options)
-        for text in _named(made):
-            text.set_parse_math(False)  # a name with $ in it is no formula
-        return made
+        with _style_context():
+            drawing = function(*arguments, **options)
+        for text in _texts(drawing):
+            text.set_parse_math(False)  # names may contain $, which is not a formula
+        return drawing
 
     return build
 
 
-def _named(made: Figure) -> Iterator[Text]:
-    """Give the texts of a figure that may hold names: all but the labels of ticks."""
-    keys = [*made.legends, *(axes.get_legend() for axes in made.axes)]
-    for key in keys:
+def _texts(drawing: Figure) -> Iterator[Text]:
+    """Yield the texts of a figure that may contain names: legends and axis labels."""
+    for key in [*drawing.legends, *(axes.get_legend() for axes in drawing.axes)]:
         yield from key.get_texts() if key is not None else ()
-    for axes in made.axes:
+    for axes in drawing.axes:
         yield from (axes.xaxis.label, axes.yaxis.label)
 
 
 def figure(title: str, *, width: float = WIDTH, height: float) -> StyledFigure:
     """Return an empty figure with a title; sizes in inches."""
-    made = StyledFigure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(made)
-    made.suptitle(title, x=0.01, ha="left", parse_math=False)
-    return made
+    drawing = StyledFigure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(drawing)
+    drawing.suptitle(title, x=0.01, ha="left", parse_math=False)
+    return drawing
 
 
 def over_time(title: str, count: int) -> tuple[StyledFigure, list[Axes]]:
-    """Return a figure with `count` panels over a common time axis, in two columns from 4 on."""
+    """Return a figure with `count` panels over a common time axis, in two columns if 4 or more."""
     columns = 1 if count < 4 else 2
     rows = -(-count // columns)
-    made = figure(title, width=WIDTH * (1.0 if columns == 1 else 1.8), height=0.6 + PANEL * rows)
-    grid = made.subplots(rows, columns, sharex=True, squeeze=False)
+    width = WIDTH * (1.0 if columns == 1 else 1.8)
+    drawing = figure(title, width=width, height=0.6 + PANEL * rows)
+    grid = drawing.subplots(rows, columns, sharex=True, squeeze=False)
     axes = list(grid.flat)
     for empty in axes[count:]:
         empty.remove()
     for last in axes[max(0, count - columns) : count]:
         last.set_xlabel("time [s]")
         last.tick_params(labelbottom=True)
-    return made, axes[:count]
+    return drawing, axes[:count]
 
 
 def line(k: int) -> dict[str, Any]:
-    """Return colour and dashes of the k-th line in a panel; from the eighth on with markers."""
-    turn, n = divmod(k, len(PALETTE))
-    style: dict[str, Any] = {"color": PALETTE[n], "linestyle": DASHES[(n + 3 * turn) % len(DASHES)]}
-    if turn:
-        style |= {"marker": MARKERS[(turn - 1) % len(MARKERS)], "markevery": 0.1}
+    """Return colour and dashes of the k-th line in a panel; lines after the seventh get markers."""
+    cycle, n = divmod(k, len(PALETTE))
+    style: dict[str, Any] = {
+        "color": PALETTE[n],
+        "linestyle": DASHES[(n + 3 * cycle) % len(DASHES)],
+    }
+    if cycle:
+        style |= {"marker": MARKERS[(cycle - 1) % len(MARKERS)], "markevery": 0.1}
     return style
 
 
 def dots(k: int) -> dict[str, Any]:
-    """Return colour and marker of the k-th cloud or series of points."""
-    turn, n = divmod(k, len(PALETTE))
-    return {"color": PALETTE[n], "marker": MARKERS[(n + turn) % len(MARKERS)]}
+    """Return colour and marker of the k-th series of points."""
+    cycle, n = divmod(k, len(PALETTE))
+    return {"color": PALETTE[n], "marker": MARKERS[(n + cycle) % len(MARKERS)]}
 
 
 def shown(name: str) -> str:
-    """Return a name as legends show it; those that begin with _ they would leave out."""
+    """Return a name for legends, which would omit names that begin with _."""
     return f" {name}" if name.startswith("_") else name
 
 
 def legend(axes: Axes, *, title: str | None = None) -> None:
-    """Put a legend beside the axes, where it hides nothing, if there is more than one thing."""
+    """Put a legend to the right of the axes if it has more than one entry or a title."""
     if len(axes.get_legend_handles_labels()[1]) > 1 or title:
         axes.legend(
             loc="upper left",
@@ -171,7 +173,7 @@ def legend(axes: Axes, *, title: str | None = None) -> None:
 
 
 def steady(axes: Axes, values: Array) -> None:
-    """Widen the vertical limits where values change so little that they count as constant."""
+    """Widen the vertical limits if the values are constant up to STEADY."""
     low, high = float(np.min(values)), float(np.max(values))
     size = max(abs(low), abs(high))
     if high - low <= STEADY * size or size == 0.0:
@@ -180,6 +182,6 @@ def steady(axes: Axes, values: Array) -> None:
 
 
 def on_log(values: Array) -> Array:
-    """Return magnitudes for a logarithmic axis, which has no place for an exact zero."""
+    """Return magnitudes for a logarithmic axis, with NaN instead of zero."""
     size = np.abs(values)
     return np.where(size > 0.0, size, np.nan)

@@ -1,4 +1,4 @@
-"""Work and precision: what accuracy costs, method by method."""
+"""Work–precision diagrams: run time against error for each method."""
 
 from __future__ import annotations
 
@@ -120,6 +120,6 @@ def _draw_panel(axes: Axes, result: MeasuredWork, names: list[str], against: str
         )  # fmt: skip
         axes.set_xlim(low, max(errors) * 3.0)
     if not errors:
-        axes.text(0.5, 0.5, "no method came to its end", transform=axes.transAxes, ha="center")
+        axes.text(0.5, 0.5, "no method finished", transform=axes.transAxes, ha="center")
     axes.set_title(result.problem, loc="left", parse_math=False)
     legend(axes)

@@ -11,10 +11,16 @@ from ....common.errors import IntegrationError
 
 
 def check_in_child_process(run: Callable[[], object], who: str) -> None:
-    """Run once in a child process, and raise IntegrationError if the child is killed.
+    """Run a function once in a child process.
 
     Some libraries abort instead of raising. Exceptions of `run` are ignored here; the timed run
     raises them again.
+
+    Args:
+        run: Function to call.
+        who: Name of the tool in messages.
+    Raises:
+        IntegrationError: The child process was killed.
     """
     with warnings.catch_warnings():  # JAX warns about fork, but the child does not use JAX
         warnings.simplefilter("ignore", RuntimeWarning)

@@ -1,0 +1,111 @@
+"""The linearised reduced flow at a state: its matrix, eigenvalues, modes and their errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.arrays import Array, freeze
+from ...kernels.derived_code import jacobian_of
+from ...simulation.compiled.compiled_flow import CompiledFlow
+from .reduced_state import Leaf, leaf_of
+
+_ROUND_OFF = 10.0  # error of the Jacobian, in units of eps times its norm
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """The linearised reduced flow δż = matrix δz. Arrays are read-only.
+
+    Attributes:
+        state: Reduced state z without cyclic angles and time, (k,).
+        names: Names of its entries.
+        matrix: Exact Jacobian, (k, k).
+        eigenvalues: Eigenvalues on the leaf where the Casimirs are constant, (d,) [1/s], largest
+            growth first.
+        modes: Eigenvectors, (k, d), one per column.
+        errors: Largest effect of round-off on each eigenvalue, (d,) [1/s].
+        leaf: Tangent space of the leaf at the state.
+    """
+
+    state: Array
+    names: tuple[str, ...]
+    matrix: Array
+    eigenvalues: NDArray[np.complex128]
+    modes: NDArray[np.complex128]
+    errors: Array
+    leaf: Leaf
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def __str__(self) -> str:
+        lines = ["growth [1/s]      frequency [rad/s]"]
+        lines += [f"{value.real:+.6e}     {abs(value.imag):.6e}" for value in self.eigenvalues]
+        return "\n".join(lines)
+
+
+def linearised(flow: CompiledFlow, y: Array) -> Linearisation:
+    """Linearise the flow at a reduced state y (size,)."""
+    matrix = jacobian_of(flow.kernel, y, flow.parameters)
+    leaf = leaf_of(flow.kernel, y, _usual_rate(flow, y))
+    indices = leaf.indices
+    matrix = matrix[np.ix_(indices, indices)]
+    on_leaf = leaf.restrict(matrix)
+    values, left, right = eigen(on_leaf)
+    error = eigenvalue_errors(left, right, _ROUND_OFF * np.finfo(float).eps * norm(on_leaf))
+    return Linearisation(y[indices], leaf.names, matrix, values, leaf.embed(right), error, leaf)
+
+
+def _usual_rate(flow: CompiledFlow, y: Array) -> float:
+    """Return the largest rate at a state [rad/s], at least 1 rad/s under gravity or forces."""
+    kernel, sample = flow.kernel, flow.sample(0.0, y)
+    angular_velocity = sample.xi[kernel.system.group.linear :]
+    rate = max(float(np.abs(rates).max(initial=0.0)) for rates in (angular_velocity, sample.xdot))
+    has_forces = bool(kernel.layout.gravity) or kernel.forces is not None
+    return max(rate, 1.0) if has_forces or not rate else rate
+
+
+def norm(matrix: Array) -> float:
+    """Return the largest singular value of a matrix, or 0 for an empty matrix."""
+    return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
+
+
+def eigen(matrix: Array) -> tuple[NDArray[np.complex128], ...]:
+    """Return the eigenvalues (d,), largest real part first, and left and right eigenvectors.
+
+    The eigenvectors are columns.
+    """
+    from scipy.linalg import eig
+
+    if not matrix.size:
+        empty = np.zeros((0, 0), dtype=complex)
+        return np.zeros(0, dtype=complex), empty, empty
+    values, left, right = eig(matrix, left=True, right=True)
+    order = np.lexsort((-values.imag, np.abs(values.imag), -np.round(values.real, 12)))
+    return values[order], left[:, order], right[:, order]
+
+
+def eigenvalue_errors(
+    left: NDArray[np.complex128], right: NDArray[np.complex128], change: float
+) -> Array:
+    """Bound the change of each eigenvalue under a perturbation of the matrix.
+
+    The bound uses the condition numbers |y||x|/|yᴴx|. For defective pairs, which move by ±√ε, it is
+    limited to that order.
+
+    Args:
+        left: Left eigenvectors y, one per column.
+        right: Right eigenvectors x, one per column.
+        change: Norm ε of the perturbation.
+    Returns:
+        (d,) bounds.
+    """
+    if not right.size:
+        return np.zeros(0)
+    overlap = np.abs(np.einsum("ij,ij->j", left.conj(), right))
+    size = np.linalg.norm(left, axis=0) * np.linalg.norm(right, axis=0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.minimum(change * size / overlap, np.sqrt(change) * 1e3 + change))

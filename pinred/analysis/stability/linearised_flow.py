@@ -1,0 +1,229 @@
+"""The flow with its derivative, ẏ = f(y), Ẏ = ∂f/∂y Y, by Runge–Kutta steps of equal length.
+
+The method is DOP853, of order 8. Its steps are at most half of the steps of the motion, and short
+against the rates of the linearised flow. They are halved until the result no longer changes. Cyclic
+angles are left out, because the flow does not depend on them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...common.arrays import Array
+from ...common.errors import InputError, IntegrationError
+from ...integrators.methods import DOP853
+from ...integrators.stepping.compiling import compiled
+from ...integrators.stepping.kernel_call import SEEDS, call, call_tangent
+from ...kernels.derived_code import jacobian_of, tangent_of
+from ...scene.scene import Scene
+from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.plan import plan_of
+from ...simulation.trajectory import Trajectory
+from ...system.state_fields import State
+from .reduced_state import Leaf, leaf_of
+
+_STEP_RATIO = 0.5  # longest step, relative to the median step of the motion
+_RATE_STEP = 0.2  # longest step, in units of one over the fastest rate
+_RATE_SAMPLES = 9  # number of times at which the rates are sampled
+_CONVERGED = 1e-11  # largest relative change when the steps are halved
+_MAX_HALVINGS = 8
+
+
+@dataclass
+class LinearisedFlow:
+    """A motion and its tangent directions; `advance` changes it in place.
+
+    Attributes:
+        flow: Flow of the scene without the base.
+        leaf: Tangent space of the leaf at the initial state.
+        y: Reduced state, (size,).
+        Y: Tangent directions, (size, d).
+        longest: Longest step [s].
+    """
+
+    flow: CompiledFlow
+    leaf: Leaf
+    y: Array
+    Y: Array
+    longest: float
+
+    def converged_step(self, duration: float) -> float:
+        """Return a step [s] that can be halved without changing Y after a duration [s]."""
+        longest, directions = self.longest, self._after(duration, self.longest)
+        for _ in range(_MAX_HALVINGS):
+            refined = self._after(duration, 0.5 * longest)
+            size = float(np.abs(refined).max(initial=1e-300))
+            if float(np.abs(refined - directions).max(initial=0.0)) <= _CONVERGED * size:
+                break
+            longest, directions = 0.5 * longest, refined
+        return longest
+
+    def advance_converged(self, duration: float) -> None:
+        """Advance by a duration [s], with steps that can be halved without changing Y."""
+        self.longest = 0.5 * self.converged_step(duration)
+        self.advance(duration)
+
+    def _after(self, duration: float, longest: float) -> Array:
+        """Return Y after a duration, with steps of at most `longest`; self is unchanged."""
+        copy = replace(self, y=self.y.copy(), Y=self.Y.copy(), longest=longest)
+        copy.advance(duration)
+        return copy.Y
+
+    def advance(self, duration: float) -> None:
+        """Advance by a duration.
+
+        Args:
+            duration: Duration [s].
+        Raises:
+            IntegrationError: The state or its derivative is no longer finite.
+        """
+        steps = max(1, int(np.ceil(duration / self.longest - 1e-9)))
+        n, d = self.Y.shape
+        groups = -(-d // SEEDS)
+        lanes = np.zeros((groups, n * SEEDS))
+        for j in range(d):
+            lanes[j // SEEDS, j % SEEDS :: SEEDS] = self.Y[:, j]
+        tableau = DOP853.tableau()
+        s, A = tableau.stages, np.array(tableau.A)
+        kernel = self.flow.kernel
+        parameters = np.ascontiguousarray(self.flow.parameters)
+        _advance(
+            kernel.rate.address, tangent_of(kernel).address, parameters, A, s, duration / steps,
+            steps, self.y, lanes, np.zeros((s, n)), np.zeros((s, groups, n * SEEDS)), np.zeros(n),
+            np.zeros(n * SEEDS),
+        )  # fmt: skip
+        for j in range(d):
+            self.Y[:, j] = lanes[j // SEEDS, j % SEEDS :: SEEDS]
+        excluded = np.setdiff1d(np.arange(n), self.leaf.indices)
+        self.Y[excluded] = 0.0
+        if not (np.isfinite(self.y).all() and np.isfinite(self.Y).all()):
+            raise IntegrationError(f"the linearised flow of '{kernel.system.name}' is not finite")
+
+
+def linearised_flow(traj: Trajectory) -> LinearisedFlow:
+    """Return the linearised flow of a motion at its start, with a basis of its leaf.
+
+    Args:
+        traj: Motion by the compiled engine.
+    Returns:
+        The flow.
+    Raises:
+        InputError: The motion was not computed by the compiled engine, or its forces are not smooth
+            in time.
+    """
+    if traj.run.engine != "compiled":
+        raise InputError(
+            "traj: the linearised flow needs a motion that was simulated with engine='compiled'"
+        )
+    if len(traj.plan.stops) > 1:
+        raise InputError(
+            "traj: the linearised flow needs forces that are smooth in time, and no controllers"
+        )
+    flow = CompiledFlow.of_plan(plan_of(without_base(traj.scene)))
+    leaf = leaf_of(flow.kernel, flow.y0)
+    Y = np.zeros((len(flow.y0), leaf.basis.shape[1]))
+    Y[leaf.indices] = np.linalg.qr(leaf.embed(np.eye(leaf.basis.shape[1])))[0]
+    step_ends = traj.motion.knots
+    steps = np.diff(step_ends)
+    longest = _STEP_RATIO * float(np.median(steps)) if steps.size else 0.01 * traj.scene.end
+    fastest_rate = 0.0
+    samples = traj.motion.changes(np.linspace(0.0, traj.scene.end, _RATE_SAMPLES)).y[
+        :, : 2 * leaf.places.stop
+    ]
+    for sample in samples:
+        state = flow.y0.copy()
+        state[: len(sample)] = sample
+        J = jacobian_of(flow.kernel, state, flow.parameters)
+        fastest_rate = max(fastest_rate, float(np.abs(np.linalg.eigvals(J)).max(initial=0.0)))
+    if fastest_rate > 0.0:
+        longest = min(longest, _RATE_STEP / fastest_rate)
+    result = LinearisedFlow(flow, leaf, flow.y0.copy(), Y, longest)
+    return replace(result, longest=result.converged_step(min(20.0 * longest, traj.scene.end)))
+
+
+def without_base(scene: Scene) -> Scene:
+    """Return the same scene with outputs="shape", which leaves out the base."""
+    return scene if scene.outputs == "shape" else replace(scene, outputs="shape")
+
+
+def scene_at(traj: Trajectory, t: float) -> Scene:
+    """Return the scene, without its base, whose initial state is the state of a motion at time t.
+
+    Args:
+        traj: Motion that includes its base.
+        t: Time [s].
+    Returns:
+        The scene.
+    Raises:
+        InputError: The motion has no base, or t is outside it.
+    """
+    state = traj.at(t)
+    if not isinstance(state, State):
+        raise InputError(
+            "traj: linearise needs a motion with its base. Simulate with outputs='all'."
+        )
+    return replace(
+        traj.scene, x0=state.x, xdot0=state.xdot, xi0=state.xi, pose0=state.pose, momentum=None,
+        seed=None, keyframe=None, q0=None, v0=None, outputs="shape",
+    )  # fmt: skip
+
+
+@compiled
+def _advance(
+    address: int,
+    tangent: int,
+    params: Array,
+    A: Array,
+    s: int,
+    h: float,
+    steps: int,
+    y: Array,
+    Y: Array,
+    rates: Array,
+    tangent_rates: Array,
+    stage: Array,
+    stage_tangent: Array,
+) -> None:
+    """Integrate y and Y in place over equal steps, by an explicit Runge–Kutta tableau.
+
+    Args:
+        address: Address of the compiled right side f.
+        tangent: Address of the compiled tangent (∂f/∂y) δy.
+        params: Parameters of the kernel.
+        A: Tableau, (s + 1, s); its last row holds the weights.
+        s: Number of stages.
+        h: Step [s].
+        steps: Number of steps.
+        y: State, (n,).
+        Y: Tangent directions in groups of SIMD lanes, (groups, n SEEDS).
+        rates: Work space for the stage derivatives, (s, n).
+        tangent_rates: Work space for their tangents, (s, groups, n SEEDS).
+        stage: Work space for a stage, (n,).
+        stage_tangent: Work space for its tangent, (n SEEDS,).
+    """
+    n, groups = len(y), len(Y)
+    size = n * SEEDS
+    for _ in range(steps):
+        for k in range(s):
+            for i in range(n):
+                total = 0.0
+                for m in range(k):
+                    total += A[k, m] * rates[m, i]
+                stage[i] = y[i] + h * total
+            call(address, stage, params, rates[k])
+            for g in range(groups):
+                for i in range(size):
+                    total = 0.0
+                    for m in range(k):
+                        total += A[k, m] * tangent_rates[m, g, i]
+                    stage_tangent[i] = Y[g, i] + h * total
+                call_tangent(tangent, stage, params, stage_tangent, tangent_rates[k, g])
+        for i in range(n):
+            for m in range(s):
+                y[i] += h * A[s, m] * rates[m, i]
+        for g in range(groups):
+            for i in range(size):
+                for m in range(s):
+                    Y[g, i] += h * A[s, m] * tangent_rates[m, g, i]
