@@ -64,8 +64,8 @@ def test_optimal_frame_connection_is_its_velocity() -> None:
     frame, G = pinred.optimal_frame(A, BOX), A.group
     x, xdot, h = np.array([0.7, -0.4]), np.array([0.3, 0.9]), 1e-4
     step = [G.compose(G.inverse(frame.pose(x)), frame.pose(x + k * h * xdot)) for k in (-1, 1)]
-    moved = (G.log(step[1]) - G.log(step[0])) / (2.0 * h)
-    xi = G.Ad(G.inverse(frame.pose(x))) @ A.velocity(x, xdot) + moved
+    displacement = (G.log(step[1]) - G.log(step[0])) / (2.0 * h)
+    xi = G.Ad(G.inverse(frame.pose(x))) @ A.velocity(x, xdot) + displacement
     close(frame.local(x) @ (xdot / 1.5), -xi, 1e-7)
 
 
@@ -80,9 +80,9 @@ def test_other_frames_have_larger_norm() -> None:
         k = rng.normal(size=2)
         wave, slope = np.sin(u @ k), np.cos(u @ k)[:, None] * k
         field = best.local_at(u)
-        moved = field.copy()
-        moved[:, 2] -= amount[2] * slope
-        change = w @ (moved[:, 2] ** 2 - field[:, 2] ** 2).sum(axis=1)
+        displacement = field.copy()
+        displacement[:, 2] -= amount[2] * slope
+        change = w @ (displacement[:, 2] ** 2 - field[:, 2] ** 2).sum(axis=1)
         assert change > 0.0
         # p → p + δp in the frame: A′_v + A_ω × δp − ∂δp (in its axes, to first order).
         arms = amount[:2, None] * wave
@@ -150,8 +150,8 @@ def test_surface_integral_is_exact_for_so2() -> None:
     gait = pinred.Gait.fourier(
         [0.5, 0.4, -0.3], [[0.2, 0.1, 0.0], [0.05, 0.0, 0.02]], [[0.0, 0.2, -0.1], [0.0, 0.03, 0.1]]
     )
-    found = pinred.corrected_integral(A, gait)
-    assert found.error < 1e-9
+    corrected = pinred.corrected_integral(A, gait)
+    assert corrected.error < 1e-9
 
 
 def test_flat_coordinates_need_zero_curvature() -> None:
@@ -186,9 +186,9 @@ def test_flat_coordinates_are_fixed_in_space() -> None:
     expected = G.compose(
         G.compose(G.inverse(link_pose(system, other, x)), flat.coordinates(x)), start
     )
-    apart = G.error(expected, seen.coordinates(x))
-    assert apart.rotation < 1e-12
-    assert apart.translation < 1e-12
+    error = G.error(expected, seen.coordinates(x))
+    assert error.rotation < 1e-12
+    assert error.translation < 1e-12
 
 
 def test_invalid_limits_joints_and_gaits_are_refused() -> None:

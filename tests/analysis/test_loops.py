@@ -80,8 +80,8 @@ def test_small_loop_matches_curvature(name: str) -> None:
     B = pinred.Reduction(system).curvature(centre)[:, 0, 1]
 
     def left(radius: float) -> float:
-        along = radius * np.eye(m)
-        p = pinred.phase(A, Gait.fourier(centre, along[:1], along[1:2]), tolerance=1e-13)
+        direction = radius * np.eye(m)
+        p = pinred.phase(A, Gait.fourier(centre, direction[:1], direction[1:2]), tolerance=1e-13)
         return float(np.linalg.norm(p.log + np.pi * radius**2 * B)) / float(np.linalg.norm(B))
 
     errors = np.array([left(radius) for radius in (0.04, 0.02, 0.01)])
@@ -100,8 +100,8 @@ def test_gait_and_its_reverse_cancel() -> None:
     group, p = A.group, pinred.phase(A, gait)
 
     def apart(g: Array, h: Array) -> float:
-        found = group.error(g, h)
-        return float(max(found.rotation, found.translation))
+        error = group.error(g, h)
+        return float(max(error.rotation, error.translation))
 
     assert apart(group.inverse(p.pose), pinred.phase(A, gait.reversed()).pose) < 1e-10
     assert apart(p.pose, pinred.phase(A, gait.lasting(7.0)).pose) < 1e-10

@@ -21,8 +21,8 @@ def rotated_by_euler(moments: Array, omega: Array, time: float) -> tuple[Array, 
         return np.concatenate([np.cross(moments * w, w) / moments, SO3.rate(q, w)])
 
     start = np.concatenate([omega, SO3.identity()])
-    out = solve_ivp(rate, (0.0, time), start, method="DOP853", rtol=1e-13, atol=1e-14)
-    return out.y[:3, -1], SO3.normalize(out.y[3:, -1])
+    solution = solve_ivp(rate, (0.0, time), start, method="DOP853", rtol=1e-13, atol=1e-14)
+    return solution.y[:3, -1], SO3.normalize(solution.y[3:, -1])
 
 
 MOMENTS = np.array([1.0, 2.0, 2.5])
