@@ -15,7 +15,11 @@ _ENTRY = r" +((?:\*{0,2}\w+, )*\*{0,2}\w+)(?: \(.*?\))?:"  # such as `x, xdot (A
 
 
 def unnamed_parameters(function: Callable[..., Any], doc: str) -> list[str]:
-    """Return the parameters that no section of the docstring lists."""
+    """Return the parameters that the docstring does not describe.
+
+    A parameter is described by an entry under Args or Attributes, or by its name with its shape,
+    as in "the shape x (m,)".
+    """
     try:
         parameters = inspect.signature(function).parameters
     except ValueError:  # a type alias or a built-in
@@ -26,7 +30,11 @@ def unnamed_parameters(function: Callable[..., Any], doc: str) -> list[str]:
             section = heading[1]
         elif section in ("Args", "Attributes") and (entry := re.match(_ENTRY, line)):
             listed.update(entry[1].replace("*", "").split(", "))
-    return [name for name in parameters if name not in listed and not name.startswith("_")]
+    return [
+        name
+        for name in parameters
+        if not (name in listed or name.startswith("_") or re.search(rf"\b{name} \(", doc))
+    ]
 
 
 def test_docstrings_list_all_public_parameters() -> None:

@@ -54,7 +54,7 @@ def simulate_many(
         threads: Number of threads; as many as processors if None.
         progress: As in `simulate`, with the finished fraction of the members.
         explain: Whether to print how the members are integrated.
-        **options: Fields of Scene.  Of x0, xdot0, xi0, momentum, pose0, q0, v0 and values of
+        options: Fields of Scene.  Of x0, xdot0, xi0, momentum, pose0, q0, v0 and values of
             parameters, those with a leading axis (N, …) differ between members.
     Returns:
         The trajectories of all members.

@@ -284,7 +284,7 @@ class System:
         return x if self.coupled is None else self.coupled.values(x)
 
     def joint_rates(self, v: Array) -> Array:
-        """Return the velocity (..., nv) of `model` for v = (ξ, ẋ), (..., n)."""
+        """Return the velocity (..., nv) of `model` for a velocity v (..., n), v = (ξ, ẋ)."""
         return v if self.coupled is None else self.coupled.rates(v, self.r)
 
     def on_shape(self, forces: Array) -> Array:
@@ -292,20 +292,20 @@ class System:
         return forces if self.coupled is None else self.coupled.forces(forces, self.r)
 
     def sizes_on_shape(self, sizes: Array) -> Array:
-        """Bound the sums of `on_shape`: return (..., n) for magnitudes of forces (..., nv)."""
+        """Bound the entries of `on_shape`, (..., n), for magnitudes sizes (..., nv) of forces."""
         return sizes if self.coupled is None else self.coupled.sizes(sizes, self.r)
 
     def coupled_matrix(self, matrix: Array) -> Array:
-        """Return GᵀHG (..., n, n) in (ξ, ẋ) for a mass or Coriolis matrix H (..., nv, nv)."""
+        """Return GᵀHG (..., n, n) in (ξ, ẋ) for a mass or Coriolis matrix (..., nv, nv)."""
         return matrix if self.coupled is None else self.coupled.matrix(matrix, self.r)
 
     def model_q(self, pose: ArrayLike, x: ArrayLike) -> Array:
-        """Compute q (..., nq) in the joint order of `model`; see `q`."""
+        """Compute q (..., nq) in the joint order of `model`, for pose (..., size) and x (..., m)."""
         pose, x = self._pair(pose, x, (self.group.size, self.m), ("pose", "x"))
         return self._map.to_q(np.concatenate([pose, self.joint_values(x)], axis=-1))
 
     def model_v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
-        """Compute v (..., nv) in the joint order of `model`; see `v`."""
+        """Compute v (..., nv) in the joint order of `model` from xi (..., r) and xdot (..., m)."""
         xi, xdot = self._pair(xi, xdot, (self.r, self.m), ("xi", "xdot"))
         return self.joint_rates(np.concatenate([xi, xdot], axis=-1))
 

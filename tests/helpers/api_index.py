@@ -41,9 +41,7 @@ def public_callables() -> Iterator[tuple[str, Any, str]]:
     for name, value in public_names().items():
         if inspect.isclass(value):
             if not issubclass(value, Exception):
-                initial = vars(value).get("__init__")
-                documented = initial is not None and not is_dataclass(value)
-                extra = (initial.__doc__ or "") if documented else ""
+                extra = "" if is_dataclass(value) else (value.__init__.__doc__ or "")
                 yield name, value, (value.__doc__ or "") + extra
             for attribute, method in vars(value).items():
                 function = getattr(method, "__func__", method)
@@ -56,12 +54,9 @@ def public_callables() -> Iterator[tuple[str, Any, str]]:
 
 
 def _inherited_doc(owner: type, attribute: str) -> str:
-    """Return the docstring of a method, or of the method that it overrides."""
-    for kind in owner.__mro__:
-        doc = getattr(vars(kind).get(attribute), "__doc__", None)
-        if doc:
-            return str(doc)
-    return ""
+    """Return the docstrings of a method and of the methods that it overrides."""
+    docs = (getattr(vars(kind).get(attribute), "__doc__", None) for kind in owner.__mro__)
+    return "\n\n".join(inspect.cleandoc(doc) for doc in docs if doc)
 
 
 def first_sentence(value: Any) -> str:

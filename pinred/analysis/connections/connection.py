@@ -115,7 +115,7 @@ class Connection:
 
     @classmethod
     def of(cls, form: ConnectionForm) -> Connection:
-        """Return the connection of a form of velocities."""
+        """Return the connection of a form (see ConnectionForm) of velocities."""
         return cls(form, ConnectionCode(form))
 
     @classmethod
@@ -307,35 +307,29 @@ class Connection:
         )
 
     def horizontal(self, x: Array, xdot: Array) -> tuple[Array, Array]:
-        """Return ξ (N, r) and ẋᵀ M ẋ (N,) at shapes and rates (N, m); errors as in `local`.
-
-        The squares are NaN without a metric.
-        """
+        """Return ξ (N, r) and ẋᵀ M ẋ (N,), NaN without a metric, at shapes x (N, m), rates xdot (N, m)."""
         values = self.code.velocities(x, xdot)
         self.refuse_singular(x, values.health)
         return values.xi, values.square
 
     def horizontal_slopes(self, x: Array, xdot: Array) -> Array:
-        """Return the exact derivatives of (ξ, ẋᵀ M ẋ) by (x, ẋ), (N, r + 1, 2m).
-
-        Without a metric, there are r rows.
-        """
+        """Differentiate (ξ, ẋᵀ M ẋ) by (x, ẋ), (N, r + 1, 2m), at shapes x (N, m), rates xdot (N, m)."""
         return self.code.velocity_slopes(x, xdot)
 
     def locals_at(self, x: Array) -> tuple[Array, Array | None, Array]:
-        """Return A (N, r, m), M (N, m, m) or None, and P_b (N, r, r); errors as in `local`."""
+        """Return A (N, r, m), M (N, m, m) or None, P_b (N, r, r) at shapes x (N, m), as `local`."""
         terms = self.code.locals(x)
         self.refuse_singular(x, terms.health)
         return terms.A, terms.M, terms.P
 
     def curvatures_at(self, x: Array) -> Curvatures:
-        """Return both terms of the curvature at shapes (N, m); errors as in `local`."""
+        """Return both terms of the curvature at shapes x (N, m); errors as in `local`."""
         terms = self.code.curvatures(x)
         self.refuse_singular(x, terms.health)
         return terms
 
     def checked_metric(self, M: Array | None) -> Array:
-        """Return the metric.  Raises InputError if there is none."""
+        """Return the metric M (N, m, m).  Raises InputError if it is None."""
         if M is None:
             raise InputError(f"{self.form.what} give no metric on shape space")
         return M
@@ -346,7 +340,7 @@ class Connection:
             raise SymmetryError(f"momenta are not conserved: {self.turned_by_gravity}")
 
     def refuse_singular(self, x: Array, health: Array) -> None:
-        """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular."""
+        """Raise SingularInertiaError, naming a shape, if one of x (N, m) has health (N,) zero."""
         least = _LEAST_SYMMETRIC if self.form.symmetric else _LEAST_OTHER
         size = health if self.form.symmetric else np.abs(health)
         singular = ~(size > least)

@@ -312,7 +312,7 @@ def flow(
         wrt: Names of the inputs with derivatives.
         of: Names of the outputs with derivatives, fields of State other than t, q and v; x, xdot,
             pose and xi if None.
-        **options: Fields of Scene.
+        options: Fields of Scene.
     Returns:
         The flow.
     """
