@@ -332,13 +332,13 @@ def sectional(R: Array, M: Array, u: Array, v: Array) -> float:
 
 
 def reduced_metric_derivatives(d: InertiaDerivatives, r: int) -> tuple[Array, Array, Array]:
-    """Differentiate M = H_ss − Aᵀ H_bs, A = I⁻¹ H_bs, twice at the only shape of `d`.
+    """Differentiate M = H_ss − Aᵀ H_bs, with A = I⁻¹ H_bs, twice.
 
     Args:
         d: Derivatives of the mass matrix at one shape.
         r: Dimension of the group.
     Returns:
-        M (m, m), ∂M (m, m, m) and ∂∂M (m, m, m, m), derivative indices last.
+        M, ∂M and ∂∂M, derivative indices last.
     """
     H, dH, d2H = d.H[0], d.dH[0], d.d2H[0]
     I, Hbs, dI, dHbs = H[:r, :r], H[:r, r:], dH[:r, :r], dH[:r, r:]
@@ -348,7 +348,7 @@ def reduced_metric_derivatives(d: InertiaDerivatives, r: int) -> tuple[Array, Ar
     dA = np.linalg.solve(I, W.reshape(r, -1)).reshape(W.shape)
     dM = dH[r:, r:] - np.einsum("iac,ib->abc", dHbs, A)
     dM -= np.einsum("ia,ibc->abc", A, W)
-    # ∂∂(H_bsᵀ I⁻¹ H_bs) consists of second derivatives of H and products of two W.
+    # ∂∂(Hᵀ I⁻¹ H) in terms of A: its second derivatives, and twice the product of the W's.
     mixed = np.einsum("iacd,ib->abcd", d2H[:r, r:], A)
     d2M = d2H[r:, r:] - mixed - np.swapaxes(mixed, 0, 1)
     d2M += np.einsum("ia,ijcd,jb->abcd", A, d2H[:r, :r], A)

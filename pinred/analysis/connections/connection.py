@@ -17,10 +17,9 @@ from ...kernels.connection.form import ConnectionForm
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.system import System
-from .fluid import Ellipse, Ellipsoid, fluid_form
+from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
 from .mechanical import mechanical_code
 from .other_frames import from_link, in_section
-from .viscous import Rod, viscous_form
 from .wheels import Rolling, Wheel, kinematic_form
 
 # Least health of P_b at which A is defined, for symmetric and for other forms.
@@ -358,9 +357,14 @@ class Connection:
             )
 
     def refuse_crossing(self, health: Array) -> None:
-        """Raise SingularInertiaError if P_b is singular between the shapes of a path.
+        """Reject a path that crosses a singular shape.
 
-        If the form is not symmetric, its health (N,) changes sign there.
+        If the form is not symmetric, its health changes sign there.
+
+        Args:
+            health: Condition measure of P_b along the path, (N,).
+        Raises:
+            SingularInertiaError: P_b is singular between the shapes of the path.
         """
         if not self.form.symmetric and health.min() < 0.0 < health.max():
             raise SingularInertiaError(
