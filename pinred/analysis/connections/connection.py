@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -17,6 +16,7 @@ from ...kernels.connection.form import ConnectionForm
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.system import System
+from .connection_field import ConnectionField
 from .fluid import Ellipse, Ellipsoid, fluid_form
 from .mechanical import mechanical_code
 from .other_frames import from_link, in_section
@@ -26,66 +26,6 @@ from .wheels import Rolling, Wheel, kinematic_form
 # Least health of P_b at which A is defined, for symmetric and for other forms.
 _LEAST_SYMMETRIC = 16.0 * np.finfo(float).eps
 _LEAST_OTHER = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class ConnectionField:
-    """A connection at many shapes, with the leading axes of x first in every array.
-
-    Each array is computed at first use, cached, and read-only.  Every array raises
-    SingularInertiaError, naming the first shape at which A is not defined.
-
-    Attributes:
-        connection: The connection.
-        x: Shapes, (..., m) [rad | m].
-    """
-
-    connection: Connection = field(repr=False)
-    x: Array
-
-    @property
-    def local(self) -> Array:
-        """Local connection A, (..., r, m)."""
-        return self._locals[0]
-
-    @property
-    def metric(self) -> Array:
-        """Metric M, (..., m, m).  Raises InputError if the connection has no metric."""
-        return self.connection.checked_metric(self._locals[1])
-
-    @cached_property
-    def curvature(self) -> Array:
-        """Curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m)."""
-        B, health = self.connection.code.curvature(self._flat)
-        self.connection.refuse_singular(self._flat, health)
-        return self._shaped(B)
-
-    @property
-    def exterior(self) -> Array:
-        """Exterior derivative ∂_αA_β − ∂_βA_α, (..., r, m, m): B of a commutative group."""
-        return self._parts[0]
-
-    @property
-    def bracket(self) -> Array:
-        """Bracket [A_α, A_β], (..., r, m, m); curvature = exterior − bracket."""
-        return self._parts[1]
-
-    @cached_property
-    def _locals(self) -> tuple[Array, Array | None]:
-        A, M, _ = self.connection.locals_at(self._flat)
-        return self._shaped(A), None if M is None else self._shaped(M)
-
-    @cached_property
-    def _parts(self) -> tuple[Array, Array]:
-        terms = self.connection.curvatures_at(self._flat)
-        return self._shaped(terms.exterior), self._shaped(terms.bracket)
-
-    @property
-    def _flat(self) -> Array:
-        return self.x.reshape(-1, self.connection.m)
-
-    def _shaped(self, array: Array) -> Array:
-        return read_only(array.reshape(*self.x.shape[:-1], *array.shape[1:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +55,13 @@ class Connection:
 
     @classmethod
     def of(cls, form: ConnectionForm) -> Connection:
-        """Return the connection of a form of velocities."""
+        """Return the connection of a form of velocities.
+
+        Args:
+            form: Form that vanishes on horizontal motions.
+        Returns:
+            The connection.
+        """
         return cls(form, ConnectionCode(form))
 
     @classmethod
@@ -307,35 +253,63 @@ class Connection:
         )
 
     def horizontal(self, x: Array, xdot: Array) -> tuple[Array, Array]:
-        """Return ξ (N, r) and ẋᵀ M ẋ (N,) at shapes and rates (N, m); errors as in `local`.
+        """Compute ξ = −A ẋ and ẋᵀ M ẋ; errors as in `local`.
 
-        The squares are NaN without a metric.
+        Args:
+            x: Shapes, (N, m) [rad | m].
+            xdot: Shape rates, (N, m) [rad/s | m/s].
+        Returns:
+            ξ (N, r) and ẋᵀ M ẋ (N,), which is NaN without a metric.
         """
         values = self.code.velocities(x, xdot)
         self.refuse_singular(x, values.health)
         return values.xi, values.square
 
     def horizontal_slopes(self, x: Array, xdot: Array) -> Array:
-        """Return the exact derivatives of (ξ, ẋᵀ M ẋ) by (x, ẋ), (N, r + 1, 2m).
+        """Compute the exact derivatives of (ξ, ẋᵀ M ẋ) by (x, ẋ).
 
-        Without a metric, there are r rows.
+        Args:
+            x: Shapes, (N, m) [rad | m].
+            xdot: Shape rates, (N, m) [rad/s | m/s].
+        Returns:
+            (N, r + 1, 2m), or (N, r, 2m) without a metric.
         """
         return self.code.velocity_slopes(x, xdot)
 
     def locals_at(self, x: Array) -> tuple[Array, Array | None, Array]:
-        """Return A (N, r, m), M (N, m, m) or None, and P_b (N, r, r); errors as in `local`."""
+        """Compute A, M and P_b; errors as in `local`.
+
+        Args:
+            x: Shapes, (N, m) [rad | m].
+        Returns:
+            A (N, r, m), M (N, m, m) or None, and P_b (N, r, r).
+        """
         terms = self.code.locals(x)
         self.refuse_singular(x, terms.health)
         return terms.A, terms.M, terms.P
 
     def curvatures_at(self, x: Array) -> Curvatures:
-        """Return both terms of the curvature at shapes (N, m); errors as in `local`."""
+        """Compute both terms of the curvature; errors as in `local`.
+
+        Args:
+            x: Shapes, (N, m) [rad | m].
+        Returns:
+            The terms, (N, r, m, m) each.
+        """
         terms = self.code.curvatures(x)
         self.refuse_singular(x, terms.health)
         return terms
 
     def checked_metric(self, M: Array | None) -> Array:
-        """Return the metric.  Raises InputError if there is none."""
+        """Return the metric.
+
+        Args:
+            M: Metrics at some shapes, or None.
+        Returns:
+            M.
+        Raises:
+            InputError: There is no metric.
+        """
         if M is None:
             raise InputError(f"{self.form.what} give no metric on shape space")
         return M
@@ -346,7 +320,14 @@ class Connection:
             raise SymmetryError(f"momenta are not conserved: {self.turned_by_gravity}")
 
     def refuse_singular(self, x: Array, health: Array) -> None:
-        """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular."""
+        """Reject shapes at which A is not defined.
+
+        Args:
+            x: Shapes, (N, m) [rad | m].
+            health: Health of P_b at these shapes, (N,).
+        Raises:
+            SingularInertiaError: P_b is singular; the message names the first shape.
+        """
         least = _LEAST_SYMMETRIC if self.form.symmetric else _LEAST_OTHER
         size = health if self.form.symmetric else np.abs(health)
         singular = ~(size > least)
@@ -358,9 +339,12 @@ class Connection:
             )
 
     def refuse_crossing(self, health: Array) -> None:
-        """Raise SingularInertiaError if P_b is singular between the shapes of a path.
+        """Reject paths that cross singular shapes, where the health of other forms changes sign.
 
-        If the form is not symmetric, its health (N,) changes sign there.
+        Args:
+            health: Health of P_b along the path, (N,).
+        Raises:
+            SingularInertiaError: P_b is singular between two shapes.
         """
         if not self.form.symmetric and health.min() < 0.0 < health.max():
             raise SingularInertiaError(

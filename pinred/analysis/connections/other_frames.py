@@ -69,7 +69,13 @@ def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm
 def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> ConnectionForm:
     """Return the form in terms of the twist of a frame h(x), instead of the root's.
 
-    pose: returns the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+    Args:
+        form: The form.
+        pose: Returns the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+    Returns:
+        The new form.
+    Raises:
+        InputError: The number of pose coordinates is not that of the group.
     """
     group, m = form.group, form.m
     y = ca.SX.sym("x", m)
