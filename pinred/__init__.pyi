@@ -82,9 +82,9 @@ from .integrators.methods import Variational as Variational
 from .judge.compare import compare as compare
 from .judge.report import Report as Report
 from .kernels.casadi_functions import casadi_functions as casadi_functions
-from .planning.gait_files.gait_keys import gait_schema as gait_schema
-from .planning.gait_files.load_gait import GaitFile as GaitFile
-from .planning.gait_files.load_gait import load_gait as load_gait
+from .planning.gait_file import GaitFile as GaitFile
+from .planning.gait_file import gait_schema as gait_schema
+from .planning.gait_file import load_gait as load_gait
 from .planning.optimisation.best_gait import BestGait as BestGait
 from .planning.optimisation.best_gait import Optimum as Optimum
 from .planning.optimisation.optimise import optimise_gait as optimise_gait

@@ -42,9 +42,9 @@ print(system)
 x = [0.4]
 split = red.at(x)
 closed = {"I": I1 + I2, "A": I2 / (I1 + I2), "M": I1 * I2 / (I1 + I2)}
-found = (split.locked_inertia, split.local_connection, split.reduced_metric)
+pinred_values = (split.locked_inertia, split.local_connection, split.reduced_metric)
 print(f"{'':2} {'pinred':>12} {'by hand':>12}")
-for (name, by_hand), matrix in zip(closed.items(), found, strict=True):
+for (name, by_hand), matrix in zip(closed.items(), pinred_values, strict=True):
     print(f"{name:2} {matrix.item():12.9f} {by_hand:12.9f}")
     np.testing.assert_allclose(matrix.item(), by_hand, rtol=1e-12)
 
@@ -81,10 +81,10 @@ np.testing.assert_allclose(traj.x[:, 0], by_hand, atol=1e-8)
 # phase*, depends only on the path of the shape, not on its speed.
 
 # %%
-turned = traj.pose[:, 0] - traj.pose[0, 0]
+body_angle = traj.pose[:, 0] - traj.pose[0, 0]
 phases = spin * traj.t / I - A * (traj.x[:, 0] - x0)
-print(f"turned in three periods: {turned[-1]:.9f} rad, by hand {spin * 3 * period / I:.9f} rad")
-np.testing.assert_allclose(turned, phases, atol=1e-8)
+print(f"turned in three periods: {body_angle[-1]:.9f} rad, by hand {spin * 3 * period / I:.9f} rad")
+np.testing.assert_allclose(body_angle, phases, atol=1e-8)
 
 # %% [markdown]
 # After whole periods the shape is periodic and the geometric phase is zero, as for every robot with

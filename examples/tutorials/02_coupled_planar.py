@@ -91,9 +91,9 @@ np.testing.assert_allclose(vdot, by_hand, atol=1e-14)
 # %%
 traj = pinred.simulate(system, x0=x, xdot0=xdot, xi0=xi, duration=10.0)
 t, theta, lever = traj.t, xi[2] * traj.t, m2 * d / m
-along = xi[0] * t + lever * (1 - np.cos(theta))
+direction = xi[0] * t + lever * (1 - np.cos(theta))
 across = (xi[1] + lever * xi[2]) * t - lever * np.sin(theta)
-exact = np.column_stack([along, across, theta])
+exact = np.column_stack([direction, across, theta])
 error = np.abs(traj.pose - exact).max(axis=0)
 print(f"after {t[-1]:g} s: x = {traj.x[-1, 0]:.9f} rad, by hand {x[0] + xdot[0] * t[-1]:.9f} rad")
 print(f"largest error of the pose: {error[:2].max():.1e} m, {error[2]:.1e} rad")

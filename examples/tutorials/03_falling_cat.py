@@ -31,7 +31,7 @@ red, SE3, data = pinred.Reduction(cat), cat.group, cat.model.createData()
 
 
 def roll_the_bend(radius: float, seconds: float = 1.0, turn: int = 1) -> pinred.Trajectory:
-    """Return the motion in which (bend, sway) goes once around a circle, from rest in space."""
+    """Return the motion of one circle of (bend, sway) at zero momentum."""
     plan = {
         "bend": Fourier(0.0, [radius], [], seconds),  # radius · cos(2πt/seconds)
         "sway": Fourier(0.0, [], [turn * radius], seconds),  # radius · sin(2πt/seconds)
@@ -42,7 +42,7 @@ def roll_the_bend(radius: float, seconds: float = 1.0, turn: int = 1) -> pinred.
 
 
 def turned(traj: pinred.Trajectory) -> Vector:
-    """Return by how much the front half has turned: a rotation vector in its first frame [rad]."""
+    """Return the rotation of the front half, as a vector in its initial frame [rad]."""
     return SE3.log(SE3.compose(SE3.inverse(traj.pose[0]), traj.pose[-1]))[3:]
 
 
@@ -71,7 +71,7 @@ np.testing.assert_allclose(np.divide(off[:-1], off[1:]), 2.0, rtol=0.05)  # half
 
 # %%
 def holonomy(radius: float, steps: int = 2000) -> Vector:
-    """Return the ordered product over the circle, a pose of SE(3)."""
+    """Return the ordered product over the circle, an element of SE(3)."""
     phi = 2 * np.pi * np.arange(2 * steps + 1) / (2 * steps)
     circle = radius * np.column_stack([np.cos(phi), np.sin(phi), 0 * phi])
     A = red.grid(circle[1::2]).local_connection  # at the midpoint of each step

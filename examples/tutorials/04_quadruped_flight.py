@@ -32,7 +32,7 @@ flight = 2 * take_off[2] / 9.81  # until it has its initial height again [s]
 
 
 def leap(fold: float) -> pinred.Trajectory:
-    """Return a flight in which hip and knee go once round an ellipse; fold: of the knees [rad]."""
+    """Return a flight with one ellipse of hip and knee; fold: amplitude of the knees [rad]."""
     hip, knee = Fourier(HIP, [], [SWING], flight), Fourier(KNEE, [fold], [], flight)
     plan = {
         name: hip if hips[k] else knee if knees[k] else Constant(0.0)
@@ -75,7 +75,7 @@ np.testing.assert_allclose(spin, 0.0, atol=1e-12)
 
 # %%
 def curvature_inside(fold: float) -> float:
-    """Return the integral of the pitch of B(e₁, e₂) over the ellipse [rad]."""
+    """Return the integral of the pitch component of B(e₁, e₂) over the ellipse [rad]."""
     points, weights = np.polynomial.legendre.leggauss(12)
     radius, phi = 0.5 * (points + 1.0), 2 * np.pi * np.arange(48) / 48
     hip = HIP + SWING * np.outer(radius, np.sin(phi))
@@ -88,8 +88,8 @@ def curvature_inside(fold: float) -> float:
 
 def pitch(traj: pinred.Trajectory) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Return the pitch of the body over time, (T,) [rad]."""
-    turned = solo.group.compose(solo.group.inverse(traj.pose[:1]), traj.pose)
-    return np.asarray(solo.group.log(turned)[:, 4])
+    rotation = solo.group.compose(solo.group.inverse(traj.pose[:1]), traj.pose)
+    return np.asarray(solo.group.log(rotation)[:, 4])
 
 
 net, inside = pitch(traj)[-1], curvature_inside(0.9)

@@ -40,15 +40,15 @@ tip = model.addFrame(pin.Frame("tip", wrist, at_tip, pin.FrameType.OP_FRAME))
 data, q = model.createData(), satellite.q(SE3.identity(), x)
 J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL)
 Jb, Jx, A = J[:, :6], J[:, 6:], red.local_connection(x)
-wanted, arm = np.array([0.1, -0.05, 0.08]), slice(0, 3)  # velocity in the frame of the tip [m/s]
+target, arm = np.array([0.1, -0.05, 0.08]), slice(0, 3)  # velocity in the frame of the tip [m/s]
 errors = {}
 for name, jacobian in (("fixed base", Jx), ("generalised", Jx - Jb @ A)):
     xdot = np.zeros(6)
-    xdot[arm] = np.linalg.solve(jacobian[:3, arm], wanted)
+    xdot[arm] = np.linalg.solve(jacobian[:3, arm], target)
     pin.forwardKinematics(model, data, q, satellite.v(-A @ xdot, xdot))
     reached = pin.getFrameVelocity(model, data, tip, pin.LOCAL).linear
-    errors[name] = np.linalg.norm(reached - wanted) / np.linalg.norm(wanted)
-    print(f"{name:11} Jacobian: wanted {wanted}, got {reached.round(6)} m/s")
+    errors[name] = np.linalg.norm(reached - target) / np.linalg.norm(target)
+    print(f"{name:11} Jacobian: wanted {target}, got {reached.round(6)} m/s")
 print(f"wrong by {errors['fixed base']:.1%} and {errors['generalised']:.0e}")
 np.testing.assert_allclose(errors["generalised"], 0.0, atol=1e-12)
 
@@ -59,7 +59,7 @@ np.testing.assert_allclose(errors["generalised"], 0.0, atol=1e-12)
 
 # %%
 def swing(radius: float, loops: int = 1, seconds: float = 4.0) -> pinred.Trajectory:
-    """Return the motion in which the left arm goes `loops` times round a circle [rad]."""
+    """Return the motion of `loops` circles of the left arm; radius: [rad]."""
     plan: dict[str, pinred.signals.Signal] = dict.fromkeys(satellite.shape_names, Constant(0.0))
     plan["left_shoulder"] = Fourier(0.0, [radius], [], seconds)
     plan["left_elbow"] = Fourier(0.0, [], [radius], seconds)
@@ -69,7 +69,7 @@ def swing(radius: float, loops: int = 1, seconds: float = 4.0) -> pinred.Traject
 
 
 def change(traj: pinred.Trajectory) -> NDArray[np.float64]:
-    """Return the pose at the end, seen from that at the start."""
+    """Return the final pose relative to the initial one."""
     return SE3.compose(SE3.inverse(traj.pose[0]), traj.pose[-1])
 
 
@@ -83,9 +83,9 @@ print("one loop turns the bus by", angle.round(6), "degrees about its axes")
 
 # %%
 power = SE3.compose(SE3.compose(once, once), once)
-apart = SE3.error(power, thrice)
-print(f"three loops against the third power: {apart.rotation:.0e} rad, {apart.translation:.0e} m")
-np.testing.assert_allclose([apart.rotation, apart.translation], 0.0, atol=1e-9)
+delta = SE3.error(power, thrice)
+print(f"three loops against the third power: {delta.rotation:.0e} rad, {delta.translation:.0e} m")
+np.testing.assert_allclose([delta.rotation, delta.translation], 0.0, atol=1e-9)
 np.testing.assert_allclose(np.degrees(SE3.log(thrice)[3:]), 3 * angle, atol=1e-6)
 
 # %% [markdown]
@@ -97,16 +97,16 @@ np.testing.assert_allclose(np.degrees(SE3.log(thrice)[3:]), 3 * angle, atol=1e-6
 # %%
 quarter = brentq(lambda r: np.linalg.norm(SE3.log(change(swing(r)))[3:]) - np.pi / 8, 0.5, 1.2)
 traj = swing(quarter, loops=4)
-turned = np.degrees(np.linalg.norm(SE3.log(change(traj))[3:]))
+rotation = np.degrees(np.linalg.norm(SE3.log(change(traj))[3:]))
 balance, torques = traj.energy_balance, np.abs(traj.driving_torques).max(axis=0)
-print(f"four loops of radius {np.degrees(quarter):.3f}° turn the bus by {turned:.6f}°")
+print(f"four loops of radius {np.degrees(quarter):.3f}° turn the bus by {rotation:.6f}°")
 most = int(torques.argmax())
 print(f"largest torque of a drive: {torques[most]:.3f} N·m at {satellite.shape_names[most]}")
 print(f"work of the drives: up to {np.abs(balance.work).max():.3f} J, in the end", end=" ")
 print(
     f"{balance.work[-1].sum():.0e} J; energy unaccounted for {np.abs(balance.residual).max():.0e} J"
 )
-np.testing.assert_allclose(turned, 90.0, atol=1e-6)
+np.testing.assert_allclose(rotation, 90.0, atol=1e-6)
 np.testing.assert_allclose(balance.work[-1].sum(), 0.0, atol=1e-8)
 
 # %%

@@ -57,8 +57,8 @@ points: list[Point] = []
 for method in METHODS:
     traj = pinred.simulate(scene, method=method)
     report = pinred.compare(traj)
-    apart = report.shape_error, report.rotation_error, report.position_error
-    points.append(Point(method.name, knob(method), nan, nan, traj.run.evaluations, *apart))
+    distance = report.shape_error, report.rotation_error, report.position_error
+    points.append(Point(method.name, knob(method), nan, nan, traj.run.evaluations, *distance))
     print(
         f"{method.name:8} {knob(method):8.0e} {traj.run.evaluations:11} {report.shape_error:11.1e} "
         f"{report.rotation_error:9.1e} {report.energy_drift:8.0e} {report.momentum_drift:8.0e}"
@@ -86,7 +86,7 @@ times = np.linspace(0.0, 100.0, 201)
 for method in (DOP853(1e-10, 1e-12), RKMK4(step=0.02), Gauss(step=0.02, order=2), Gauss(step=0.04)):
     traj = pinred.simulate(scene, duration=times[-1], times=times, method=method)
     off = np.abs(traj.energy - traj.energy[0]) / traj.energy[0]
-    by_50, by_100 = (part.max() for part in np.array_split(off, 2))
+    by_50, by_100 = (half.max() for half in np.array_split(off, 2))
     print(
         f"{method.name:8} {knob(method):8.0e} {traj.run.evaluations:8} evaluations, relative drift "
         f"of energy {by_50:.1e} by 50 s, {by_100:.1e} by 100 s"
@@ -101,8 +101,8 @@ for method in (DOP853(1e-10, 1e-12), RKMK4(step=0.02), Gauss(step=0.02, order=2)
 # %%
 springs = dict.fromkeys(cat.shape_names, (1000.0, 0.0))
 forces = [Damper(joint, 100.0) for joint in cat.shape_names]
-methods = (kind(rtol=1e-6, atol=1e-8) for kind in (DOP853, Radau))
-stiff = [pinred.simulate(scene, springs=springs, forces=forces, method=each) for each in methods]
+methods = (method_class(rtol=1e-6, atol=1e-8) for method_class in (DOP853, Radau))
+stiff = [pinred.simulate(scene, springs=springs, forces=forces, method=m) for m in methods]
 print("stiff:", ", ".join(f"{t.run.evaluations} evaluations of {t.run.method}" for t in stiff))
 np.testing.assert_allclose(stiff[0].x, stiff[1].x, atol=1e-5)
 
@@ -115,5 +115,5 @@ np.testing.assert_allclose(stiff[0].x, stiff[1].x, atol=1e-5)
 
 # %%
 about = {method.name: f"order {method.order}" for method in METHODS}
-found = WorkPrecision("springs", cat.m, scene.end, report.reference_error, about, tuple(points))
-plots.work_precision(found, against="evaluations") if drawing else None
+result = WorkPrecision("springs", cat.m, scene.end, report.reference_error, about, tuple(points))
+plots.work_precision(result, against="evaluations") if drawing else None

@@ -22,15 +22,15 @@ import pinred
 
 drawing = find_spec("matplotlib") is not None  # figures need the extra `plots`
 k = 0.25
-half, here = pin.Inertia(1.0, np.zeros(3), np.diag([1.0, 1.0, k])), pin.SE3.Identity()
+half, position = pin.Inertia(1.0, np.zeros(3), np.diag([1.0, 1.0, k])), pin.SE3.Identity()
 model = pin.Model()
 model.gravity.setZero()
-front = model.addJoint(0, pin.JointModelSpherical(), here, "front")
-model.appendBodyToJoint(front, half, here)
+front = model.addJoint(0, pin.JointModelSpherical(), position, "front")
+model.appendBodyToJoint(front, half, position)
 last = front
-for name, kind in (("a", pin.JointModelRX), ("b", pin.JointModelRY), ("c", pin.JointModelRZ)):
-    last = model.addJoint(last, kind(), here, name)
-model.appendBodyToJoint(last, half, here)
+for name, joint_type in (("a", pin.JointModelRX), ("b", pin.JointModelRY), ("c", pin.JointModelRZ)):
+    last = model.addJoint(last, joint_type(), position, name)
+model.appendBodyToJoint(last, half, position)
 with warnings.catch_warnings():  # the links between the joints are massless on purpose
     warnings.simplefilter("ignore", pinred.ModelWarning)
     cat = pinred.load(model)
@@ -45,7 +45,7 @@ A = pinred.Connection.mechanical(cat)
 
 # %%
 def bend_goes_round(beta: float, harmonics: int = 48) -> pinred.Gait:
-    """Return the gait of a bend β that goes round once."""
+    """Return the gait of one revolution of a bend β."""
     phi = 2.0 * np.pi * np.arange(4 * harmonics) / (4 * harmonics)
     axis = np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], axis=1)
     x = Rotation.from_rotvec(beta * axis).as_euler("XYZ")
@@ -74,7 +74,7 @@ for degrees in (20.0, 40.0, 60.0, 80.0):
 
 # %%
 def short_of_half(beta: float) -> float:
-    """Return by how much the real part of the quaternion of the phase is not zero."""
+    """Return the real part of the quaternion of the phase."""
     return float(pinred.phase(A, bend_goes_round(beta)).pose[3])
 
 
@@ -88,8 +88,8 @@ np.testing.assert_allclose(formula(beta), -np.pi, atol=1e-8)
 
 # %%
 p = pinred.phase(A, bend_goes_round(0.7))
-turned = [np.linalg.norm(cat.group.log(p.cycles(n))) for n in (1, 2, 3)]
-print("after 1, 2, 3 cycles, rad:", *np.round(turned, 6))
+angles = [np.linalg.norm(cat.group.log(p.cycles(n))) for n in (1, 2, 3)]
+print("after 1, 2, 3 cycles, rad:", *np.round(angles, 6))
 
 # %%
 pinred.plot(p, "cycles", count=4) if drawing else None

@@ -28,9 +28,9 @@ circle = pinred.Gait.fourier([0.0, 0.0], [[1.0, 0.0]], [[0.0, 1.0]])
 
 # %%
 p = pinred.phase(swimmer, circle)
-moved = float(np.hypot(*p.pose[:2]))
-print(f"the circle moves it by {moved:.10f}, known to {p.error.translation:.0e}")
-np.testing.assert_allclose(moved, 0.0512808243, atol=1e-9)
+displacement = float(np.hypot(*p.pose[:2]))
+print(f"the circle moves it by {displacement:.10f}, known to {p.error.translation:.0e}")
+np.testing.assert_allclose(displacement, 0.0512808243, atol=1e-9)
 
 # %% [markdown]
 # ## The approximation
@@ -39,8 +39,8 @@ np.testing.assert_allclose(moved, 0.0512808243, atol=1e-9)
 
 # %%
 for link in ("middle", "front"):
-    seen = swimmer if link == "middle" else swimmer.seen_from(link)
-    print(f"{link:7} link: off by {100 * pinred.corrected_integral(seen, circle).error:.1f} %")
+    field = swimmer if link == "middle" else swimmer.seen_from(link)
+    print(f"{link:7} link: off by {100 * pinred.corrected_integral(field, circle).error:.1f} %")
 
 # %% [markdown]
 # ## A better frame
@@ -57,9 +57,9 @@ for link, frame in frames.items():
     )
 np.testing.assert_allclose(frames["middle"].linear, frames["front"].linear, atol=1e-8)
 best = pinred.optimal_frame(swimmer, box)
-found = pinred.corrected_integral(swimmer, circle, best)
-print(f"in it, the volume is off by {100 * found.error:.2f} %; trusted: {found.trusted}")
-np.testing.assert_array_less(found.error, 0.005)
+optimal = pinred.corrected_integral(swimmer, circle, best)
+print(f"in it, the volume is off by {100 * optimal.error:.2f} %; trusted: {optimal.trusted}")
+np.testing.assert_array_less(optimal.error, 0.005)
 
 # %% [markdown]
 # ## Where the approximation fails
@@ -68,8 +68,8 @@ np.testing.assert_array_less(found.error, 0.005)
 # %%
 wide = pinred.optimal_frame(swimmer, [(-2.5, 2.5), (-2.5, 2.5)])
 for radius in (0.5, 1.0, 1.5, 2.0, 2.4):
-    each = pinred.corrected_integral(swimmer, circle.scaled(radius), wide)
-    print(f"radius {radius:.1f}: off by {100 * each.error:5.1f} %; trusted: {each.trusted}")
+    result = pinred.corrected_integral(swimmer, circle.scaled(radius), wide)
+    print(f"radius {radius:.1f}: off by {100 * result.error:5.1f} %; trusted: {result.trusted}")
 
 # %%
 pinred.plot(swimmer, "field", component="v1", gait=circle) if drawing else None

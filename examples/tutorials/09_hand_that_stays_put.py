@@ -48,19 +48,19 @@ print(f"with frozen joints the hand strays by {way:.3f} m")
 
 # %%
 def hold(t: float, x: Vector, xdot: Vector, mu: Vector) -> Vector:  # noqa: ARG001
-    """Return torques that bring the joints to the rates at which the hand stands still."""
-    wanted = np.linalg.solve(arm.generalized_jacobian(x)[:2], -arm.drift(x, mu)[:2])
-    return np.asarray(red.reduced_metric(x) @ (wanted - xdot) / 0.02)
+    """Return torques that control the joint rates such that the hand is at rest."""
+    target = np.linalg.solve(arm.generalized_jacobian(x)[:2], -arm.drift(x, mu)[:2])
+    return np.asarray(red.reduced_metric(x) @ (target - xdot) / 0.02)
 
 
 start = np.linalg.solve(arm.generalized_jacobian(x0)[:2], -arm.drift(x0, spin)[:2])
-held = pinred.simulate(
+controlled = pinred.simulate(
     system, x0=x0, xdot0=start, momentum=spin, duration=6.0,
     forces=[Controller(hold, period=0.005)],
 )  # fmt: skip
-strays = float(np.linalg.norm(hand(held) - hand(held)[0], axis=1).max())
-turned = float(np.degrees(held.pose[-1, 2] - held.pose[0, 2]))
-print(f"held, it strays by {strays:.4f} m while the spacecraft turns by {turned:.1f}°")
+strays = float(np.linalg.norm(hand(controlled) - hand(controlled)[0], axis=1).max())
+rotation = float(np.degrees(controlled.pose[-1, 2] - controlled.pose[0, 2]))
+print(f"held, it strays by {strays:.4f} m while the spacecraft turns by {rotation:.1f}°")
 np.testing.assert_array_less(strays, 0.01 * way)
 
 # %% [markdown]
@@ -71,7 +71,7 @@ np.testing.assert_array_less(strays, 0.01 * way)
 
 # %%
 def speed(t: float) -> Vector:
-    """Return the wanted velocity of the hand in its own axes [m/s]."""
+    """Return the requested velocity of the hand in its own axes [m/s]."""
     return np.array([0.0, 0.12 * np.sin(np.pi * t / 3.0) ** 2])
 
 
@@ -79,22 +79,22 @@ def steer(t: float, x: Vector, xdot: Vector, mu: Vector) -> Vector:  # noqa: ARG
     """Return torques by the reduced dynamics."""
     J, rate = arm.generalized_jacobian(x)[:2], arm.rate(x, xdot)[:2]
     change = (speed(t + 1e-4) - speed(t - 1e-4)) / 2e-4
-    wanted = change + 20.0 * (speed(t) - J @ xdot)
+    target = change + 20.0 * (speed(t) - J @ xdot)
     free = lagrange_poincare(red, x, xdot, np.zeros(3)).xddot
-    return np.asarray(red.reduced_metric(x) @ (np.linalg.solve(J, wanted - rate @ xdot) - free))
+    return np.asarray(red.reduced_metric(x) @ (np.linalg.solve(J, target - rate @ xdot) - free))
 
 
-moved = pinred.simulate(
+steered = pinred.simulate(
     system, x0=x0, xdot0=[0.0, 0.0], momentum=0, duration=3.0,
     forces=[Controller(steer, period=0.005)],
 )  # fmt: skip
 V = np.array(
-    [arm.generalized_jacobian(x)[:2] @ v for x, v in zip(moved.x, moved.xdot, strict=True)]
+    [arm.generalized_jacobian(x)[:2] @ v for x, v in zip(steered.x, steered.xdot, strict=True)]
 )
-asked = np.array([speed(t) for t in moved.t])
+asked = np.array([speed(t) for t in steered.t])
 print(f"the hand's velocity is off by {np.abs(V - asked).max():.1e} m/s at most")
 np.testing.assert_allclose(V, asked, atol=2e-3)
-print(pinred.compare(moved))
+print(pinred.compare(steered))
 
 # %%
-pinred.plot(held, "shape") if drawing else None
+pinred.plot(controlled, "shape") if drawing else None

@@ -68,15 +68,15 @@ if not report.passed:
 
 # %%
 satellite = pinred.load("reaction_wheel_satellite")
-held = {"panel_hinge": 0.0}
-still = pinred.relative_equilibria(satellite, momentum=0.5, prescribed=held)
+locked = {"panel_hinge": 0.0}
+still = pinred.relative_equilibria(satellite, momentum=0.5, prescribed=locked)
 axis = next(s for s in still if s.verdict == "unstable")
 wheel = f"wheel_{'xyz'[int(np.argmax(np.abs(axis.direction)))]}"
 print(f"without wheels: {len(still)} spins, unstable about {np.round(axis.direction, 3)}: {wheel}")
 sign = np.sign(axis.direction[np.argmax(np.abs(axis.direction))])
 for momentum in (0.0, 0.02, 0.04, 0.06, 0.08):
     spun = pinred.relative_equilibria(
-        satellite, momentum=0.5, prescribed=held, cyclic={wheel: sign * momentum}
+        satellite, momentum=0.5, prescribed=locked, cyclic={wheel: sign * momentum}
     )
     near = max(spun, key=lambda s: float(s.direction @ axis.direction))
     print(f"wheel of {momentum:.2f} N m s: {near.verdict:9}, grows by {near.growth:.6f} 1/s")

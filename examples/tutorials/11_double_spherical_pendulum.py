@@ -17,9 +17,9 @@ import pinred
 
 drawing = find_spec("matplotlib") is not None  # figures need the extra `plots`
 pendulum = pinred.load("double_spherical_pendulum")
-found = pinred.relative_equilibria(pendulum, momentum=2.0)
-print(found)
-verdicts = [each.verdict for each in found]
+equilibria = pinred.relative_equilibria(pendulum, momentum=2.0)
+print(equilibria)
+verdicts = [equilibrium.verdict for equilibrium in equilibria]
 assert [verdicts.count(v) for v in ("stable", "unstable", "undecided")] == [1, 12, 1]
 
 # %% [markdown]
@@ -32,8 +32,8 @@ assert [verdicts.count(v) for v in ("stable", "unstable", "undecided")] == [1, 1
 
 # %%
 largest = 0.0
-for each in found:
-    q, v = pendulum.q([0.0], each.x), pendulum.v(each.xi, each.xdot)
+for equilibrium in equilibria:
+    q, v = pendulum.q([0.0], equilibrium.x), pendulum.v(equilibrium.xi, equilibrium.xdot)
     a = pin.aba(pendulum.model, pendulum.model.createData(), q, v, np.zeros(4))
     largest = max(largest, float(np.abs(a).max()) / float(v @ v))
 print(f"largest acceleration by ABA, of the squared rates: {largest:.1e}")
@@ -45,7 +45,7 @@ np.testing.assert_allclose(largest, 0.0, atol=1e-11)
 # linearised reduced equations give three modes for three joints.
 
 # %%
-lowest = found[0]
+lowest = equilibria[0]
 print(f"stable at x = {np.round(lowest.x, 6)}, turning at {lowest.xi[0]:.6f} rad/s")
 print("frequencies", np.round(lowest.frequencies, 5), "rad/s")
 np.testing.assert_allclose(lowest.frequencies, [4.16816, 5.13036, 8.30001], atol=5e-6)
@@ -63,7 +63,7 @@ np.testing.assert_allclose(off, 0.0, atol=1e-2)
 # times
 
 # %%
-(undecided,) = (each for each in found if each.verdict == "undecided")
+(undecided,) = (equilibrium for equilibrium in equilibria if equilibrium.verdict == "undecided")
 for joint, growth in undecided.damped_growth.items():
     print(f"  {joint}: {growth:+.5f} 1/s per N m s/rad")
 assert max(undecided.damped_growth.values()) > 0.0
@@ -81,7 +81,7 @@ red, h = pinred.Reduction(pendulum), 1e-3
 
 
 def second(f: object) -> np.ndarray:
-    """Second differences about the shape that hangs straight down."""
+    """Return second differences about the straight hanging shape."""
     assert callable(f)
     e = h * np.eye(3)
     return np.array([[

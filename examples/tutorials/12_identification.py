@@ -68,27 +68,27 @@ cuts = np.cumsum(columns.sizes)[:-1]
 
 
 def residuals(theta: Any) -> Any:
-    """Return how far the angles are from the recorded ones."""
+    """Return simulated minus recorded angles [rad]."""
     return columns.value(*np.split(theta, cuts)) - recorded.ravel()
 
 
 def slopes(theta: Any) -> Any:
-    """Return their derivatives."""
+    """Return the derivatives of the residuals."""
     return np.hstack(columns.jacobian(*np.split(theta, cuts)))
 
 
-start = np.concatenate([np.ravel(each) for each in columns.starts])
+start = np.concatenate([np.ravel(parameter) for parameter in columns.starts])
 bounds = (np.array([0.0, -1.0, -1.0, -1.0, 0.0]), np.array([50.0, 1.0, 1.0, 1.0, 20.0]))
 start[1:4] = 0.01  # at the joint, the position would have no effect
-found = least_squares(residuals, start, slopes, bounds=bounds, x_scale="jac")
-spread = 1e-3 * np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+fit = least_squares(residuals, start, slopes, bounds=bounds, x_scale="jac")
+spread = 1e-3 * np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
 truth = np.concatenate([np.ravel(TRUTH[name]) for name in SOUGHT])
 for label, value, wide, true in zip(
-    ["mass [kg]", "x [m]", "y [m]", "z [m]", "damping"], found.x, spread, truth, strict=True
+    ["mass [kg]", "x [m]", "y [m]", "z [m]", "damping"], fit.x, spread, truth, strict=True
 ):
     print(f"{label:10s} {value:9.4f} ± {wide:.4f}   (really {true:g})")
-np.testing.assert_allclose(found.x, truth, rtol=0.0, atol=4.0 * spread.max())
-print(f"residual {np.sqrt(np.mean(found.fun**2)):.2e} rad after {found.nfev} evaluations")
+np.testing.assert_allclose(fit.x, truth, rtol=0.0, atol=4.0 * spread.max())
+print(f"residual {np.sqrt(np.mean(fit.fun**2)):.2e} rad after {fit.nfev} evaluations")
 
 # %% [markdown]
 # ## In other optimisers
@@ -98,4 +98,4 @@ print(f"residual {np.sqrt(np.mean(found.fun**2)):.2e} rad after {found.nfev} eva
 
 # %%
 gradient = flow.vjp(np.ones((len(TIMES), satellite.m)))
-print({name: np.round(part, 4) for name, part in gradient.items()})
+print({name: np.round(derivative, 4) for name, derivative in gradient.items()})

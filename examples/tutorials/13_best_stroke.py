@@ -27,10 +27,10 @@ rods = pinred.Connection.mechanical(system)
 half = pinred.Gait.waypoints([[-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 whole_half = abs(pinred.phase(rods, half).pose[2])
 largest = pinred.optimise_gait(rods, cost=None, vertices=24, limits=1.0, starts=2)
-part = largest.value / whole_half
-print(f"the triangle turns by {whole_half:.12f} rad, the polygon by {part:.6%} of that")
-np.testing.assert_allclose(part, 1.0, atol=1e-4)
-assert part <= 1.0
+fraction = largest.value / whole_half
+print(f"the triangle turns by {whole_half:.12f} rad, the polygon by {fraction:.6%} of that")
+np.testing.assert_allclose(fraction, 1.0, atol=1e-4)
+assert fraction <= 1.0
 
 # %% [markdown]
 # ## The largest rotation per length
@@ -59,9 +59,9 @@ for factor in (0.9, 1.1):
 # torques. The final pose of the base equals the phase.
 
 # %%
-apart = best.flow_error
-print(f"flow against phase: {apart.rotation:.0e} rad, {apart.translation:.0e} m")
-np.testing.assert_allclose([apart.rotation, apart.translation], 0.0, atol=1e-8)
+difference = best.flow_error
+print(f"flow against phase: {difference.rotation:.0e} rad, {difference.translation:.0e} m")
+np.testing.assert_allclose([difference.rotation, difference.translation], 0.0, atol=1e-8)
 report = best.report
 print(report)
 if not report.passed:

@@ -36,8 +36,8 @@ np.testing.assert_allclose(plan.turned, quarter, atol=1e-9)
 
 # %%
 traj = plan.trajectory
-turned = np.degrees(SE3.log(traj.pose[-1])[3:])
-print(f"in {plan.duration:g} s the bus turns by {turned.round(6)} degrees")
+rotation = np.degrees(SE3.log(traj.pose[-1])[3:])
+print(f"in {plan.duration:g} s the bus turns by {rotation.round(6)} degrees")
 print(f"missed by {plan.missed:.0e} rad")
 np.testing.assert_allclose(plan.missed, 0.0, atol=1e-8)
 np.testing.assert_allclose(traj.xdot[[0, -1]], 0.0, atol=1e-9)

@@ -56,8 +56,8 @@ motion = flow.casadi()  # must exist as long as the solver
 
 # %%
 swing, fold = ca.MX.sym("swing", KNOTS), ca.MX.sym("fold", KNOTS)
-every = ca.vertcat(swing, fold, -fold, -2.0 * fold, 2.0 * fold)
-attitude = motion(*ca.vertsplit(every))[3:]
+knot_values = ca.vertcat(swing, fold, -fold, -2.0 * fold, 2.0 * fold)
+attitude = motion(*ca.vertsplit(knot_values))[3:]
 fine = np.linspace(0.0, FLIGHT, 61)
 units = [CubicSpline(times, unit, bc_type="clamped") for unit in np.eye(KNOTS + 2)]
 at, rate = (ca.DM(np.transpose([unit(fine, order) for unit in units])) for order in (0, 1))
@@ -71,14 +71,17 @@ limited: list[tuple[Any, float, float]] = [
 ]
 cost = (ca.sumsqr(rate @ swings) + 5.0 * ca.sumsqr(rate @ folds)) / len(fine)
 x = ca.vertcat(swing, fold)
-problem: Any = {"x": x, "f": cost, "g": ca.vertcat(*(each for each, _, _ in limited))}
-low, high = (np.hstack([np.full(row[0].numel(), row[k]) for row in limited]) for k in (1, 2))
+problem: Any = {"x": x, "f": cost, "g": ca.vertcat(*(bound[0] for bound in limited))}
+low, high = (np.hstack([np.full(bound[0].numel(), bound[k]) for bound in limited]) for k in (1, 2))
 options = {"hessian_approximation": "limited-memory", "tol": 1e-4, "print_level": 0, "sb": "yes"}
 settings: Any = {"ipopt": options, "print_time": False}
 solver = ca.nlpsol("solver", "ipopt", problem, settings)
-part = times[1:-1] / FLIGHT
-guess = [np.pi * part + np.sin(np.pi * part) ** 2, STAND - 0.5 * np.sin(2.0 * np.pi * part)]
-found = solver(x0=np.concatenate(guess), lbg=low, ubg=high)
+fraction = times[1:-1] / FLIGHT
+guess = [
+    np.pi * fraction + np.sin(np.pi * fraction) ** 2,
+    STAND - 0.5 * np.sin(2.0 * np.pi * fraction),
+]
+solution = solver(x0=np.concatenate(guess), lbg=low, ubg=high)
 print(solver.stats()["return_status"], "after", solver.stats()["iter_count"], "iterations")
 
 # %% [markdown]
@@ -87,7 +90,7 @@ print(solver.stats()["return_status"], "after", solver.stats()["iter_count"], "i
 # not affect the rotation.
 
 # %%
-numbers = np.array(ca.Function("every", [x], [every])(found["x"]))[:, 0]
+numbers = np.array(ca.Function("knot_values", [x], [knot_values])(solution["x"]))[:, 0]
 com = pinred.Reduction(solo).split(np.array([plan[n].value(0.0) for n in solo.shape_names])).com
 push = solo.mass * np.array([0.0, 0.0, 0.5 * 9.81 * FLIGHT])
 traj = pinred.simulate(
@@ -96,13 +99,13 @@ traj = pinred.simulate(
     momentum=np.concatenate([push, np.cross(com, push)]),  # zero about the centre of mass
     times=fine,
 )
-turned = np.degrees(solo.group.error(traj.pose[0], traj.pose[-1]).rotation)
-print(f"the trunk turns by {turned:.4f} degrees; off the long axis: {traj.pose[-1, 4:6]}")
+rotation = np.degrees(solo.group.error(traj.pose[0], traj.pose[-1]).rotation)
+print(f"the trunk turns by {rotation:.4f} degrees; off the long axis: {traj.pose[-1, 4:6]}")
 print(f"swing from {traj.x[:, 0].min():.2f} to {traj.x[:, 0].max():.2f} rad", end=", ")
 print(f"fold from {traj.x[:, 1].min():.2f} to {traj.x[:, 1].max():.2f} rad", end=", ")
 print(f"rates up to {np.abs(traj.xdot).max():.1f} rad/s")
 print(f"torques of the drives up to {np.abs(traj.driving_torques).max():.2f} N m")
-np.testing.assert_allclose(turned, 180.0, atol=1e-3)
+np.testing.assert_allclose(rotation, 180.0, atol=1e-3)
 np.testing.assert_allclose(traj.xdot[[0, -1]], 0.0, atol=1e-9)
 report = pinred.compare(traj)
 print(report)

@@ -18,15 +18,15 @@ from pinred.forces import Command, Controller, Damper, SeenState, Spring, Torque
 
 satellite = pinred.load("reaction_wheel_satellite")
 wheels = ("wheel_x", "wheel_y", "wheel_z")
-turned = np.array([0.6, -0.3, 0.5])
-turned = np.append(turned, np.sqrt(1.0 - turned @ turned))  # 114 degrees from the goal
+quaternion = np.array([0.6, -0.3, 0.5])
+quaternion = np.append(quaternion, np.sqrt(1.0 - quaternion @ quaternion))  # 114° from the goal
 hinge = [Spring("panel_hinge", 20.0), Damper("panel_hinge", 6.0)]
-start: dict[str, Any] = {"pose0": [0.0, 0.0, 0.0, *turned], "x0": [0.0] * 4, "rtol": 1e-8}
+start: dict[str, Any] = {"pose0": [0.0, 0.0, 0.0, *quaternion], "x0": [0.0] * 4, "rtol": 1e-8}
 near = ca.cos(ca.pi / 360.0)  # half of one degree
 
 
 def closeness(s: SeenState) -> ca.SX:
-    """Return what is positive within one degree of the goal."""
+    """Return an expression that is positive within one degree of the goal."""
     return ca.SX(ca.fabs(s.pose[6]) - near)
 
 
@@ -74,12 +74,12 @@ PERIOD, MOST, LEAST = 0.5, 2.0, 0.005  # period [s], moment [N m], shortest puls
 
 
 def pulse(axis: int, _t: float, integral: float, seen: SeenState) -> tuple[Command, float]:
-    """Return a pulse about one axis of the wanted impulse, and the integral of the error."""
+    """Return a pulse with the requested impulse about one axis, and the integral of the error."""
     error = np.sign(seen.pose[6]) * seen.pose[3 + axis]
-    wanted = -3.0 * error - 0.02 * integral - 5.0 * seen.xi[3 + axis]
-    width = PERIOD * min(abs(wanted) / MOST, 1.0)
+    impulse = -3.0 * error - 0.02 * integral - 5.0 * seen.xi[3 + axis]
+    width = PERIOD * min(abs(impulse) / MOST, 1.0)
     wrench = np.zeros(6)
-    wrench[3 + axis] = MOST * np.sign(wanted)
+    wrench[3 + axis] = MOST * np.sign(impulse)
     if abs(error) < 0.05:  # only near the goal, to avoid wind-up
         integral += error * PERIOD
     return Command(wrench=wrench, width=width if width >= LEAST else 0.0), integral

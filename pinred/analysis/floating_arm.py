@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, freeze, read_only, vector, vectors, whole
 from ..common.errors import InputError
-from ..common.names import joint_index, nearest
-from ..common.plain_names import listed, quoted
+from ..common.names import joint_index, listed, nearest, quoted
 from ..system.system import System, checked_system
 from .arm_workspace import Workspace, workspace_of
 from .full_reduction import Reduction

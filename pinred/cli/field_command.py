@@ -6,8 +6,7 @@ import argparse
 from typing import Any
 
 from ..common.errors import InputError
-from .command_options import numbers_in, option_adder
-from .gait_options import add_source, source_of
+from .command_options import add_source, numbers_in, option_adder, source_of
 from .output_files import describe_file, save_figure
 
 _SAMPLES = 200  # default number of grid points along each joint

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from .command_options import add_options, add_parameters, option_adder, options_in
-from .gait_options import source_of
+from .command_options import add_options, add_parameters, option_adder, options_in, source_of
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:
@@ -19,7 +18,7 @@ _SAMPLES = 400  # number of samples of a cycle in a file
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..planning.gait_files.gait_keys import OPTIMISE
+    from ..planning.gait_file import OPTIMISE
     from ..scene.toml.keys import LOAD
 
     text = "gait file (.toml) with connection and objective, or robot: a name or a file"
@@ -61,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the stated options by their names in Python."""
-    from ..planning.gait_files.gait_keys import OPTIMISE
+    from ..planning.gait_file import OPTIMISE
 
     options = options_in(arguments, OPTIMISE.keys)
     if options.get("cost") == "none":

@@ -19,7 +19,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from ..common.errors import IntegrationError, LeftOutWarning, ModelWarning, PinredError
-from ..common.plain_names import plain
+from ..common.names import plain
 from ..common.version import __version__
 from .interrupt import CODE, say
 

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .command_options import add_options, option_adder, options_in
-from .gait_options import add_source, source_of
+from .command_options import add_options, add_source, option_adder, options_in, source_of
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..planning.gait_files.gait_keys import GAIT_FILE
+    from ..planning.gait_file import GAIT_FILE
 
     add_source(sub)
     add_options(sub, {"momentum": GAIT_FILE.keys["momentum"]})
@@ -31,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Print the phase.  Returns 0."""
     from ..analysis.phases.phase import phase
     from ..common.files import DATA, FIGURES, check_path
-    from ..planning.gait_files.gait_keys import GAIT_FILE
+    from ..planning.gait_file import GAIT_FILE
 
     path = None if arguments.out is None else check_path(arguments.out, (*FIGURES, *DATA))
     source = source_of(arguments, gait=True)

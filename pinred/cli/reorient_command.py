@@ -63,7 +63,7 @@ def _stated(arguments: argparse.Namespace) -> tuple[System, dict[str, Any]]:
     """Return the robot, and the options of `reorient` from the file and the arguments."""
     options: dict[str, Any] = {}
     if Path(arguments.robot).suffix == ".toml":
-        from ..planning.gait_files.load_gait import load_gait
+        from ..planning.gait_file import load_gait
 
         refuse_of_robots(
             arguments, arguments.robot, "group", "lock", "gravity", "root", "parameter"
@@ -81,6 +81,6 @@ def _stated(arguments: argparse.Namespace) -> tuple[System, dict[str, Any]]:
 
 def _keys() -> dict[str, Key]:
     """Return the keys of gait files that are options of this command."""
-    from ..planning.gait_files.gait_keys import GAIT_FILE, REORIENT
+    from ..planning.gait_file import GAIT_FILE, REORIENT
 
     return {**REORIENT.keys, "momentum": GAIT_FILE.keys["momentum"]}

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError, ShapeError
-from .plain_names import brief
+from .names import brief
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -1,15 +1,86 @@
-"""Look-up of names, with suggestions for unknown ones."""
+"""Names and values in messages: short, printable, on one line, with suggestions."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from .errors import InputError
-from .plain_names import listed, quoted
+
+_LONGEST = 60  # maximum number of characters of a name
+_LONGEST_PATH = 200  # maximum number of characters of a path
+_MOST = 8  # names in a list before it is shortened
+
+
+def plain(name: str, longest: int = _LONGEST) -> str:
+    """Shorten a name to one printable line.
+
+    Each run of whitespace becomes one space, and unprintable characters become escapes.  A long
+    name is cut in the middle.
+
+    Args:
+        name: The name.
+        longest: Maximum number of characters.
+    Returns:
+        The printable name.
+    """
+    if len(name) > 8 * longest:  # only both ends are shown, so skip the middle of huge names
+        name = f"{name[: 4 * longest]}…{name[-4 * longest :]}"
+    shown = "".join(c if c.isprintable() else _escaped(c) for c in " ".join(name.split()))
+    if len(shown) <= longest:
+        return shown
+    head = (longest - 1) // 2
+    return f"{shown[: longest - 1 - head]}…{shown[-head:]}"
+
+
+def quoted(name: str) -> str:
+    """Return a name as `plain` formats it, in quotes."""
+    return f"'{plain(name)}'"
+
+
+def plain_path(path: object) -> str:
+    """Return a path as `plain` formats it, with a larger maximum length."""
+    return plain(str(path), _LONGEST_PATH)
+
+
+def quoted_path(path: object) -> str:
+    """Return a path as `plain_path` formats it, in quotes."""
+    return f"'{plain_path(path)}'"
+
+
+def brief(value: object) -> str:
+    """Return the repr of a value, shortened to one line."""
+    try:
+        return plain(repr(value), _LONGEST_PATH)
+    except Exception:  # a custom __repr__ may raise any exception
+        return f"a {type(value).__name__}"
+
+
+def one_of(value: object, choices: Collection[str]) -> bool:
+    """Return whether a value is a string among some choices; arrays and lists are not."""
+    return isinstance(value, str) and value in choices
+
+
+def listed(names: Collection[str], most: int = _MOST) -> str:
+    """Join names by commas.
+
+    Args:
+        names: The names.
+        most: Maximum number of names; the message then states the number of omitted names.
+    Returns:
+        The list as text.
+    """
+    shown = [plain(name) for name, _ in zip(names, range(most), strict=False)]
+    more = len(names) - len(shown)
+    return ", ".join([*shown, f"… ({more} more)"] if more > 0 else shown)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape", "backslashreplace").decode("ascii")
+
 
 _COMPARED = 200  # characters of a name that are compared
-_MOST = 60  # joints listed in a message
+_MOST_JOINTS = 60  # joints listed in a message
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
@@ -34,5 +105,5 @@ def joint_index(name: str, joints: Sequence[str], what: str) -> int:
         return joints.index(name)
     raise InputError(
         f"{what}: no shape joint {quoted(str(name))}; {nearest(str(name), joints)}"
-        f"the joints are {listed(joints, _MOST) or 'none'}"
+        f"the joints are {listed(joints, _MOST_JOINTS) or 'none'}"
     )

@@ -12,7 +12,7 @@ from weakref import WeakValueDictionary
 from numpy.typing import ArrayLike
 
 from .errors import InputError
-from .plain_names import brief
+from .names import brief
 
 if TYPE_CHECKING:
     import casadi as ca

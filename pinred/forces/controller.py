@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
-from ..common.plain_names import brief
+from ..common.names import brief
 from ..system.force_interface import SeenState
-from .arguments import takes_state
-from .force import Limit, Named, Symbols, Terms, checked, limited
+from .force import Limit, Named, Symbols, Terms, checked, limited, takes_state
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class Controller(Named):
     calling the function again.
 
     Attributes:
-        function: Called with numbers, as (t, x, xdot, mu) or with one SeenState (see arguments.py).
+        function: Called with numbers, as (t, x, xdot, mu) or with one SeenState (see force.py).
             It returns {joint: torque}, one torque per joint, or a Command. x["hinge"] equals x[0]
             for the first joint "hinge".
         period: Sampling interval [s].

@@ -11,14 +11,12 @@ from ..common.errors import InputError
 from ..common.parameter import parameter_of
 from ..system.force_interface import Load
 from ..system.system import System
-from .columns import symbols_of, through, torque_column, wrench_column
+from .columns import symbols_of, terms_of, through, torque_column, wrench_column
 from .force import Force, Terms
-from .force_numbers import ForceNumbers
+from .force_numbers import ForceNumbers, RobotSymbols
 from .kinds import Controller
 from .link_loads import of_load
-from .robot_symbols import RobotSymbols
 from .signals import Signal
-from .written import terms_of
 
 
 class ForceExpressions:

@@ -7,8 +7,8 @@ from typing import Any
 
 from ..common.errors import InputError
 from ..common.memo import once
+from ..common.names import brief
 from ..common.parameter import Parameter, parameters_in, values_of
-from ..common.plain_names import brief
 from ..reduction.potential import spring_pair
 from ..reduction.tree.free_bodies import NOTHING, freed_of
 from ..system.model_parameters import ModelParameters

@@ -1,7 +1,14 @@
-"""Numbers of forces as symbols, so that kernels need no new compilation when they change."""
+"""Numbers of forces and robot parameters as symbols.
+
+Kernels then need no new compilation when the values change.  A wrench on a link depends on link
+frames, inverse dynamics on all inertias and on gravity.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -10,6 +17,20 @@ import numpy as np
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..common.parameter import Affine, Parameter
+from ..reduction.potential import acting_gravity
+from ..reduction.tree.body_frames import Body, bodies_of
+from ..reduction.tree.free_bodies import (
+    LINK,
+    NOTHING,
+    Freed,
+    free_numbers,
+    link_numbers,
+    of_bodies,
+    total_mass,
+    with_free,
+)
+from ..reduction.tree.scalars import Scalar, Vec
+from ..system.system import System
 
 _NEAR = 1e-2  # relative variation of the numbers of formulas when kernels are tested
 
@@ -99,3 +120,107 @@ def random_numbers(values: Array, in_formulas: list[int], rng: np.random.Generat
     numbers = rng.normal(size=len(values))
     numbers[in_formulas] = values[in_formulas] * (1.0 + _NEAR * numbers[in_formulas])
     return numbers
+
+
+class RobotSymbols:
+    """The robot with symbols for gravity and for the parameters that may vary.
+
+    Attributes:
+        freed: Parameters with symbols, including the frames of links used so far.
+        weighed: Whether an expression has used gravity.
+    """
+
+    def __init__(
+        self, system: System, freed: Freed = NOTHING, movable: Collection[int] = ()
+    ) -> None:
+        """Create the symbols.
+
+        Args:
+            system: The robot.
+            freed: Parameters of bodies that may vary.
+            movable: Frames of links whose placements may vary.
+        """
+        self._system, self.freed, self._movable = system, freed, movable
+        self._symbols = [ca.SX.sym(f"Y{k}") for k in range(freed.size)]
+        self._gravity = [ca.SX.sym(f"g{axis}") for axis in "xyz"]
+        self.weighed = False
+
+    @cached_property
+    def bodies(self) -> list[Body]:
+        """The bodies, in the frames of the articulated sweep."""
+        return with_free(bodies_of(self._system), replace(self.freed, links=()), self._symbols)
+
+    @property
+    def gravity(self) -> Vec:
+        """Gravity that acts on the shape, in the root joint's fixed frame, (3,) [m/s²]."""
+        self.weighed = True
+        return list(self._gravity)
+
+    @property
+    def mass(self) -> Scalar:
+        """Total mass of the bodies [kg]."""
+        return total_mass(self.bodies) if self.freed.inertias else self._system.mass
+
+    def place(self, frame: int) -> tuple[list[Vec], Vec]:
+        """Return the axes of a link in its body's frame, by rows, and its origin.
+
+        Args:
+            frame: Index of the link's frame.
+        Returns:
+            Three axes (3,), and the origin (3,) [m].
+        """
+        model_frame = self._system.model.frames[frame]
+        numbers: list[Scalar]
+        if frame not in self._movable:
+            body = self.bodies[model_frame.parentJoint - 1]
+            numbers = link_numbers(body, model_frame.placement).tolist()
+        else:
+            if frame not in self.freed.links:
+                self.freed = replace(self.freed, links=(*self.freed.links, frame))
+                self._symbols += [ca.SX.sym(f"link{frame}_{k}") for k in range(LINK)]
+            numbers = self._symbols[self.freed.of_link(frame)]
+        return [numbers[3 * k : 3 * k + 3] for k in range(3)], numbers[9:]
+
+    @property
+    def column(self) -> ca.SX:
+        """All symbols, (freed.size + 3,): of `freed`, then gravity."""
+        return ca.vertcat(*self._symbols, *self._gravity)
+
+
+def numbers_of(system: System, freed: Freed, *, weighed: bool) -> Array:
+    """Return the values of a system for the symbols; gravity is zero unless it is used.
+
+    Args:
+        system: The robot.
+        freed: Parameters with symbols.
+        weighed: Whether gravity is used.
+    Returns:
+        Values, (freed.size + 3,).
+    Raises:
+        SymmetryError: Gravity is used and breaks the symmetry.
+    """
+    gravity = acting_gravity(system) if weighed else np.zeros(3)
+    return read_only(np.concatenate([free_numbers(system, freed), gravity]))
+
+
+def numbers_in(
+    bodies: Sequence[Body], system: System, freed: Freed, links: Mapping[int, Sequence[Scalar]]
+) -> list[Scalar]:
+    """Return the values of other bodies for the symbols of `freed`, as numbers or symbols.
+
+    Args:
+        bodies: The bodies.
+        system: The robot.
+        freed: Parameters with symbols.
+        links: Frames of links that vary; other link frames are those of the system.
+    Returns:
+        Values, (freed.size,).
+    """
+    values, frames = of_bodies(bodies, freed), system.model.frames
+    for frame in freed.links:
+        link_values = links.get(frame)
+        if link_values is None:
+            body = bodies[frames[frame].parentJoint - 1]
+            link_values = link_numbers(body, frames[frame].placement).tolist()
+        values += link_values
+    return values

@@ -1,21 +1,27 @@
-"""Formulas of the state as text, used in scene files and events in place of functions."""
+"""Formulas of the state as text, and the expressions of events."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from .force import Symbols
+from ..common.arrays import Array
+from ..common.errors import InputError
+from ..common.parameter import Parameter, parameter_of
+from ..system.system import System
+from .columns import seen_of_base, symbols_of, terms_of
+from .force import SymbolFunction, Symbols, Terms, called, scalar
 from .signals.expressions import parse
 
 NAMES = ("t", "x", "xdot", "mu", "pose", "xi", "J")
 
 
 @dataclass(frozen=True)
-class Formula:
+class Formula(SymbolFunction):
     """An expression in t, x, xdot, mu, pose, xi and J.
 
     mu is the momentum about the centre of mass. pose, xi and J describe the base in space, as in a
@@ -50,3 +56,76 @@ def formula_names(s: Symbols) -> dict[str, Any]:
         "xdot": {name: s.xdot[k] for k, name in enumerate(s.every_name)},
         **{name: [ca.SX(value) for value in ca.vertsplit(v)] for name, v in lists.items()},
     }
+
+
+class _Expression:
+    """An expression in the form of a force, so that `terms_of` reports its errors."""
+
+    def __init__(self, expression: Callable[..., Any] | str, label: str) -> None:
+        self._expression, self.label = expression, label
+
+    def terms(self, s: Any, number: Any) -> Terms:  # noqa: ARG002
+        function = (
+            Formula(self._expression) if isinstance(self._expression, str) else self._expression
+        )
+        return Terms(potential=scalar(called(function, s, self.label), self.label))
+
+
+class Watched:
+    """Expressions of the state of one system.
+
+    Attributes:
+        parameters: Parameters in the expressions.
+        sees_base: Whether any depends on the base in space.
+        sees_momentum: Whether any depends on ξ or μ relative to the centre of mass.
+    """
+
+    def __init__(
+        self, system: System, expressions: Sequence[Callable[..., Any] | str], labels: Sequence[str]
+    ) -> None:
+        """Compile the expressions.
+
+        Args:
+            system: The robot.
+            expressions: Functions of the state, or formulas as text.
+            labels: Their names in messages.
+        Raises:
+            InputError: An expression is invalid.
+        """
+        s, base = symbols_of(system, None)
+        values = []
+        for expression, label in zip(expressions, labels, strict=True):
+            terms = terms_of(_Expression(expression, label), s, float)  # type: ignore[arg-type]
+            values.append(ca.SX(terms.potential))
+        column = ca.vertcat(ca.SX(0, 1), *values)
+        arguments = [s.t, s.x, s.xdot, s.xi, s.mu, *base]
+        known_hashes = {symbol.element_hash() for symbol in ca.symvar(ca.vertcat(*arguments))}
+        free = [symbol for symbol in ca.symvar(column) if symbol.element_hash() not in known_hashes]
+        self.parameters: list[Parameter] = []
+        for symbol in free:
+            parameter = parameter_of(symbol)
+            if parameter is None:
+                raise InputError(
+                    f"an event has a symbol '{symbol}' that is not one of its arguments. "
+                    "Use those or a Parameter"
+                )
+            self.parameters.append(parameter)
+        symbols: ca.SX = ca.vertcat(ca.SX(0, 1), *free)
+        self.sees_base = any(seen_of_base(system, column, base))
+        self.sees_momentum = ca.depends_on(column, ca.vertcat(s.xi, s.mu))
+        self._function = ca.Function("watched", [*arguments, symbols], [ca.densify(column)])
+
+    def __call__(self, columns: Sequence[Array], values: Mapping[str, Any]) -> Array:
+        """Evaluate the expressions.
+
+        Args:
+            columns: t (1, T), then x, xdot, ξ and μ relative to the centre of mass, and pose,
+                twist, μ and J of the base in space, (…, T) each; zeros if no expression depends on
+                them.
+            values: Values of parameters by name.
+        Returns:
+            Values of E expressions, (E, T).
+        """
+        numbers = np.array([values.get(p.name, p.value) for p in self.parameters])
+        repeated = np.repeat(numbers[:, None], columns[0].shape[1], axis=1)
+        return np.asarray(self._function(*columns, repeated))

@@ -11,7 +11,7 @@ from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
 from ..reduction.tree.scalars import dot
 from ..system.system import System
 from .force import Symbols
-from .robot_symbols import RobotSymbols
+from .force_numbers import RobotSymbols
 
 
 def required_torque(system: System, robot: RobotSymbols, s: Symbols, accelerations: ca.SX) -> ca.SX:

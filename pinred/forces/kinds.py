@@ -17,10 +17,9 @@ from ..system.force_interface import SeenState as SeenState
 from ..system.passive import Damper as Damper
 from ..system.passive import Friction as Friction
 from ..system.passive import Spring as Spring
-from .arguments import Action as Action
-from .arguments import acting_value, called
 from .controller import Command as Command
 from .controller import Controller as Controller
+from .force import Action as Action
 from .force import Force as Force
 from .force import Limit as Limit
 from .force import (
@@ -29,6 +28,8 @@ from .force import (
     Reference,
     Symbols,
     Terms,
+    acting_value,
+    called,
     checked,
     checked_reference,
     limited,
@@ -94,7 +95,7 @@ class Torque(Named):
     Attributes:
         function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with symbols;
             or one SeenState → the same, with pose, twist and momenta of the base (see
-            arguments.py); or {joint: Signal, number or (t, x, xdot, mu) → expression}. x["hinge"]
+            force.py); or {joint: Signal, number or (t, x, xdot, mu) → expression}. x["hinge"]
             equals x[0] for the first joint "hinge".
         limit: Bounds on the torques, or None.
         name: Name in messages and results.

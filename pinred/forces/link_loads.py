@@ -17,15 +17,14 @@ import casadi as ca
 import pinocchio as pin
 
 from ..common.errors import InputError
-from ..common.names import nearest
-from ..common.plain_names import listed, quoted
+from ..common.names import listed, nearest, quoted
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_sweep import step_of
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.scalars import Scalar, Turn, Vec, add, cross, dot, mul, plus
 from ..system.force_interface import Load, Symbols
 from ..system.system import System
-from .robot_symbols import RobotSymbols
+from .force_numbers import RobotSymbols
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,21 @@ import numpy as np
 
 from ..common.arrays import as_floats
 from ..common.errors import InputError
+from ..common.names import brief, one_of
 from ..common.parameter import Parameter, values_of
-from ..common.plain_names import brief, one_of
 from ..system.force_interface import Load
-from .arguments import Action, acting_value, called
-from .force import Named, Symbols, Terms, checked, entries, scalar, signals_in
+from .force import (
+    Action,
+    Named,
+    Symbols,
+    Terms,
+    acting_value,
+    called,
+    checked,
+    entries,
+    scalar,
+    signals_in,
+)
 from .signals import Signal
 
 Axes: TypeAlias = Literal["body", "world"]

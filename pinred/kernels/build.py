@@ -10,8 +10,7 @@ from ..forces.force_model import ForceModel
 from ..reduction.tree.identical_branches import Lanes
 from ..system.system import System
 from .fingerprint import model_bytes
-from .kernel import Kernel
-from .layout import Structure, layout_of
+from .kernel import Kernel, Structure, layout_of
 from .machine.native import compile_object, load_object
 from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph

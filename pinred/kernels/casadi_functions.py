@@ -8,7 +8,7 @@ import casadi as ca
 
 from ..reduction.tree.casadi_reduction import casadi_reduction
 from ..system.system import System
-from .layout import Layout, Structure
+from .kernel import Layout, Structure
 from .reduced_graph import ReducedGraph
 
 

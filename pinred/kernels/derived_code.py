@@ -1,17 +1,37 @@
-"""Further machine code of a kernel: compiled on demand, cached on disk, and validated."""
+"""Further machine code of a kernel: compiled on demand, cached on disk, and validated.
+
+The derivative of the vector field along several directions serves Newton's method.  Its directions
+are in SIMD lanes: the Jacobian of a state of size n needs n/8 evaluations and is exact to
+round-off.
+
+The vector field at several states has one state per lane.  Methods with parallel stages use one
+parameter vector for all lanes; batches of runs use one per lane.  As states occupy the lanes,
+identical branches are not packed into lanes here.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 
+import casadi as ca
+import numpy as np
+
+from ..common.arrays import Array
+from ..common.differences import central_differences
+from ..common.errors import InputError, KernelMismatch
 from ..common.memo import once
+from ..integrators.stepping.kernel_call import SEEDS
+from ..integrators.stepping.linear_systems import jacobian
+from .evaluate import evaluate
 from .fingerprint import model_bytes
 from .kernel import Kernel
-from .machine.native import NativeCode, load_object
+from .machine.native import NativeCode, compile_object, load_object
 from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph
+from .validation import ROUND_OFF, require_agreement
 
 
 def derived_code(
@@ -46,3 +66,160 @@ def derived_code(
         return native
 
     return once(kernel, (derived_code, json.dumps(kind)), load)
+
+
+_TRIALS, _REQUIRED = 40, 2  # random states, and comparisons that must succeed
+_STEP = 2e-3  # step of the differences, for states of size one
+_TOLERANCE = 1e-7  # relative to the largest entry of a column
+_NOISE = 1e-13  # round-off of rates, relative to the largest rate
+_SAFETY = 10.0  # factor on the observed round-off of rates
+
+
+def tangent_of(kernel: Kernel) -> NativeCode:
+    """Return machine code (y, parameters, directions) → ∂ẏ/∂y · directions, compiled once.
+
+    Entry i of direction j has index 8 i + j, in the directions and in the result.
+
+    Args:
+        kernel: The kernel, already validated against Pinocchio.
+    Returns:
+        The machine code.
+    Raises:
+        KernelMismatch: The code disagrees with differences of the kernel.
+        InputError: The forces are not differentiable at most random states.
+    """
+    return derived_code(
+        kernel,
+        "tangent",
+        {"tangent": SEEDS},
+        lambda graph: compile_object(
+            _tangent_graph(graph, kernel), "tangent", wide=SEEDS, wide_inputs=(2,)
+        ),
+        lambda native: _validate_tangent(kernel, native),
+    )
+
+
+def _tangent_graph(graph: ReducedGraph, kernel: Kernel) -> ca.Function:
+    y, parameters = ca.SX.sym("y", kernel.layout.size), ca.SX.sym("p", kernel.layout.parameters)
+    direction = ca.SX.sym("v", kernel.layout.size)
+    derivative = ca.jtimes(graph.rate()(y, parameters), y, direction)
+    return ca.Function(
+        "tangent", [y, parameters, direction], [ca.densify(derivative)], {"cse": True}
+    )
+
+
+def jacobian_of(kernel: Kernel, y: Array, parameters: Array) -> Array:
+    """Compute the Jacobian of the vector field.
+
+    Args:
+        kernel: The kernel.
+        y: Reduced state, (size,).
+        parameters: Parameters, (p,).
+    Returns:
+        (size, size): ∂ẏ/∂y.
+    """
+    return _evaluate_jacobian(tangent_of(kernel), y, parameters)
+
+
+def _evaluate_jacobian(native: NativeCode, y: Array, parameters: Array) -> Array:
+    n = len(y)
+    seeds, derivatives = np.zeros((2, n * SEEDS))
+    padded = np.zeros((n, -(-n // SEEDS) * SEEDS))
+    jacobian(native.address, y, parameters, seeds, derivatives, padded, 0, n)
+    return padded[:, :n].copy()
+
+
+def _validate_tangent(kernel: Kernel, native: NativeCode) -> None:
+    """Compare the derivative with differences of the rates, where these are accurate."""
+    rng, size, compared = np.random.default_rng(0), kernel.layout.size, 0
+    who = f"the derivative of the kernel of '{kernel.system.name}'"
+    for trial in range(_TRIALS):
+        reach = 0.9 ** max(0, trial - _REQUIRED)
+        y = reach * rng.normal(size=size)
+        parameters = kernel.random_parameters(rng)
+        values = _evaluate_jacobian(native, y, parameters)
+        rate_at = partial(kernel.evaluate_rate, parameters=parameters)
+        rough, expected = (central_differences(rate_at, y, h) for h in (2.0 * _STEP, _STEP))
+        rate = rate_at(y)
+        # Differences are inaccurate where a force has a kink or is undefined.
+        with np.errstate(invalid="ignore"):
+            noise = max(_NOISE * np.abs(rate).max(initial=0.0), _round_off(kernel, y, parameters))
+            noise /= _STEP
+            bound = _TOLERANCE * np.abs(expected).max(axis=0, initial=0.0) + noise
+            smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= bound
+        smooth &= np.isfinite(values).all(axis=0)
+        for j in np.flatnonzero(smooth):
+            terms = noise / ROUND_OFF
+            require_agreement(
+                who, f"column {j}", values[:, j], expected[:, j], terms, 10.0 * _TOLERANCE
+            )
+        compared += bool(2 * smooth.sum() >= size)
+        if compared == _REQUIRED:
+            return
+    raise InputError(
+        f"the forces on '{kernel.system.name}' have no derivatives at {_TRIALS - compared} of "
+        f"{_TRIALS} random states; an implicit method needs them"
+    )
+
+
+def _round_off(kernel: Kernel, y: Array, parameters: Array) -> float:
+    """Estimate the round-off of rates at y from states that differ in their last digits."""
+    neighbours = y * (1.0 + np.finfo(float).eps * np.arange(-4.0, 5.0)[:, None])
+    rates = evaluate(kernel.rate.address, parameters, neighbours, len(y))
+    return _SAFETY * float(np.ptp(rates, axis=0).max(initial=0.0))
+
+
+_LANE_REQUIRED, _LANE_TRIALS = 3, 80  # successful comparisons per lane, and attempts
+
+
+def wide_rate(kernel: Kernel, lanes: int, *, own_parameters: bool = False) -> NativeCode:
+    """Return machine code of a kernel's vector field at several states at once.
+
+    Entry i of state j has index i · lanes + j in y and dy/dt, and in the parameters with
+    own_parameters.
+
+    Args:
+        kernel: The kernel, already validated against Pinocchio.
+        lanes: Number of states.
+        own_parameters: Whether each state has separate parameters.
+    Returns:
+        The machine code, compiled once.
+    Raises:
+        KernelMismatch: The code disagrees with the kernel.
+    """
+    wide_inputs = (0, 1) if own_parameters else (0,)
+    return derived_code(
+        kernel,
+        "rate",
+        {"lanes": lanes} | ({"own_parameters": 1} if own_parameters else {}),
+        lambda graph: compile_object(graph.rate(), "rate", wide=lanes, wide_inputs=wide_inputs),
+        lambda native: _validate_wide_rate(kernel, native, lanes, own_parameters=own_parameters),
+    )
+
+
+def _validate_wide_rate(
+    kernel: Kernel, native: NativeCode, lanes: int, *, own_parameters: bool
+) -> None:
+    """Compare each lane with the kernel at random states."""
+    rng, size = np.random.default_rng(0), kernel.layout.size
+    count = lanes if own_parameters else 1
+    parameters = np.array([kernel.random_parameters(rng) for _ in range(count)])
+    who = f"the kernel of '{kernel.system.name}' at {lanes} states at once"
+    compared = np.zeros(lanes)
+    for trial in range(_LANE_TRIALS):
+        # Some forces, such as barriers, are not defined everywhere, so states become smaller.
+        y = rng.normal(size=(lanes, size)) * 0.9 ** max(0, trial - _LANE_REQUIRED)
+        values = evaluate(native.address, parameters.T.ravel(), y.T.reshape(1, -1), size * lanes)
+        for lane in range(lanes):
+            lane_parameters = parameters[lane % len(parameters)]
+            (expected,) = evaluate(kernel.rate.address, lane_parameters, y[lane : lane + 1], size)
+            if np.isfinite(expected).all():
+                require_agreement(
+                    who, "the rate", values.reshape(size, lanes)[:, lane], expected, abs(expected)
+                )
+                compared[lane] += 1
+        if compared.min() >= _LANE_REQUIRED:
+            return
+    raise KernelMismatch(
+        f"{who} is finite at too few of {_LANE_TRIALS} random states to be validated"
+    )

@@ -1,12 +1,14 @@
-"""Evaluation of machine code at many states."""
+"""Evaluation of machine code at many states, and along unit joint rates at many shapes."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 
 from ..common.arrays import Array
 from ..integrators.stepping.compiling import compiled
-from ..integrators.stepping.kernel_call import call
+from ..integrators.stepping.kernel_call import SEEDS, call, call_tangent
 
 
 def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
@@ -69,3 +71,47 @@ def _evaluate_all(address: int, parameters: Array, y: Array, out: Array) -> None
 def _evaluate_pairs(address: int, y: Array, parameters: Array, out: Array) -> None:
     for k in range(len(y)):
         call(address, y[k], parameters[k], out[k])
+
+
+WIDTH = SEEDS  # directions per call
+_ENTRIES = 2**15  # numbers evaluated at once: few enough that they stay in the CPU's cache
+
+
+def columns_at(address: int, x: Array, size: int) -> Iterator[tuple[slice, Array]]:
+    """Yield slices of the shapes x (N, m) with the outputs at all unit rates.
+
+    Args:
+        address: Machine code of (x, none, u) → outputs (size,), compiled for WIDTH directions.
+        x: Shapes, (N, m) [rad | m].
+        size: Number of outputs.
+    Yields:
+        The slice of N, and outputs (count, max(m, 1), size): entry k belongs to unit rate of
+        joint k.  Without joints, there is one entry, at u = ().
+    """
+    N, m = x.shape
+    columns = max(m, 1)
+    count = max(1, _ENTRIES // (columns * size))
+    none, rates, lanes = np.zeros(1), np.zeros((m, WIDTH)), np.empty((size, WIDTH))
+    for start in range(0, N, count):
+        chunk = slice(start, start + count)
+        shapes = np.ascontiguousarray(x[chunk])
+        outputs = np.empty((len(shapes), columns, size))
+        _evaluate(address, none, shapes, rates, lanes, outputs)
+        yield chunk, outputs
+
+
+@compiled
+def _evaluate(
+    address: int, none: Array, x: Array, rates: Array, lanes: Array, outputs: Array
+) -> None:
+    joints, columns = x.shape[1], outputs.shape[1]
+    for first in range(0, columns, WIDTH):
+        width = min(WIDTH, columns - first)
+        rates[:] = 0.0
+        for lane in range(min(width, joints - first)):
+            rates[first + lane, lane] = 1.0
+        for k in range(len(x)):
+            call_tangent(address, x[k], none, rates, lanes)
+            for lane in range(width):
+                for i in range(outputs.shape[2]):
+                    outputs[k, first + lane, i] = lanes[i, lane]

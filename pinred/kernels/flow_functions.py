@@ -22,8 +22,7 @@ from ..system.system import System
 from .base_graph import rotated
 from .differentiable import Differentiable, call_value
 from .initial_conditions import TwistOrMomentum, initial_conditions_graph, initial_conditions_kernel
-from .kernel import Kernel
-from .layout import outputs_of
+from .kernel import Kernel, outputs_of
 from .machine.native import NativeCode
 from .reduced_graph import ReducedGraph
 from .validation import require_agreement

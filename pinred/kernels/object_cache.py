@@ -27,7 +27,7 @@ import llvmlite.binding as llvm
 from platformdirs import user_cache_path
 
 from ..common.errors import CacheWarning, InputError
-from ..common.temporary import sweep, temporary
+from ..common.files import sweep, temporary
 from ..common.version import __version__
 from .signing_key import signing_key
 

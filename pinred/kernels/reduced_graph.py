@@ -18,7 +18,7 @@ from functools import cached_property
 import casadi as ca
 
 from ..forces.force_model import ForceModel
-from ..forces.robot_symbols import numbers_in
+from ..forces.force_numbers import numbers_in
 from ..reduction.base_parts import root_of
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_sweep import sweep
@@ -29,7 +29,7 @@ from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
 from ..system.system import System
 from .base_graph import BaseGraph
-from .layout import Structure, layout_of, separate_fields
+from .kernel import Structure, layout_of, separate_fields
 
 
 class ReducedGraph:

@@ -18,7 +18,7 @@ from threading import Lock
 from platformdirs import user_data_path
 
 from ..common.errors import CacheWarning
-from ..common.temporary import temporary
+from ..common.files import temporary
 
 _NAME = "cache_key"
 _LOCK = Lock()

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, freeze, vector
 from ..common.errors import SingularInertiaError
-from ..common.plain_names import quoted
+from ..common.names import quoted
 from ..system.system import System
 
 _SAMPLES = 20  # random shapes from which usual inertias are taken

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..common.errors import InputError
-from ..common.plain_names import brief
+from ..common.names import brief
 from .toml.schema import Flag, Key, Table, Text, Whole
 
 if TYPE_CHECKING:
-    from ..forces.event_expressions import Watched
+    from ..forces.formula import Watched
     from ..system.system import System
 
 Direction = Literal[-1, 0, 1]
@@ -85,7 +85,7 @@ def watched_of(system: System, events: Sequence[Event], *, base: bool) -> Watche
     """
     if not events:
         return None
-    from ..forces.event_expressions import Watched  # Imported here because it imports CasADi.
+    from ..forces.formula import Watched  # Imported here because it imports CasADi.
 
     labels = [f"event '{event.name}'" for event in events]
     watched = Watched(system, [event.expression for event in events], labels)

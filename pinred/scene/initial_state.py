@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
-from ..common.plain_names import quoted
+from ..common.names import quoted
 from ..reduction.at_a_shape import PointwiseReduction
 from ..system.joints import joint_units
 from ..system.system import System

@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError, PinredError, ShapeError
-from ..common.names import joint_index, nearest
+from ..common.names import brief, joint_index, nearest, quoted
 from ..common.parameter import Parameter
-from ..common.plain_names import brief, quoted
 from ..forces.signals import Constant, Expression, Signal
 from ..integrators.methods import METHODS, Method
 from ..system.coordinates import Configuration, Velocity

@@ -14,7 +14,7 @@ import numpy as np
 from ..common.arrays import Array, as_floats, entries_of, positive
 from ..common.defaults import is_given
 from ..common.errors import InputError, ShapeError
-from ..common.plain_names import brief, listed, one_of
+from ..common.names import brief, listed, one_of
 from ..forces.force import Force
 from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
 from ..system.system import System

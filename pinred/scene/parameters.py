@@ -10,7 +10,7 @@ import numpy as np
 
 from ..common.arrays import Array, as_floats, vector
 from ..common.errors import InputError
-from ..common.plain_names import brief, listed
+from ..common.names import brief, listed
 from ..system.model_parameters import ModelParameters, joined, kinds_near, plain_value, requested
 from ..system.system import System
 from ..system.variants import nominal

@@ -13,7 +13,7 @@ import numpy as np
 from ..common.arrays import Array, dimensions, positive, read_only, vector
 from ..common.defaults import is_given
 from ..common.errors import InputError
-from ..common.plain_names import brief, one_of
+from ..common.names import brief, one_of
 from ..forces.force import Force
 from ..integrators.methods import Method
 from ..system.model_parameters import ModelParameters
@@ -40,8 +40,8 @@ from .scene_options import Engine as Engine
 
 if TYPE_CHECKING:
     from ..common.parameter import Parameter
-    from ..forces.event_expressions import Watched
     from ..forces.force_model import ForceModel
+    from ..forces.formula import Watched
 
 TIGHTEST = 1e-14  # smallest relative tolerance; below it round-off controls the step size
 # Momenta are integrated, but users need rates.  If a light joint is attached to heavy links, a

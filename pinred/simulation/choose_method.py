@@ -4,6 +4,9 @@ A sweep of AdaptiveGauss evaluates eight stages at once, in SIMD lanes, and repl
 DOP853.  It costs more of them if identical branches fill the lanes already, and replaces more of
 them at tight tolerances.  The constants are fits to `pinred bench accuracy`; see
 docs/integrators.md.
+
+Forces are stiff if they decay fast. At zero momentum the linearisation of M ẍ = τ(x, ẋ) has K =
+−∂τ/∂x and D = −∂τ/∂ẋ. The rates are the eigenvalues of [[0, 1], [−M⁻¹K, −M⁻¹D]].
 """
 
 from __future__ import annotations
@@ -11,14 +14,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import log10
 
+import numpy as np
+
 from ..common.arrays import Array
+from ..common.errors import SingularInertiaError
+from ..common.memo import once
+from ..forces.acting import BaseInSpace, ForceInputs
+from ..forces.force_model import ForceModel
 from ..integrators.methods import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
+from ..reduction.at_a_shape import PointwiseReduction
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.coupled_groups import Groups
 from ..reduction.tree.identical_branches import Lanes, links_of
 from ..scene.scene import Scene
 from ..system.system import System
-from .stiffness import rates_near_rest
 
 _FEW = 3  # Reports inside steps that AdaptiveGauss can afford; each costs one of its steps.
 _STABLE = 4.0  # Decay over the longest stable step of DOP853.
@@ -31,6 +40,8 @@ _SWEEP_COST = 1.9  # Evaluations of DOP853 that a sweep costs without identical 
 _LOOSEST, _AT_LOOSEST, _PER_DIGIT = 4.0, 1.0, 0.45
 # Steps of DOP853 at its stability bound above which it is chosen; AdaptiveGauss needs more steps.
 _STABILITY_STEPS = 100.0
+
+_STEP = 1e-4  # Step of the differences of forces [rad | m, and per second].
 
 
 @dataclass(frozen=True)
@@ -83,3 +94,62 @@ def _limbs(system: System) -> float:
     bodies = bodies_of(system)
     coupled = Groups(bodies, {}, system.coupled).members
     return len(bodies) / len(links_of(bodies, Lanes(), (), coupled))
+
+
+@dataclass(frozen=True)
+class Rates:
+    """The fastest rates of a linear system.
+
+    Attributes:
+        decay: Rate of the fastest decay [1/s].
+        oscillation: Angular frequency of the fastest oscillation [rad/s].
+    """
+
+    decay: float
+    oscillation: float
+
+
+def rates_near_rest(scene: Scene) -> Rates:
+    """Return the rates of a scene's forces at shape zero, cached for equal forces.
+
+    They are zero if no force does work, or the forces are not defined at shape zero.
+    """
+    forces = scene.force_model
+    if forces is None or not forces.labels or len(forces.joints) == scene.system.m:
+        return Rates(0.0, 0.0)
+    numbers = forces.numbers_from(0.0, scene.end)
+    return once(forces, (Rates, numbers.tobytes()), lambda: _rates(scene.system, forces, numbers))
+
+
+def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
+    m, r = system.m, system.r
+    try:
+        at = PointwiseReduction(system).at(np.zeros(m))
+    except SingularInertiaError:  # The scene need not contain shape zero.
+        return Rates(0.0, 0.0)
+
+    def torque(x: Array, xdot: Array) -> Array:
+        xi = -at.local_connection @ xdot  # The body twist at zero momentum.
+        base = BaseInSpace(system.group.identity(), xi, np.zeros(r), np.zeros(r))
+        return forces.acting(ForceInputs(0.0, x, xdot, xi, np.zeros(r), numbers, base)).torque
+
+    rest = np.zeros(m)
+    K, D = np.empty((m, m)), np.empty((m, m))
+    for k in range(m):
+        e = np.zeros(m)
+        e[k] = _STEP
+        K[:, k] = (torque(-e, rest) - torque(e, rest)) / (2.0 * _STEP)
+        D[:, k] = (torque(rest, -e) - torque(rest, e)) / (2.0 * _STEP)
+    free = np.setdiff1d(np.arange(m), list(forces.joints))
+    K, D, M = (matrix[np.ix_(free, free)] for matrix in (K, D, at.reduced_metric))
+    with np.errstate(over="ignore", invalid="ignore"):
+        accelerations = np.linalg.solve(M, np.hstack([-K, -D]))
+    if not np.isfinite(accelerations).all():
+        return Rates(0.0, 0.0)
+    rates = np.hstack([np.zeros_like(M), np.eye(len(free))])
+    values = np.linalg.eigvals(np.vstack([rates, accelerations]))
+    swinging = np.abs(values.imag) > np.abs(values.real)
+    return Rates(
+        decay=max(0.0, float(-values.real.min())),
+        oscillation=float(np.abs(values.imag[swinging]).max(initial=0.0)),
+    )

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 
 from ..common.arrays import Array, freeze
 from ..common.errors import IntegrationError
-from ..forces.event_expressions import Watched
+from ..forces.formula import Watched
 from ..scene.scene import Scene
 from ..system.state_fields import ShapeState, State, map_arrays
 from .reduced_flow import Integrate, ReducedFlow, Segment

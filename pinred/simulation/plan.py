@@ -18,7 +18,7 @@ from ..common.errors import SymmetryError
 from ..common.memo import once
 from ..forces.force_model import ForceModel, touched_by
 from ..integrators.methods import Method
-from ..kernels.layout import Layout, Structure, layout_of
+from ..kernels.kernel import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.potential import acting_gravity, pivot_weight
 from ..reduction.tree.free_bodies import NOTHING, Freed, freed_of

@@ -22,8 +22,8 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, LoadError, PinredError
-from ..common.paths import is_file
-from ..common.plain_names import plain_path, quoted, quoted_path
+from ..common.files import is_file
+from ..common.names import plain_path, quoted, quoted_path
 from ..lie.groups import GROUPS
 from ..system.catalogue import bundled_robots
 from ..system.load import is_path

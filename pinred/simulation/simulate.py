@@ -11,7 +11,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.plain_names import brief, one_of
+from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
 from ..scene.scene import ENGINES, Engine, Scene

@@ -8,7 +8,7 @@ from typing import Any, Unpack
 
 from ..common.arrays import entries_of
 from ..common.errors import InputError, IntegrationError
-from ..common.plain_names import brief
+from ..common.names import brief
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
 from ..scene.option_checks import check_seed

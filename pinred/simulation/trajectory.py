@@ -155,7 +155,7 @@ class Trajectory(OverTime):
     @cached_property
     def driving_torques(self) -> Array:
         """Torques that drive the prescribed joints, in their order, (T, k) [N·m | N]."""
-        from .driving_torques import driving_torques
+        from .balances import driving_torques
 
         return driving_torques(self.plan, self.t, self.motion.samples(self.t))
 

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import ModelError
-from ..common.plain_names import listed, quoted
+from ..common.names import listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS
 from .coupling import Coupled

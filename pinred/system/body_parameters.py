@@ -20,8 +20,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError
-from ..common.names import nearest
-from ..common.plain_names import listed, quoted
+from ..common.names import listed, nearest, quoted
 from .system import System
 
 # Number of values of each kind of parameter.

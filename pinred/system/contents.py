@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from ..common.arrays import Array, freeze
-from ..common.plain_names import plain
+from ..common.names import plain
 from .force_interface import Force
 from .locked_joints import LockedJoints
 from .visuals import Visuals

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError, ModelError
-from ..common.plain_names import listed, quoted
+from ..common.names import listed, quoted
 from .contents import Coupling
 
 _SAME = 1e-9  # tolerance on the locked value of a follower against its leader's [rad | m]

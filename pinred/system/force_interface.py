@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.names import joint_index
+from ..common.names import brief, joint_index
 from ..common.parameter import Parameter
-from ..common.plain_names import brief
 
 if TYPE_CHECKING:
     import casadi as ca

@@ -22,8 +22,8 @@ from ..common.errors import (
     ModelError,
     ModelWarning,
 )
-from ..common.paths import is_file
-from ..common.plain_names import brief, listed, quoted
+from ..common.files import is_file
+from ..common.names import brief, listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.spatial_groups import SE3
@@ -31,7 +31,7 @@ from . import catalogue
 from .contents import Contents, Coupling, Origin
 from .coordinates import InitialState
 from .coupling import locked_by, with_followers
-from .joints import motion_group, root_joint
+from .joints import RootChain, motion_group, places_on_root, root_chain, root_joint
 from .locked_joints import LockedJoints, Tie, frozen_configurations, lock_values
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
@@ -39,7 +39,6 @@ from .model_parameters import with_parameters
 from .passive import passive_contents
 from .rebuild import rebuild, without_mimics
 from .robot_files import is_mjcf, read_description, read_text, read_xml
-from .root_chain import RootChain, places_on_root, root_chain
 from .system import System
 from .urdf import mimic_couplings
 from .visuals import Visuals, mesh_folders, with_visuals

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array, as_floats, entries_of
 from ..common.errors import InputError
-from ..common.plain_names import brief, listed, quoted
+from ..common.names import brief, listed, quoted
 from .joints import joint_configuration
 
 

@@ -11,8 +11,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array, entries_of, read_only
 from ..common.errors import InputError
-from ..common.names import nearest
-from ..common.plain_names import brief
+from ..common.names import brief, nearest
 from .body_parameters import SIZES as BODY_SIZES
 from .body_parameters import Bodies, body_names, body_parameter, inertia_of, numbers
 from .joint_parameters import PLACED, Joints, joint_parameter

@@ -11,8 +11,8 @@ import pinocchio as pin
 
 from ..common.arrays import positive
 from ..common.errors import InputError, ModelError
+from ..common.names import plain, quoted
 from ..common.parameter import Parameter, checked_number, value_of
-from ..common.plain_names import plain, quoted
 from .contents import Contents, LeftOut
 from .force_interface import Force, Symbols, Terms, finite, settle
 

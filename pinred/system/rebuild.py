@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array
 from ..common.errors import ModelError
-from ..common.plain_names import quoted
+from ..common.names import quoted
 from .contents import Coupling
-from .root_chain import RootChain, places_on_root
+from .joints import RootChain, places_on_root
 
 # Aligned joints along x, y and z, which are faster than the one along any axis.
 PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)

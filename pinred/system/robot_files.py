@@ -18,9 +18,9 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
+from ..common.files import is_file, is_folder
 from ..common.library_output import library_output
-from ..common.paths import is_file, is_folder
-from ..common.plain_names import plain_path, quoted_path
+from ..common.names import plain_path, quoted_path
 from .contents import Coupling
 from .urdf import (
     UNLIMITED,

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import ModelError
-from ..common.plain_names import quoted
+from ..common.names import quoted
 from .contents import Coupling
 
 UNLIMITED = 1.7e308  # position limit that stands for infinity, which the parser does not know

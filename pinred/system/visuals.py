@@ -10,8 +10,8 @@ import pinocchio as pin
 
 from ..common.arrays import entries_of
 from ..common.errors import InputError
-from ..common.paths import is_folder
-from ..common.plain_names import brief, quoted_path
+from ..common.files import is_folder
+from ..common.names import brief, quoted_path
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,7 @@ from strategies import make_case
 
 import pinred
 from pinred.analysis.gaits.arcs import FourierArc
-from pinred.analysis.phases.drift import Drift
-from pinred.analysis.phases.path_basis import cycloid_basis, path_lift
+from pinred.analysis.phases.path_basis import Drift, cycloid_basis, path_lift
 from pinred.common.arrays import Array
 
 

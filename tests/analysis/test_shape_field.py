@@ -16,7 +16,7 @@ from trees import random_model
 import pinred
 from pinred.analysis.connections import shape_field
 from pinred.common.arrays import Array
-from pinred.kernels.connection import unit_rates
+from pinred.kernels import evaluate
 from pinred.kernels.connection.code import ConnectionCode
 from pinred.system.catalogue import bundled_robots
 
@@ -87,7 +87,7 @@ def test_grid_in_chunks_equals_pinocchio(name: str, monkeypatch: pytest.MonkeyPa
     system = pinred.load(name)
     red, rng = pinred.Reduction(system), np.random.default_rng(1)
     shapes = rng.uniform(-2.0, 2.0, (11, system.m))
-    monkeypatch.setattr(unit_rates, "_ENTRIES", 4 * system.m * (1 + system.r * (1 + system.m)))
+    monkeypatch.setattr(evaluate, "_ENTRIES", 4 * system.m * (1 + system.r * (1 + system.m)))
     agree(red, shapes)
 
 

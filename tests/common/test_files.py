@@ -14,7 +14,7 @@ import pytest
 
 import pinred
 from pinred.common.files import check_path, write_atomic
-from pinred.common.plain_names import quoted_path
+from pinred.common.names import quoted_path
 
 WRITE = """
 import sys, time

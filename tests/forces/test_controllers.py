@@ -164,7 +164,7 @@ def test_controller_holds_torques_between_samples(period: float) -> None:
         segment = aba.integrate(model, q, v, times, lambda *_, tau=tau: tau, rtol=1e-10)
         q, v = segment[0][-1], segment[1][-1]
         for traj in runs.values():
-            assert aba.apart(model, q[None], traj(float(end)).q[None]) < 1e-6
+            assert aba.max_difference(model, q[None], traj(float(end)).q[None]) < 1e-6
     for traj in runs.values():
         np.testing.assert_allclose(traj.energy_balance.residual, 0.0, atol=1e-8)
 

@@ -76,8 +76,8 @@ def test_any_subset_of_prescribed_joints_equals_aba(group: str, driven: list[int
         np.testing.assert_allclose(traj.x[:, k], signal.value(TIMES), rtol=0, atol=1e-13)
         np.testing.assert_allclose(traj.xdot[:, k], signal.rate(TIMES), rtol=0, atol=1e-12)
     q = full_motion(scene, driven)
-    assert aba.apart(system.model, q, traj.q) < 1e-8
-    assert aba.apart(system.model, q, other.q) < 1e-8
+    assert aba.max_difference(system.model, q, traj.q) < 1e-8
+    assert aba.max_difference(system.model, q, other.q) < 1e-8
 
 
 TIMES = np.linspace(0.0, 1.0, 11)
@@ -241,7 +241,7 @@ def test_splines_with_many_knots_equal_plan(engine: Engine) -> None:
         return torques
 
     q, _ = aba.integrate(model, q0, v0, knots, tau, rtol=1e-10, stops=tuple(knots[1:-1]))
-    assert aba.apart(model, q, traj.q) < 1e-7
+    assert aba.max_difference(model, q, traj.q) < 1e-7
     np.testing.assert_allclose(traj.energy_balance.residual, 0.0, atol=1e-7)
     expected = [drives(traj, [1, 3], np.zeros(8), t) for t in range(1, 50, 7)]
     np.testing.assert_allclose(traj.driving_torques[1:50:7], expected, atol=1e-6)

@@ -100,7 +100,7 @@ def integrate(
     return q, states[:, nq:]
 
 
-def apart(model: pin.Model, q: Array, other: Array) -> float:
+def max_difference(model: pin.Model, q: Array, other: Array) -> float:
     """Return the largest difference between configurations (T, nq) [rad | m]."""
     pairs = zip(q, other, strict=True)
     return float(max(np.abs(pin.difference(model, a, b)).max(initial=0.0) for a, b in pairs))

@@ -52,7 +52,7 @@ class CoupledCase:
         return np.asarray(self.whole.T @ (upper + np.triu(upper, 1).T) @ self.whole)
 
 
-def tied(system: pinred.System) -> tuple[Array, Array]:
+def coupling_map(system: pinred.System) -> tuple[Array, Array]:
     """Return G and b of a system by solving the equations of its couplings."""
     names = list(system.model.names)[2:]
     equations, constants = np.eye(len(names)), np.zeros(len(names))
@@ -95,7 +95,7 @@ def make_case(group: str, joints: int, seed: int, *, heavy: bool = False) -> Cou
         model.gravity.linear = np.array(GRAVITY.get(group, (0.0, 0.0, 0.0)))
     contents = Contents(couplings=couple(model, rng, 4))
     system = pinred.System(model, model.name, contents=contents)
-    G, b = tied(system)
+    G, b = coupling_map(system)
     return CoupledCase(system, G, b, rng)
 
 

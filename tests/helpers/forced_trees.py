@@ -26,4 +26,4 @@ def against_aba(traj: pinred.Trajectory, tau: aba.Torques, stops: tuple[float, .
     """Return the largest difference between a trajectory and ABA with torques tau [rad | m]."""
     model = traj.system.model
     q, _ = aba.integrate(model, traj.q[0], traj.v[0], traj.t, tau, rtol=1e-10, stops=stops)
-    return aba.apart(model, q, traj.q)
+    return aba.max_difference(model, q, traj.q)

@@ -12,7 +12,7 @@ from pinred.common.arrays import Array
 from pinred.lie import Group
 
 
-def lifted(
+def pose_after_cycle(
     group: Group, gait: pinred.Gait, velocity: Callable[[Array, Array, Array], Array]
 ) -> Array:
     """Return the pose after one cycle, (size,).
@@ -46,7 +46,7 @@ def by_pinocchio(system: pinred.System, gait: pinred.Gait, momentum: Array) -> A
         mu = group.Ad(g).T @ momentum
         return -split.local_connection @ xdot + np.linalg.solve(split.locked_inertia, mu)
 
-    return lifted(group, gait, velocity)
+    return pose_after_cycle(group, gait, velocity)
 
 
 def random_gait(rng: np.random.Generator, m: int, harmonics: int = 2) -> pinred.Gait:

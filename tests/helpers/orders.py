@@ -23,7 +23,7 @@ ROBOTS = {
 FRACTIONS = (0.7, 0.85, 1.0)
 
 
-def measured(errors: list[float], steps: list[float]) -> float:
+def fit_order(errors: list[float], steps: list[float]) -> float:
     """Return the exponent of the step size in the errors, by a fit."""
     return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
 

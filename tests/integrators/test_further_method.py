@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from orders import measured
+from orders import fit_order
 
 import pinred
 from pinred import AdaptiveGauss
@@ -70,7 +70,7 @@ def test_new_explicit_method_needs_one_file(tmp_path: Path) -> None:
     output: list[Any] = json.loads(done.stdout.splitlines()[-1])
     errors, about, names = output
     for k in (1, 2):  # within a step, perhaps, and at the end of one
-        order = measured([row[k] for row in errors], [1 / 100, 1 / 140, 1 / 200, 1 / 280])
+        order = fit_order([row[k] for row in errors], [1 / 100, 1 / 140, 1 / 200, 1 / 280])
         assert order == pytest.approx(3.0, abs=0.2)
     assert np.array(errors)[:, 0].max() < 1e-15
     assert about == "simulate() with BS3, whole call"

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from orbits import kepler_orbit
-from orders import ROBOTS, errors_at_the_end, measured
+from orders import ROBOTS, errors_at_the_end, fit_order
 
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss
@@ -27,10 +27,9 @@ from pinred.integrators.stepping import run_state
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.kernels import derived_code
+from pinred.kernels.derived_code import tangent_of, wide_rate
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object
-from pinred.kernels.tangent import tangent_of
-from pinred.kernels.wide_rate import wide_rate
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 
@@ -98,7 +97,7 @@ def test_gauss_has_its_order(robot: str, order: int) -> None:
     counts = {2: [60, 90, 130, 190], 4: [30, 42, 60, 85], 6: [14, 18, 24, 32], 8: [12, 15, 18, 22]}
     make_method: Callable[[float], Gauss] = lambda step: Gauss(step, order)  # noqa: E731
     errors = np.hypot(*errors_at_the_end(robot, make_method, counts[order]))
-    orders = measured(errors.tolist(), [1 / count for count in counts[order]])
+    orders = fit_order(errors.tolist(), [1 / count for count in counts[order]])
     assert orders == pytest.approx(Gauss(0.1, order).order, abs=0.3)
 
 
@@ -289,14 +288,14 @@ def test_order_16_on_kepler_orbits() -> None:
     for count in steps:
         solution = run("kepler", Gauss(end / count, 16), start, end)
         errors.append(float(np.abs(solution.y[0] - truth).max()))
-    assert measured(errors, [1 / n for n in steps]) == pytest.approx(16, abs=1.5)
+    assert fit_order(errors, [1 / n for n in steps]) == pytest.approx(16, abs=1.5)
     counts, errors = [], []
     for tolerance in 10.0 ** -np.arange(4.0, 12.0):
         method = AdaptiveGauss(tolerance, tolerance / 100)
         solution = run("kepler", method, start, end)
         counts.append(1 / solution.steps)
         errors.append(float(np.abs(solution.y[0] - truth).max()))
-    assert measured(errors, counts) > 12  # DOP853: 8
+    assert fit_order(errors, counts) > 12  # DOP853: 8
 
 
 @pytest.mark.parametrize("robot", ["falling_cat", "rigid_body"])

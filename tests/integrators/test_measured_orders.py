@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from orders import ROBOTS, errors_at_the_end, measured
+from orders import ROBOTS, errors_at_the_end, fit_order
 
 import pinred
 from pinred import DOP853, RKMK4, Tsit5
@@ -26,7 +26,7 @@ def test_rkmk4_has_order_4(robot: str) -> None:
     """Order 4 in shape and attitude."""
     counts = [60, 85, 120, 170, 240]
     for errors in errors_at_the_end(robot, RKMK4, counts):
-        order = measured(errors, [1 / count for count in counts])
+        order = fit_order(errors, [1 / count for count in counts])
         assert order == pytest.approx(RKMK4.order, abs=0.2)
 
 
@@ -38,7 +38,7 @@ def test_dop853_has_order_8(robot: str) -> None:
     errors = np.hypot(*errors_at_the_end(robot, fixed, counts)).tolist()
     kept = [(e, 1 / n) for e, n in zip(errors, counts, strict=True) if e > 3e-13]
     assert len(kept) >= 5
-    order = measured([e for e, _ in kept], [h for _, h in kept])
+    order = fit_order([e for e, _ in kept], [h for _, h in kept])
     assert order == pytest.approx(DOP853.order, abs=0.2)
 
 
@@ -49,7 +49,7 @@ def test_tsit5_has_order_5(robot: str) -> None:
     errors = np.hypot(*errors_at_the_end(robot, fixed_tsit5, counts)).tolist()
     kept = [(e, 1 / n) for e, n in zip(errors, counts, strict=True) if e > 1.5e-13]
     assert len(kept) >= 5
-    order = measured([e for e, _ in kept], [h for _, h in kept])
+    order = fit_order([e for e, _ in kept], [h for _, h in kept])
     assert order == pytest.approx(Tsit5.order, abs=0.2)
 
 

@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 from aba import kinematics
 from numpy.polynomial import Polynomial
-from orders import measured
+from orders import fit_order
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp import radau as book
 from stiff_kernels import kernels
@@ -36,9 +36,9 @@ from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
-from pinred.kernels import tangent
+from pinred.kernels import derived_code as tangent
+from pinred.kernels.derived_code import jacobian_of, tangent_of
 from pinred.kernels.machine import native
-from pinred.kernels.tangent import jacobian_of, tangent_of
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
@@ -260,7 +260,7 @@ def test_radau_has_order_5(robot: str) -> None:
             errors[1, k] += both[:-1].max()
     assert Radau.order == Radau.dense_order == 5
     for step_errors in errors:
-        order = measured(step_errors.tolist(), (1.0 / steps).tolist())
+        order = fit_order(step_errors.tolist(), (1.0 / steps).tolist())
         assert order == pytest.approx(5.0, abs=0.25)
 
 

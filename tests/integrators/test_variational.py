@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 import pinocchio as pin
 import pytest
-from orders import errors_at_the_end, measured
+from orders import errors_at_the_end, fit_order
 from scipy.spatial.transform import Rotation
 from stiff_kernels import kernels
 
@@ -131,7 +131,7 @@ def test_variational_has_order_2(robot: str) -> None:
     """Order 2 in shape and attitude, by ABA."""
     counts = [150, 200, 270, 360]
     for errors in errors_at_the_end(robot, Variational, counts):
-        order = measured(errors, [1 / count for count in counts])
+        order = fit_order(errors, [1 / count for count in counts])
         assert order == pytest.approx(Variational.order, abs=0.1)
 
 
@@ -157,7 +157,7 @@ def test_order_2_with_forces_and_prescribed_joint() -> None:
         error = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
         errors.append(np.hypot(error.shape, error.rotation))
     for k in range(2):
-        assert measured([float(e[k]) for e in errors], steps) == pytest.approx(2.0, abs=0.15)
+        assert fit_order([float(e[k]) for e in errors], steps) == pytest.approx(2.0, abs=0.15)
 
 
 def test_momentum_is_constant_and_energy_bounded() -> None:

@@ -13,9 +13,8 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.judge import equation_errors as module
-from pinred.judge.equation_errors import equation_errors
+from pinred.judge.equation_errors import Accelerations, accelerations, equation_errors
 from pinred.judge.reference_solution import FullState
-from pinred.simulation.accelerations import Accelerations, accelerations
 
 CART, POLE, LEVER, MOMENT, G = (
     2.0,

@@ -15,7 +15,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.kernels.build import build_kernel
-from pinred.kernels.layout import Structure
+from pinred.kernels.kernel import Structure
 from pinred.kernels.machine.native import NativeCode
 from pinred.kernels.object_cache import ObjectCache
 from pinred.kernels.validation import validate_kernel

@@ -16,7 +16,7 @@ from trees import limbed_model, mirrored_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.kernels.layout import Structure
+from pinred.kernels.kernel import Structure
 from pinred.kernels.machine.native import compile_object, load_object
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.reduction.tree.body_frames import bodies_of, cosine, sine

@@ -8,9 +8,10 @@ from assertions import close
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.planning.optimisation import extremes, margins
+from pinred.planning.optimisation import limits as extremes
+from pinred.planning.optimisation import limits as margins
 from pinred.planning.optimisation.limits import limits_of
-from pinred.planning.reorientation.time_law import peaks_of
+from pinred.planning.reorientation.reorient import peaks_of
 
 T = 1.7  # s
 WHEEL = 1

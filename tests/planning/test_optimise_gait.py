@@ -14,11 +14,10 @@ from three_links import CENTRES, LENGTH, LINKS
 import pinred
 from pinred.common.arrays import Array
 from pinred.planning.optimisation import gait_search
-from pinred.planning.optimisation.aims import axis_aim, target_aim
-from pinred.planning.optimisation.costs import COSTS
 from pinred.planning.optimisation.gait_search import fourier_path_of
 from pinred.planning.optimisation.ipopt import Problem, kkt_residual, minimum
 from pinred.planning.optimisation.limits import limits_of
+from pinred.planning.optimisation.objective import COSTS, axis_aim, target_aim
 from pinred.planning.optimisation.transcription import Task, problem_of
 
 TURN = 0.033787199534  # rotation of three rods by half of the square |α| ≤ 1 [rad]

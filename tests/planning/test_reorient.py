@@ -16,7 +16,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.planning.reorientation import turning_loop
-from pinred.planning.reorientation.tumble import passage_of
+from pinred.planning.reorientation.reorient import passage_of
 from pinred.planning.reorientation.turning_loop import first_loop
 
 ROBOTS = {

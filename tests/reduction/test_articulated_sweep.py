@@ -10,7 +10,7 @@ from strategies import Case, cases, make_case
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.kernels.layout import Structure
+from pinred.kernels.kernel import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.lie.rotations import rotation
 from pinred.reduction.canonical_form import CanonicalForm

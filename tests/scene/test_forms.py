@@ -108,10 +108,10 @@ def test_q0_and_v0_motion_agrees_with_aba(engine: Engine, case: Case) -> None:
     """A motion from (q0, v0) agrees with Pinocchio's ABA for every group."""
     model = case.system.model
     traj = pinred.simulate(case.system, q0=case.q, v0=case.v, times=[0.0, 0.05], engine=engine)
-    assert aba.apart(model, traj.q[:1], case.q[None]) < 1e-12
+    assert aba.max_difference(model, traj.q[:1], case.q[None]) < 1e-12
     np.testing.assert_allclose(traj.v[0], case.v, atol=1e-10)
     q, v = aba.integrate(model, case.q, case.v, np.array([0.05]))
-    assert aba.apart(model, traj.q[1:], q) < 1e-7
+    assert aba.max_difference(model, traj.q[1:], q) < 1e-7
     np.testing.assert_allclose(traj.v[1:], v, atol=1e-6 * max(1.0, float(np.abs(v).max())))
 
 
@@ -161,7 +161,7 @@ def test_members_accept_values_by_joint_and_q0() -> None:
     for k in range(count):
         q, v = aba.integrate(CAT.model, q0[k], v0[k], np.array([0.3]))
         for many in (named, rows):
-            assert aba.apart(CAT.model, many[k].q, q) < 1e-8
+            assert aba.max_difference(CAT.model, many[k].q, q) < 1e-8
             np.testing.assert_allclose(many[k].v, v, atol=1e-7)
     common = pinred.simulate_many(CAT, q0=q0[0], v0=v0, times=[0.3])
     np.testing.assert_array_equal(common[3].q, rows[0].q)
@@ -341,7 +341,7 @@ def test_error_follows_rtol_of_the_scene() -> None:
         traj = pinred.simulate(
             CAT, q0=q0, v0=v0, times=[1.0], method="DOP853", rtol=rtol, atol=0.01 * rtol
         )
-        assert 1e-4 * rtol < aba.apart(CAT.model, traj.q, q) < 10 * rtol
+        assert 1e-4 * rtol < aba.max_difference(CAT.model, traj.q, q) < 10 * rtol
 
 
 def test_tightest_tolerance_is_accepted_by_all_methods() -> None:

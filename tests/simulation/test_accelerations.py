@@ -11,8 +11,8 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.judge.equation_errors import Accelerations, accelerations
 from pinred.scene.scene import Engine
-from pinred.simulation.accelerations import Accelerations, accelerations
 
 TIMES = np.linspace(0.0, 0.5, 6)
 SIZE = 0.7  # of a robot [m]; a slide moves by a fraction of it in a difference

@@ -15,9 +15,8 @@ from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.signals import Hold
-from pinred.simulation.choose_method import Choice
+from pinred.simulation.choose_method import Choice, rates_near_rest
 from pinred.simulation.plan import plan_of
-from pinred.simulation.stiffness import rates_near_rest
 
 
 def scene(system: pinred.System, **options: Any) -> pinred.Scene:

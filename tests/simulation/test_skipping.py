@@ -48,7 +48,7 @@ def test_the_base_is_left_out(group: str) -> None:
         q, v = aba.integrate(system.model, q0, v0, every.report_times)
         for engine in ENGINES:
             whole, part = (pinred.simulate(s, engine=engine) for s in (every, shape))
-            assert aba.apart(system.model, q, whole.q) < 1e-8
+            assert aba.max_difference(system.model, q, whole.q) < 1e-8
             found = system.configuration(q).x
             np.testing.assert_allclose(np.exp(1j * part.x), np.exp(1j * found), atol=1e-8)
             np.testing.assert_allclose(part.xdot, system.velocity(v).xdot, atol=1e-8)
@@ -78,7 +78,7 @@ def test_almost_no_momentum(momentum: float) -> None:
         np.testing.assert_allclose(a.q, b.q, atol=1e-8)
         np.testing.assert_allclose(b.spatial_momentum[:, 5], momentum, rtol=0, atol=1e-16)
         q, _ = aba.integrate(system.model, b.q[0], b.v[0], b.t[::100], rtol=1e-10)
-        assert aba.apart(system.model, q, b.q[::100]) < 1e-7
+        assert aba.max_difference(system.model, q, b.q[::100]) < 1e-7
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-9, 1e-3])
@@ -99,7 +99,7 @@ def test_an_almost_balanced_wheel(offset: float) -> None:
     )
     traj = pinred.simulate(scene)
     q, _ = aba.integrate(model, traj.q[0], traj.v[0], traj.t, rtol=1e-10)
-    assert aba.apart(model, q, traj.q) < 1e-7
+    assert aba.max_difference(model, q, traj.q) < 1e-7
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-300, 1e-6])
@@ -111,7 +111,7 @@ def test_almost_no_gravity(size: float) -> None:
     for engine in ENGINES:
         traj = pinred.simulate(scene, engine=engine)
         q, _ = aba.integrate(system.model, traj.q[0], traj.v[0], traj.t[::50])
-        assert aba.apart(system.model, q, traj.q[::50]) < 1e-9
+        assert aba.max_difference(system.model, q, traj.q[::50]) < 1e-9
 
 
 def test_a_wrench_that_is_zero_and_one_that_is_not() -> None:

@@ -106,10 +106,10 @@ def test_a_varied_scene_is_that_of_a_robot_with_the_numbers_in_it(group: str, se
     members = {name: np.array([value, np.multiply(value, 0.9)]) for name, value in values.items()}
     many = pinred.simulate_many(system, members=members, **options)
     for state in (found.q, many[0].q):
-        assert aba.apart(other, state, expected.q) < 1e-8
+        assert aba.max_difference(other, state, expected.q) < 1e-8
     second = pinred.simulate(many[1].scene)
-    assert aba.apart(other, many.q[1], second.q) < 1e-8
-    assert aba.apart(other, second.q, expected.q) > 1e-4
+    assert aba.max_difference(other, many.q[1], second.q) < 1e-8
+    assert aba.max_difference(other, second.q, expected.q) > 1e-4
     np.testing.assert_allclose(flow.x, expected.x, rtol=0, atol=1e-8)
     np.testing.assert_allclose(flow.xi, expected.xi, rtol=0, atol=1e-8)
 

@@ -18,7 +18,7 @@ import pinred
 from pinred import InputError, LoadError, ModelError, PinredError
 from pinred.system.contents import Coupling
 from pinred.system.mjcf import compile as mjcf_compilation
-from pinred.system.mjcf.constraints import constraints_of
+from pinred.system.mjcf.read import constraints_of
 
 TWO = base(arm("left") + arm("right"))
 # Constraint between left and right, or one of them and the ground; words of the refusal.

@@ -10,8 +10,7 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...common.names import nearest
-from ...common.plain_names import listed, quoted
+from ...common.names import listed, nearest, quoted
 from ...system.system import System
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, LoadError
-from ...common.plain_names import quoted_path
+from ...common.names import quoted_path
 
 _CLOSED = 1e-6  # largest gap at the end of the data, relative to the range of the joints
 

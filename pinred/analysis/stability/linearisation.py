@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array, freeze
-from ...kernels.tangent import jacobian_of
+from ...kernels.derived_code import jacobian_of
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from .reduced_state import Leaf, leaf_of
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...common.memo import once
 from ...integrators.stepping.compiling import compiled
-from ..evaluate import evaluate
+from ..evaluate import WIDTH, columns_at, evaluate
 from ..machine.native import NativeCode, compile_object, load_object
 from ..object_cache import ObjectCache, cache_key
 from .connection_validation import (
@@ -23,8 +23,8 @@ from .connection_validation import (
     validate_slope,
     validate_velocity,
 )
-from .form import ConnectionForm
-from .graphs import (
+from .form import (
+    ConnectionForm,
     column_derivative_graph,
     column_graph,
     covariant_graph,
@@ -32,7 +32,6 @@ from .graphs import (
     velocity_graph,
     velocity_slope_graph,
 )
-from .unit_rates import WIDTH, columns_at
 
 _NONE = np.zeros(1)
 

@@ -8,11 +8,10 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.differences import central_differences
-from ..evaluate import evaluate
+from ..evaluate import columns_at, evaluate
 from ..machine.native import NativeCode
 from ..validation import require_agreement
 from .form import ConnectionForm
-from .unit_rates import columns_at
 
 _TRIALS = 2  # shapes to compare
 _MOST_DRAWS = 100  # random shapes tried until enough of them are regular

@@ -1,9 +1,9 @@
-"""The linear form of velocities that defines a connection: it vanishes on horizontal motions.
+"""The linear form of velocities that defines a connection, and the expressions derived from it.
 
 A connection on G × B is given by a form F(x) (ξ, ẋ) = P_b(x) ξ + P_s(x) ẋ with r rows: momenta,
-drag forces, or the slip of wheels.  If it vanishes, ξ = −A ẋ with A = P_b⁻¹ P_s.  A symmetric form,
-such as momenta or drag, also has m rows for the shape.  Its full matrix G defines a metric on shape
-space, M = G_ss − Aᵀ P_b A.
+drag forces, or the slip of wheels.  It vanishes on horizontal motions, so ξ = −A ẋ with
+A = P_b⁻¹ P_s.  A symmetric form, such as momenta or drag, also has m rows for the shape.  Its full
+matrix G defines a metric on shape space, M = G_ss − Aᵀ P_b A.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import casadi as ca
 
 from ...common.arrays import Array
 from ...lie.group import Group
+from ...reduction.tree.scalars import factor_ldl, solve_factored
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,3 +104,136 @@ def form_of(
         symmetric=symmetric,
         momentum=momentum,
     )
+
+
+def velocity_graph(form: ConnectionForm) -> ca.Function:
+    """Return (x, ẋ) → ξ = −A ẋ, (r,), then the health of P_b, then ẋᵀ M ẋ if there is a metric."""
+    r, m = form.r, form.m
+    x, xdot = ca.SX.sym("x", m), ca.SX.sym("xdot", m)
+    F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
+    P = _locked(form, x)
+    xi = -_solved(form, P, F[:r])
+    outputs = [xi, health(form, P)]
+    if form.symmetric:
+        outputs.append(ca.dot(xdot, F[r:]) + ca.dot(F[:r], xi))
+    return _function("velocity", ca.vertcat(x, xdot), outputs)
+
+
+def velocity_slope_graph(form: ConnectionForm) -> ca.Function:
+    """Return (x, ẋ) → the derivative of (ξ, ẋᵀ M ẋ) by (x, ẋ), by columns."""
+    y = ca.SX.sym("y", 2 * form.m)
+    values = velocity_graph(form)(y, ca.SX.sym("none"))
+    without_health = [*range(form.r), *range(form.r + 1, values.numel())]
+    derivative = ca.jacobian(values[without_health], y)
+    return _function("slope", y, [ca.vec(ca.densify(derivative))])
+
+
+def column_graph(form: ConnectionForm) -> ca.Function:
+    """Return x, joint rates u → F(x) (0, u), A u, P_b by columns, its health, and M u.
+
+    M u is missing without a metric.  Evaluated at unit rates, these are columns of F, A and M.
+    """
+    r, m = form.r, form.m
+    x, u = ca.SX.sym("x", m), ca.SX.sym("u", m)
+    P = _locked(form, x)
+    F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), u))
+    Au = _solved(form, P, F[:r])
+    outputs = [F, Au, ca.vec(P), health(form, P)]
+    if form.symmetric and m:
+        outputs.append(form.values(x, ca.vertcat(-Au, u))[r:])
+    return _directional_function("columns", x, u, outputs)
+
+
+def column_derivative_graph(form: ConnectionForm) -> ca.Function:
+    """Return x, joint rates u → A u, the health of P_b, and ∂(A u)/∂x by columns, (r m,).
+
+    From P_b A u = P_s u, the derivative is P_b⁻¹ ∂F/∂x at the constant velocity (−A u, u).
+    """
+    r, m = form.r, form.m
+    x, u, xi = ca.SX.sym("x", m), ca.SX.sym("u", m), ca.SX.sym("xi", r)
+    P = _locked(form, x)
+    Au = _solved(form, P, form.values(x, ca.vertcat(ca.SX.zeros(r, 1), u))[:r])
+    by_x = ca.densify(ca.jacobian(form.values(x, ca.vertcat(xi, u))[:r], x))
+    derivative = _solved(form, P, ca.substitute(by_x, xi, -Au))
+    outputs = [Au, health(form, P), ca.vec(derivative)]
+    return _directional_function("column_derivatives", x, u, outputs)
+
+
+def locked_derivative_graph(form: ConnectionForm) -> ca.Function:
+    """Return (x, ω) → ∂(P_b ω)/∂x at constant body twist ω (r,), by columns, (r m,)."""
+    x, omega = ca.SX.sym("x", form.m), ca.SX.sym("omega", form.r)
+    derivative = ca.jacobian(_locked(form, x) @ omega, x)
+    return _function("locked_derivative", ca.vertcat(x, omega), [ca.vec(ca.densify(derivative))])
+
+
+def covariant_graph(form: ConnectionForm) -> ca.Function:
+    """Return (x, ẋ, ẍ, λ) → the force f (m,), then the derivative of λᵀf by (x, ẋ, ẍ), (3m,).
+
+    A motion of a shape with the Lagrangian ½ ẋᵀMẋ needs f_α = d/dt (M ẋ)_α − ½ ẋᵀ ∂_αM ẋ, M times
+    its covariant acceleration.  If M is the reduced metric of inertia and nothing else acts, f are
+    the joint torques at zero momentum.
+    """
+    m, none = form.m, ca.SX.sym("none")
+    motion, along = ca.SX.sym("motion", 3 * m), ca.SX.sym("along", m)
+    state, rate = motion[: 2 * m], motion[m:]
+    square = velocity_graph(form)(state, none)[-1]
+    energy_gradient = 0.5 * ca.gradient(square, motion)
+    momentum = energy_gradient[m : 2 * m]
+    momentum_rate = ca.jtimes(momentum, motion, ca.vertcat(rate, ca.SX.zeros(m)))
+    force = momentum_rate - energy_gradient[:m]
+    derivative = ca.gradient(ca.dot(along, force), motion)
+    return _function("covariant", ca.vertcat(motion, along), [force, derivative])
+
+
+def _locked(form: ConnectionForm, x: ca.SX) -> ca.SX:
+    return ca.reshape(form.locked(x), form.r, form.r)
+
+
+def _solved(form: ConnectionForm, P: ca.SX, right: ca.SX) -> ca.SX:
+    """Return P⁻¹ right, (r, k)."""
+    r, k = form.r, right.shape[1]
+    if not k:
+        return ca.SX(r, 0)
+    if not form.symmetric:
+        # Cramer's rule needs no pivots.
+        return ca.densify(ca.adj(P) @ right / ca.det(P)) if r <= 3 else ca.solve(P, right)
+    L, _, inverse = factor_ldl(_rows(P))
+    columns = [solve_factored(L, inverse, column) for column in _rows(right.T)]
+    solved: ca.SX = ca.vertcat(*(entry for column in columns for entry in column))
+    return solved.reshape((r, k))
+
+
+def _rows(P: ca.SX) -> list[list[ca.SX | float]]:
+    """Return the entries of a matrix, constants as floats: products with 0 and 1 vanish."""
+    rows = [[P[i, j] for j in range(P.shape[1])] for i in range(P.shape[0])]
+    return [[float(entry) if entry.is_constant() else entry for entry in row] for row in rows]
+
+
+def health(form: ConnectionForm, P: ca.SX) -> ca.SX:
+    """Return the distance of P from singular: 0 if it is singular, at best 1, or ±1.
+
+    If the form is symmetric, this is the least pivot of P, relative to its diagonal entry.
+    Otherwise it is det P divided by the product of the norms of the rows, and has a sign.
+    """
+    if form.symmetric:
+        _, D, _ = factor_ldl(_rows(P))
+        least = ca.SX(1)
+        for k, pivot in enumerate(D):
+            least = ca.fmin(least, pivot / P[k, k])
+        return least
+    size = ca.SX(1)
+    for k in range(form.r):
+        size = size * ca.norm_2(P[k, :])
+    return ca.det(P) / size
+
+
+def _directional_function(name: str, x: ca.SX, u: ca.SX, outputs: list[ca.SX]) -> ca.Function:
+    """Return the Function of (x, no parameters, u); its machine code takes several u at once."""
+    column = ca.densify(ca.vertcat(*outputs))
+    return ca.Function(name, [x, ca.SX.sym("none"), u], [column], {"cse": True})
+
+
+def _function(name: str, y: ca.SX, outputs: list[ca.SX]) -> ca.Function:
+    """Return the Function of (y, no parameters), with its outputs in one column."""
+    column = ca.densify(ca.vertcat(ca.SX(0, 1), *outputs))
+    return ca.Function(name, [y, ca.SX.sym("none")], [column], {"cse": True})

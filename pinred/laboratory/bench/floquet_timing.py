@@ -22,7 +22,7 @@ from ...analysis.stability.along_motions import floquet, linearise
 from ...analysis.stability.linearised_flow import without_base
 from ...common.arrays import Array, freeze
 from ...common.progress import Progress, one_by_one
-from ...kernels.tangent import jacobian_of
+from ...kernels.derived_code import jacobian_of
 from ...reduction.at_a_shape import PointwiseReduction
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from ...common.progress import Progress, one_by_one
 from ...kernels.build import build_kernel
-from ...kernels.layout import Structure
+from ...kernels.kernel import Structure
 from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
 from ...system.catalogue import has_example_robots

@@ -13,7 +13,7 @@ from ...common.errors import IntegrationError
 from ...integrators.integrate_many import Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
-from ...kernels.wide_rate import wide_rate
+from ...kernels.derived_code import wide_rate
 from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
 from ...simulation.members.integrate_members import lanes_of
 from ...simulation.members.member_groups import of_scenes

@@ -13,7 +13,7 @@ from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
-from ...kernels.layout import Structure
+from ...kernels.kernel import Structure
 from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
 from .chains import FAMILIES, chain

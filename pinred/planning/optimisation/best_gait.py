@@ -17,8 +17,7 @@ from ...lie.group import PoseError
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
-from .aims import AxisAim, TargetAim
-from .costs import ABOUT, DEGREES
+from .objective import ABOUT, DEGREES, AxisAim, TargetAim
 from .transcription import Task
 
 SAME = 1e-5  # relative difference of merits below which optima count as equal

@@ -10,7 +10,7 @@ from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array
 from .ipopt import Minimum, minimum
-from .margins import tighten_limits, violation_times
+from .limits import tighten_limits, violation_times
 from .transcription import Path, Task, fourier_path, problem_of
 
 _PIECES = 2  # quadrature pieces of order 16, times (harmonics + 3)

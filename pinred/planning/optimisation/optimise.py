@@ -10,21 +10,68 @@ from numpy.typing import ArrayLike
 from ...analysis.connections.connection import Connection
 from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
-from ...analysis.phases.path_basis import path_lift
+from ...analysis.phases.path_basis import path_lift, polygon_basis
 from ...analysis.phases.phase import phase
-from ...common.arrays import positive, whole
+from ...common.arrays import Array, positive, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
-from ...common.plain_names import brief
+from ...common.names import brief
 from ...common.progress import Progress, shown
-from .aims import AIMS, AimKind, AxisAim, TargetAim, axis_aim, target_aim
 from .best_gait import BestGait, Optimum, group_optima
-from .costs import CostKind, check_cost, cost_of
 from .gait_search import Search, StartFailed, enforce_limits, fourier_path_of
 from .ipopt import Minimum, minimum
-from .limits import LimitsLike, limits_of
-from .margins import margins
-from .polar_polygon import polygon_gait, polygon_path
-from .transcription import Task, problem_of
+from .limits import LimitsLike, limits_of, margins
+from .objective import (
+    AIMS,
+    AimKind,
+    AxisAim,
+    CostKind,
+    TargetAim,
+    axis_aim,
+    check_cost,
+    cost_of,
+    target_aim,
+)
+from .transcription import Path, Task, problem_of
+
+_PIECES = 1  # quadrature pieces of order 16 for each edge
+
+
+def polygon_path(corners: int, *, clockwise: bool) -> Path:
+    """Return the polygons with corners on fixed rays from a variable centre.
+
+    Corner k is centre + r_k (cos φ_k, sin φ_k) with φ_k = ±2πk/corners.  The unknowns are the
+    centre, (2,), and the distances r_k ≥ 0.
+
+    Args:
+        corners: Number of corners.
+        clockwise: Whether the corners are in clockwise order.
+    Returns:
+        The paths.
+    """
+    angles = 2.0 * np.pi * np.arange(corners) / corners * (-1.0 if clockwise else 1.0)
+    matrix = np.zeros((corners, 2, 2 + corners))
+    matrix[:, 0, 0] = matrix[:, 1, 1] = 1.0
+    for k, angle in enumerate(angles):
+        matrix[k, :, 2 + k] = np.cos(angle), np.sin(angle)
+    at_corners = np.eye(corners), np.zeros((corners, corners)), np.zeros((corners, corners))
+    return Path(
+        polygon_basis(corners, _PIECES), at_corners, matrix.reshape(2 * corners, -1),
+        np.zeros((corners, 2)),
+    )  # fmt: skip
+
+
+def polygon_gait(path: Path, y: Array, period: float) -> Gait:
+    """Convert a polygon to a gait of constant speed.
+
+    Args:
+        path: The polygons.
+        y: Unknowns.
+        period: Period [s].
+    Returns:
+        The gait.
+    """
+    return Gait.waypoints(path.coefficients(y), period=period)
+
 
 RESIDUAL = 1e-4  # largest KKT residual of an optimum
 _CONTINUED = (1, 3, 5, 9)  # numbers of harmonics of the continuation

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...analysis.connections.connection import Connection
-from ...analysis.phases.drift import Drift
 from ...analysis.phases.path_basis import (
+    Drift,
     PathBasis,
     cycloid_basis,
     fourier_basis,
@@ -21,10 +21,18 @@ from ...analysis.phases.path_basis import (
 )
 from ...common.arrays import Array
 from ...common.errors import NoConvergence, SingularInertiaError
-from .aims import AxisAim, TargetAim
-from .costs import DEGREES, CostKind, cost_of, torque_order, torque_slopes, torques
 from .ipopt import Problem
 from .limits import Limits
+from .objective import (
+    DEGREES,
+    AxisAim,
+    CostKind,
+    TargetAim,
+    cost_of,
+    torque_order,
+    torque_slopes,
+    torques,
+)
 
 _INSIDE = 1e-6  # relative margin to limits for round-off and small overshoot
 

@@ -1,4 +1,12 @@
-"""reorient(): a joint motion from rest to rest that rotates the base to a target."""
+"""reorient(): a joint motion from rest to rest that rotates the base to a target.
+
+The time law of a plan is n cycles from rest to rest with one cycloid.  At u = t/D, the fraction
+n (u − sin 2πu / 2π) of the cycles is completed (see `cycloid`).  At zero momentum, speeds scale
+with 1/D and torques with 1/D².
+
+Joint motion can rotate a tumbling base but not stop it.  Once the joints are at rest, the body
+twist is I⁻¹Ad_gᵀJ, fixed by the spatial momentum J, the attitude and the shape.
+"""
 
 from __future__ import annotations
 
@@ -11,27 +19,172 @@ from numpy.typing import ArrayLike
 from ...analysis.connections.connection import Connection
 from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
-from ...analysis.phases.path_basis import path_lift
+from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
+from ...analysis.phases.path_basis import Drift, cycloid, fourier_rows, path_lift
 from ...analysis.phases.phase import phase
-from ...common.arrays import Array, as_floats, positive, vector, whole
-from ...common.errors import (
-    InputError,
-    IntegrationError,
-    NoOptimum,
-    SingularInertiaError,
-)
+from ...common.arrays import Array, as_floats, freeze, positive, vector, whole
+from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...lie.rotations import quaternion_log
 from ...scene import input_formats
 from ...system.system import System, checked_system
-from ..optimisation.aims import TargetAim, target_aim
 from ..optimisation.gait_search import StartFailed
-from ..optimisation.limits import Limits, LimitsLike, limits_of
-from ..optimisation.margins import margins
+from ..optimisation.limits import Limits, LimitsLike, find_extremes, limits_of, margins
+from ..optimisation.objective import TargetAim, rotation_between, target_aim, torques
 from ..optimisation.transcription import Passage, Task
-from .time_law import Peaks, peaks_of
-from .tumble import final_twist, initial_momentum, joint_rotation, passage_of
 from .turn_plan import TurnPlan
 from .turning_loop import fine_path, turning_loop
+
+_TIMES = 512  # samples of a cycle
+_SAFETY = 1.0 + 1e-6  # factor on the shortest duration, for round-off
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """Largest speed and torque of each joint for a total duration of 1 s.
+
+    Attributes:
+        speed: Speeds, (m,).
+        torque: Torques, (m,).
+    """
+
+    speed: Array
+    torque: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def needed(self, limits: Limits) -> float:
+        """Return the shortest duration within limits [s]; zero without limits."""
+        by_speed = np.max(self.speed / limits.speed)
+        by_torque = np.sqrt(np.max(self.torque / limits.torque))
+        return float(_SAFETY * max(by_speed, by_torque))
+
+    def margins(self, limits: Limits, duration: float) -> dict[str, float]:
+        """Compute the smallest distance to the limits of speeds and torques.
+
+        Args:
+            limits: The limits.
+            duration: Total duration [s].
+        Returns:
+            Distances by kind; kinds without limits are omitted.
+        """
+        distances: dict[str, float] = {}
+        if np.isfinite(limits.speed).any():
+            distances["speeds"] = float((limits.speed - self.speed / duration).min())
+        if np.isfinite(limits.torque).any():
+            distances["torques"] = float((limits.torque - self.torque / duration**2).min())
+        return distances
+
+
+def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
+    """Compute the largest speeds and torques of a Fourier gait from rest to rest.
+
+    Args:
+        connection: The mechanical connection.
+        gait: The gait.
+        cycles: Number of cycles.
+    Returns:
+        The peaks for a total duration of 1 s.
+    Raises:
+        InputError: The connection has drag.
+    """
+    if not connection.form.momentum:
+        raise InputError("reorient needs a mechanical connection, without drag")
+    c = coefficients_of(gait)
+
+    def motion(u: Array) -> tuple[Array, Array, Array]:
+        angle, rate, bend = cycloid(u, cycles)
+        x, x1, x2 = (rows @ c for rows in fourier_rows((len(c) - 1) // 2, angle, turn=1.0))
+        return x, rate[:, None] * x1, rate[:, None] ** 2 * x2 + bend[:, None] * x1
+
+    u = np.linspace(0.0, 1.0, _TIMES * cycles + 1)
+    speed = find_extremes(lambda u: motion(u)[1], u)[1]
+    torque = find_extremes(lambda u: torques(connection, *motion(u)), u)[1]
+    return Peaks(speed, torque)
+
+
+_TURN = 2.0 * np.pi
+_PER_RADIAN = 4  # quadrature pieces for each radian of tumbling
+_MOST = 200.0  # largest tumbling angle of a plan [rad]
+
+
+def initial_momentum(system: System, momentum: ArrayLike | float) -> Array:
+    """Return the initial body momentum, (r,), or zeros for 0.  Raises ShapeError."""
+    if np.ndim(momentum) == 0 and momentum == 0:
+        return np.zeros(system.r)
+    return vector(np.asarray(momentum), system.r, "momentum", system.group.twist_names)
+
+
+def passage_of(system: System, momentum: Array, start: Array, cycles: int, time: float) -> Passage:
+    """Create a motion from rest to rest with momentum.
+
+    Args:
+        system: The system.
+        momentum: Initial body momentum, (r,).
+        start: Initial shape, (m,).
+        cycles: Number of cycles.
+        time: Total duration [s].
+    Returns:
+        The motion, with enough quadrature pieces for the tumbling.
+    Raises:
+        InputError: The base would tumble too far.
+    """
+    drift = Drift(system, time * momentum)
+    (inverse,) = drift.inverse(start[None])
+    angle = float(np.linalg.norm((inverse @ drift.momentum)[system.group.linear :]))
+    if not angle <= _MOST:
+        raise InputError(
+            f"with joints at rest the base would tumble through {angle:.3g} rad in {time:g} s; "
+            "give a shorter duration"
+        )
+    return Passage(cycles, drift, int(_PER_RADIAN * angle) + 1)
+
+
+def joint_rotation(
+    system: System, passage: Passage, start: Array, aim: TargetAim
+) -> tuple[TargetAim, Array]:
+    """Compute the rotation that the joints must contribute to a target.
+
+    Full turns of an angle do not count, so the target nearest to the drifted angle is used.
+
+    Args:
+        system: The system.
+        passage: The motion from rest to rest.
+        start: Initial shape, (m,).
+        aim: The target.
+    Returns:
+        The target, and its difference to the drift of the base with joints at rest, (turns,).
+    """
+    group, drift = system.group, passage.drift
+    count = passage.more + STAGES
+    inverse = in_space_by_momenta(group, drift.inverse(start[None]))
+    still = PathSegments(
+        h=np.full(count, 1.0 / count),
+        a=np.zeros((count, STAGES, 6)),
+        L=np.ascontiguousarray(np.broadcast_to(inverse, (count, STAGES, 6, 6))),
+    )
+    drifted = lift(group, still, drift.momentum)[-1][group.linear :]
+    if group.turns == 1:
+        turns = np.round((drifted - aim.attitude) / _TURN)
+        aim = TargetAim(group, aim.attitude + _TURN * turns, None)
+        return aim, np.asarray(aim.attitude - drifted)
+    return TargetAim(group, aim.attitude, None), rotation_between(drifted, aim.attitude)
+
+
+def final_twist(system: System, momentum: Array, shape: Array, pose: Array) -> Array:
+    """Compute the twist I⁻¹Ad_gᵀJ of a base with joints at rest.
+
+    Args:
+        system: The system.
+        momentum: Spatial momentum J, (r,).
+        shape: Shape, (m,).
+        pose: Pose, (size,).
+    Returns:
+        (r,): the body twist.
+    """
+    (inverse,) = Drift(system, momentum).inverse(shape[None])
+    return np.asarray(inverse @ system.group.Ad(pose).T @ momentum)
+
 
 CYCLES = (1, 2, 3, 4, 6, 8, 12, 16)  # numbers of cycles that are tried
 _REMAINING = 1e-10  # largest remaining rotation of each cycle [rad]

@@ -16,7 +16,7 @@ from ...judge.report import Report
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
-from ..optimisation.aims import TargetAim
+from ..optimisation.objective import TargetAim
 
 TOLERANCES = (1e-12, 1e-14)  # relative and absolute tolerance of a plan's simulation
 

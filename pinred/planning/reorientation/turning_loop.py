@@ -16,9 +16,9 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ..optimisation.aims import TargetAim
 from ..optimisation.gait_search import Search, StartFailed, enforce_limits, fourier_path_of
-from ..optimisation.margins import margins
+from ..optimisation.limits import margins
+from ..optimisation.objective import TargetAim
 from ..optimisation.transcription import Passage, Path, Task, fourier_path
 
 _ROOM_USED = 0.7  # largest fraction of the joint range used by the initial ellipse

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError, LoadError
-from ...common.plain_names import quoted_path
+from ...common.names import quoted_path
 from .file_place import shown, unknown
 
 LARGEST = 1_000_000  # largest accepted size of a file [byte]

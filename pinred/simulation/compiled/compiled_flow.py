@@ -12,11 +12,10 @@ from ...common.memo import once
 from ...forces.acting import BaseInSpace
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
+from ...kernels.derived_code import tangent_of, wide_rate
 from ...kernels.evaluate import evaluate
 from ...kernels.initial_conditions import InitialConditions, initial_conditions_kernel
 from ...kernels.kernel import Kernel
-from ...kernels.tangent import tangent_of
-from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start

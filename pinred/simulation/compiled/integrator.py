@@ -15,7 +15,7 @@ from ...common.errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
-from ...common.plain_names import quoted
+from ...common.names import quoted
 from ...integrators.integrate import Integration
 from ...integrators.methods import Method
 from ...integrators.solution import Solution

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
-from ...common.plain_names import brief
+from ...common.names import brief
 from ...common.signatures import shows_fields
 from ...kernels.flow_functions import sizes_of
 from ...scene.scene import Scene

@@ -13,8 +13,7 @@ import numpy as np
 
 from ...common.arrays import Array, as_floats, vectors
 from ...common.errors import InputError, ShapeError
-from ...common.names import nearest
-from ...common.plain_names import brief, listed
+from ...common.names import brief, listed, nearest
 from ...kernels.flow_functions import Row, sizes_of
 from .inputs import Inputs
 from .propagator import Propagator, Run

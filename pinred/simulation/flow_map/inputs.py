@@ -13,8 +13,7 @@ import numpy as np
 
 from ...common.arrays import Array, as_floats, entries_of, vector
 from ...common.errors import InputError, ShapeError
-from ...common.names import nearest
-from ...common.plain_names import brief, listed
+from ...common.names import brief, listed, nearest
 from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.kernel import Kernel
 from ...reduction.potential import falling

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...common.arrays import Array, read_only
-from ...kernels.layout import Outputs
+from ...kernels.kernel import Outputs
 from ...system.state_fields import ShapeState, State, arrays_of
 from ...system.system import System
 

@@ -12,10 +12,10 @@ from ...common.errors import InputError, IntegrationError
 from ...integrators.integrate import Integration
 from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.solution import Solution
+from ...kernels.derived_code import tangent_of
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate_each
 from ...kernels.flow_functions import Row, outcome_of, rate_of, sizes_of
-from ...kernels.tangent import tangent_of
 from ...system.coordinates import Indices
 from ...system.state_fields import Outcome, ShapeState, State, map_arrays
 from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...common.arrays import Array, freeze, positive
 from ...common.errors import InputError
-from ...common.plain_names import brief
+from ...common.names import brief
 from ...scene.scene import Scene
 from ...system.state_fields import Outcome, State
 

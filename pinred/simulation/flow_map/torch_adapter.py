@@ -11,7 +11,7 @@ import numpy as np
 
 from ...common.errors import InputError, MissingPackageError, ShapeError
 from ...common.memo import once_for_all
-from ...common.plain_names import brief
+from ...common.names import brief
 from .batched import FIRST_ORDER, Batched
 from .flow_columns import Columns
 

@@ -11,8 +11,8 @@ from ...common.arrays import Array
 from ...integrators.integrate_many import STATUS, Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import Explicit, Method
+from ...kernels.derived_code import wide_rate
 from ...kernels.kernel import Kernel
-from ...kernels.wide_rate import wide_rate
 from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import wild_steps

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import InputError
-from ...common.plain_names import brief
+from ...common.names import brief
 from ...integrators.methods import DOP853_LEAST, AdaptiveGauss
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers

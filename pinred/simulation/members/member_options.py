@@ -12,7 +12,7 @@ import numpy as np
 
 from ...common.arrays import Array, as_floats, dimensions, vectors
 from ...common.errors import InputError, ShapeError, SymmetryError
-from ...common.plain_names import brief, listed
+from ...common.names import brief, listed
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
 from ...scene import input_formats

@@ -13,8 +13,7 @@ from ...scene.scene import Scene
 from ...system.state_fields import arrays_of
 from ...system.variants import nominal
 from ..over_time import OverTime
-from ..trajectory_files import robot_arrays
-from ..zarr_files import write_zarr
+from ..trajectory_files import robot_arrays, write_zarr
 
 
 def save(

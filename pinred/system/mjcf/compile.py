@@ -16,9 +16,9 @@ from xml.parsers import expat
 import numpy as np
 
 from ...common.errors import LoadError, ModelError, PinredError
+from ...common.files import is_file
 from ...common.library_output import library_output
-from ...common.paths import is_file
-from ...common.plain_names import plain_path
+from ...common.names import plain_path
 from ..robot_files import read_text
 from .package import is_mujoco, mujoco_package, warnings_kept
 

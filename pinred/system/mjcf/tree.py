@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
-from ...common.plain_names import listed, quoted
+from ...common.names import listed, quoted
 from ..rebuild import ModelBuilder
 from .mujoco_joints import Joint, frame, joint_of
 from .root import RootMotion, root_motion

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...common.errors import ChoiceError, InputError, LoadError
-from ...common.plain_names import quoted
+from ...common.names import quoted
 from ..contents import shortened
 from .package import mujoco_package
 

@@ -102,7 +102,11 @@ def _file_shapes(system: System, folders: Sequence[str]) -> Bodies:
 def _from_urdf(path: Path, folders: Sequence[str]) -> Visuals:
     """Read the visual shapes of a URDF file.
 
-    folders: additional search folders for meshes or packages.
+    Args:
+        path: The file.
+        folders: Additional search folders for meshes or packages.
+    Returns:
+        The model of the file and its shapes.
     """
     # Packages are searched in all parent folders of the file, in `folders`, and next to them.
     named = [path for folder in folders for path in (folder, str(Path(folder).parent))]

@@ -108,6 +108,9 @@ def _tidy_at_sigterm() -> Iterator[None]:
     """Turn SIGTERM into an exception inside the block, so that files are cleaned up first.
 
     This applies only in the main thread, and only if SIGTERM has its default handler.
+
+    Raises:
+        _Terminated: SIGTERM was received; the process ends.
     """
     if (
         threading.current_thread() is not threading.main_thread()
@@ -157,9 +160,15 @@ def _frame_path(path: Path, k: int) -> Path:
 
 
 def check_frames(path: Path, count: int) -> None:
-    """Raise InputError if frames cannot be written, or if frames of a longer film exist.
+    """Check that frames can be written and that no frames of a longer film exist.
 
-    Frames of the longer film would seem to continue this one; they are not removed.
+    Frames of a longer film would seem to continue this one; they are not removed.
+
+    Args:
+        path: Path of the film.
+        count: Number of frames.
+    Raises:
+        InputError: A frame cannot be written, or frames of a longer film exist.
     """
     for k in range(count):
         if _frame_path(path, k).is_dir():
@@ -176,10 +185,15 @@ def check_frames(path: Path, count: int) -> None:
 
 
 def write_frames(path: Path, shots: Iterator[bytes]) -> int:
-    """Write PNG pictures as film_0000.png and so on, all or none, and return their number.
+    """Write PNG pictures as film_0000.png and so on, all or none.
 
     The frames are moved to their names when all exist. If that fails, old frames are restored.
-    Raises InputError, see `check_frames`.
+
+    Args:
+        path: Path of the film.
+        shots: PNG pictures.
+    Returns:
+        Number of frames.
     """
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         new, old = Path(folder, "new"), Path(folder, "old")
@@ -207,10 +221,17 @@ def write_frames(path: Path, shots: Iterator[bytes]) -> int:
 
 
 def write_gif(path: Path, shots: Iterator[bytes], fps: float) -> int:
-    """Write PNG pictures as a gif and return their number.
+    """Write PNG pictures as a gif.
 
     Frame durations are whole hundredths of a second and vary, so that each frame ends as near as
-    possible to its time at `fps` frames per second.
+    possible to its time.
+
+    Args:
+        path: The file.
+        shots: PNG pictures.
+        fps: Frames per second.
+    Returns:
+        Number of frames.
     """
     from PIL import Image  # a dependency of meshcat
 

@@ -34,10 +34,17 @@ class Momentum:
 
 
 def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
-    """Compute the arrow at q (F, nq) and v (F, n) by Pinocchio's centroidal momentum.
+    """Compute the momentum arrow by Pinocchio's centroidal momentum.
 
     If the base can rotate, it is the angular momentum about the centre of mass or the pivot, along
     the axes of rotation; otherwise it is the linear momentum along the axes of translation.
+
+    Args:
+        system: The robot.
+        q: Pinocchio's configurations, (F, nq).
+        v: Pinocchio's velocities, (F, n).
+    Returns:
+        The arrow at all frames.
     """
     model, data = system.model, system.model.createData()
     linear, slides = system.group.linear, not system.group.turns

@@ -48,10 +48,14 @@ def page(source: MotionSource, view: View) -> bytes:
 
 
 def save_html(source: MotionSource, path: str | Path, view: View) -> int:
-    """Write the page to a .html file and return its size in bytes; on failure the old file stays.
+    """Write the page to a .html file; on failure the old file stays.
 
-    Raises InputError for another suffix or a missing folder, OutputError if writing fails, and the
-    errors of `playback`.
+    Args:
+        source: The motion.
+        path: The file.
+        view: Options of the drawing.
+    Returns:
+        Size of the file in bytes.
     """
     path = check_path(path, (".html",))
     content = page(source, view)
@@ -141,7 +145,12 @@ def _resource(name: str) -> str:
 def _meshcat(name: str) -> str:
     """Read a file of meshcat's Python package, escaped for a script element.
 
-    Raises LoadError if it is missing.
+    Args:
+        name: Path in the package.
+    Returns:
+        Its text.
+    Raises:
+        LoadError: The file is missing.
     """
     spec = find_spec("meshcat")
     for folder in (spec.submodule_search_locations or ()) if spec else ():

@@ -1,4 +1,4 @@
-// The shape panel: the path of two joints, on a field of the connection's curvature.
+// The shape panel: the path of two joints over the curvature of the connection.
 "use strict";
 function shapePanel(panel, array, mix, canvas, picker, redraw) {
   const pen = canvas.getContext("2d"), box = [64, 46, 436, 372]; // left, top, width, height
@@ -24,7 +24,7 @@ function shapePanel(panel, array, mix, canvas, picker, redraw) {
     ink.drawImage(small, ...box);
     paintBar(ink, most, panel.components[c].replace(/ \[.*/, ""));
   }
-  function paintBar(ink, most, name) { // above the field: what its colours mean
+  function paintBar(ink, most, name) { // colour bar above the field
     const bound = most < 1e-3 ? most.toExponential(1) : most.toPrecision(2), top = 14, wide = 110;
     const left = box[0] + ink.measureText(`−${bound}`).width + 8;
     ink.fillStyle = "#1d2733";
@@ -69,10 +69,10 @@ function shapePanel(panel, array, mix, canvas, picker, redraw) {
   }
   panel.components.forEach((name, i) => picker.add(new Option(`curvature: ${name}`, String(i))));
   picker.hidden = !panel.components.length;
-  picker.title = "the joints that are not on the axes are held as they are at first";
+  picker.title = "the other joints are frozen at their initial values";
   picker.onchange = () => { paintBackdrop(); redraw(); };
   paintBackdrop();
-  return (k, s) => { // draws the path up to a part s of the way from frame k to the next
+  return (k, s) => { // draws the path up to fraction s of the way from frame k to the next
     pen.clearRect(0, 0, canvas.width, canvas.height);
     pen.drawImage(backdrop, 0, 0);
     pen.beginPath();

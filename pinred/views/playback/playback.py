@@ -75,11 +75,17 @@ class Playback:
 
 
 def playback(source: MotionSource, view: View) -> Playback:
-    """Compute the numbers for drawing a trajectory or a recording.
+    """Compute the numbers for drawing a motion.
 
-    Raises InputError if the base was left out, for more than MOST_FRAMES frames or fewer than two,
-    and for a ghost of a recording, which contains no forces. Raises LoadError if the robot of a
-    recording cannot be loaded.
+    Args:
+        source: A trajectory or a recording.
+        view: Options of the drawing.
+    Returns:
+        The numbers at all frames.
+    Raises:
+        InputError: The base was left out, there are too many frames or fewer than two, or a ghost
+            is requested for a recording, which contains no forces.
+        LoadError: The robot of a recording cannot be loaded.
     """
     states = _frames(source, view)
     ghost = None

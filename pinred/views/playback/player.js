@@ -1,4 +1,4 @@
-// Draws a Playback in meshcat's viewer.  All numbers come from the page (page.py writes them).
+// Draws a Playback in meshcat's viewer. page.py writes all numbers into the page.
 "use strict";
 (() => {
   const THREE = MeshCat.THREE;
@@ -9,7 +9,7 @@
   const array = (entry) => new KINDS[entry.type](bytes.buffer, entry.at, entry.count);
 
   const times = array(head.t), count = times.length, end = times[count - 1];
-  const radius = head.radius; // of the moving robot about its centre of mass
+  const radius = head.radius; // of a ball about the centre of mass that contains the robot
   const com = array(head.com);
   const poses = array(head.placements), joints = head.joints.length;
   const ghostPoses = head.ghost ? array(head.ghost.placements) : null;
@@ -17,7 +17,7 @@
   const ellipsoid = array(head.ellipsoid);
   const momentum = array(head.momentum.vector), tail = array(head.momentum.tail);
   const still = head.momentum.largest === 0;
-  const bare = location.hash === "#bare"; // for films: no controls
+  const bare = location.hash === "#bare"; // films have no controls
   document.body.classList.toggle("bare", bare);
 
   // -- the viewer ---------------------------------------------------------------------------
@@ -26,7 +26,7 @@
   viewer.set_property(["Background"], "bottom_color", [0.42, 0.52, 0.64]);
   viewer.delete_path(["Axes"]);
   const node = (...path) => viewer.scene_tree.find(path).object;
-  node("Lights", "AmbientLight", "<object>").intensity = 0.52; // less, so that white robots have shades
+  node("Lights", "AmbientLight", "<object>").intensity = 0.52; // lower than the default, so that white robots have shades
   const put = (object, ...path) => { viewer.set_object(path, object); return node(...path); };
 
   // -- solids -------------------------------------------------------------------------------
@@ -36,7 +36,7 @@
     geometry.setIndex(new THREE.BufferAttribute(array(mesh.faces), 1));
     return geometry;
   });
-  function geometryOf(kind, s) { // three's axis is y, that of a URDF is z
+  function geometryOf(kind, s) { // three.js uses the y axis, URDF the z axis
     if (kind === "mesh") return meshes[s[0]];
     if (kind === "box") return new THREE.BoxGeometry(2 * s[0], 2 * s[1], 2 * s[2]);
     if (kind === "sphere") return new THREE.SphereGeometry(s[0], 32, 20);
@@ -88,7 +88,7 @@
   }
   const rod = (r) => new THREE.CylinderGeometry(r, r, 1, 16).translate(0, 0.5, 0);
 
-  const hull = new THREE.Group(); // faint, as the robot is within it, and with its equators
+  const hull = new THREE.Group(); // transparent, because the robot is inside; with three equators
   hull.add(new THREE.Mesh(new THREE.SphereGeometry(1, 48, 32), new THREE.MeshPhongMaterial({
     color: 0x56b4e9, opacity: 0.13, transparent: true, depthWrite: false })));
   for (const axis of ["X", "Y", "Z"]) {
@@ -118,20 +118,20 @@
 
   const trail = new THREE.Group(), track = new THREE.BufferGeometry();
   track.setAttribute("position", new THREE.BufferAttribute(com, 3));
-  const stub = new THREE.BufferGeometry(); // from the last frame to where the CoM is
+  const stub = new THREE.BufferGeometry(); // from the last frame to the current CoM
   stub.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6), 3));
   for (const part of [track, stub]) {
     const line = new THREE.Line(part, new THREE.LineBasicMaterial({ color: 0x111111 }));
-    line.frustumCulled = false; // what is drawn of it changes
+    line.frustumCulled = false; // its drawn range changes
     trail.add(line);
   }
-  const dot = new THREE.Group(); // a group, so that its renderOrder counts against the arrow's
+  const dot = new THREE.Group(); // in a group, so that its renderOrder is compared with the arrow's
   dot.add(new THREE.Mesh(new THREE.SphereGeometry(0.03 * radius, 20, 14), flat(0x111111)));
   put(seenThrough(trail, 4), "CoM trail");
   put(seenThrough(dot, 5), "CoM trail", "CoM");
 
-  // Each side of a square is a line of its own: software renderers drop lines that reach behind
-  // the camera.  Towards its edge the grid fades.
+  // Each side of a square is a separate line, because software renderers drop lines that reach
+  // behind the camera. The grid fades towards its edge.
   const cell = head.cell, wide = 0.5 * cell * head.cells;
   const normal = new THREE.Vector3(...head.normal), row = new THREE.Vector3(0, 0, 1).cross(normal);
   const wall = row.length() > 0.5;
@@ -152,7 +152,7 @@
   grid.renderOrder = -1;
   grid.frustumCulled = false;
   put(grid, "Grid");
-  function lay(point) { // the grid goes along with what is followed, by whole squares
+  function lay(point) { // the grid follows the camera in steps of whole squares
     const by = new THREE.Vector3(...point).sub(new THREE.Vector3(...head.middle));
     grid.position.fromArray(head.grid);
     grid.scale.setScalar(on["Follow"] ? 1 : head.wide);
@@ -228,18 +228,18 @@
     () => draw(now));
 
   // -- the camera ---------------------------------------------------------------------------
-  const turned = (v) => new THREE.Vector3(v[0], v[2], -v[1]); // meshcat's camera has y up
-  const held = new THREE.Vector3(); // the point that camera and lights have been carried to
+  const toCamera = (v) => new THREE.Vector3(v[0], v[2], -v[1]); // the y axis of meshcat's camera points up
+  const followed = new THREE.Vector3(); // point that camera and lights follow
   function carry(point) {
-    const by = turned(point).sub(held);
-    held.add(by);
+    const by = toCamera(point).sub(followed);
+    followed.add(by);
     viewer.camera.position.add(by);
     viewer.controls.target.add(by);
     node("Lights").position.fromArray(point);
   }
-  let moved = false; // by the user
+  let moved = false; // whether the user has moved the camera
   viewer.controls.addEventListener("start", () => { moved = true; });
-  function free() { // the largest part of the window that no card covers
+  function free() { // the largest area of the window without cards
     const rows = [0, innerHeight], columns = [0, innerWidth];
     const cards = [...document.querySelectorAll(".card, .dg.main")]
       .map((card) => card.getBoundingClientRect()).filter((card) => card.width * card.height > 0);
@@ -256,15 +256,15 @@
     return best;
   }
   const cramped = () => free().least < 0.6 * Math.min(innerWidth, innerHeight);
-  const chosen = {}; // which cards the user has shown or folded
-  function tidy() { // in a small window the robot goes before the cards
+  const chosen = {}; // cards that the user has opened or folded
+  function tidy() { // in small windows cards are folded so that the robot is visible
     const details = document.querySelector("#side details"), box = document.getElementsByName("Shape")[0];
     const show = (value) => { on["Shape"] = box.checked = value; $("panel").hidden = !value; };
     if (!chosen.side) details.open = true;
     if (box && !chosen.panel) { show(true); if (cramped()) show(false); }
     if (!chosen.side && cramped()) details.open = false;
   }
-  function aim() { // the middle of the picture goes to the middle of what is free
+  function aim() { // put the centre of the picture into the centre of the free area
     const w = innerWidth, h = innerHeight, area = free();
     viewer.camera.fov = 30;
     viewer.camera.setViewOffset(w, h, w / 2 - area.x, h / 2 - area.y, w, h);
@@ -277,11 +277,11 @@
     moved = false;
     const side = on["Ghost"] && on["Ghost beside"] ? aside.map((v) => v / 2) : [0, 0, 0];
     const reach = (on["Follow"] ? head.reach : head.span) + Math.hypot(...side);
-    const least = Math.max(area.least, 0.2 * Math.min(innerWidth, innerHeight)); // cards may be all there is
+    const least = Math.max(area.least, 0.2 * Math.min(innerWidth, innerHeight)); // cards may cover the whole window
     const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * least / innerHeight);
     const far = 1.02 * reach / Math.sin(half);
-    viewer.controls.target.copy(held).add(turned(side));
-    camera.position.copy(turned(head.eye)).multiplyScalar(far).add(viewer.controls.target);
+    viewer.controls.target.copy(followed).add(toCamera(side));
+    camera.position.copy(toCamera(head.eye)).multiplyScalar(far).add(viewer.controls.target);
     camera.near = far / 1000;
     camera.far = far * 1000;
     camera.updateProjectionMatrix();
@@ -345,7 +345,7 @@
   const speeds = [...new Set([0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10, 100, head.speed])].sort((a, b) => a - b);
   speeds.forEach((v) => $("speed").add(new Option(`×${v}`, String(v), v === speed, v === speed)));
   $("speed").onchange = () => { speed = Number($("speed").value); };
-  const title = head.title.replaceAll("_", "_\u200b"); // where a long name may be broken
+  const title = head.title.replaceAll("_", "_\u200b"); // allow line breaks in long names
   document.querySelector("#side summary").textContent = title;
   document.querySelector("#side summary").onclick = () => { chosen.side = true; };
   document.querySelector("#side details").ontoggle = () => refit();
@@ -367,7 +367,7 @@
   viewer.set_3d_pane_size();
   starts.forEach((start) => start());
   started = true;
-  draw(now); // which writes the words whose place is taken
+  draw(now); // writes the texts whose size tidy() measures
   tidy();
   look();
   draw(now);
@@ -381,8 +381,8 @@
     play: () => setPlaying(true),
     pause: () => setPlaying(false),
     seek: (t) => { setPlaying(false); now = Math.min(end, Math.max(times[0], t)); draw(now); viewer.render(); },
-    node, // the three.js object at a path of the viewer's scene
-    project(path) { // where an object's origin is in the window [px]
+    node, // three.js object at a path of the viewer's scene
+    project(path) { // position of an object's origin in the window [px]
       const object = Array.isArray(path) ? node(...path) : path;
       const at = object.getWorldPosition(new THREE.Vector3()).project(viewer.camera);
       return [(at.x + 1) / 2 * innerWidth, (1 - at.y) / 2 * innerHeight];

@@ -28,6 +28,8 @@ def play(
         wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
     Returns:
         The server.
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
     """
     check_port(port)  # before the page is built, which may take long
     player = Player(page(source, view), port)

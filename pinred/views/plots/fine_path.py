@@ -42,7 +42,11 @@ def fine_path(motion: MotionSource) -> Path:
 def state_at(motion: MotionSource, time: float) -> Path:
     """Return the state at a time, or at the nearest report time of a recording.
 
-    Raises InputError for a time outside the motion.
+    Args:
+        motion: The motion.
+        time: Time [s].
+    Raises:
+        InputError: The time is outside the motion.
     """
     if isinstance(motion, Trajectory):
         return motion.at(time)
@@ -57,6 +61,11 @@ def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:
     """Return the function from times (T,) to shapes and rates, (T, m) each.
 
     For a recording it interpolates with cubic Hermite splines (order 4, rates order 3).
+
+    Args:
+        motion: The motion.
+    Raises:
+        InputError: A recording with a single time has no path.
     """
     if isinstance(motion, Trajectory):
 

@@ -82,10 +82,16 @@ def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
 
 
 def angular_momentum(motion: MotionSource, path: Path) -> Array:
-    """Compute the angular momentum in the body frame along a path of a motion, (T, 3) [N·m·s].
+    """Compute the angular momentum in the body frame along a path of a motion.
 
-    Raises InputError for groups other than SO3 and SE3, and LoadError if SE3 needs the robot of a
-    recording, which cannot be loaded.
+    Args:
+        motion: The motion.
+        path: Its states.
+    Returns:
+        (T, 3) angular momentum [N·m·s].
+    Raises:
+        InputError: The group is neither SO3 nor SE3.
+        LoadError: SE3 needs the robot of a recording, which cannot be loaded.
     """
     group = group_named(labels(motion).group)
     if group.turns < 3:

@@ -1,1 +1,0 @@
-"""Gait files: a robot, its connection, a gait and objectives in one TOML file."""
