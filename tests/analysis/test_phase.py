@@ -1,4 +1,4 @@
-"""Phases of gaits: closed forms, published numbers, and SciPy over Pinocchio's mass matrix."""
+"""Phases of gaits, against closed forms, published numbers, and SciPy over Pinocchio."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def mechanical(name: str) -> pinred.Connection:
     return pinred.Connection.mechanical(pinred.load(name))
 
 
-def test_elroys_beanie() -> None:
-    """Without momentum it comes back; with it, the base turns by μT/I, whatever the beanie does."""
+def test_phase_of_elroys_beanie() -> None:
+    """Without momentum the phase is zero; with it, the base rotates by μT/I for any gait."""
     A = mechanical("elroys_beanie")
     gait = Gait.fourier([0.3], [[0.5]], [[-0.4]], period=2.5)
     close(pinred.phase(A, gait).pose, [0.0], 1e-14)
@@ -45,8 +45,8 @@ def test_elroys_beanie() -> None:
     close(p.path[k], -I2 / (I1 + I2) * moved + 0.7 * p.times[k] / (I1 + I2), 1e-13)
 
 
-def test_coupled_planar_bodies() -> None:
-    """A does not depend on the shape: on the way, the pose is exp(−A (x − x0))."""
+def test_pose_of_coupled_planar_bodies() -> None:
+    """A does not depend on the shape, so the pose is exp(−A (x − x0)) along the gait."""
     A = mechanical("coupled_planar")
     gait = Gait.fourier([0.3], [[0.5]], [[-0.4]], period=2.5)
     p = pinred.phase(A, gait)
@@ -56,8 +56,8 @@ def test_coupled_planar_bodies() -> None:
     close(p.path, A.group.exp(-moved * local), 1e-13)
 
 
-def test_three_rods_turn() -> None:
-    """The triangle loop, by the line integral of A; and by the surface integral of B."""
+def test_three_rods_rotate_by_triangle_gait() -> None:
+    """The line integral of A and the surface integral of B agree."""
     A = mechanical("three_rods")
     p = pinred.phase(A, Gait.waypoints(TRIANGLE))
     assert p.pose[2] == pytest.approx(0.033787199534, abs=5e-13)
@@ -71,15 +71,17 @@ def test_three_rods_turn() -> None:
     assert np.hypot(*p.pose[:2]) < 1.0
 
 
-def test_circles_do_not_turn_three_rods() -> None:
-    """The angle of the curvature is odd: loops that are symmetric about the straight shape."""
+def test_three_rods_do_not_rotate_by_circles() -> None:
+    """The angle row of the curvature is odd, so loops about the straight shape cancel."""
     assert abs(pinred.phase(mechanical("three_rods"), CIRCLE).pose[2]) < 1e-15
 
 
 @settings(max_examples=6)
 @given(group=groups, joints=st.integers(1, 3), seed=seeds, moving=st.booleans())
-def test_against_pinocchio(group: str, joints: int, seed: int, moving: bool) -> None:
-    """Random trees on every group, with momentum and without: SciPy's DOP853 over CRBA."""
+def test_phase_matches_scipy_over_pinocchio(
+    group: str, joints: int, seed: int, moving: bool
+) -> None:
+    """Random trees on every group, with and without momentum: DOP853 over CRBA."""
     case = make_case(group, joints, seed)
     gait = random_gait(case.rng, joints, harmonics=1)
     mu = case.rng.normal(size=case.system.r) if moving else np.zeros(case.system.r)
@@ -94,8 +96,8 @@ def test_against_pinocchio(group: str, joints: int, seed: int, moving: bool) -> 
 
 
 @pytest.mark.parametrize("make", [Gait.waypoints, Gait.spline])
-def test_gaits_with_corners(make: object) -> None:
-    """Piece by piece, between the corners."""
+def test_phase_of_gait_with_corners(make: object) -> None:
+    """The reference integrates each segment between corners separately."""
     system = pinred.load("falling_cat")
     gait = make([[0.5, 0.0, 0.2], [-0.5, 0.7, 0.1], [0.1, -0.6, -0.9]])  # type: ignore[operator]
     mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
@@ -105,8 +107,8 @@ def test_gaits_with_corners(make: object) -> None:
     assert apart.translation < 1e-10
 
 
-def test_the_bound_holds() -> None:
-    """On 200 random gaits, against samples eight times as fine."""
+def test_error_bound_holds_on_random_gaits() -> None:
+    """200 random gaits are compared with eight times as many samples."""
     A = mechanical("falling_cat")
     rng = np.random.default_rng(8)
     for _ in range(200):
@@ -119,8 +121,8 @@ def test_the_bound_holds() -> None:
         assert apart.translation <= rough.error.translation + fine.error.translation
 
 
-def test_few_samples_are_enough() -> None:
-    """Of solo12 with three harmonics 1e-10 takes at most 192 shapes."""
+def test_phase_needs_few_shapes() -> None:
+    """Three harmonics of solo12 to 1e-10 need at most 192 shapes."""
     pytest.importorskip("example_robot_data")
     A = mechanical("solo12")
     rng = np.random.default_rng(1)
@@ -135,8 +137,8 @@ def test_few_samples_are_enough() -> None:
         assert max(float(apart.rotation), float(apart.translation)) < 1e-10
 
 
-def test_parts_compose() -> None:
-    """G = dynamic · geometric, where the dynamic part obeys ḋ = d Ad_h I⁻¹ μ by itself."""
+def test_phase_is_dynamic_times_geometric() -> None:
+    """The dynamic part solves ḋ = d Ad_h I⁻¹ μ separately."""
     system = pinred.load("coupled_spatial")
     A, group, red = pinred.Connection.mechanical(system), system.group, pinred.Reduction(system)
     gait = random_gait(np.random.default_rng(2), 3, harmonics=1)
@@ -163,8 +165,8 @@ def test_parts_compose() -> None:
     assert apart.translation < 1e-10
 
 
-def test_cycles() -> None:
-    """Powers without momentum; with it, the momentum turns with the body from cycle to cycle."""
+def test_phase_of_several_cycles() -> None:
+    """Without momentum the phases are powers; with it, the momentum rotates with the body."""
     system = pinred.load("falling_cat")
     A, group = pinred.Connection.mechanical(system), system.group
     gait = random_gait(np.random.default_rng(5), 3, harmonics=1)
@@ -186,8 +188,8 @@ def test_cycles() -> None:
         moving.cycles(-1)
 
 
-def test_the_simulation_agrees() -> None:
-    """The flow with all joints prescribed, which shares no quadrature with the phase."""
+def test_phase_matches_simulation() -> None:
+    """The simulation with all joints prescribed shares no quadrature with the phase."""
     system = pinred.load("falling_cat")
     gait = Gait.fourier([0.2, 0.0, -0.1], [[0.3, 0.0, 0.2]], [[0.0, 0.4, 0.1]])
     mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
@@ -206,8 +208,8 @@ def test_the_simulation_agrees() -> None:
     assert apart.translation < 1e-9
 
 
-def test_screws() -> None:
-    """A planar body that turns and moves runs on a circle, one in space on a helix."""
+def test_screw_of_phase() -> None:
+    """A planar motion has a circle as its path, a spatial one a helix."""
     A = pinred.Connection.mechanical(pinred.load("planar_chain5"))
     p = pinred.phase(A, random_gait(np.random.default_rng(1), 5))
     assert p.screw.angle == pytest.approx(p.pose[2], abs=1e-14)
@@ -223,8 +225,8 @@ def test_screws() -> None:
     assert np.linalg.norm(far - along * q.screw.axis) == pytest.approx(q.screw.radius, abs=1e-12)
 
 
-def test_length_is_that_of_the_metric() -> None:
-    """∫√(ẋᵀ M ẋ) dt by SciPy over Pinocchio's reduced metric."""
+def test_length_matches_reduced_metric() -> None:
+    """∫√(ẋᵀ M ẋ) dt equals SciPy's quadrature over Pinocchio's reduced metric."""
     system = pinred.load("three_rods")
     red = pinred.Reduction(system)
 
@@ -237,8 +239,8 @@ def test_length_is_that_of_the_metric() -> None:
     assert p.length == pytest.approx(expected, abs=1e-9)
 
 
-def test_refusals() -> None:
-    """What does not belong together, and tolerances out of reach."""
+def test_mismatched_arguments_and_tolerances_are_refused() -> None:
+    """Arguments that do not match and unattainable tolerances are refused."""
     A = mechanical("three_rods")
     with pytest.raises(pinred.InputError, match=r"expected 2 joints for .*, got 1\."):
         pinred.phase(A, Gait.fourier([0.0], [[1.0]], [[0.0]]))
@@ -251,8 +253,8 @@ def test_refusals() -> None:
 
 
 @pytest.mark.parametrize("group", ["SO3", "SO2"])
-def test_gravity_that_turns_the_base_is_refused(group: str) -> None:
-    """No motion follows A then, though A is there; nor does it in other frames."""
+def test_symmetry_breaking_gravity_is_refused(group: str) -> None:
+    """Motions do not follow A under such gravity, in any frame."""
     model = random_model(group, 2, 1)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     heavy = pinred.Connection.mechanical(pinred.load(model))
@@ -275,8 +277,8 @@ def test_gravity_that_turns_the_base_is_refused(group: str) -> None:
             call()
 
 
-def test_what_is_no_number() -> None:
-    """Refused by name, whatever it is."""
+def test_non_numbers_are_refused() -> None:
+    """The message names the argument."""
     A = mechanical("three_rods")
     calls: list[Callable[[], object]] = [
         lambda: pinred.phase(A, 3),  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""docs/phases.md runs as it stands, and says the numbers that come out."""
+"""The examples of docs/phases.md run and print the documented numbers."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ TEXT = (Path(__file__).parents[2] / "docs/phases.md").read_text("utf-8")
 
 
 @pytest.mark.slow
-def test_its_examples_run(capsys: pytest.CaptureFixture[str]) -> None:
-    """One after another, as a reader would."""
+def test_examples_of_phases_page_run(capsys: pytest.CaptureFixture[str]) -> None:
+    """The examples run in the order of the page."""
     scope: dict[str, Any] = {}
     for code in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL):
         exec(compile(code, "phases.md", "exec"), scope)

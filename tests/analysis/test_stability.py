@@ -1,4 +1,4 @@
-"""Stability: thresholds in closed form, parity of index and growth, what dampers do."""
+"""Stability: closed-form thresholds, parity of index and growth, effect of dampers."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from pinred.simulation.plan import plan_of
 ROOT = Path(__file__).parent.parent.parent
 
 
-def test_hanging_and_tilted_tops() -> None:
-    """A hanging top is stable; a family that precesses tilted is one entry, of dimension 1."""
+def test_hanging_top_is_stable_and_precession_is_a_family() -> None:
+    """Steady precession at a tilt is one entry of dimension 1."""
     top = pinred.load(ROOT / "examples/heavy_top.urdf", group="SO3")
     found = pinred.relative_equilibria(top, momentum=4.0, starts=200)
     lowest = found[0]
@@ -40,8 +40,8 @@ def test_hanging_and_tilted_tops() -> None:
 @pytest.mark.by_hand
 @settings(max_examples=5)
 @given(st.sampled_from(["SO2", "SE2", "SO3", "SE3"]), st.integers(1, 3), seeds)
-def test_parity(group: str, joints: int, seed: int) -> None:
-    """The index is odd just where an odd number of real modes grow: two separate routes."""
+def test_index_is_odd_exactly_if_growing_modes_are_odd(group: str, joints: int, seed: int) -> None:
+    """The index and the number of real growing modes are computed independently."""
     model = random_model(group, joints, seed)
     found = pinred.relative_equilibria(pinred.load(model), momentum=1.0, starts=30)
     for each in found:
@@ -51,8 +51,8 @@ def test_parity(group: str, joints: int, seed: int) -> None:
                 assert each.stability.index in (0, 2) if group == "SO3" else True
 
 
-def test_second_variation_is_the_energys() -> None:
-    """At the least energy, any small change of the reduced state on its leaf raises the energy."""
+def test_positive_second_variation_is_energy_minimum() -> None:
+    """At the minimum, each small change of the reduced state on its leaf raises the energy."""
     cat = pinred.load("planar_chain5")
     least = pinred.relative_equilibria(cat, momentum=1.0, starts=60)[0]
     assert least.verdict == "stable"
@@ -67,8 +67,8 @@ def test_second_variation_is_the_energys() -> None:
         assert energy(point.moved(step), 1.0).U[0] > least.amended_potential
 
 
-def test_the_stable_stay_close_in_the_energys_norm() -> None:
-    """δzᵀ h″ δz stays what it was: h″ from the linearised flow is symmetric and positive."""
+def test_energy_norm_is_conserved_at_stable_equilibrium() -> None:
+    """h″ from the linearised flow is symmetric and positive, and δzᵀ h″ δz stays constant."""
     pendulum = pinred.load("double_spherical_pendulum")
     least = pinred.relative_equilibria(pendulum, momentum=2.0, starts=100)[0]
     start = pinred.simulate(least.scene(duration=1.0))
@@ -89,7 +89,7 @@ def test_the_stable_stay_close_in_the_energys_norm() -> None:
 
 
 def damped_growth(each: RelativeEquilibrium, joint: str, c: float) -> float:
-    """The largest growth with a damper at a joint, by the Jacobian of a kernel that has it."""
+    """Return the largest growth with a damper at a joint, by the Jacobian of that kernel."""
     from dataclasses import replace
 
     scene = replace(each.scene(), forces=Damper(joint, c), outputs="shape")
@@ -98,8 +98,8 @@ def damped_growth(each: RelativeEquilibrium, joint: str, c: float) -> float:
     return float(np.linalg.eigvals(matrix).real.max())
 
 
-def test_dampers_of_the_undecided() -> None:
-    """∂Re λ/∂c of each joint is what a kernel with that damper shows."""
+def test_damped_growth_matches_kernel_with_damper() -> None:
+    """∂Re λ/∂c of each joint equals the change that a kernel with that damper shows."""
     pendulum = pinred.load("double_spherical_pendulum")
     found = pinred.relative_equilibria(pendulum, momentum=2.0)
     (one,) = (e for e in found if e.verdict == "undecided")
@@ -112,7 +112,7 @@ def test_dampers_of_the_undecided() -> None:
 
 
 def test_modes_solve_the_linearised_flow() -> None:
-    """J v = λ v for each mode, with J by differences of the kernel's rates."""
+    """J v = λ v holds for each mode, with J by differences of the kernel's rates."""
     system = pinred.load("reaction_wheel_satellite")
     found = pinred.relative_equilibria(system, momentum=0.5, cyclic={"wheel_x": 0.3}, starts=200)
     each = found[0]

@@ -1,4 +1,4 @@
-"""Numbers are inputs of a kernel: however often they change, it is built and stored once."""
+"""Kernels take parameters as inputs, so new values compile and cache nothing new."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HELD = ComputedTorque({"bend": 0.5, "sway": 0.2, "twist": 0.1}, kp=9.0, kd=6.0)
 
 
 def feedback(_t: Any, x: Any, xdot: Any, _mu: Any) -> Any:
-    """Return a torque with constants that vary."""
+    """Return a torque with variable constants."""
     return {"bend": -GAIN * x["bend"] + BIAS * xdot[1]}
 
 
@@ -81,7 +81,7 @@ SLOW = ("computed torque", "beside a wrench on a link", "beside computed torque"
 
 @pytest.fixture
 def builds(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names of all functions that are compiled, in an empty cache."""
+    """Return the names of all functions compiled during a test, with an empty cache."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
     made: list[str] = []
     whole: Callable[..., bytes] = vars(build)["compile_object"]
@@ -96,7 +96,7 @@ def builds(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def entries(folder: Any) -> int:
-    """Return how many entries a cache has."""
+    """Return the number of files in a cache."""
     return sum(1 for file in folder.rglob("*") if file.is_file())
 
 
@@ -104,8 +104,10 @@ def entries(folder: Any) -> int:
     "kind",
     [pytest.param(k, marks=pytest.mark.slow) if k in SLOW else k for k in SCENES],
 )
-def test_one_build_for_a_hundred_numbers(kind: str, builds: list[str], tmp_path: Any) -> None:
-    """Every coefficient of a force or signal takes a hundred values with one kernel."""
+def test_new_force_and_signal_values_reuse_the_kernel(
+    kind: str, builds: list[str], tmp_path: Any
+) -> None:
+    """Every coefficient of a force, signal or body takes a hundred values with one kernel."""
     cat = pinred.load("falling_cat")
     ends, stored = [], []
     for value in np.linspace(0.5, 1.5, 100):
@@ -118,8 +120,8 @@ def test_one_build_for_a_hundred_numbers(kind: str, builds: list[str], tmp_path:
     assert len(np.unique(ends, axis=0)) == 100  # and each value counts
 
 
-def test_one_build_for_a_hundred_locks(builds: list[str]) -> None:
-    """The value of a locked joint is an input by its name; each moves what it carries."""
+def test_new_lock_values_reuse_the_kernel(builds: list[str]) -> None:
+    """The value of a locked joint is an input, and each value changes the motion."""
     cat = pinred.load("falling_cat", lock={"sway": 0.3})
     ends = [
         pinred.simulate(cat, seed=1, duration=0.1, times=[0.1], parameters={"sway.lock": value}).xi
@@ -133,8 +135,8 @@ def test_one_build_for_a_hundred_locks(builds: list[str]) -> None:
     np.testing.assert_allclose(again.xi, ends[-1], rtol=0, atol=1e-11)
 
 
-def test_one_build_for_a_hundred_calls_of_a_flow(builds: list[str], tmp_path: Any) -> None:
-    """Flows take placements, locked joints, inertias and gravity as they come."""
+def test_new_flow_inputs_reuse_the_kernels(builds: list[str], tmp_path: Any) -> None:
+    """Flows take masses, placements and gravity as inputs."""
     pole = pinred.load("cartpole")
     names = {"pole.mass": 1.0, "pole_pivot.translation": 0.5, "gravity.strength": 9.0}
     flow = pinred.flow(pole, seed=1, duration=0.1, wrt=[*names], method="DOP853")
@@ -149,8 +151,8 @@ def test_one_build_for_a_hundred_calls_of_a_flow(builds: list[str], tmp_path: An
     assert len(np.unique(ends, axis=0)) == 100
 
 
-def test_one_build_for_a_hundred_gravities(builds: list[str]) -> None:
-    """Gravity that acts on the shape is an input; where it acts not at all is another structure."""
+def test_new_gravity_values_reuse_the_kernel(builds: list[str]) -> None:
+    """Gravity that acts on the shape is an input; without gravity the kernel is another."""
     ends = [
         pinred.simulate(pinred.load("cartpole", gravity=(0, 0, -g)), duration=0.1, times=[0.1]).x[
             -1
@@ -173,8 +175,8 @@ def test_one_build_for_a_hundred_gravities(builds: list[str]) -> None:
 
 
 @pytest.mark.slow
-def test_one_build_for_a_hundred_robots_under_forces(builds: list[str]) -> None:
-    """Members and flows take numbers and gravity under computed torque as they come."""
+def test_new_robots_under_computed_torque_reuse_the_kernels(builds: list[str]) -> None:
+    """Members and flows take masses, placements and gravity as inputs under computed torque."""
     pole, values = pinred.load("cartpole"), np.linspace(0.5, 1.5, 100)
     forces = [ComputedTorque({"pole_pivot": 0.3}, kp=9.0, kd=6.0)]
     numbers = {
@@ -197,8 +199,8 @@ def test_one_build_for_a_hundred_robots_under_forces(builds: list[str]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["constants of expressions", "formula", "spline"])
-def test_numbers_count_as_they_are(kind: str) -> None:
-    """Numbers that came to a kernel as inputs give the motion that Pinocchio's ABA does."""
+def test_reused_kernel_agrees_with_aba(kind: str) -> None:
+    """A kernel compiled for other values gives the motion of Pinocchio's ABA."""
     cat = pinred.load("falling_cat")
     for value in (0.8, 1.3):  # the second one takes the kernel of the first
         traj = pinred.simulate(cat, duration=0.2, **SCENES[kind](value))

@@ -1,4 +1,4 @@
-"""Motions of joints that follow others: both engines, against ABA with multipliers."""
+"""Motions of robots with follower joints: both engines against ABA with multipliers."""
 
 from __future__ import annotations
 
@@ -29,8 +29,10 @@ ENGINES: list[Engine] = ["compiled", "pinocchio"]
     ("group", "seed"),
     [("SE3", 0), ("SE3", 1), ("SE2", 2), ("SO3", 3), ("SO2", 4), ("R", 5), ("RxSE2", 6)],
 )
-def test_against_aba_with_multipliers(group: str, seed: int, engine: Engine) -> None:
-    """Random trees with random couplings, in gravity where the group allows any."""
+def test_coupled_trees_agree_with_aba_with_multipliers(
+    group: str, seed: int, engine: Engine
+) -> None:
+    """Random trees have random couplings, with gravity where the group allows it."""
     case = make_case(group, 6, seed, heavy=True)
     system = case.system
     traj = pinred.simulate(system, seed=seed, duration=0.4, engine=engine, rtol=1e-11, atol=1e-13)
@@ -48,7 +50,7 @@ def test_against_aba_with_multipliers(group: str, seed: int, engine: Engine) -> 
 
 @pytest.fixture
 def crank() -> pinred.System:
-    """Two wheels on parallel axes through their centres of mass, the second geared to the first."""
+    """Return two wheels on parallel axes, the second geared to the first."""
     return _geared(-2.5)
 
 
@@ -71,7 +73,7 @@ def _wheel(moment: float) -> pin.Inertia:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_geared_wheels(engine: Engine) -> None:
+def test_geared_wheels_agree_with_closed_form(engine: Engine) -> None:
     """A spring between the base and the first: θ̈ = −k θ / M, in closed form.
 
     With moments I, J₁, J₂ and rotors a on the second: M̃ = J₁ + k² (J₂ + a), I A = J₁ + k J₂ and
@@ -96,8 +98,8 @@ def test_geared_wheels(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_spring_on_a_follower(engine: Engine) -> None:
-    """V = ½ c (k y + b − rest)²: it acts on the leader k² as stiff, about where it rests there."""
+def test_spring_on_follower_agrees_with_closed_form(engine: Engine) -> None:
+    """V = ½ c (k y + b − rest)² acts on the leader with the stiffness c k²."""
     system = _geared(-2.5)
     own = {"second": (5.0, 0.5)}
     through = {"first": (5.0 * 2.5**2, (0.5 - 0.3) / -2.5)}
@@ -110,8 +112,8 @@ def test_a_spring_on_a_follower(engine: Engine) -> None:
 
 
 @pytest.mark.slow
-def test_forces_on_a_follower_act_through_it(crank: pinred.System) -> None:
-    """Torque, damper, PD, limits and controllers: the ratio times what they are there."""
+def test_forces_on_follower_act_on_leader_times_ratio(crank: pinred.System) -> None:
+    """Torque, damper, PD, limits and controllers act on the leader, multiplied by the ratio."""
     k, b = -2.5, 0.3
     pairs = [
         (Torque({"second": 2.0}), Torque({"first": 2.0 * k})),
@@ -146,8 +148,8 @@ def test_forces_on_a_follower_act_through_it(crank: pinred.System) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-def test_prescribed_leaders(engine: Engine) -> None:
-    """All that follow a prescribed joint move as planned, under a torque on it alone."""
+def test_followers_of_prescribed_leader_follow_the_plan(engine: Engine) -> None:
+    """One torque on the prescribed leader drives all its followers."""
     system = make_case("SE3", 6, 1).system
     leads = [each.leader for each in system.couplings if each.ratio != 0.0]
     chosen = next(name for name in leads if name in system.shape_names)
@@ -169,7 +171,7 @@ def test_prescribed_leaders(engine: Engine) -> None:
 
 
 def _tied_acceleration(system: pinred.System, q: Array, v: Array, tau: Array) -> Array:
-    """Acceleration with multipliers, under forces."""
+    """Return the acceleration under forces, by ABA with multipliers."""
     model = system.model
     upper = np.triu(pin.crba(model, model.createData(), q))
     H = upper + np.triu(upper, 1).T
@@ -183,8 +185,8 @@ def _tied_acceleration(system: pinred.System, q: Array, v: Array, tau: Array) ->
     return np.asarray(np.linalg.solve(whole, np.append(tau - bias, np.zeros(len(J))))[: model.nv])
 
 
-def test_what_is_no_coordinate_is_refused_by_name(crank: pinred.System) -> None:
-    """With whom the joint follows."""
+def test_options_of_followers_name_the_leader(crank: pinred.System) -> None:
+    """Followers are no coordinates; the message names the leader."""
     words = r"'second' follows 'first' \(second = -2\.5·first \+ 0\.3\)"
     for options in (
         {"x0": {"second": 0.1}},
@@ -200,23 +202,23 @@ def test_what_is_no_coordinate_is_refused_by_name(crank: pinred.System) -> None:
         pinred.Reduction(crank, springs={"second": (1.0, 0.0)})
 
 
-def test_q0_and_v0(crank: pinred.System) -> None:
-    """Pinocchio's own coordinates, of all joints, are taken where followers follow."""
+def test_q0_and_v0_of_all_joints_are_accepted(crank: pinred.System) -> None:
+    """Pinocchio's coordinates are accepted if the followers agree with their leaders."""
     scene = pinred.Scene(system=crank, duration=1.0, q0=[0.2, 0.1, 0.05], v0=[1.0, 2.0, -5.0])
     assert (scene.start.x.tolist(), scene.start.xdot.tolist()) == ([0.1], [2.0])
     np.testing.assert_allclose(pinred.simulate(scene).q[0], [0.2, 0.1, 0.05], atol=1e-15)
 
 
-def test_computed_torque(crank: pinred.System) -> None:
-    """Inverse dynamics of the coupled system: the leader follows its reference exactly."""
+def test_computed_torque_of_leader_tracks_exactly(crank: pinred.System) -> None:
+    """The leader follows its reference under inverse dynamics of the coupled system."""
     force = ComputedTorque({"first": 0.1}, kp=0.0, kd=0.0)
     traj = pinred.simulate(crank, x0=[0.2], xdot0=[1.0], duration=0.5, forces=[force])
     np.testing.assert_allclose(traj.x[:, 0], 0.2 + traj.t, atol=1e-9)
 
 
 @pytest.mark.slow
-def test_computed_torque_of_a_tree() -> None:
-    """The same on a branched tree, whose accelerations are then zero."""
+def test_computed_torque_of_coupled_tree_gives_zero_accelerations() -> None:
+    """With zero gains, the joints of a branched tree move at constant rates."""
     system = make_case("SE3", 5, 3).system
     force = ComputedTorque(dict.fromkeys(system.shape_names, 0.0), kp=0.0, kd=0.0)
     x0, xdot0 = np.full(system.m, 0.3), np.linspace(-0.5, 0.5, system.m)
@@ -224,8 +226,8 @@ def test_computed_torque_of_a_tree() -> None:
     np.testing.assert_allclose(traj.x, x0 + traj.t[:, None] * xdot0, atol=1e-8)
 
 
-def test_files(tmp_path: Path) -> None:
-    """A motion is saved with q of all joints and found again, with the same robot."""
+def test_file_of_coupled_robot_restores_robot_and_motion(tmp_path: Path) -> None:
+    """A file contains q of all joints, and the robot."""
     text = robot(
         *(link(name) for name in "abc"), joint("a", "b"),
         joint("b", "c", inside='<axis xyz="1 0 0"/><mimic joint="a-b" multiplier="-2"/>'),
@@ -241,8 +243,8 @@ def test_files(tmp_path: Path) -> None:
     np.testing.assert_allclose(traj.v[:, 7], -2.0 * traj.v[:, 6], atol=1e-13)
 
 
-def test_many(crank: pinred.System) -> None:
-    """Members of an ensemble, by q0 too, move as each alone."""
+def test_members_of_coupled_robot_agree_with_simulate(crank: pinred.System) -> None:
+    """Members, also those given by q0, agree with single simulations."""
     q0 = np.array([[0.0, y, -2.5 * y + 0.3] for y in (0.1, 0.2, 0.3)])
     springs = {"first": (2.0, 0.0)}
     many = pinred.simulate_many(crank, q0=q0, duration=0.5, springs=springs)
@@ -251,8 +253,8 @@ def test_many(crank: pinred.System) -> None:
         np.testing.assert_allclose(many[k].x[-1], alone.x[-1], atol=1e-10)
 
 
-def test_files_of_another_robot(tmp_path: Path) -> None:
-    """A motion in whose q a joint does not follow is not taken for one of the robot."""
+def test_file_with_broken_coupling_is_rejected(tmp_path: Path) -> None:
+    """The robot file now has another ratio than q in the recording."""
     text = robot(*(link(name) for name in "abc"), joint("a", "b"), "{}")
     last = joint("b", "c", inside='<axis xyz="1 0 0"/><mimic joint="a-b" multiplier="{}"/>')
     path = write(tmp_path, text.format(last.format(2)))
@@ -262,14 +264,14 @@ def test_files_of_another_robot(tmp_path: Path) -> None:
         _ = pinred.read_recording(tmp_path / "motion.npz").system
 
 
-def test_kernels_are_kept_apart() -> None:
-    """Robots that differ in a ratio or an offset alone have kernels of their own."""
+def test_couplings_have_separate_kernels() -> None:
+    """Robots that differ only in a ratio or an offset have separate kernels."""
     digests = {model_bytes(_geared(ratio, offset=b)) for ratio in (2.0, 3.0) for b in (0.0, 0.3)}
     assert len(digests) == 4
 
 
-def test_random_states_are_within_the_limits_of_followers(tmp_path: Path) -> None:
-    """A finger that may open by a centimetre, driven three times as far as its leader."""
+def test_random_states_respect_limits_of_followers(tmp_path: Path) -> None:
+    """A finger may open by a centimetre at three times the rate of its leader."""
     slide = '<axis xyz="0 1 0"/>'
     follower = joint("a", "c", "prismatic", f'{slide}<mimic joint="a-b" multiplier="-3"/>')
     text = robot(
@@ -284,8 +286,8 @@ def test_random_states_are_within_the_limits_of_followers(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_limbs_of_one_build(seed: int) -> None:
-    """Limbs with couplings inside, across and on one limb alone, beside limbs without any."""
+def test_identical_branches_with_couplings_agree_with_aba(seed: int) -> None:
+    """Couplings are inside branches, across them, or on one branch only."""
     model, rng = limbed_model("SE3", 3, 3, seed), np.random.default_rng(seed)
     pairs = [
         [("limb0.1", "limb0.0"), ("limb1.1", "limb1.0"), ("limb2.1", "limb2.0")],

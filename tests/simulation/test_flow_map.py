@@ -1,4 +1,4 @@
-"""The flow as a map: its values, and its derivatives against other routes to them."""
+"""Flow maps: their values, and their derivatives against independent computations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ METHODS = ["DOP853", "Tsit5", "AdaptiveGauss", "Gauss(0.01)"]
 
 
 def flow_of(name: str, **options: Any) -> Flow:
-    """Return the flow of a bundled robot with a spring of a gain, by all inputs."""
+    """Return the flow of a bundled robot with a spring, with derivatives by all inputs."""
     system = pinred.load(name)
     gain, names = Parameter("gain", 2.0), system.shape_names
     wrt = ["x0", "xdot0", "pose0", "xi0", "gain"] if names else ["pose0", "xi0"]
@@ -49,8 +49,8 @@ def covector_of(flow: Flow, jacobian: dict[str, Any]) -> Any:
 @pytest.mark.parametrize(
     "name", ["cartpole", "rigid_body", "falling_cat", "coupled_planar", "double_spherical_pendulum"]
 )
-def test_adjoint_is_the_tangent_turned_round(name: str, method: str) -> None:
-    """λᵀ(J v) = (λᵀJ) v to round-off, at the end and over times, by all inputs."""
+def test_vjp_agrees_with_jacobian(name: str, method: str) -> None:
+    """λᵀ(J v) = (λᵀJ) v to round-off, at the end and over times, for all inputs."""
     for times in (None, [0.0, 0.013, 0.2, 0.5]):
         flow = flow_of(name, method=method, times=times)
         jacobian = flow.jacobian()
@@ -64,8 +64,8 @@ def test_adjoint_is_the_tangent_turned_round(name: str, method: str) -> None:
 @pytest.mark.by_hand
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ["planar_chain5", "satellite_two_arms", "falling_cat"])
-def test_tangent_is_that_of_frozen_steps(name: str, method: str) -> None:
-    """A direction agrees with differences of runs that take the same steps, over times too."""
+def test_tangent_agrees_with_differences_at_frozen_steps(name: str, method: str) -> None:
+    """Differences of integrations with the same steps give the same derivatives."""
     flow = flow_of(name, method=method, times=[0.0, 0.1, 0.37, 0.5])
     (solution,) = flow.run({}).solutions
     propagator, kernel = flow.propagator, flow.propagator.kernel
@@ -93,8 +93,8 @@ def test_tangent_is_that_of_frozen_steps(name: str, method: str) -> None:
 
 
 @pytest.mark.by_hand
-def test_tangent_is_that_of_the_exact_flow() -> None:
-    """The Jacobian agrees with variational equations by CasADi's slopes under SciPy."""
+def test_jacobian_agrees_with_variational_equations() -> None:
+    """SciPy integrates the variational equations with CasADi's Jacobian."""
     system = pinred.load("planar_chain5")
     functions = pinred.casadi_functions(system)
     flow = pinred.flow(system, seed=2, duration=0.5, wrt=["x0"], method="DOP853", rtol=1e-12)
@@ -121,8 +121,8 @@ def test_tangent_is_that_of_the_exact_flow() -> None:
 
 
 @pytest.mark.parametrize("name", ["cartpole", "satellite_two_arms"])
-def test_derivatives_of_what_simulate_gives(name: str) -> None:
-    """Values are simulate's to the bit, derivatives its differences to what step control leaves."""
+def test_flow_agrees_with_simulate_and_its_differences(name: str) -> None:
+    """Values are equal to the bit; derivatives agree within the error of step control."""
     flow = flow_of(name, method="DOP853", rtol=1e-12, times=[0.2, 0.5])
     scene = flow.scene
     states = pinred.simulate(scene).states
@@ -151,8 +151,8 @@ def test_derivatives_of_what_simulate_gives(name: str) -> None:
         assert error < 2e-6 * max(1.0, np.abs(found).max()), (key, "pose")
 
 
-def test_breaks_and_plans() -> None:
-    """Derivatives go through breaks of tables, and by Parameters in tables and plans."""
+def test_derivatives_through_breaks_agree_with_differences() -> None:
+    """Derivatives pass breaks of tables, with Parameters in tables and plans."""
     system = pinred.load("falling_cat")
     high, mean = Parameter("high", 0.4), Parameter("mean", 0.1)
     options: dict[str, Any] = {
@@ -181,12 +181,12 @@ def test_breaks_and_plans() -> None:
 
 
 def covector_of_shape(shape: tuple[int, ...]) -> Any:
-    """Return random numbers."""
+    """Return a random covector of a shape."""
     return np.random.default_rng(5).normal(size=shape)
 
 
-def test_inputs() -> None:
-    """What is not given stays; joints may be named; momentum is an input where it is given."""
+def test_inputs_default_to_the_scene() -> None:
+    """Joints may be given by name, and momentum is an input if the scene gives it."""
     system = pinred.load("falling_cat")
     flow = pinred.flow(system, seed=1, duration=0.2, wrt=["x0"])
     same = flow(x0=flow.scene.given.x[0])
@@ -206,8 +206,8 @@ def test_inputs() -> None:
     )
 
 
-def test_refusals() -> None:
-    """Names, shapes and scenes that have no derivatives are refused by name."""
+def test_invalid_names_shapes_and_scenes_are_rejected() -> None:
+    """The message states the name, shape or option."""
     cat = pinred.load("falling_cat")
     with pytest.raises(InputError, match="no input 'x_0'; did you mean 'x0'"):
         pinred.flow(cat, seed=1, wrt=["x_0"])
@@ -240,14 +240,14 @@ def test_refusals() -> None:
 
 
 def seeing(joint: str, entry: int) -> Torque:
-    """Return a torque that sees a number of the pose."""
+    """Return a torque that depends on an entry of the pose."""
     return Torque(lambda s: {joint: -0.3 * s.pose[entry]})
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["coupled_planar", "falling_cat"])
-def test_forces_that_see_the_place(name: str) -> None:
-    """Derivatives go through what forces see of pose and speed; both ways, over times and steps."""
+def test_derivatives_of_forces_that_depend_on_pose(name: str) -> None:
+    """Both modes agree with differences, over times and for single steps."""
     system = pinred.load(name, gravity=(0.0, 0.0, -3.0) if name == "falling_cat" else None)
     joint, push = system.shape_names[0], Parameter("push", 0.4)
     forces = [
@@ -289,8 +289,8 @@ def test_forces_that_see_the_place(name: str) -> None:
     np.testing.assert_allclose(state.pose, states.pose[-1], rtol=0, atol=1e-7)
 
 
-def test_events_are_refused_and_attitudes_seen() -> None:
-    """Events have no place in a flow; a torque that sees the attitude has derivatives."""
+def test_events_are_rejected_and_attitude_torques_accepted() -> None:
+    """Flows reject events; a torque that depends on the attitude has derivatives."""
     system = pinred.load("coupled_planar")
     joint = system.shape_names[0]
     with pytest.raises(pinred.InputError, match="looks for no events"):
@@ -306,8 +306,8 @@ def test_events_are_refused_and_attitudes_seen() -> None:
     )
 
 
-def test_prepared_runs() -> None:
-    """Long runs, failing ones and overflowing sums are what `simulate` says; fields come later."""
+def test_repeated_and_failing_integrations_agree_with_simulate() -> None:
+    """Long, failing and overflowing integrations agree; fields are computed at first access."""
     system = pinred.load("falling_cat")
     long = pinred.flow(system, seed=1, duration=20.0, method="DOP853", rtol=1e-10)
     scene = long.scene
@@ -344,8 +344,8 @@ def test_prepared_runs() -> None:
 @pytest.mark.parametrize(
     ("name", "duration"), [("planar_chain5", 2.0), ("satellite_two_arms", 0.5)]
 )
-def test_adjoints_are_those_of_cvodes(name: str, duration: float) -> None:
-    """Slopes of the end agree with CVODES's where the flow stretches little."""
+def test_vjp_agrees_with_cvodes(name: str, duration: float) -> None:
+    """Gradients of the end state agree where the flow has moderate growth."""
     system = pinred.load(name, gravity=(0, 0, 0))
     flow = pinred.flow(system, seed=1, duration=duration, method="DOP853", rtol=1e-9)
     (solution,) = flow.run({}).solutions
@@ -362,8 +362,8 @@ def test_adjoints_are_those_of_cvodes(name: str, duration: float) -> None:
 
 
 @pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
-def test_stages_are_kept_within_a_bound(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A gradient keeps stages only below its bound; with them or without, it is the tangent's."""
+def test_stages_are_stored_below_a_size_limit(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gradients agree with the Jacobian with stored stages and without."""
     flow = flow_of("cartpole", method=method, times=[0.1, 0.2, 0.5])
     jacobian = flow.jacobian()
     covector = covector_of(flow, jacobian)

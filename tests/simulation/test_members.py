@@ -1,4 +1,4 @@
-"""What differs between members: states, parameters, gravity, whole scenes; and their files."""
+"""Members that differ in states, parameters, gravity or whole scenes, and their files."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ TIMES = np.linspace(0.0, 0.5, 4)
 NEAR: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-11}
 
 
-def test_parameters_and_gravity() -> None:
-    """As scenes of their own, which Pinocchio's ABA judges; a member alone has the same bits."""
+def test_members_with_parameters_and_gravity_agree_with_scenes() -> None:
+    """ABA validates them, and a single member has the same bits."""
     gain = pinred.Parameter("gain", 0.3)
     forces = [Damper("bend", gain), Spring("sway", 2.0 * np.pi, 0.1)]
     gains, g = np.array([0.0, 0.2, 0.9]), np.array([[0, 0, -9.8], [1.0, 2, 3], [0, 0, 0]])
@@ -43,8 +43,8 @@ def test_parameters_and_gravity() -> None:
     np.testing.assert_array_equal(named.x, many.x)  # gravity only makes it fall
 
 
-def test_gravity_at_a_pivot() -> None:
-    """Gravity that acts on the shape or turns the base varies, too; none makes another group."""
+def test_gravity_of_pivoted_members_may_differ() -> None:
+    """Gravity acts on the shape or turns the base; members without gravity are a separate group."""
     g = np.array([[0.0, 0.0, -9.81], [0.0, 0.0, -1.6], [0.0, 0.0, 0.0], [0.0, 0.0, 9.0]])
     for name in ("cartpole", "heavy_top"):
         if name not in pinred_robots():
@@ -66,8 +66,8 @@ def pinred_robots() -> set[str]:
     return set(bundled_robots())
 
 
-def test_plans_vary_with_their_parameters() -> None:
-    """A prescribed joint begins where its member's plan begins."""
+def test_prescribed_joint_starts_at_plan_of_member() -> None:
+    """The initial position follows the parameter of each member."""
     size = pinred.Parameter("size", 0.2)
     plan = Fourier(size, [0.1], [size], 2.0)
     sizes = np.array([0.1, 0.4])
@@ -79,8 +79,8 @@ def test_plans_vary_with_their_parameters() -> None:
         assert pinred.compare(many[k]).passed
 
 
-def test_a_list_of_scenes() -> None:
-    """Forces of several structures and numbers, with pieces and without, in any order."""
+def test_list_of_scenes_agrees_with_simulate() -> None:
+    """The scenes have several structures, with and without breaks, in any order."""
 
     def scene(k: int) -> pinred.Scene:
         forces: list[Any] = [
@@ -106,8 +106,10 @@ def test_a_list_of_scenes() -> None:
     assert many.q.shape == (5, 4, 10)
 
 
-def test_inertias_in_lanes_and_events_one_by_one(capsys: pytest.CaptureFixture[str]) -> None:
-    """Members with bodies of their own, and those that an event ends; numbers are NaN after it."""
+def test_members_with_inertias_and_events_agree_with_simulate(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Members with events are simulated one by one; entries after a terminal event are NaN."""
     name = next(name for name in CAT.shape_names)
     masses = np.array([0.8, 1.7])
     options: dict[str, Any] = {"seed": 1, "times": TIMES}
@@ -155,14 +157,14 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("what", "options", "words"), WRONG)
-def test_what_cannot_vary(what: Any, options: dict[str, Any], words: str) -> None:
-    """The names are said, and what to do."""
+def test_unknown_member_names_are_rejected(what: Any, options: dict[str, Any], words: str) -> None:
+    """The message states the name and a remedy."""
     with pytest.raises(pinred.InputError, match=words):
         pinred.simulate_many(what, **options)
 
 
-def test_a_member_is_a_trajectory() -> None:
-    """At any time, with its balances; at the report times the arrays' own numbers."""
+def test_member_has_dense_output_and_balances() -> None:
+    """At the report times its states are those of the arrays."""
     many = pinred.simulate_many(CAT, seeds=[1, 2], duration=0.5, forces=[Damper("bend", 0.2)])
     traj = many[1]
     assert isinstance(traj, pinred.Trajectory)
@@ -178,8 +180,8 @@ def test_a_member_is_a_trajectory() -> None:
         _ = shapes.pose
 
 
-def test_files_of_members(tmp_path: Path) -> None:
-    """Arrays with names, and who failed; nothing is left of a file that cannot be."""
+def test_npz_of_members_has_states_and_failures(tmp_path: Path) -> None:
+    """Arrays have names, and a failed save leaves no file."""
     system = pinred.load("coupled_planar")
     many = pinred.simulate_many(
         system, x0=[[0.0], [1.0]], duration=100.0, springs={"hinge": (-1e6, 0.0)}
@@ -197,8 +199,8 @@ def test_files_of_members(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["many.npz"]
 
 
-def test_files_of_zarr(tmp_path: Path) -> None:
-    """The same arrays as a folder, if the package is there; else it says how to get it."""
+def test_zarr_of_members_has_the_arrays_of_npz(tmp_path: Path) -> None:
+    """Without the package zarr, the error states how to install it."""
     many = pinred.simulate_many(CAT, seeds=[1, 2], times=TIMES)
     if find_spec("zarr") is None:
         with pytest.raises(pinred.MissingPackageError, match=r"pinred\[zarr\]"):
@@ -216,8 +218,8 @@ def test_files_of_zarr(tmp_path: Path) -> None:
 
 
 @pytest.mark.by_hand
-def test_the_example_of_the_docs(capsys: pytest.CaptureFixture[str]) -> None:
-    """It runs as it stands, and its member passes its comparison."""
+def test_documented_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """The example of the documentation runs, and its member passes the comparison."""
     text = (Path(__file__).parents[2] / "docs/many.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     exec(compile(code, "docs/many.md", "exec"), {})
@@ -227,8 +229,8 @@ def test_the_example_of_the_docs(capsys: pytest.CaptureFixture[str]) -> None:
     assert "verdict: PASSED" in out
 
 
-def test_breaks_in_lanes(capsys: pytest.CaptureFixture[str]) -> None:
-    """Members stop together where a table breaks, and each is what simulate makes of it."""
+def test_members_with_breaks_agree_with_simulate(capsys: pytest.CaptureFixture[str]) -> None:
+    """Members in SIMD lanes stop together at the break of a table."""
     high, rng = pinred.Parameter("high", 0.4), np.random.default_rng(2)
     options: dict[str, Any] = {
         "forces": [Torque({"sway": Hold([0.0, 0.1, 0.25], [0.1, high, -0.3])})],

@@ -1,4 +1,4 @@
-"""The plan of a scene: made once, and what it tells is what is integrated."""
+"""The plan of a scene is made once, and describes the integrated variables."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ METHODS = [AUTO, DOP853(1e-9, 1e-11), Gauss(0.01), Radau(1e-9, 1e-11), Variation
     st.sampled_from(["all", "shape"]),
     st.booleans(),
 )
-def test_what_is_told_is_integrated(
+def test_explained_size_is_that_of_the_flow(
     group: str, joints: int, seed: int, method: Any, outputs: Any, still: bool
 ) -> None:
-    """Any group, integrator and outputs, with momentum and without: the numbers of the run."""
+    """For any group, integrator and outputs, with and without momentum."""
     system = pinred.load(random_model(group, joints, seed))
     start: dict[str, Any] = {"momentum": 0} if still else {"xi0": np.ones(system.r)}
     scene = pinred.Scene(system=system, method=method, outputs=outputs, duration=0.1, **start)
@@ -49,8 +49,8 @@ def test_what_is_told_is_integrated(
 
 
 @pytest.mark.parametrize("method", [Gauss(0.01), Variational(0.01)])
-def test_a_quaternion_in_place_of_momenta(method: Any) -> None:
-    """Symplectic methods integrate four numbers where others take three, and say so."""
+def test_symplectic_method_integrates_a_quaternion(method: Any) -> None:
+    """A symplectic method integrates a quaternion instead of three momenta."""
     system = pinred.load("falling_cat")
     options: dict[str, Any] = {"xi0": np.ones(6), "outputs": "shape"}
     for each, size in ((method, 10), (AUTO, 9)):
@@ -58,8 +58,8 @@ def test_a_quaternion_in_place_of_momenta(method: Any) -> None:
         assert f"integrated: 19 → {size} numbers" in lines
 
 
-def test_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A scene is resolved once, however many ask for it."""
+def test_plan_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scene is resolved once for all its users."""
     counted: Counter[str] = Counter()
 
     def counting(name: str) -> Any:
@@ -84,8 +84,8 @@ def test_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(counted.values()) == {1}, counted
 
 
-def test_fields() -> None:
-    """What a scene with a plan for a joint, a wheel and a wrench comes to."""
+def test_fields_of_plan_with_plan_wheel_and_wrench() -> None:
+    """The scene has a prescribed joint, a cyclic wheel and a wrench."""
     system = pinred.load("reaction_wheel_satellite")
     assert plan_of(pinred.Scene(system=system, seed=0)).acting.cyclic == (1, 2, 3)
     prescribed = {"wheel_x": pinred.signals.Fourier(0.0, [0.1], [0.0], 1.0)}
@@ -104,15 +104,15 @@ def test_fields() -> None:
     assert not found.stops.flags.writeable
 
 
-def test_gravity_that_breaks_the_symmetry() -> None:
-    """There is no plan then."""
+def test_plan_of_asymmetric_gravity_raises() -> None:
+    """There is no plan if gravity breaks the symmetry."""
     system = pinred.load("double_spherical_pendulum", gravity=[0.0, 9.81, 0.0])
     with pytest.raises(pinred.SymmetryError):
         plan_of(pinred.Scene(system=system, seed=0))
 
 
-def test_the_choice_is_made_where_it_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The Pinocchio route chooses no integrator, and pays for no choice."""
+def test_pinocchio_engine_chooses_no_method(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The choice of a method is computed at first access."""
     monkeypatch.setattr(plan, "choose", lambda *_: pytest.fail("nobody asked"))
     traj = pinred.simulate(pinred.load("elroys_beanie"), duration=0.1, engine="pinocchio")
     assert traj.run.method == "DOP853"

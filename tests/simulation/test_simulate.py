@@ -1,4 +1,4 @@
-"""Simulations against closed forms, and what a trajectory promises."""
+"""Simulations against closed forms, and the interface of a trajectory."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 
 
-def test_beanie_with_a_spring_is_harmonic() -> None:
-    """θ2 swings at √(k (I1+I2)/(I1 I2)); Ω = θ̇1 + A θ̇2 is constant, so θ1 follows."""
+def test_beanie_with_spring_is_harmonic() -> None:
+    """θ2 oscillates at √(k (I1+I2)/(I1 I2)); Ω = θ̇1 + A θ̇2 is constant, so θ1 follows."""
     k, x0, v0, xi0 = 3.0, 0.5, -0.4, 0.8
     system = pinred.load("elroys_beanie")
     springs = {system.shape_names[0]: (k, 0.0)}
@@ -33,8 +33,8 @@ def test_beanie_with_a_spring_is_harmonic() -> None:
     np.testing.assert_allclose(traj.body_momentum, (I1 + I2) * xi0 + I2 * v0, rtol=1e-13)
 
 
-def test_coupled_planar_bodies_move_in_closed_form() -> None:
-    """The joint turns steadily, the centre of mass goes straight, the base turns steadily."""
+def test_coupled_planar_bodies_agree_with_closed_form() -> None:
+    """Joint and base rotate at constant rates, and the centre of mass moves on a line."""
     x0, xdot0, xi0 = 0.3, 1.2, np.array([0.4, -0.7, 0.9])
     pose0 = np.array([1.0, 2.0, 0.5])
     traj = pinred.simulate(
@@ -57,8 +57,8 @@ def test_coupled_planar_bodies_move_in_closed_form() -> None:
     np.testing.assert_allclose(traj.pose[:, :2], path, atol=1e-9)
 
 
-def test_eulers_top_in_elliptic_functions() -> None:
-    """Body rates by Jacobi's functions, attitude by the quadrature of the precession, 10 s."""
+def test_euler_top_agrees_with_elliptic_functions() -> None:
+    """Body rates follow Jacobi's functions, the attitude a quadrature of the precession."""
     system = pinred.load("rigid_body")
     moments = np.diag(pinred.Reduction(system).locked_inertia([]))
     order = np.argsort(moments)  # the formulas want I1 < I2 < I3, a cyclic order of axes
@@ -110,7 +110,7 @@ def test_eulers_top_in_elliptic_functions() -> None:
 
 @pytest.mark.parametrize("group", [name for name in GROUPS if GROUPS[name].linear])
 def test_free_fall_is_exact(group: str) -> None:
-    """The centre of mass is on its parabola to round-off, and the shape does not notice."""
+    """The centre of mass is on its parabola to round-off, and the shape is unaffected."""
     model = random_model(group, 3, 2)
     root = model.jointPlacements[1].rotation
     flat = np.array([2.0, -3.0, 0.0 if group == "SE2" else 4.0])
@@ -143,8 +143,8 @@ def test_free_fall_is_exact(group: str) -> None:
 
 @pytest.mark.parametrize("group", sorted(GROUPS))
 @pytest.mark.parametrize("joints", [0, 3])
-def test_zero_momentum_is_kept_and_horizontal(group: str, joints: int) -> None:
-    """With momentum=0 the base moves by ξ = −A ẋ and no momentum ever appears."""
+def test_zero_momentum_motion_is_horizontal(group: str, joints: int) -> None:
+    """With momentum=0 the base moves by ξ = −A ẋ, and the momentum remains zero."""
     system = pinred.load(random_model(group, joints, 8))
     xdot0 = np.linspace(0.5, -0.8, joints)
     traj = pinred.simulate(system, xdot0=xdot0, momentum=0, duration=2.0)
@@ -155,13 +155,13 @@ def test_zero_momentum_is_kept_and_horizontal(group: str, joints: int) -> None:
         np.testing.assert_allclose(state.body_momentum, np.zeros(system.r), atol=1e-13)
 
 
-def test_zero_momentum_never_evaluates_a_momentum(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The terms with μ are left out of the vector field, not multiplied by zero."""
+def test_zero_momentum_evaluates_no_momentum_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The vector field omits the terms with μ instead of multiplying them by zero."""
 
     def forbidden(*_: Array) -> Array:
         raise AssertionError("momentum was turned into the body frame")
 
-    monkeypatch.setattr("pinred.simulation.pinocchio.base_motion._into_body", forbidden)
+    monkeypatch.setattr("pinred.simulation.pinocchio.pinocchio_flow._into_body", forbidden)
     system = pinred.load("falling_cat")
     xdot0 = np.full(system.m, 0.3)
     pinred.simulate(system, xdot0=xdot0, momentum=0, duration=0.1, engine="pinocchio")
@@ -170,8 +170,8 @@ def test_zero_momentum_never_evaluates_a_momentum(monkeypatch: pytest.MonkeyPatc
         pinred.simulate(system, xdot0=xdot0, momentum=off, duration=0.1, engine="pinocchio")
 
 
-def test_momentum_and_twist_say_the_same() -> None:
-    """Starting from a momentum is starting from the twist that has it."""
+def test_initial_momentum_and_twist_are_equivalent() -> None:
+    """A momentum and the twist that has it give the same motion."""
     system = pinred.load("coupled_spatial")
     initial = system.initial
     assert initial is not None
@@ -182,8 +182,8 @@ def test_momentum_and_twist_say_the_same() -> None:
     np.testing.assert_allclose(a.xi, b.xi, atol=1e-10)
 
 
-def test_dense_output_is_the_solution_everywhere() -> None:
-    """Between steps the state obeys ABA: v̇ by differences of the dense output, and q̇ = v."""
+def test_dense_output_agrees_with_aba() -> None:
+    """Between steps, v̇ by differences agrees with ABA, and q̇ with v."""
     system = pinred.load("satellite_two_arms")
     traj = pinred.simulate(system, duration=2.0, rtol=1e-12, atol=1e-14)
     model, data, step = system.model, system.model.createData(), 2e-3
@@ -201,8 +201,8 @@ def test_dense_output_is_the_solution_everywhere() -> None:
         np.testing.assert_allclose(moved / step, s.v, atol=1e-8)
 
 
-def test_trajectory_fields() -> None:
-    """Time is the first axis everywhere, one time gives no axis, and arrays are read-only."""
+def test_trajectory_fields_have_time_first() -> None:
+    """One time gives no time axis, and arrays are read-only."""
     system = pinred.load("cartpole")
     traj = pinred.simulate(system, duration=1.0, times=[0.25, 0.5, 1.0])
     sizes = {"x": 1, "xdot": 1, "xi": 1, "pose": 1, "q": system.model.nq, "v": 2}
@@ -222,8 +222,8 @@ def test_trajectory_fields() -> None:
             traj(bad)
 
 
-def test_the_base_that_is_integrated_does_not_depend_on_where_it_starts() -> None:
-    """G-invariance: the same motion from another pose is the same motion, moved."""
+def test_motion_is_invariant_under_the_group() -> None:
+    """Another initial pose gives the same motion, transformed."""
     system = pinred.load("falling_cat")
     g = system.group.exp(np.array([1.0, -2.0, 0.5, 0.7, 1.1, -0.4]))
     a = pinred.simulate(system, duration=3.0)
@@ -233,8 +233,8 @@ def test_the_base_that_is_integrated_does_not_depend_on_where_it_starts() -> Non
     assert max(error.rotation.max(), error.translation.max()) < 5e-9
 
 
-def test_same_scene_same_numbers() -> None:
-    """The same scene gives the same trajectory, bit for bit, and progress reaches the end."""
+def test_same_scene_gives_same_bits() -> None:
+    """A scene gives the same trajectory to the bit, and progress reaches one."""
     system = pinred.load("double_spherical_pendulum")
     parts: list[float] = []
     a = pinred.simulate(system, duration=1.0, progress=parts.append)
@@ -272,28 +272,28 @@ def test_same_scene_same_numbers() -> None:
         ({"engine": "magic"}, "engines are compiled, pinocchio"),
     ],
 )
-def test_bad_scenes(options: dict[str, object], words: str) -> None:
-    """What cannot be simulated is refused before anything runs, saying why."""
+def test_invalid_scenes_are_rejected(options: dict[str, object], words: str) -> None:
+    """The error states the reason before any integration."""
     with pytest.raises(pinred.InputError, match=words):
         pinred.simulate(pinred.load("coupled_planar"), **options)  # type: ignore[arg-type]
 
 
-def test_a_robot_without_initial_state_needs_one() -> None:
-    """No state is made up silently."""
+def test_missing_initial_state_is_rejected() -> None:
+    """No initial state is invented."""
     system = pinred.load(random_model("SE3", 2, 1))
     with pytest.raises(pinred.InputError, match="give x0, xdot0, xi0 or momentum, or seed="):
         pinred.simulate(system, duration=1.0)
 
 
-def test_what_cannot_be_followed_stops_with_the_time_and_the_joint() -> None:
-    """A joint that runs away ends the simulation with an error that names it."""
+def test_diverging_joint_is_named() -> None:
+    """The error names the joint and the time."""
     system = pinred.load("coupled_planar")
     with pytest.raises(pinred.IntegrationError, match=r"coupled_planar.*t = "):
         pinred.simulate(system, x0=[1.0], duration=100.0, springs={"hinge": (-1e6, 0.0)})
 
 
 @pytest.mark.parametrize("name", ["rigid_body", "double_spherical_pendulum"])
-def test_gravity_that_breaks_the_symmetry(name: str) -> None:
+def test_asymmetric_gravity_names_broken_directions(name: str) -> None:
     """The error names the directions that gravity breaks."""
     broken = {"rigid_body": (0.0, 0.0, -9.81), "double_spherical_pendulum": (0.0, 9.81, 0.0)}[name]
     system = pinred.load(name, gravity=broken)
@@ -311,8 +311,8 @@ def test_gravity_that_breaks_the_symmetry(name: str) -> None:
         _ = at.potential
 
 
-def test_pivot_under_gravity_names_the_broken_directions() -> None:
-    """V(x) is refused for a body on a pivot away from its centre of mass: x and y break, z not."""
+def test_pivot_under_gravity_names_broken_directions() -> None:
+    """Gravity breaks x and y, but not z, for a body on a pivot away from its centre of mass."""
     model = random_model("SO3", 1, 4)
     model.jointPlacements[1].rotation = np.eye(3)
     system = pinred.load(model, gravity=(0.0, 0.0, -9.81))
@@ -323,8 +323,8 @@ def test_pivot_under_gravity_names_the_broken_directions() -> None:
         pinred.Reduction(sideways).potential([0.1])
 
 
-def test_csv_headers_with_any_joint_name(tmp_path: Path) -> None:
-    """A joint may be called what it likes: Python's csv reader finds the same columns."""
+def test_csv_headers_quote_any_joint_name(tmp_path: Path) -> None:
+    """Python's csv reader finds the same columns for any joint name."""
     model = random_model("SE2", 2, 3)
     model.names[2], model.names[3] = 'a,"b"', "c d"
     system = pinred.load(model)

@@ -1,4 +1,4 @@
-"""Many simulations at once: the bits of one at a time, and failures that stay apart."""
+"""simulate_many: members agree with single simulations, and failures are isolated."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pinred.system.state_fields import State
 NEAR: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-11}  # round-off times a short stretch
 
 
-def test_many_are_one_at_a_time() -> None:
-    """The states of `simulate`, momentum zero or not; the same bits on any number of threads."""
+def test_members_agree_with_simulate() -> None:
+    """With and without momentum; the bits do not depend on the number of threads."""
     system = pinred.load("falling_cat")
     rng = np.random.default_rng(0)
     x0, xdot0 = rng.uniform(-0.5, 0.5, (12, 3)), rng.normal(size=(12, 3))
@@ -44,8 +44,8 @@ def test_many_are_one_at_a_time() -> None:
             np.testing.assert_allclose(getattr(many[i], field), getattr(one, field), **NEAR)
 
 
-def test_other_methods_have_the_same_bits() -> None:
-    """What has no lanes runs one after another, as `simulate` does."""
+def test_methods_without_lanes_give_bits_of_simulate() -> None:
+    """Members are integrated one after another."""
     system = pinred.load("planar_chain5")
     for method in ("Gauss(0.01)", "AdaptiveGauss"):
         many = pinred.simulate_many(system, seeds=range(3), times=[1.0], method=method)
@@ -53,8 +53,8 @@ def test_other_methods_have_the_same_bits() -> None:
         np.testing.assert_array_equal(many[2].q, one.q)
 
 
-def test_seeds() -> None:
-    """A random state each; of many, an open choice is DOP853."""
+def test_seeds_give_random_states() -> None:
+    """DOP853 is the default for many members."""
     system = pinred.load("planar_chain5")
     many = pinred.simulate_many(system, seeds=range(4), times=[1.0])
     one = pinred.simulate(system, seed=2, times=[1.0])
@@ -64,8 +64,8 @@ def test_seeds() -> None:
     np.testing.assert_allclose(many[2].q, same.q, **NEAR)
 
 
-def test_a_failure_stays_apart() -> None:
-    """The member that runs away is named, with its time; the others are as without it."""
+def test_failure_does_not_affect_other_members() -> None:
+    """The failed member is listed with its time."""
     system = pinred.load("coupled_planar")
     x0 = np.array([[0.0], [1.0], [0.0]])
     many = pinred.simulate_many(system, x0=x0, duration=100.0, springs={"hinge": (-1e6, 0.0)})
@@ -82,15 +82,15 @@ def test_a_failure_stays_apart() -> None:
     np.testing.assert_array_equal(alone.x[0], many.x[0])
 
 
-def test_one_that_only_translates() -> None:
-    """Nothing to integrate is no trouble."""
+def test_body_without_variables_is_simulated() -> None:
+    """A body that only translates has no integrated variables."""
     cart = pinred.load("cartpole", lock=["pole_pivot"])
     many = pinred.simulate_many(cart, xi0=np.array([[1.0], [2.0]]), duration=2.0)
     np.testing.assert_allclose(many[1].pose[-1], [4.0])
 
 
-def test_bad_members() -> None:
-    """Lengths that differ, or nothing that varies, are refused."""
+def test_invalid_members_are_rejected() -> None:
+    """Lengths that differ, and options without differences, are rejected."""
     system = pinred.load("coupled_planar")
     with pytest.raises(pinred.ShapeError, match="x0: 2, xdot0: 3"):
         pinred.simulate_many(system, x0=np.zeros((2, 1)), xdot0=np.zeros((3, 1)))
@@ -106,8 +106,8 @@ def test_bad_members() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
-def test_progress_counts_members(method: str) -> None:
-    """The part that is done grows, whatever takes the steps; what it raises ends the call."""
+def test_progress_is_fraction_of_members(method: str) -> None:
+    """Progress grows for all methods, and its exceptions end the call."""
     system = pinred.load("satellite_two_arms")
     parts: list[float] = []
     options = {"seeds": range(400), "duration": 60.0, "method": getattr(pinred, method)()}
@@ -125,7 +125,7 @@ def test_progress_counts_members(method: str) -> None:
         pinred.simulate_many(system, progress=enough, **options)
 
 
-def test_progress_that_cannot_be_told() -> None:
-    """What is no function is refused before any work."""
+def test_invalid_progress_is_rejected() -> None:
+    """A value that is no function is rejected before the integration."""
     with pytest.raises(pinred.InputError, match="progress must be True or a function"):
         pinred.simulate_many(pinred.load("falling_cat"), seeds=[0], progress="bar")  # type: ignore[arg-type]

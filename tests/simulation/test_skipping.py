@@ -1,4 +1,4 @@
-"""What a scene lets the simulation skip: where a rule applies, and where it almost does."""
+"""Rules that skip terms: scenes to which they apply, and scenes close to these."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ SIZES |= dict.fromkeys(("SO3", "SE3"), (4, 3, 4, 0))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("group", GROUPS)
-def test_the_base_is_left_out(group: str) -> None:
-    """Fewer numbers are integrated, and the shape is ABA's all the same."""
+def test_shape_outputs_integrate_fewer_variables(group: str) -> None:
+    """The shape agrees with ABA."""
     system = pinred.load(random_model(group, 2, 7, armature=group == "SE3"))
     for k, momentum in enumerate((MOVING[group], [0.0] * system.r)):
         every = pinred.Scene(
@@ -56,13 +56,13 @@ def test_the_base_is_left_out(group: str) -> None:
 
 
 def flow(system: pinred.System, **options: Any) -> CompiledFlow:
-    """The compiled flow of a scene."""
+    """Return the compiled flow of a scene."""
     return CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, **options)))
 
 
 @pytest.mark.parametrize("momentum", [1e-300, 1e-12])
-def test_almost_no_momentum(momentum: float) -> None:
-    """It counts as some, and the motion is that of none to within it."""
+def test_tiny_momentum_is_not_skipped(momentum: float) -> None:
+    """The motion agrees with that of zero momentum within the momentum."""
     system = pinred.load("falling_cat")
     mu = np.array([0.0, 0.0, 0.0, 0.0, 0.0, momentum])
     options: dict[str, Any] = {"xdot0": np.full(3, 0.3), "duration": 2.0}
@@ -82,8 +82,8 @@ def test_almost_no_momentum(momentum: float) -> None:
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-9, 1e-3])
-def test_an_almost_balanced_wheel(offset: float) -> None:
-    """A wheel whose centre of mass is off its axis by a nanometre is not cyclic any more."""
+def test_slightly_unbalanced_wheel_is_not_cyclic(offset: float) -> None:
+    """Its centre of mass is a nanometre off its axis."""
     model = pinred.load("reaction_wheel_satellite").model.copy()
     k = model.getJointId("wheel_x")
     inertia = model.inertias[k]
@@ -103,8 +103,8 @@ def test_an_almost_balanced_wheel(offset: float) -> None:
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-300, 1e-6])
-def test_almost_no_gravity(size: float) -> None:
-    """Gravity across a rail: nothing at 1e-300, a potential at a millionth; ABA either way."""
+def test_tiny_gravity_across_a_rail(size: float) -> None:
+    """Gravity of 1e-300 is skipped, of 1e-6 is a potential; both agree with ABA."""
     system = pinred.load("cartpole", gravity=(0.0, 0.0, -size))
     scene = pinred.Scene(system=system, x0=[1.0], xdot0=[0.5], xi0=[0.3], duration=2.0)
     assert (CompiledFlow.of_plan(plan_of(scene)).kernel.structure.gravity != ()) == (size == 1e-6)
@@ -114,8 +114,8 @@ def test_almost_no_gravity(size: float) -> None:
         assert aba.max_difference(system.model, q, traj.q[::50]) < 1e-9
 
 
-def test_a_wrench_that_is_zero_and_one_that_is_not() -> None:
-    """A wrench makes momentum and path of the base numbers of y, even where it is zero now."""
+def test_wrench_makes_momentum_and_path_variables() -> None:
+    """A wrench adds variables even if its value is zero."""
     system = pinred.load("falling_cat")
     options: dict[str, Any] = {"xdot0": np.full(3, 0.3), "momentum": 0, "duration": 1.0}
     bare = pinred.simulate(system, **options)

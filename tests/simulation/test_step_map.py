@@ -1,4 +1,4 @@
-"""One step of a flow as a map, against ABA with short Runge–Kutta steps and its differences."""
+"""One step of a flow as a map, against ABA with short Runge–Kutta steps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAMES = ("u0", "u1", "u2")
 
 
 def flow_of(method: str = "DOP853", **options: Any) -> pinred.Flow:
-    """Return the flow of a cat with three torques, of which one grows with time."""
+    """Return the flow of a cat with three torques, one of which grows with time."""
     a, b, c = (Parameter(name, 0.1 * (k + 1)) for k, name in enumerate(NAMES))
     law = Torque(lambda t, *_: {"bend": a * (1.0 + t), "sway": b, "twist": c})
     given = {"seed": 1, "duration": 0.5, "forces": [law], "wrt": NAMES, "method": method}
@@ -28,7 +28,7 @@ def flow_of(method: str = "DOP853", **options: Any) -> pinred.Flow:
 
 
 def by_aba(system: pinred.System, state: Any, u: Array, t: float, count: int) -> tuple[Any, Any]:
-    """Return q and v after H by the classical method on ABA, in tangents of q."""
+    """Return q and v after H by the classical Runge–Kutta method on ABA, in tangents of q."""
     model, h = system.model, H / count
     data, nv = model.createData(), model.nv
     q, v = system.q(state.pose, state.x), system.v(state.xi, state.xdot)
@@ -52,8 +52,8 @@ def by_aba(system: pinred.System, state: Any, u: Array, t: float, count: int) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("method", "t"), [("DOP853", 0.0), ("DOP853", 0.3), ("Gauss(0.02)", 0.3)])
-def test_step_and_its_jacobians(method: str, t: float) -> None:
-    """The step is ABA's, from any time; F_x and F_u are its differences."""
+def test_step_and_jacobians_agree_with_aba(method: str, t: float) -> None:
+    """From any time, the Jacobians F_x and F_u agree with differences."""
     flow = flow_of(method)
     step, system, start = flow.step(H), flow.system, flow.scene.start
     u = np.array([0.3, 0.2, 0.3])
@@ -84,8 +84,8 @@ def test_step_and_its_jacobians(method: str, t: float) -> None:
         np.testing.assert_allclose(jacobian[:, k], np.concatenate(parts) / (2.0 * h), atol=1e-6)
 
 
-def test_steps_in_a_row_are_the_flow() -> None:
-    """A State comes out that goes in again: 25 steps are the motion over 25 steps' time."""
+def test_consecutive_steps_agree_with_simulate() -> None:
+    """25 steps from State to State agree with the motion."""
     flow = flow_of("DOP853", rtol=1e-12)
     step, state = flow.step(H), flow.scene.start  # type: Any, Any
     for k in range(25):
@@ -104,8 +104,8 @@ def test_steps_in_a_row_are_the_flow() -> None:
     np.testing.assert_allclose(state.pose, end.pose, rtol=0, atol=1e-7)
 
 
-def test_refusals() -> None:
-    """Steps over breaks, out of the scene, or of states that are none, are refused in words."""
+def test_invalid_steps_are_rejected() -> None:
+    """Steps over breaks, outside the scene, or from invalid states are rejected."""
     step = flow_of().step(H)
     assert step.parameters == dict.fromkeys(NAMES, 1)
     assert "falling_cat" in repr(step)

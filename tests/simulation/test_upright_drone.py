@@ -1,4 +1,4 @@
-"""ℝ × SE(2): a drone held upright turns by what its boom does, and falls as a stone does."""
+"""ℝ × SE(2): the yaw of an upright drone follows its boom, and its base is in free fall."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ G = 9.81
 
 
 def arm(lift: float) -> float:
-    """J of the arm about the drone's axis, with the centre of mass of all at rest."""
+    """Return the moment J of the arm about the drone's axis, with the centre of mass at rest."""
     return float(0.03 + 0.12 * np.cos(lift) ** 2)
 
 
 @pytest.mark.parametrize("lift", [0.0, 0.7, -1.3])
 @pytest.mark.parametrize("swivel", [0.0, 2.0])
-def test_split_in_closed_form(swivel: float, lift: float) -> None:
-    """A and M as the catalogue says; the curvature of the yaw is the slope of A."""
+def test_connection_and_metric_agree_with_closed_form(swivel: float, lift: float) -> None:
+    """A and M agree with the catalogue, and the yaw curvature with the derivative of A."""
     at = pinred.Reduction(pinred.load("upright_drone")).at([swivel, lift])
     J, slope = arm(lift), -0.12 * np.sin(2 * lift)
     yaw = J / (0.06 + J)
@@ -43,8 +43,8 @@ def test_split_in_closed_form(swivel: float, lift: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_loop_of_the_boom_yaws_the_drone(engine: Engine) -> None:
-    """Without momentum the yaw is −∮ A dα, and height and drift come back but for the fall."""
+def test_closed_boom_path_yaws_the_drone(engine: Engine) -> None:
+    """Without momentum the yaw is −∮ A dα, and only free fall changes height and drift."""
     system, T = pinred.load("upright_drone"), 2.0
     loop = {"swivel": Fourier(0.0, [0.6], [], T), "raise": Fourier(0.2, [], [0.9], T)}
     traj = pinred.simulate(system, prescribed=loop, momentum=0, duration=T, engine=engine)
@@ -68,8 +68,8 @@ def test_a_loop_of_the_boom_yaws_the_drone(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_thrust_holds_it_up(engine: Engine) -> None:
-    """A thrust of m g along the climb, the first entry of a wrench: the height is constant."""
+def test_thrust_equal_to_gravity_keeps_height(engine: Engine) -> None:
+    """The first entry of the wrench is a thrust m g along the climb."""
     system = pinred.load("upright_drone", lock=["raise", "swivel"])
     hover = Wrench([4.0 * G, 0.0, 0.0, 0.05])
     traj = pinred.simulate(
@@ -81,8 +81,8 @@ def test_thrust_holds_it_up(engine: Engine) -> None:
     np.testing.assert_allclose(traj.pose[:, 3], expected, atol=1e-9)
 
 
-def test_any_gravity_only_makes_it_fall() -> None:
-    """Along the climb and across it: the shape and the yaw do not notice."""
+def test_gravity_does_not_affect_shape_and_yaw() -> None:
+    """Gravity acts along the climb and across it."""
     motions = []
     for gravity in ((0.0, 0.0, 0.0), (1.0, -2.0, -9.0)):
         system = pinred.load("upright_drone", gravity=gravity)
@@ -95,8 +95,8 @@ def test_any_gravity_only_makes_it_fall() -> None:
 
 
 @pytest.mark.slow
-def test_files_say_the_group(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """On the command line, in a scene file, and in what is written and read back."""
+def test_group_is_restored_from_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command line, scene files and recordings state the group."""
     urdf = bundled_folder() / "upright_drone.urdf"
     assert pinred.load(urdf).group.name == "SE3"
     assert main(["compare", str(urdf), "--group", "RxSE2", "--seed", "1", "--time", "0.5"]) == 0

@@ -1,4 +1,4 @@
-"""Inertias of bodies as inputs of the kernel: values, derivatives, and what is refused."""
+"""Inertias of bodies as inputs of the kernel: values, derivatives and rejected values."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ VALUES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.by_hand
 @pytest.mark.parametrize("name", [*VALUES])
-def test_a_robot_with_other_inertias(name: str) -> None:
-    """The motion is that of ABA on a model which Pinocchio itself would change so."""
+def test_other_inertias_agree_with_aba(name: str) -> None:
+    """Pinocchio changes the inertias of its own model."""
     system, values = pinred.load(name), VALUES[name]
     traj = pinred.simulate(system, seed=1, duration=0.2, parameters=values)
     report = pinred.compare(traj)
@@ -58,8 +58,8 @@ def test_a_robot_with_other_inertias(name: str) -> None:
 
 @pytest.mark.by_hand
 @pytest.mark.parametrize("name", [*VALUES])
-def test_derivatives_by_inertias(name: str) -> None:
-    """They agree with differences, and the adjoint with the tangent."""
+def test_derivatives_by_inertias_agree_with_differences(name: str) -> None:
+    """The adjoint agrees with the tangent."""
     flow = pinred.flow(
         pinred.load(name), seed=1, duration=0.3, wrt=[*VALUES[name]], rtol=1e-12, method="DOP853"
     )
@@ -79,8 +79,8 @@ def test_derivatives_by_inertias(name: str) -> None:
             np.testing.assert_allclose(found, expected, atol=3e-6 * max(1, np.abs(found).max()))
 
 
-def test_log_cholesky() -> None:
-    """The ten parameters of the own inertia give it back, and any ten give a real body."""
+def test_log_cholesky_parameters_are_physical() -> None:
+    """The ten parameters reproduce the inertia, and any ten give a physical one."""
     system = pinred.load("falling_cat")
     bodies = Bodies(system, ["back.log_cholesky"])
     same = ModelParameters(system, ["back.log_cholesky"]).system(bodies.own()).model.inertias[4]
@@ -98,8 +98,8 @@ def test_log_cholesky() -> None:
         np.testing.assert_allclose((high - low) / 2.0, expected, atol=1e-9 * size)
 
 
-def test_one_build_for_all_inertias(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Other values take the kernel that is there; nothing that varies folds as ever."""
+def test_new_inertias_reuse_the_kernel(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred masses and centres of mass take one kernel."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
     made: list[str] = []
     whole: Any = vars(build)["compile_object"]
@@ -123,8 +123,8 @@ def test_one_build_for_all_inertias(tmp_path: Any, monkeypatch: pytest.MonkeyPat
     assert again.parameters["link2.mass"] == 2.0  # a system keeps what it was given
 
 
-def test_a_wheel_that_may_become_unbalanced() -> None:
-    """A joint is cyclic only if it stays so for all values of what varies."""
+def test_wheel_with_variable_centre_is_not_cyclic() -> None:
+    """A joint is cyclic only if all values of the parameters keep it cyclic."""
     system = pinred.load("reaction_wheel_satellite")
     cyclic = {
         name: pinred.flow(system, wrt=[name], duration=0.1).propagator.kernel.structure.cyclic
@@ -135,8 +135,8 @@ def test_a_wheel_that_may_become_unbalanced() -> None:
     }  # fmt: skip
 
 
-def test_refusals() -> None:
-    """What no real body has, and names that nothing has, are refused by name."""
+def test_unphysical_inertias_are_rejected() -> None:
+    """Unphysical values and unknown names are rejected by name."""
     cat = pinred.load("falling_cat")
 
     def refused(match: str, **options: Any) -> None:
@@ -156,8 +156,8 @@ def test_refusals() -> None:
     )
 
 
-def test_what_callers_do_with_their_arrays_later_is_theirs() -> None:
-    """A run is kept for its derivatives with the values it was made with."""
+def test_inputs_are_copied() -> None:
+    """Changing an array after a call does not change the derivatives of that call."""
     system = pinred.load("planar_chain5")
     name = f"{system.shape_names[2]}.com"
     flow, anew = (pinred.flow(system, seed=1, duration=0.2, wrt=[name]) for _ in range(2))

@@ -1,4 +1,4 @@
-"""Placements, locked joints and gravity as inputs: values, derivatives, and what is refused."""
+"""Placements, locked joints and gravity as inputs: values, derivatives and rejected values."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def loaded(case: str) -> tuple[pinred.System, dict[str, Any]]:
     "case",
     [pytest.param(c, marks=pytest.mark.slow if c in SOME else pytest.mark.by_hand) for c in CASES],
 )
-def test_motions_and_derivatives(case: str) -> None:
-    """Motions are those of ABA on the changed model, derivatives those of the flow's values."""
+def test_motions_agree_with_aba_and_derivatives_with_differences(case: str) -> None:
+    """ABA uses the changed model."""
     system, values = loaded(case)
     traj = pinred.simulate(system, seed=1, duration=0.3, parameters=values)
     report = pinred.compare(traj)
@@ -77,8 +77,8 @@ def test_motions_and_derivatives(case: str) -> None:
         np.testing.assert_allclose(found[flow.outputs["pose"]], turned, rtol=0, atol=2e-6)
 
 
-def test_locked_values_are_those_of_load() -> None:
-    """A robot with another value of a locked joint is the one that is loaded with it."""
+def test_lock_value_agrees_with_load() -> None:
+    """Another value of a locked joint gives the robot that is loaded with it."""
     system, values = loaded("locks in a row")
     varied = pinred.Scene(system=system, seed=1, parameters=values).system.model
     other = pinred.load("satellite_two_arms", lock={k[:-5]: v for k, v in values.items()}).model
@@ -98,8 +98,8 @@ def test_locked_values_are_those_of_load() -> None:
         )
 
 
-def test_frames_that_stay_follow_any_placement() -> None:
-    """Steps in frames that stay are those of Pinocchio's kinematics, at any placement."""
+def test_body_frames_agree_with_kinematics() -> None:
+    """Placements in constant frames agree with the kinematics of Pinocchio."""
     system, rng = pinred.load("satellite_two_arms"), np.random.default_rng(0)
     own, root = system.model, bodies_of(system)
     names = list(own.names)
@@ -118,8 +118,8 @@ def test_frames_that_stay_follow_any_placement() -> None:
         np.testing.assert_allclose(body.r, step.translation, rtol=0, atol=1e-14)
 
 
-def test_patterns() -> None:
-    """Zeros and quarter turns fold: a longer link costs one number, a flow takes any placement."""
+def test_zero_patterns_of_placements_are_folded() -> None:
+    """A longer link adds one parameter; flows accept any placement."""
     chain = pinred.load("planar_chain5")
     place = chain.model.jointPlacements[4].translation
     along = {"joint3.translation": [1.3 * place[0], 0.0, 0.0]}
@@ -135,8 +135,8 @@ def test_patterns() -> None:
     assert "placements of joint3, of any kind" in free.explain()
 
 
-def test_all_inputs(capsys: pytest.CaptureFixture[str]) -> None:
-    """Names without values, or "all", are inputs at the robot's own values."""
+def test_names_without_values_use_those_of_the_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    """Names alone, or "all", are inputs at the values of the robot."""
     cat = pinred.load("falling_cat")
     plain = pinred.simulate(cat, seed=1, duration=0.2)
     for parameters in (["back.mass", "sway.placement", "gravity"], "all"):
@@ -147,8 +147,8 @@ def test_all_inputs(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_members_in_lanes() -> None:
-    """Placements, masses, locks and gravity vary between members, in lanes, and agree with one."""
+def test_members_with_robot_parameters_agree_with_simulate() -> None:
+    """Placements, masses, locks and gravity differ between members in SIMD lanes."""
     cat, rng = pinred.load("falling_cat", lock={"twist": 0.1}), np.random.default_rng(0)
     masses, places = rng.uniform(0.5, 2.0, 10), rng.normal(size=(10, 6))
     members = {"spine1.mass": masses, "sway.placement": places, "xdot0": rng.normal(size=(10, 2))}
@@ -170,8 +170,8 @@ def test_members_in_lanes() -> None:
     np.testing.assert_allclose(found.q, locks.q, rtol=0, atol=1e-13)
 
 
-def test_refusals() -> None:
-    """What nothing has, says one thing twice, or is no number, is refused by name."""
+def test_invalid_robot_parameters_are_rejected() -> None:
+    """Unknown, duplicate and non-numeric parameters are rejected by name."""
     cat = pinred.load("falling_cat")
     locked = pinred.load("falling_cat", lock={"sway": 0.3})
 
@@ -206,8 +206,8 @@ def test_refusals() -> None:
         flow(gravity=[0.0, 0.0, -9.81])
 
 
-def test_hostile_values() -> None:
-    """Values that are no numbers, or too large, and names of two things are refused in words."""
+def test_hostile_values_are_rejected() -> None:
+    """Non-numeric or huge values, and ambiguous names, raise errors of pinred."""
     cat = pinred.load("falling_cat")
     options: dict[str, Any] = {"seed": 1, "duration": 0.1, "method": "DOP853"}
     flow = pinred.flow(cat, wrt=["back.mass", "bend.placement", "gravity"], **options)
@@ -239,8 +239,8 @@ def test_hostile_values() -> None:
     assert same.x.shape[:2] == (2, 201)
 
 
-def test_a_pivot_that_another_centre_turns() -> None:
-    """Gravity that acts only once a value has changed is in the kernel beforehand."""
+def test_variable_centre_of_pivot_keeps_gravity() -> None:
+    """The kernel includes gravity that acts only at other values."""
     body = pinred.load("rigid_body", gravity=(0, 0, -9.8))
     name, com = f"{body.root_name}.com", [0.1, 0.0, 0.2]
     traj = pinred.simulate(body, seed=1, duration=0.2, parameters={name: com})
@@ -251,8 +251,10 @@ def test_a_pivot_that_another_centre_turns() -> None:
     assert np.abs(still.xi[-1] - traj.xi[-1]).max() > 0.1
 
 
-def test_robots_that_were_loaded_otherwise(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two robots that differ in the placement that varies have kernels of their own: of frames."""
+def test_different_nominal_placements_have_separate_kernels(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The frames of bodies follow from the placement at loading."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
     cat = pinred.load("falling_cat")
     model = cat.model.copy()

@@ -1,7 +1,4 @@
-"""Numbers of the robot that vary beside forces which act by them: on links, or computed torque.
-
-A scene with a varied number is the scene of a robot with that number written in it.
-"""
+"""Robot parameters together with forces that depend on them: on links, or computed torque."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ JOINTS = 3
 
 
 def with_links(group: str, seed: int) -> pin.Model:
-    """A random tree in gravity where its group allows any, with a link anywhere on each body."""
+    """Return a random tree with a link on each body, in gravity where its group allows it."""
     rng, model = np.random.default_rng(seed), random_model(group, JOINTS, seed)
     model.gravity.linear = np.array(GRAVITY.get(group, (0.0, 0.0, 0.0)))
     for i in range(1, model.njoints):
@@ -37,7 +34,7 @@ def with_links(group: str, seed: int) -> pin.Model:
 
 
 def forces_on(system: pinred.System, rng: np.random.Generator) -> list[Any]:
-    """Wrenches on links in all frames, and computed torque or others where that makes no sense."""
+    """Return wrenches on links in all frames, with computed torque where possible."""
     a, b, *rest = system.shape_names
 
     def gust(t: Any, x: Any, _xdot: Any, _mu: Any) -> Any:
@@ -58,7 +55,7 @@ def forces_on(system: pinred.System, rng: np.random.Generator) -> list[Any]:
 
 
 def varied(model: pin.Model, rng: np.random.Generator) -> tuple[dict[str, Any], pin.Model]:
-    """Return values for some numbers of a robot, and a model that has them."""
+    """Return values of some robot parameters, and a model with these values."""
     other, values = model.copy(), dict[str, Any]()
     turned, moved = rng.permutation(np.arange(2, model.njoints))[:2].tolist()
     rpy, p, shift = rng.uniform(-1.0, 1.0, 3), rng.normal(size=3), rng.normal(size=3)
@@ -87,8 +84,8 @@ def varied(model: pin.Model, rng: np.random.Generator) -> tuple[dict[str, Any], 
         *(pytest.param(g, s, marks=pytest.mark.by_hand) for g in GROUPS for s in range(2, 5)),
     ],
 )
-def test_a_varied_scene_is_that_of_a_robot_with_the_numbers_in_it(group: str, seed: int) -> None:
-    """By simulate, by a flow and in lanes; and ABA of that robot passes it."""
+def test_scene_parameters_agree_with_changed_robot(group: str, seed: int) -> None:
+    """simulate, flows and members agree, and ABA of the changed robot passes."""
     model, rng = with_links(group, seed), np.random.default_rng(seed)
     values, other = varied(model, rng)
     ties = Contents(couplings=couple(model, rng, 1) if seed % 2 == 0 else ())
@@ -125,8 +122,8 @@ NUMBERS: dict[str, Any] = {"back.mass": 2.0, "bend.placement": TURNED, "sway.loc
     pytest.param("AdaptiveGauss", marks=pytest.mark.by_hand),
     pytest.param("Gauss(0.02)", marks=pytest.mark.by_hand),
 ])  # fmt: skip
-def test_derivatives(method: str) -> None:
-    """A step that stays has Richardson's slopes, and the flow's adjoint is its tangent."""
+def test_derivatives_agree_with_differences(method: str) -> None:
+    """A step agrees with Richardson's differences, and the adjoint with the tangent."""
     flow = pinred.flow(
         pinred.load("falling_cat", lock={"sway": 0.3}), seed=1, duration=0.1, wrt=[*NUMBERS],
         method=method, forces=[BEHIND, BACK, HELD],
@@ -155,13 +152,13 @@ def test_derivatives(method: str) -> None:
 
 
 def _column(state: Any) -> Any:
-    """Return the rows of a state behind its pose."""
+    """Return the entries of a state after its pose."""
     return np.concatenate([state.x, state.xdot, state.xi])
 
 
 @pytest.mark.slow
-def test_computed_torque_where_gravity_might_turn_the_base() -> None:
-    """It is refused where a value that varies would have gravity turn the base, and only there."""
+def test_computed_torque_on_unbalanced_pivot_is_rejected() -> None:
+    """It is rejected only if a variable parameter lets gravity turn the base."""
     swung = pinred.load("satellite_two_arms", group="SO3", gravity=(0, 0, -9.81))
     still = pinred.load("satellite_two_arms", group="SO3", gravity=(0, 0, 0))
     options: dict[str, Any] = {
@@ -181,8 +178,8 @@ def test_computed_torque_where_gravity_might_turn_the_base() -> None:
 
 
 @pytest.mark.slow
-def test_a_link_behind_a_locked_joint() -> None:
-    """A wrench on it goes where another value of the lock puts it; by the base, too."""
+def test_wrench_on_link_follows_lock_value() -> None:
+    """The lock value changes the place at which the wrench acts."""
     options: dict[str, Any] = {
         "seed": 1, "times": [0.1, 0.3], "method": "DOP853", "forces": [BEHIND, BACK, HELD]
     }  # fmt: skip
@@ -199,8 +196,8 @@ def test_a_link_behind_a_locked_joint() -> None:
     assert np.abs(many.q[0] - many.q[1]).max() > 1e-3
 
 
-def test_what_is_told_of_links() -> None:
-    """Those that forces act on, where numbers may move them."""
+def test_explain_lists_links_with_forces() -> None:
+    """explain= lists links with forces whose placement parameters may change."""
     satellite = pinred.load("satellite_two_arms")
     pull = Wrench([0.0, 0.0, 0.1], link="left_hand")
     locked = pinred.load("satellite_two_arms", lock={"left_wrist": 0.2})
