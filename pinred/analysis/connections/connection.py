@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -16,7 +17,6 @@ from ...kernels.connection.form import ConnectionForm
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.system import System
-from .connection_field import ConnectionField
 from .fluid import Ellipse, Ellipsoid, fluid_form
 from .mechanical import mechanical_code
 from .other_frames import from_link, in_section
@@ -29,22 +29,79 @@ _LEAST_OTHER = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
+class ConnectionField:
+    """A connection at many shapes, with the leading axes of x first in every array.
+
+    Each array is computed at first use, cached, and read-only.  Every array raises
+    SingularInertiaError, naming the first shape at which A is not defined.
+
+    Attributes:
+        connection: The connection.
+        x: Shapes, (..., m) [rad | m].
+    """
+
+    connection: Connection = field(repr=False)
+    x: Array
+
+    @property
+    def local(self) -> Array:
+        """Local connection A, (..., r, m)."""
+        return self._locals[0]
+
+    @property
+    def metric(self) -> Array:
+        """Metric M, (..., m, m).  Raises InputError if the connection has no metric."""
+        return _require_metric(self.connection.form, self._locals[1])
+
+    @cached_property
+    def curvature(self) -> Array:
+        """Curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m)."""
+        B, health = self.connection.code.curvature(self._flat)
+        self.connection.refuse_singular(self._flat, health)
+        return self._shaped(B)
+
+    @property
+    def exterior(self) -> Array:
+        """Exterior derivative ∂_αA_β − ∂_βA_α, (..., r, m, m): B of a commutative group."""
+        return self._parts[0]
+
+    @property
+    def bracket(self) -> Array:
+        """Bracket [A_α, A_β], (..., r, m, m); curvature = exterior − bracket."""
+        return self._parts[1]
+
+    @cached_property
+    def _locals(self) -> tuple[Array, Array | None]:
+        A, M, _ = self.connection.locals_at(self._flat)
+        return self._shaped(A), None if M is None else self._shaped(M)
+
+    @cached_property
+    def _parts(self) -> tuple[Array, Array]:
+        terms = self.connection.curvatures_at(self._flat)
+        return self._shaped(terms.exterior), self._shaped(terms.bracket)
+
+    @property
+    def _flat(self) -> Array:
+        return self.x.reshape(-1, self.connection.m)
+
+    def _shaped(self, array: Array) -> Array:
+        return read_only(array.reshape(*self.x.shape[:-1], *array.shape[1:]))
+
+
+@dataclass(frozen=True, eq=False)
 class Connection:
     """A local connection on G × B: horizontal motion is ξ = −A(x) ẋ.
 
-    ξ is the body twist of the base, (r,) [linear; angular].  The curvature is
-    B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (r, m, m), with the bracket of body twists.  Connections
-    from momenta, drag or fluid also define a metric M on shape space: inertia or dissipation.
-    Connections from wheels do not.  Values are computed by machine code, which is compiled at
-    first use and validated against Pinocchio.
+    ξ is the body twist of the base, (r,) [linear; angular].  Connections from momenta, drag or fluid
+    also define a metric M on shape space: inertia or dissipation.  Values are computed by machine
+    code, which is compiled at first use and validated against Pinocchio.
 
     Attributes:
         form: Form of velocities that vanishes on horizontal motions.
         code: Its machine code.
         system: The system, if the connection was built from one.
         is_mechanical: Whether horizontal motion has zero momentum, without fluid.
-        turned_by_gravity: Reason why gravity changes the momenta, so that no motion is horizontal;
-            empty if it does not.
+        turned_by_gravity: Reason why gravity changes the momenta; empty if it does not.
     """
 
     form: ConnectionForm = field(repr=False)
@@ -94,14 +151,11 @@ class Connection:
     def fluid(
         cls, system: System, density: float, bodies: Mapping[str, Ellipsoid | Ellipse | ArrayLike]
     ) -> Connection:
-        """Return the connection of a robot in a perfect fluid, by added masses.
-
-        The flow around each body is computed as if there were no other body.
+        """Return the connection in a perfect fluid, by added masses of each body alone.
 
         Args:
             system: The system.
-            density: Density of the fluid [kg/m³]; with an Ellipse [kg/m²], if the masses of the
-                robot are per metre of height.
+            density: Density of the fluid [kg/m³], or [kg/m²] per metre of height with an Ellipse.
             bodies: {link: Ellipsoid, Ellipse or tensor}.  A tensor (6, 6) is symmetric and is the
                 added inertia per density in the link's frame.
         Returns:
@@ -120,24 +174,21 @@ class Connection:
             system: The system.
             wheels: Wheels, as many as the group has dimensions.
         Returns:
-            The connection, without metric.  Its methods raise SingularInertiaError at shapes where
-            the wheels do not determine the motion of the body.
+            The connection, without metric.
         """
         return replace(cls.of(kinematic_form(system, wheels)), system=system)
 
     def seen_from(self, link: str) -> Connection:
         """Return the same connection with another link as the base; ξ is then its twist.
 
-        A cycle from x₀ has the phase h(x₀)⁻¹ g h(x₀), where h is the pose of the link relative to
-        the old base.
+        A cycle from x₀ then has the phase h(x₀)⁻¹ g h(x₀); h: pose relative to the old base.
 
         Args:
-            link: Name of the link.
+            link: Name of the link, whose motions must be in the group.
         Returns:
             The connection.
         Raises:
-            InputError: The connection has no system, there is no such link, or its motions are
-                not in the group.
+            InputError: The connection has no system, or the link is not admissible.
         """
         if self.system is None:
             raise InputError("only a connection made from a System can be seen from a link")
@@ -209,10 +260,10 @@ class Connection:
         Returns:
             (m, m), symmetric and positive.  Raises InputError if there is no metric.
         """
-        return read_only(self.checked_metric(self.locals_at(self._one(x))[1])[0])
+        return read_only(_require_metric(self.form, self.locals_at(self._one(x))[1])[0])
 
     def curvature(self, x: ArrayLike) -> Array:
-        """Compute the curvature B(x).
+        """Compute the curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], with the bracket of twists.
 
         Args:
             x: Shape, (m,) [rad | m].
@@ -300,27 +351,13 @@ class Connection:
         self.refuse_singular(x, terms.health)
         return terms
 
-    def checked_metric(self, M: Array | None) -> Array:
-        """Return the metric.
-
-        Args:
-            M: Metrics at some shapes, or None.
-        Returns:
-            M.
-        Raises:
-            InputError: There is no metric.
-        """
-        if M is None:
-            raise InputError(f"{self.form.what} give no metric on shape space")
-        return M
-
     def refuse_gravity(self) -> None:
         """Raise SymmetryError if gravity changes the momenta, so that no motion is horizontal."""
         if self.turned_by_gravity:
             raise SymmetryError(f"momenta are not conserved: {self.turned_by_gravity}")
 
     def refuse_singular(self, x: Array, health: Array) -> None:
-        """Reject shapes at which A is not defined.
+        """Raise an error at shapes where A is not defined.
 
         Args:
             x: Shapes, (N, m) [rad | m].
@@ -357,3 +394,10 @@ class Connection:
 
     def _one(self, x: ArrayLike) -> Array:
         return vector(x, self.m, f"shape x of {self.form.what}", self.joints)[None]
+
+
+def _require_metric(form: ConnectionForm, M: Array | None) -> Array:
+    """Return the metric M.  Raises InputError if there is none."""
+    if M is None:
+        raise InputError(f"{form.what} give no metric on shape space")
+    return M
