@@ -332,7 +332,7 @@ def sectional(R: Array, M: Array, u: Array, v: Array) -> float:
 
 
 def reduced_metric_derivatives(d: InertiaDerivatives, r: int) -> tuple[Array, Array, Array]:
-    """Differentiate M = H_ss − Aᵀ H_bs, A = I⁻¹ H_bs, twice.
+    """Differentiate M = H_ss − Aᵀ H_bs, with A = I⁻¹ H_bs, twice.
 
     Args:
         d: Derivatives of the mass matrix at one shape.

@@ -171,9 +171,9 @@ def lost_inertia(system: System, x: Array) -> str:
 
     Args:
         system: The system.
-        x: Shape, (m,) [rad | m].
+        x: Shape, (m,).
     Returns:
-        The text.  It is empty if the least eigenvalue of the mass matrix, scaled by usual inertias,
+        The text. It is empty if the least eigenvalue of the mass matrix, scaled by usual inertias,
         is not far below its value at random shapes.
     """
     if not np.isfinite(x).all():

@@ -215,10 +215,10 @@ def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
 
     Args:
         system: The system.
-        model: Its model with the component of gravity that acts on the shape.
-        data: Work space of this model.
+        model: Model with the component of gravity that acts on the shape.
+        data: Data of this model.
     Raises:
-        SymmetryError: There is a moment.
+        SymmetryError: Gravity exerts a moment.
     """
     rng = np.random.default_rng(0)
     directions = []

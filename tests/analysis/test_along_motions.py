@@ -16,7 +16,7 @@ from pinred.forces import Controller, Damper
 from pinred.reduction.canonical_form import CanonicalForm
 from pinred.reduction.potential import Potential
 
-SIX = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))  # differences of order six
+SIX = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))  # offsets and weights of sixth-order differences
 
 
 def chaotic_motion(duration: float) -> pinred.Trajectory:
@@ -77,40 +77,40 @@ def test_tangent_directions_match_separation_of_aba_motions() -> None:
     """A tangent direction after 3 s equals the difference of two ABA runs."""
     traj = chaotic_motion(3.0)
     system, model = traj.system, traj.system.model
-    whole = linearised_flow(traj)
-    kick = np.array([0.3, -0.5, 0.2])  # of the shape, at the same momenta
-    whole.Y[:] = 0.0
-    whole.Y[:3, 0] = kick
-    whole.advance(3.0)
+    flow = linearised_flow(traj)
+    perturbation = np.array([0.3, -0.5, 0.2])  # change of the shape at constant momenta
+    flow.Y[:] = 0.0
+    flow.Y[:3, 0] = perturbation
+    flow.advance(3.0)
     ends = []
     red = pinred.Reduction(system)
     momenta = red.mass_matrix(traj.x[0]) @ np.r_[traj.xi[0], traj.xdot[0]]
     for sign in (1.0, -1.0):
-        x = traj.x[0] + sign * 1e-7 * kick
+        x = traj.x[0] + sign * 1e-7 * perturbation
         v = np.linalg.solve(red.mass_matrix(x), momenta)
         q, rates = aba.integrate(model, system.model_q([0.0], x), v, np.array([3.0]), rtol=1e-13)
         end = system.configuration(q[-1])
         pi = (red.mass_matrix(end.x) @ rates[-1])[1:]
         ends.append(np.concatenate([end.x, pi]))
-    apart = ends[0] - ends[1]
-    apart[:3] -= 2.0 * np.pi * np.round(apart[:3] / (2.0 * np.pi))
-    grown = apart / 2e-7
+    difference = ends[0] - ends[1]
+    difference[:3] -= 2.0 * np.pi * np.round(difference[:3] / (2.0 * np.pi))
+    grown = difference / 2e-7
     size = np.abs(grown).max()
     assert size > 30.0
-    np.testing.assert_allclose(whole.Y[:6, 0], grown, atol=1e-4 * size)
+    np.testing.assert_allclose(flow.Y[:6, 0], grown, atol=1e-4 * size)
 
 
 @pytest.mark.slow
 def test_lyapunov_spectrum_is_paired_and_matches_aba() -> None:
     """The sum is zero to 1e-8, pairs agree to 2 %, and the largest exponent matches ABA to 10 %."""
     traj = chaotic_motion(40.0)
-    found = pinred.lyapunov(traj)
-    assert len(found.exponents) == 6
-    assert abs(found.exponents.sum()) < 1e-8
-    largest = found.exponents[0]
-    assert np.abs(found.exponents + found.exponents[::-1]).max() < 0.02 * largest
-    assert found.history.shape == (len(found.times), 6)
-    assert "1/s" in str(found)
+    spectrum = pinred.lyapunov(traj)
+    assert len(spectrum.exponents) == 6
+    assert abs(spectrum.exponents.sum()) < 1e-8
+    largest = spectrum.exponents[0]
+    assert np.abs(spectrum.exponents + spectrum.exponents[::-1]).max() < 0.02 * largest
+    assert spectrum.history.shape == (len(spectrum.times), 6)
+    assert "1/s" in str(spectrum)
     assert growth_rate_by_aba(traj, 40.0) == pytest.approx(largest, rel=0.1)
 
 
@@ -148,10 +148,10 @@ def unit(z: Array) -> Array:
 def test_lyapunov_exponents_of_regular_motion_vanish() -> None:
     """Perturbations of Euler's top grow linearly in time, so exponents are of order log t/t."""
     body = pinred.load("rigid_body")
-    found = pinred.lyapunov(pinred.simulate(body, xi0=[0.5, 0.7, 1.6], duration=400.0))
-    assert len(found.exponents) == 2
-    assert np.abs(found.exponents).max() < 3.0 * np.log(400.0) / 400.0
-    assert abs(found.exponents.sum()) < 1e-9
+    spectrum = pinred.lyapunov(pinred.simulate(body, xi0=[0.5, 0.7, 1.6], duration=400.0))
+    assert len(spectrum.exponents) == 2
+    assert np.abs(spectrum.exponents).max() < 3.0 * np.log(400.0) / 400.0
+    assert abs(spectrum.exponents.sum()) < 1e-9
 
 
 HUB, MASS, LENGTH, WIDE, G = 0.3, 1.2, 0.7, 0.06, 9.81
@@ -189,7 +189,7 @@ def test_floquet_multipliers_match_mathieu_equation(
     height: float, frequency: float, at: float
 ) -> None:
     """θ̈ ± (m l/I)(g − a ω² cos ωt) θ = 0, integrated by SciPy, gives the same multipliers."""
-    found = pinred.floquet(shaken_motion(height, frequency, at))
+    multipliers = pinred.floquet(shaken_motion(height, frequency, at))
     sign = 1.0 if at == 0.0 else -1.0
 
     def hill(t: float, y: Array) -> list[float]:
@@ -203,24 +203,26 @@ def test_floquet_multipliers_match_mathieu_equation(
     ]
     expected = np.linalg.eigvals(np.array(columns).T).astype(complex)
     expected = expected[np.argsort(-np.abs(expected), kind="stable")]
-    np.testing.assert_allclose(np.abs(found.multipliers), np.abs(expected), rtol=1e-9)
-    assert found.multipliers.sum() == pytest.approx(expected.sum(), rel=1e-9)
-    assert found.multipliers.prod() == pytest.approx(1.0, abs=1e-11)
+    np.testing.assert_allclose(np.abs(multipliers.multipliers), np.abs(expected), rtol=1e-9)
+    assert multipliers.multipliers.sum() == pytest.approx(expected.sum(), rel=1e-9)
+    assert multipliers.multipliers.prod() == pytest.approx(1.0, abs=1e-11)
     if at:
-        assert np.abs(found.multipliers).max() == pytest.approx(1.0, abs=1e-9)  # Kapitza's
-    assert "closes to" in str(found)
+        assert np.abs(multipliers.multipliers).max() == pytest.approx(
+            1.0, abs=1e-9
+        )  # stable as Kapitza's pendulum
+    assert "closes to" in str(multipliers)
 
 
 def test_floquet_multipliers_at_edge_of_mathieu_tongue_are_minus_one() -> None:
     """On a = b₁(q) both multipliers are −1."""
     frequency = 9.0
     q = -0.3
-    # τ = ωt/2: a = 4 m l g/(I ω²), q = 2 m l A/I, whose sign is a shift of time.
+    # With τ = ωt/2: a = 4 m l g/(I ω²), q = 2 m l A/I. The sign of q is a shift of time.
     height = 2.0 * abs(q) * INERTIA / (4.0 * PULL)
     a = float(mathieu_b(1, abs(q)))
     frequency = float(np.sqrt(4.0 * PULL * G / (INERTIA * a)))
-    found = pinred.floquet(shaken_motion(height, frequency, 0.0))
-    assert found.multipliers.sum().real == pytest.approx(-2.0, abs=1e-9)
+    multipliers = pinred.floquet(shaken_motion(height, frequency, 0.0))
+    assert multipliers.multipliers.sum().real == pytest.approx(-2.0, abs=1e-9)
 
 
 def time_of_closure(traj: pinred.Trajectory, closure: float) -> float:
@@ -235,7 +237,7 @@ def test_floquet_of_rigid_body_rotation() -> None:
     body, xi = pinred.load("rigid_body"), [0.5, 0.0, 1.6]
     traj = pinred.simulate(body, xi0=xi, duration=40.0)
     mu = traj.body_momentum
-    # The period of the body momentum: from one passage through L₂ = 0 upwards to the next.
+    # The period of the body momentum is the time between two upward zeros of L₂.
     from scipy.optimize import brentq
 
     up = np.flatnonzero((mu[:-1, 1] < 0.0) & (mu[1:, 1] >= 0.0))
@@ -246,10 +248,10 @@ def test_floquet_of_rigid_body_rotation() -> None:
         )
 
     T = crossing(int(up[1])) - crossing(int(up[0]))
-    found = pinred.floquet(traj, period=T)
-    # A double one in a Jordan block: exact to the root of round-off.
-    np.testing.assert_allclose(found.multipliers, 1.0, atol=1e-4)
-    assert np.trace(found.monodromy) == pytest.approx(2.0, abs=1e-8)
+    multipliers = pinred.floquet(traj, period=T)
+    # The double eigenvalue 1 has a Jordan block, so its error is the root of round-off.
+    np.testing.assert_allclose(multipliers.multipliers, 1.0, atol=1e-4)
+    assert np.trace(multipliers.monodromy) == pytest.approx(2.0, abs=1e-8)
     for period in (0.5 * T, T + time_of_closure(traj, 4e-6)):
         with pytest.raises(pinred.InputError, match="differs from the initial one"):
             pinred.floquet(traj, period=period)

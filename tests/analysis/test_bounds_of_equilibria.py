@@ -25,7 +25,7 @@ from pinred.analysis.stability.second_variation import (
 from pinred.reduction.base_parts import BaseParts
 
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
-BEYOND, WITHIN = 4.0, 0.4  # times a bound
+BEYOND, WITHIN = 4.0, 0.4  # factors of a tolerance
 
 
 def body(*moments: float) -> pinred.System:
@@ -92,10 +92,10 @@ def test_growth_beyond_ten_errors_is_unstable(
     middle = Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]]))
     a, b = J * (1.0 / I[1] - 1.0 / I[2]), J * (1.0 / I[0] - 1.0 / I[1])
     error = 1e-14 * max(a, b) * (a + b) / (2.0 * np.sqrt(a * b))
-    found = equilibrium_at(problem, middle, J)
-    assert found.growth == pytest.approx(np.sqrt(a * b), rel=1e-12)
-    assert found.stability.growth_error == pytest.approx(error, rel=1e-6, abs=0.0)
-    monkeypatch.setattr(verdict, "_ROUND_OFF", 1e-14 * found.growth / (parts * error))
+    equilibrium = equilibrium_at(problem, middle, J)
+    assert equilibrium.growth == pytest.approx(np.sqrt(a * b), rel=1e-12)
+    assert equilibrium.stability.growth_error == pytest.approx(error, rel=1e-6, abs=0.0)
+    monkeypatch.setattr(verdict, "_ROUND_OFF", 1e-14 * equilibrium.growth / (parts * error))
     again = equilibrium_at(problem, middle, J)
     assert (again.verdict == "unstable") == (name == "unstable")
 
@@ -103,11 +103,11 @@ def test_growth_beyond_ten_errors_is_unstable(
 @pytest.mark.parametrize("part", [1e-7, 4e-6, 1e-3])
 def test_curvatures_above_1e_7_are_not_flat(part: float) -> None:
     """A curvature above 1e-7 of the largest does not count as a family direction."""
-    found = pinred.relative_equilibria(body(1.0, 1.0 + part, 2.0), momentum=1.0)
-    assert [each.verdict for each in found] == ["stable", "unstable", "stable"]
-    assert [each.dimension for each in found] == [0, 0, 0]
+    equilibria = pinred.relative_equilibria(body(1.0, 1.0 + part, 2.0), momentum=1.0)
+    assert [equilibrium.verdict for equilibrium in equilibria] == ["stable", "unstable", "stable"]
+    assert [equilibrium.dimension for equilibrium in equilibria] == [0, 0, 0]
     growth = np.sqrt(part * (1.0 - part) / 2.0) / (1.0 + part)
-    assert found[1].growth == pytest.approx(growth, rel=1e-7)
+    assert equilibria[1].growth == pytest.approx(growth, rel=1e-7)
 
 
 @pytest.mark.parametrize(("factor", "steady"), [(BEYOND, False), (WITHIN, True)])
@@ -120,7 +120,7 @@ def test_top_off_equilibrium_by_1e_8_is_undecided(factor: float, steady: bool) -
     pull = top.weight * np.linalg.norm(top.com)
     omega = (J - top.offset[2]) / top.inertia[2, 2]
     size = np.hypot(pull, top.scales[3] * omega)
-    # Aside by ε, the weight's moment along Γ and μ cannot be taken up by multipliers.
+    # At a tilt ε, no multipliers balance the torque of gravity.
     tilts = np.geomspace(1e-12, 1e-4, 161)
     left = np.array([_residual_at_tilt(top, tilt, J) for tilt in tilts])
     tilt = float(np.exp(np.interp(np.log(factor * 1e-8), np.log(left), np.log(tilts))))
@@ -161,7 +161,7 @@ def test_definiteness_limit_is_1e_14_of_largest_entry() -> None:
 def test_leaf_is_point_below_momentum_limit(factor: float, rows: int) -> None:
     """The leaf is a point below 1e-12 of the typical momentum, and a sphere above."""
     z = factor * 1e-12 * np.array([0.6, 0.0, 0.8])
-    found = _casimir_gradients(z, 0, BaseParts(momentum=3))
-    assert found.shape == (rows, 3)
+    gradients = _casimir_gradients(z, 0, BaseParts(momentum=3))
+    assert gradients.shape == (rows, 3)
     if rows == 1:
-        assert found[0] == pytest.approx([0.6, 0.0, 0.8])
+        assert gradients[0] == pytest.approx([0.6, 0.0, 0.8])

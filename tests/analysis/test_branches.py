@@ -19,7 +19,7 @@ from pinred.analysis.equilibria.problem import problem_of
 from pinred.common.arrays import Array
 
 HUB, MASS, LENGTH, G = 0.3, 1.2, 0.7, 9.81
-SLIM, WIDE = 0.01, 0.06  # moments of the arm along it and across
+SLIM, WIDE = 0.01, 0.06  # moments of inertia about the arm and transverse to it [kg m²]
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
 
 
@@ -53,22 +53,24 @@ def test_pitchfork_of_centred_governor() -> None:
     """With the hinge on the axis, J_c = I₀ √(m g l/ΔI). Above it two mirror images lift."""
     wide = MASS * LENGTH**2 + WIDE - SLIM
     critical = (HUB + SLIM) * np.sqrt(MASS * G * LENGTH / wide)
-    found = pinred.branches(governor(0.0), momentum=(0.2 * critical, 2.0 * critical), starts=40)
-    hanging = [p for p in found.pitchforks if abs(p.x[0]) < 1.0]
+    branches = pinred.branches(governor(0.0), momentum=(0.2 * critical, 2.0 * critical), starts=40)
+    hanging = [p for p in branches.pitchforks if abs(p.x[0]) < 1.0]
     assert len(hanging) == 1
     assert hanging[0].momentum == pytest.approx(critical, rel=1e-10)
-    assert found.folds == ()
+    assert branches.folds == ()
     (lifted,) = (
-        k for k in range(found.count) if any(0.1 < abs(p.x[0]) < 1.4 for p in found.branch(k))
+        k for k in range(branches.count) if any(0.1 < abs(p.x[0]) < 1.4 for p in branches.branch(k))
     )
-    for p in found.branch(lifted):
+    for p in branches.branch(lifted):
         if abs(p.x[0]) > 0.02:
             assert p.momentum**2 == pytest.approx(squared_momentum_at(p.x[0], 0.0), rel=1e-9)
             assert p.index == 0
             assert p.residual < 1e-12
-    assert min(p.momentum for p in found.branch(lifted)) == pytest.approx(critical, rel=2e-3)
-    (down,) = (k for k in range(found.count) if all(abs(p.x[0]) < 1e-6 for p in found.branch(k)))
-    for p in found.branch(down):
+    assert min(p.momentum for p in branches.branch(lifted)) == pytest.approx(critical, rel=2e-3)
+    (down,) = (
+        k for k in range(branches.count) if all(abs(p.x[0]) < 1e-6 for p in branches.branch(k))
+    )
+    for p in branches.branch(down):
         assert p.index == int(p.momentum > critical)
 
 
@@ -80,21 +82,23 @@ def test_fold_of_offset_governor() -> None:
         options={"xatol": 1e-12},
     )  # fmt: skip
     critical = np.sqrt(best.fun)
-    found = pinred.branches(governor(offset), momentum=(0.5 * critical, 2.0 * critical), starts=40)
-    assert len(found.folds) == 1
-    (fold,) = found.folds
+    branches = pinred.branches(
+        governor(offset), momentum=(0.5 * critical, 2.0 * critical), starts=40
+    )
+    assert len(branches.folds) == 1
+    (fold,) = branches.folds
     assert fold.momentum == pytest.approx(critical, rel=1e-10)
     assert fold.x[0] == pytest.approx(best.x, abs=1e-5)
     assert fold.residual < 1e-9
-    assert found.pitchforks == ()
-    through = found.branch(fold.branch)
+    assert branches.pitchforks == ()
+    through = branches.branch(fold.branch)
     assert {p.index for p in through} == {0, 1}
     for p in through:
         assert p.momentum**2 == pytest.approx(squared_momentum_at(p.x[0], offset), rel=1e-8)
     each = through[0].equilibrium()
     assert each.momentum == through[0].momentum
     assert each.residual < 1e-12
-    assert "fold at momentum" in str(found)
+    assert "fold at momentum" in str(branches)
 
 
 def test_fold_needs_extended_system_and_half_steps(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,7 +136,7 @@ def test_fold_needs_extended_system_and_half_steps(monkeypatch: pytest.MonkeyPat
             assert len(found_by.bifurcations_between(curve, here, there, 0.02)) == len(folds)
         v, e = curve.null_vector(fold.at), curve.energy(fold.at.points, fold.at.J)
         size = max(float(np.abs(e.hessian).max()), float(e.scale[0]))
-        with monkeypatch.context() as patch:  # where ∂F/∂J hardly has a part along v
+        with monkeypatch.context() as patch:  # with a small component of ∂F/∂J along v
             patch.setattr(
                 Curve, "slope_by_momentum", lambda *_, s=factor * 1e-6 * size * v / curve.unit: s
             )
@@ -161,21 +165,21 @@ def test_crossing_is_pitchfork_below_third_derivative_limit(third: float, kind: 
     )
     flat = np.zeros(1)
     at = CurvePoint(x=flat, n=np.zeros(0), J=1.0, tangent=flat, values=flat, residual=0.0)
-    found = found_by.classify(bent, at)
-    assert found is not None
-    assert found.kind == kind
+    bifurcation = found_by.classify(bent, at)
+    assert bifurcation is not None
+    assert bifurcation.kind == kind
 
 
 def test_rigid_body_has_three_branches_without_bifurcation() -> None:
     """The amended potential is ½ J²/I along three branches, each with one index."""
-    found = pinred.branches(pinred.load("rigid_body"), momentum=(0.5, 1.5), starts=20, step=0.2)
-    assert found.count == 3
-    assert len(found.folds) + len(found.pitchforks) + len(found.crossings) == 0
+    branches = pinred.branches(pinred.load("rigid_body"), momentum=(0.5, 1.5), starts=20, step=0.2)
+    assert branches.count == 3
+    assert len(branches.folds) + len(branches.pitchforks) + len(branches.crossings) == 0
     for k, I in enumerate((2.5, 2.0, 1.0)):
-        for p in found.branch(k):
+        for p in branches.branch(k):
             assert p.amended_potential == pytest.approx(0.5 * p.momentum**2 / I, rel=1e-12)
             assert p.index == k
-        ends = [found.branch(k)[0].momentum, found.branch(k)[-1].momentum]
+        ends = [branches.branch(k)[0].momentum, branches.branch(k)[-1].momentum]
         np.testing.assert_allclose(sorted(ends), [0.5, 1.5], rtol=1e-12)
 
 
@@ -183,8 +187,8 @@ def test_rigid_body_has_three_branches_without_bifurcation() -> None:
 def test_double_pendulum_has_fold_at_published_momentum() -> None:
     """The fold is at J = 0.908178; two more equilibria exist above it."""
     pendulum = pinred.load("double_spherical_pendulum")
-    found = pinred.branches(pendulum, momentum=(0.9, 0.915), starts=40, step=0.2)
-    (fold,) = found.folds
+    branches = pinred.branches(pendulum, momentum=(0.9, 0.915), starts=40, step=0.2)
+    (fold,) = branches.folds
     assert fold.momentum == pytest.approx(0.9081782824, rel=1e-9)
     before, after = (len(pinred.relative_equilibria(pendulum, momentum=J)) for J in (0.9, 0.915))
     assert after == before + 2

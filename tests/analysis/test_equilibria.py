@@ -37,7 +37,7 @@ def assert_steady(found: pinred.Equilibria, forces: dict[int, float] | None = No
         for k, torque in (forces or {}).items():
             tau[system.r + k] = torque
         free = pin.aba(model, data, q, v, tau)
-        if problem.driven:  # their drives keep them at their rates
+        if problem.driven:  # The drives keep these rates constant.
             rows = system.r + np.array(problem.driven)
             H = np.triu(pin.crba(model, data, q))
             inverse = np.linalg.inv(H + np.triu(H, 1).T)
@@ -56,21 +56,23 @@ def assert_steady(found: pinred.Equilibria, forces: dict[int, float] | None = No
 def test_rigid_body_has_three_axes() -> None:
     """The energy is ½ J²/I; the middle axis grows by λ = √((I₂−I₁)(I₃−I₂)/(I₁I₃)) Ω."""
     body = pinred.load("rigid_body")
-    I = np.array([2.5, 2.0, 1.0])  # the least energy first
+    I = np.array([2.5, 2.0, 1.0])  # descending, so that energies ascend
     J = 1.7
-    found = pinred.relative_equilibria(body, momentum=J)
-    assert len(found) == 3
-    np.testing.assert_allclose([e.amended_potential for e in found], 0.5 * J**2 / I, rtol=1e-14)
-    assert [e.verdict for e in found] == ["stable", "unstable", "stable"]
-    for k, each in enumerate(found):
+    equilibria = pinred.relative_equilibria(body, momentum=J)
+    assert len(equilibria) == 3
+    np.testing.assert_allclose(
+        [e.amended_potential for e in equilibria], 0.5 * J**2 / I, rtol=1e-14
+    )
+    assert [e.verdict for e in equilibria] == ["stable", "unstable", "stable"]
+    for k, each in enumerate(equilibria):
         np.testing.assert_allclose(np.abs(each.direction), np.eye(3)[2 - k], atol=1e-12)
         np.testing.assert_allclose(each.mu, J * each.direction, atol=1e-14)
         np.testing.assert_allclose(each.xi, J / I[k] * each.direction, atol=1e-13)
         a, b = np.delete(I, k)
         rate = J / I[k] * np.sqrt(abs((I[k] - a) * (I[k] - b)) / (a * b))
-        wanted = each.growth if k == 1 else each.frequencies[0]
-        assert wanted == pytest.approx(rate, rel=1e-12)
-    assert_steady(found)
+        expected = each.growth if k == 1 else each.frequencies[0]
+        assert expected == pytest.approx(rate, rel=1e-12)
+    assert_steady(equilibria)
 
 
 def test_growing_mode_grows_in_simulation() -> None:
@@ -81,28 +83,30 @@ def test_growing_mode_grows_in_simulation() -> None:
     assert middle.growth == pytest.approx(growth, rel=1e-12)
     scene = middle.scene(0, amplitude=1e-7, duration=20.0)
     traj = pinred.simulate(scene)
-    apart = np.linalg.norm(traj.body_momentum - middle.mu, axis=1)
-    rate = np.polyfit(traj.t[20:180], np.log(apart[20:180]), 1)[0]
+    difference = np.linalg.norm(traj.body_momentum - middle.mu, axis=1)
+    rate = np.polyfit(traj.t[20:180], np.log(difference[20:180]), 1)[0]
     assert rate == pytest.approx(growth, rel=1e-4)
 
 
 def test_double_pendulum_matches_published_counts() -> None:
     """At J = 2: 14 shapes, one stable, one undecided, 12 unstable; published frequencies."""
-    found = pinred.relative_equilibria(pinred.load("double_spherical_pendulum"), momentum=2.0)
-    assert len(found) == 14
-    verdicts = [e.verdict for e in found]
+    equilibria = pinred.relative_equilibria(pinred.load("double_spherical_pendulum"), momentum=2.0)
+    assert len(equilibria) == 14
+    verdicts = [e.verdict for e in equilibria]
     assert [verdicts.count(v) for v in ("stable", "unstable", "undecided")] == [1, 12, 1]
-    lowest = found[0]
+    lowest = equilibria[0]
     np.testing.assert_allclose(np.abs(lowest.x), [0.444672, 0.0, 0.155910], atol=5e-7)
     assert lowest.x[0] * lowest.x[2] > 0.0
     assert lowest.xi[0] == pytest.approx(2.913119, abs=5e-7)
     np.testing.assert_allclose(lowest.frequencies, [4.16816, 5.13036, 8.30001], atol=5e-6)
-    (one,) = (e for e in found if e.verdict == "undecided")
+    (one,) = (e for e in equilibria if e.verdict == "undecided")
     np.testing.assert_allclose(one.frequencies, [0.23173, 7.08424, 10.72249], atol=5e-6)
     np.testing.assert_allclose(np.abs(one.x), [0.355, np.pi / 2, np.pi / 2], atol=1e-3)
     damped = [f"{name} {one.damped_growth[name]:+.5g}" for name in one.system.shape_names]
-    assert f"{verdicts.index('undecided')}, by damping: grows by {', '.join(damped)}" in str(found)
-    assert_steady(found)
+    assert f"{verdicts.index('undecided')}, by damping: grows by {', '.join(damped)}" in str(
+        equilibria
+    )
+    assert_steady(equilibria)
 
 
 def point_mass_pendulum(path: Path) -> pinred.System:
@@ -125,10 +129,12 @@ def test_point_mass_pendulum_matches_closed_form(tmp_path: Path) -> None:
             pin.forwardKinematics(system.model, data, q)
             ends = [data.oMi[k].act(np.array([0.0, 0.0, -1.0])) for k in (2, 4)]
             first, second = ends[0], ends[1] - ends[0]
-            along = first[:2] / np.linalg.norm(first[:2])
-            assert abs(along[0] * second[1] - along[1] * second[0]) < 1e-9  # in one upright plane
+            direction = first[:2] / np.linalg.norm(first[:2])
+            assert (
+                abs(direction[0] * second[1] - direction[1] * second[0]) < 1e-9
+            )  # The pendulum is in one vertical plane.
             radius = float(np.linalg.norm(first[:2]))
-            alpha = float(second[:2] @ along) / radius
+            alpha = float(second[:2] @ direction) / radius
             L = alpha * (m + alpha) / (m * (1.0 + alpha))
             assert radius**2 == pytest.approx((L**2 - r**2) / (L**2 - alpha**2), abs=1e-9)
             omega = np.sqrt(GRAVITY * m / (-first[2] * (m + alpha)))
@@ -143,38 +149,41 @@ def test_point_mass_pendulum_matches_closed_form(tmp_path: Path) -> None:
 
 def test_three_rods_have_four_equilibrium_shapes() -> None:
     """I = 2.25 (maximum: stable), twice 0.916667 (saddles), and 0.25."""
-    found = pinred.relative_equilibria(rods(), momentum=1.0)
-    inertias = [0.5 / e.amended_potential for e in found]
+    equilibria = pinred.relative_equilibria(rods(), momentum=1.0)
+    inertias = [0.5 / e.amended_potential for e in equilibria]
     np.testing.assert_allclose(inertias, [2.25, 11.0 / 12.0, 11.0 / 12.0, 0.25], rtol=1e-13)
-    assert [e.stability.index for e in found] == [0, 1, 1, 2]
-    assert [e.verdict for e in found][:3] == ["stable", "unstable", "unstable"]
-    assert_steady(found)
+    assert [e.stability.index for e in equilibria] == [0, 1, 1, 2]
+    assert [e.verdict for e in equilibria][:3] == ["stable", "unstable", "unstable"]
+    assert_steady(equilibria)
 
 
 def test_reaction_wheels_have_eight_equilibria() -> None:
     """J = 0.5, π = (0.3, −0.2, 0.4): no two of the eight are opposite directions."""
     system = pinred.load("reaction_wheel_satellite")
-    found = pinred.relative_equilibria(
+    equilibria = pinred.relative_equilibria(
         system, momentum=0.5, cyclic={"wheel_x": 0.3, "wheel_y": -0.2, "wheel_z": 0.4}
     )
-    assert len(found) == 8
-    for each in found:
-        J = system.group.about(pinred.Reduction(system).split(each.x).com, each.mu)
+    assert len(equilibria) == 8
+    for equilibrium in equilibria:
+        J = system.group.about(pinred.Reduction(system).split(equilibrium.x).com, equilibrium.mu)
         assert np.linalg.norm(J) == pytest.approx(0.5, rel=1e-12)
-        pi = pinred.Reduction(system).mass_matrix(each.x)[6:] @ np.r_[each.xi, each.xdot]
+        pi = (
+            pinred.Reduction(system).mass_matrix(equilibrium.x)[6:]
+            @ np.r_[equilibrium.xi, equilibrium.xdot]
+        )
         np.testing.assert_allclose(pi[1:], [0.3, -0.2, 0.4], atol=1e-13)
-    assert_steady(found)
+    assert_steady(equilibria)
 
 
 @pytest.mark.parametrize("rate", [-4.0, -0.5, 0.7, 6.0])
 def test_gyrostat_matches_closed_form(rate: float) -> None:
     """s² = −Ω²(λ − I₁)(λ − I₃)/(I₁I₃), λ = I₂ + h/Ω, for a rotor driven about axis 2."""
     I, J, spin = (0.9, 1.3, 1.1), 1.5, 0.03
-    found = pinred.relative_equilibria(
+    equilibria = pinred.relative_equilibria(
         gyrostat(I), momentum=J, prescribed={"wheel": f"{rate}*t"}, starts=100
     )
     h = spin * rate
-    about = [e for e in found if abs(abs(e.direction[1]) - 1.0) < 1e-9]
+    about = [e for e in equilibria if abs(abs(e.direction[1]) - 1.0) < 1e-9]
     assert len(about) == 2
     for each in about:
         omega = (J * each.direction[1] - h) / I[1]
@@ -187,7 +196,7 @@ def test_gyrostat_matches_closed_form(rate: float) -> None:
         else:
             assert each.frequencies[0] == pytest.approx(np.sqrt(-square), rel=1e-11)
             assert each.verdict == "stable"
-    assert_steady(found)
+    assert_steady(equilibria)
 
 
 def test_gyrostat_verdict_changes_at_closed_form_thresholds() -> None:
@@ -202,14 +211,16 @@ def test_gyrostat_verdict_changes_at_closed_form_thresholds() -> None:
         rate = omega * (I[k] - I[1]) / spin
         momentum = spin * (omega + rate)
         low, high = sorted([momentum - 0.05 * rate * spin, momentum + 0.05 * rate * spin])
-        if k == 2:  # unstable lies between the two thresholds
+        if k == 2:  # The unstable range is between the two thresholds.
             low, high = high, low
         for _ in range(40):
             middle = 0.5 * (low + high)
-            each = equilibrium_at(replace(problem, cyclic_momenta=np.array([middle])), second, J)
-            low, high = (low, middle) if each.verdict == "unstable" else (middle, high)
-        assert each.xdot[0] == pytest.approx(rate, rel=1e-10)
-        assert each.xi[1] == pytest.approx(omega, rel=1e-10)
+            equilibrium = equilibrium_at(
+                replace(problem, cyclic_momenta=np.array([middle])), second, J
+            )
+            low, high = (low, middle) if equilibrium.verdict == "unstable" else (middle, high)
+        assert equilibrium.xdot[0] == pytest.approx(rate, rel=1e-10)
+        assert equilibrium.xi[1] == pytest.approx(omega, rel=1e-10)
 
 
 def test_dual_spin_satellite_matches_closed_form() -> None:
@@ -217,8 +228,8 @@ def test_dual_spin_satellite_matches_closed_form() -> None:
     I, spin = (1.1, 0.8, 1.3), 0.03
     system = gyrostat(I, group="SE3")
     for J, pi in ((1.0, 0.5), (1.0, -0.6), (0.4, 0.9)):
-        found = pinred.relative_equilibria(system, momentum=J, cyclic={"wheel": pi})
-        both = [e for e in found if abs(abs(e.direction[1]) - 1.0) < 1e-9]
+        equilibria = pinred.relative_equilibria(system, momentum=J, cyclic={"wheel": pi})
+        both = [e for e in equilibria if abs(abs(e.direction[1]) - 1.0) < 1e-9]
         for each in both:
             omega = (J * each.direction[1] - pi) / (I[1] - spin)
             assert each.xi[4] == pytest.approx(omega, rel=1e-12)
@@ -228,27 +239,27 @@ def test_dual_spin_satellite_matches_closed_form() -> None:
             rate = each.growth if square > 0.0 else each.frequencies[0]
             assert rate == pytest.approx(np.sqrt(abs(square)), rel=1e-10)
         assert len(both) == 2
-        assert_steady(found)
+        assert_steady(equilibria)
 
 
 def test_cart_pole_hangs_or_stands_at_any_momentum() -> None:
     """On ℝ, ω² is g k/(M at 0) for the hanging pole and its negative for the upright one."""
     cart = pinred.load("cartpole")
     for momentum in (0.0, -3.0):
-        found = pinred.relative_equilibria(cart, momentum=momentum)
-        assert [round(e.x[0], 12) for e in found] == [0.0, round(np.pi, 12)]
+        equilibria = pinred.relative_equilibria(cart, momentum=momentum)
+        assert [round(e.x[0], 12) for e in equilibria] == [0.0, round(np.pi, 12)]
         M = 0.34 - 1.0 / 12.0
         rate = np.sqrt(9.81 * 0.5 / M)
-        assert found[0].frequencies[0] == pytest.approx(rate, rel=1e-12)
-        assert found[1].growth == pytest.approx(rate, rel=1e-12)
-        assert found[0].xi[0] == pytest.approx(momentum / 3.0, abs=1e-14)
+        assert equilibria[0].frequencies[0] == pytest.approx(rate, rel=1e-12)
+        assert equilibria[1].growth == pytest.approx(rate, rel=1e-12)
+        assert equilibria[0].xi[0] == pytest.approx(momentum / 3.0, abs=1e-14)
 
 
 def test_spring_equals_custom_potential() -> None:
     """A spring changes the equilibria of the cat exactly as the same custom potential does."""
     cat = pinred.load("falling_cat")
     spring = {"bend": (5.0, 0.6), "sway": (5.0, -0.2), "twist": (5.0, 0.3)}
-    found = pinred.relative_equilibria(cat, momentum=1.0, springs=spring, starts=150)
+    equilibria = pinred.relative_equilibria(cat, momentum=1.0, springs=spring, starts=150)
     own = pinred.relative_equilibria(
         cat,
         momentum=1.0,
@@ -257,9 +268,9 @@ def test_spring_equals_custom_potential() -> None:
             lambda x: 2.5 * ((x[0] - 0.6) ** 2 + (x[1] + 0.2) ** 2 + (x[2] - 0.3) ** 2)
         ),
     )
-    assert own[0].energy == pytest.approx(found[0].energy, rel=1e-12)
-    np.testing.assert_allclose(own[0].x, found[0].x, atol=1e-10)
-    least = found[0]
+    assert own[0].energy == pytest.approx(equilibria[0].energy, rel=1e-12)
+    np.testing.assert_allclose(own[0].x, equilibria[0].x, atol=1e-10)
+    least = equilibria[0]
     tau = {k: -5.0 * (least.x[k] - rest) for k, rest in enumerate((0.6, -0.2, 0.3))}
     single = pinred.Equilibria(cat, 1.0, 1, 1, (least,))
     assert_steady(single, tau)
@@ -268,9 +279,9 @@ def test_spring_equals_custom_potential() -> None:
 def test_prescribed_joint_keeps_its_value() -> None:
     """A prescribed joint keeps its value; the other joints are in equilibrium."""
     chain = rods(4)
-    held = pinred.relative_equilibria(chain, momentum=1.0, prescribed={"joint2": 0.5})
-    assert all(e.x[1] == 0.5 for e in held)
-    lowest = held[0]
+    equilibria = pinred.relative_equilibria(chain, momentum=1.0, prescribed={"joint2": 0.5})
+    assert all(e.x[1] == 0.5 for e in equilibria)
+    lowest = equilibria[0]
     energy = AmendedEnergy(lowest.problem)
     assert energy.problem.driven == (1,)
     red = pinred.Reduction(chain)
@@ -289,12 +300,12 @@ def test_heavy_pivoted_tree_is_steady() -> None:
     model = random_model("SO3", 1, 7)
     model.gravity.linear = np.array([0.0, 3.0, -9.0])
     system = pinred.load(model)
-    found = pinred.relative_equilibria(system, momentum=0.7, starts=300)
-    assert len(found) >= 4
-    for each in found:
-        np.testing.assert_allclose(np.cross(each.xi, each.direction), 0.0, atol=1e-12)
-        assert each.mu @ each.direction == pytest.approx(0.7, rel=1e-12)
-    assert_steady(found)
+    equilibria = pinred.relative_equilibria(system, momentum=0.7, starts=300)
+    assert len(equilibria) >= 4
+    for equilibrium in equilibria:
+        np.testing.assert_allclose(np.cross(equilibrium.xi, equilibrium.direction), 0.0, atol=1e-12)
+        assert equilibrium.mu @ equilibrium.direction == pytest.approx(0.7, rel=1e-12)
+    assert_steady(equilibria)
 
 
 def test_heavy_gyrostat_with_free_and_driven_rotor() -> None:
@@ -330,24 +341,27 @@ def test_coupled_joints_are_steady() -> None:
     case = make_case("SE2", 3, 4)
     system, model = case.system, case.system.model
     assert system.couplings
-    found = pinred.relative_equilibria(system, momentum=1.0, starts=40)
-    assert len(found) >= 1
+    equilibria = pinred.relative_equilibria(system, momentum=1.0, starts=40)
+    assert len(equilibria) >= 1
     tau = multipliers(system)
-    for each in found:
-        q, v = system.model_q(np.zeros(3), each.x), system.model_v(each.xi, each.xdot)
+    for equilibrium in equilibria:
+        q, v = (
+            system.model_q(np.zeros(3), equilibrium.x),
+            system.model_v(equilibrium.xi, equilibrium.xdot),
+        )
         a = pin.aba(model, model.createData(), q, v, tau(0.0, q, v))
-        assert np.abs(a).max() <= 1e-9 * max(1.0, float(v @ v)), str(each)
+        assert np.abs(a).max() <= 1e-9 * max(1.0, float(v @ v)), str(equilibrium)
 
 
 def test_family_of_equilibria_counts_once() -> None:
     """The cat's symmetric front half creates circles of equilibria, judged transverse to them."""
-    found = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=1.0, starts=200)
-    dimensions = {e.dimension for e in found}
+    equilibria = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=1.0, starts=200)
+    dimensions = {e.dimension for e in equilibria}
     assert dimensions == {0, 1}
-    (least,) = (e for e in found if e.verdict == "stable")
+    (least,) = (e for e in equilibria if e.verdict == "stable")
     assert least.dimension == 1
     assert least.growth == 0.0
-    assert_steady(found)
+    assert_steady(equilibria)
     disc = pin.Model()
     root = disc.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     disc.appendBodyToJoint(
@@ -376,10 +390,10 @@ def test_minimum_of_many_joints_is_independent_of_seed() -> None:
     system = pinred.load("satellite_two_arms")
     least = []
     for seed in range(2):
-        found = pinred.relative_equilibria(system, momentum=1.0, starts=30, seed=seed)
-        assert max(e.residual for e in found) < 1e-12
-        (one,) = (e for e in found if e.verdict == "stable")
-        assert one is found[0]
+        equilibria = pinred.relative_equilibria(system, momentum=1.0, starts=30, seed=seed)
+        assert max(e.residual for e in equilibria) < 1e-12
+        (one,) = (e for e in equilibria if e.verdict == "stable")
+        assert one is equilibria[0]
         least.append(one.amended_potential)
     assert least[0] == pytest.approx(least[1], rel=1e-12)
 
@@ -404,10 +418,10 @@ def test_zero_momentum_with_rotor_has_no_modes() -> None:
 @pytest.mark.parametrize("J", [1e-9, 1e-3, 1.0, 1e6, 1e12])
 def test_verdicts_are_independent_of_time_unit(J: float) -> None:
     """A free robot at another momentum moves equally at another speed."""
-    found = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=J, starts=150)
+    equilibria = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=J, starts=150)
     usual = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=1.0, starts=150)
-    assert [e.verdict for e in found] == [e.verdict for e in usual]
-    for one, other in zip(found, usual, strict=True):
+    assert [e.verdict for e in equilibria] == [e.verdict for e in usual]
+    for one, other in zip(equilibria, usual, strict=True):
         assert one.growth == pytest.approx(J * other.growth, rel=1e-6)
         np.testing.assert_allclose(one.frequencies, J * other.frequencies, rtol=1e-6)
 
@@ -452,11 +466,11 @@ def test_invalid_problems_are_refused() -> None:
 
 def test_equilibria_print_as_text_and_html() -> None:
     """The table has a text form and an HTML form."""
-    found = pinred.relative_equilibria(pinred.load("rigid_body"), momentum=1.0, starts=10)
-    text = str(found)
+    equilibria = pinred.relative_equilibria(pinred.load("rigid_body"), momentum=1.0, starts=10)
+    text = str(equilibria)
     assert "3 relative equilibria found at momentum 1" in text
     assert "unstable" in text
-    assert "grows by 0.223607" in str(found[1])
+    assert "grows by 0.223607" in str(equilibria[1])
     assert "0.223607 ± " in text
-    assert "relative equilibria" in found._repr_html_()
-    assert len(found[:2]) == 2
+    assert "relative equilibria" in equilibria._repr_html_()
+    assert len(equilibria[:2]) == 2

@@ -65,8 +65,8 @@ def test_jacobian_matches_hand_motion_of_simulation(make: object) -> None:
         return np.concatenate([g.rotation @ V[:3], 0.5 * whole])
 
     y0 = pin.SE3ToXYZQUAT(start)
-    out = solve_ivp(rate, (0.0, t1), y0, method="DOP853", rtol=1e-12, atol=1e-13)
-    y = out.y[:, -1]
+    solution = solve_ivp(rate, (0.0, t1), y0, method="DOP853", rtol=1e-12, atol=1e-13)
+    y = solution.y[:, -1]
     y[3:] /= np.linalg.norm(y[3:])
     close(pin.log6(pin.XYZQUATToSE3(y).actInv(end)).vector, np.zeros(6), 1e-9)
 
@@ -91,8 +91,8 @@ def test_jacobian_rate_matches_differences(make: object, axes: str) -> None:
             xi = -red.local_connection(shape) @ xdot
             return system.group.rate(system.group.normalize(y), xi)
 
-        out = solve_ivp(rate, (0.0, t), g0, method="DOP853", rtol=1e-13, atol=1e-14)
-        pose = system.group.normalize(out.y[:, -1])
+        solution = solve_ivp(rate, (0.0, t), g0, method="DOP853", rtol=1e-13, atol=1e-14)
+        pose = system.group.normalize(solution.y[:, -1])
         return arm.generalized_jacobian(x + t * xdot, axes=axes, pose=pose)  # type: ignore[arg-type]
 
     weights = [(1, 45.0), (-1, -45.0), (2, -9.0), (-2, 9.0), (3, 1.0), (-3, -1.0)]
@@ -119,8 +119,8 @@ def test_drift_matches_rigid_motion_of_locked_arm() -> None:
 def test_singularities_match_published_values() -> None:
     """At q1 = −65° it is singular at q2 = −11.410803°; at q1 = 0 only stretched or folded."""
     arm = planar()
-    found = np.degrees(arm.singular_values_of("q2", [Q1, 0.0], limits=(-1.5, 1.5)))
-    close(found, [-11.410803], 1e-6)
+    angles = np.degrees(arm.singular_values_of("q2", [Q1, 0.0], limits=(-1.5, 1.5)))
+    close(angles, [-11.410803], 1e-6)
     (share,) = arm.singular_along([Q1, -1.0], [Q1, 1.0])
     assert np.degrees(-1.0 + 2.0 * share) == pytest.approx(-11.410803, abs=1e-6)
     for low, high in ((-3.14, -1e-3), (1e-3, 3.14)):
@@ -192,7 +192,7 @@ def test_null_space_leaves_base_at_rest() -> None:
     close(free.T @ free, np.eye(3), 1e-12)
     A = pinred.Reduction(system).local_connection(x)
     close(A[3:] @ free, np.zeros((3, 3)), 1e-12)
-    # One joint of a planar chain can do nothing without the base.
+    # One joint of a planar chain always moves the base.
     assert planar().null_space([0.3, 0.2]).shape == (2, 0)
     assert planar().null_space([0.3, 0.2], of="attitude").shape == (2, 1)
 
@@ -200,8 +200,8 @@ def test_null_space_leaves_base_at_rest() -> None:
 def test_singular_shapes_are_in_dependent_ranges() -> None:
     """Separately computed singular shapes have path-dependent distances."""
     arm = planar()
-    found = arm.workspace(samples=61)
-    step = 2.0 * float(np.ptp(found.reach)) / 61
+    workspace = arm.workspace(samples=61)
+    step = 2.0 * float(np.ptp(workspace.reach)) / 61
     rng = np.random.default_rng(2)
     seen = []
     for q1 in rng.uniform(-np.pi, np.pi, 12):
@@ -210,20 +210,20 @@ def test_singular_shapes_are_in_dependent_ranges() -> None:
             q = arm.system.q(arm.system.group.identity(), [q1, q2])
             com = pin.centerOfMass(arm.system.model, arm.system.model.createData(), q)
             seen.append(float(np.linalg.norm(hand - com)))
-    inside = [any(a - step <= r <= b + step for a, b in found.dependent) for r in seen]
+    inside = [any(a - step <= r <= b + step for a, b in workspace.dependent) for r in seen]
     assert all(inside)
-    free = [any(a + step < r < b - step for a, b in found.independent) for r in seen]
+    free = [any(a + step < r < b - step for a, b in workspace.independent) for r in seen]
     assert not any(free)
-    assert len(found.independent) >= 1
-    # Stretched out on the far side of the base, the hand is farthest.
-    assert found.reach[1] == pytest.approx(2.5 - (4.0 * 1.0 + 3.0 * 2.0) / 47.0, abs=1e-3)
+    assert len(workspace.independent) >= 1
+    # The hand is farthest with the arm stretched away from the base.
+    assert workspace.reach[1] == pytest.approx(2.5 - (4.0 * 1.0 + 3.0 * 2.0) / 47.0, abs=1e-3)
 
 
 @pytest.mark.slow
 def test_workspace_of_six_joints_contains_sampled_shapes() -> None:
     """Separately computed singular and random shapes are within the ranges."""
     arm = spatial()
-    found = arm.workspace(samples=60)
+    workspace = arm.workspace(samples=60)
     model, data, system = arm.system.model, arm.system.model.createData(), arm.system
     g, rng = system.group.identity(), np.random.default_rng(5)
 
@@ -232,9 +232,9 @@ def test_workspace_of_six_joints_contains_sampled_shapes() -> None:
         return float(np.linalg.norm(arm.hand_pose(x).translation - com))
 
     random = [radius(x) for x in rng.uniform(-np.pi, np.pi, (500, 6))]
-    assert found.reach[0] <= min(random)
-    assert max(random) <= found.reach[1] <= 1.2 * max(random)
-    gap = 4.0 * float(np.ptp(found.reach)) / 60
+    assert workspace.reach[0] <= min(random)
+    assert max(random) <= workspace.reach[1] <= 1.2 * max(random)
+    gap = 4.0 * float(np.ptp(workspace.reach)) / 60
     seen = []
     for start in rng.uniform(-2.0, 2.0, (4, 6)):
         for value in arm.singular_values_of(system.shape_names[2], start):
@@ -242,8 +242,8 @@ def test_workspace_of_six_joints_contains_sampled_shapes() -> None:
             assert arm.singularity(x).condition > 1e6
             seen.append(radius(x))
     assert len(seen) >= 4
-    assert all(any(a - gap <= r <= b + gap for a, b in found.dependent) for r in seen)
-    # Descent knows the slope: no small step from where it is farthest goes farther.
+    assert all(any(a - gap <= r <= b + gap for a, b in workspace.dependent) for r in seen)
+    # At the farthest point no small step increases the distance.
     slope, h = arm._radius_gradient(start), 1e-6
     ahead = [(radius(start + h * e) - radius(start - h * e)) / (2.0 * h) for e in np.eye(6)]
     close(slope, ahead, 1e-8)

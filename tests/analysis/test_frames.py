@@ -33,7 +33,7 @@ def test_optimal_frame_reduces_error_of_surface_integral() -> None:
     after = pinred.corrected_integral(A, CIRCLE, frame)
     assert after.error < 5e-3
     assert after.trusted
-    # The frame is only another frame: the phase in it is the conjugate of the published one.
+    # In another frame the phase is conjugate to the published one.
     assert np.hypot(*after.phase[:2]) == pytest.approx(0.0512808243, abs=1e-8)
     assert pinred.corrected_integral(A, CIRCLE, pinred.optimal_frame(A, CIRCLE)).error < 0.02
 
@@ -64,8 +64,8 @@ def test_optimal_frame_connection_is_its_velocity() -> None:
     frame, G = pinred.optimal_frame(A, BOX), A.group
     x, xdot, h = np.array([0.7, -0.4]), np.array([0.3, 0.9]), 1e-4
     step = [G.compose(G.inverse(frame.pose(x)), frame.pose(x + k * h * xdot)) for k in (-1, 1)]
-    moved = (G.log(step[1]) - G.log(step[0])) / (2.0 * h)
-    xi = G.Ad(G.inverse(frame.pose(x))) @ A.velocity(x, xdot) + moved
+    displacement = (G.log(step[1]) - G.log(step[0])) / (2.0 * h)
+    xi = G.Ad(G.inverse(frame.pose(x))) @ A.velocity(x, xdot) + displacement
     close(frame.local(x) @ (xdot / 1.5), -xi, 1e-7)
 
 
@@ -80,11 +80,11 @@ def test_other_frames_have_larger_norm() -> None:
         k = rng.normal(size=2)
         wave, slope = np.sin(u @ k), np.cos(u @ k)[:, None] * k
         field = best.local_at(u)
-        moved = field.copy()
-        moved[:, 2] -= amount[2] * slope
-        change = w @ (moved[:, 2] ** 2 - field[:, 2] ** 2).sum(axis=1)
+        displacement = field.copy()
+        displacement[:, 2] -= amount[2] * slope
+        change = w @ (displacement[:, 2] ** 2 - field[:, 2] ** 2).sum(axis=1)
         assert change > 0.0
-        # p → p + δp in the frame: A′_v + A_ω × δp − ∂δp (in its axes, to first order).
+        # A shift δp of the origin changes A_v to A′_v + A_ω × δp − ∂δp, to first order.
         arms = amount[:2, None] * wave
         turning = field[:, 2]
         across = [-turning * arms[1][:, None], turning * arms[0][:, None]]
@@ -121,7 +121,7 @@ def test_optimal_origin_of_free_robot_is_centre_of_mass() -> None:
     assert frame.linear < 1e-8
     x = np.array([0.5, -0.3, 0.0])
     com = pinred.Reduction(system).split(x).com
-    # Up to a point that is fixed in the frame: the difference does not depend on the shape.
+    # The origin is unique up to a constant, so the difference is independent of the shape.
     G = system.group
 
     def seen(shape: Array) -> Array:
@@ -150,8 +150,8 @@ def test_surface_integral_is_exact_for_so2() -> None:
     gait = pinred.Gait.fourier(
         [0.5, 0.4, -0.3], [[0.2, 0.1, 0.0], [0.05, 0.0, 0.02]], [[0.0, 0.2, -0.1], [0.0, 0.03, 0.1]]
     )
-    found = pinred.corrected_integral(A, gait)
-    assert found.error < 1e-9
+    corrected = pinred.corrected_integral(A, gait)
+    assert corrected.error < 1e-9
 
 
 def test_flat_coordinates_need_zero_curvature() -> None:
@@ -165,7 +165,7 @@ def test_flat_coordinates_need_zero_curvature() -> None:
     with pytest.raises(pinred.InputError, match="no such frame"):
         rods.coordinates([0.1, 0.2])
     assert "attitude: not flat" in str(rods)
-    board = pinred.load("snakeboard")  # afloat, its A does not depend on the shape
+    board = pinred.load("snakeboard")  # On a free base its A is independent of the shape.
     flat = pinred.flatness(pinred.Connection.mechanical(board))
     assert flat.is_flat
     assert flat.attitude_is_flat
@@ -186,9 +186,9 @@ def test_flat_coordinates_are_fixed_in_space() -> None:
     expected = G.compose(
         G.compose(G.inverse(link_pose(system, other, x)), flat.coordinates(x)), start
     )
-    apart = G.error(expected, seen.coordinates(x))
-    assert apart.rotation < 1e-12
-    assert apart.translation < 1e-12
+    error = G.error(expected, seen.coordinates(x))
+    assert error.rotation < 1e-12
+    assert error.translation < 1e-12
 
 
 def test_invalid_limits_joints_and_gaits_are_refused() -> None:

@@ -22,11 +22,11 @@ def test_flatness_and_casimirs_of_bundled_robots(
     robot: str, flat: bool, casimirs: tuple[str, ...]
 ) -> None:
     """Bundled robots have known flatness and Casimirs."""
-    seen = pinred.inspect(pinred.load(robot))
-    assert (seen.flat, seen.casimirs) == (flat, casimirs)
-    assert f"connection  {'flat' if flat else 'curved'}" in str(seen)
-    assert ", ".join(casimirs) in str(seen)
-    assert "Casimir" in seen._repr_html_()
+    inspection = pinred.inspect(pinred.load(robot))
+    assert (inspection.flat, inspection.casimirs) == (flat, casimirs)
+    assert f"connection  {'flat' if flat else 'curved'}" in str(inspection)
+    assert ", ".join(casimirs) in str(inspection)
+    assert "Casimir" in inspection._repr_html_()
 
 
 def test_coaxial_rotors_are_flat() -> None:

@@ -39,10 +39,10 @@ def test_phase_of_elroys_beanie() -> None:
     close(p.dynamic, p.pose, 1e-14)
     close(p.geometric, [0.0], 1e-14)
     close(p.cycles(7), 7.0 * p.pose, 1e-13)
-    half = 0.5 * gait.period  # on the way, the base has turned by −A Δx + μt/I
+    half = 0.5 * gait.period  # At half time the base has rotated by −A Δx + μt/I.
     k = int(np.argmin(np.abs(p.times - half)))
-    moved = gait.at(p.times[k])[0] - gait.at(0.0)[0]
-    close(p.path[k], -I2 / (I1 + I2) * moved + 0.7 * p.times[k] / (I1 + I2), 1e-13)
+    displacement = gait.at(p.times[k])[0] - gait.at(0.0)[0]
+    close(p.path[k], -I2 / (I1 + I2) * displacement + 0.7 * p.times[k] / (I1 + I2), 1e-13)
 
 
 def test_pose_of_coupled_planar_bodies() -> None:
@@ -52,8 +52,8 @@ def test_pose_of_coupled_planar_bodies() -> None:
     p = pinred.phase(A, gait)
     close(p.pose, np.zeros(3), 1e-14)
     local = np.array([0.0, -J2 * M2 * D / DELTA, J2 * M / DELTA])
-    moved = gait.at(p.times)[0] - gait.at(0.0)[0]
-    close(p.path, A.group.exp(-moved * local), 1e-13)
+    displacement = gait.at(p.times)[0] - gait.at(0.0)[0]
+    close(p.path, A.group.exp(-displacement * local), 1e-13)
 
 
 def test_three_rods_rotate_by_triangle_gait() -> None:
@@ -61,10 +61,12 @@ def test_three_rods_rotate_by_triangle_gait() -> None:
     A = mechanical("three_rods")
     p = pinred.phase(A, Gait.waypoints(TRIANGLE))
     assert p.pose[2] == pytest.approx(0.033787199534, abs=5e-13)
-    # The rotations of the plane commute, so that the angle is −∬ B over the triangle.
+    # Planar rotations commute, so the angle is −∬ B over the triangle.
     x, w = np.polynomial.legendre.leggauss(24)
     u, v = np.meshgrid(x, x, indexing="ij")
-    shapes = np.stack([u, -1.0 + 0.5 * (v + 1.0) * (1.0 - u)], axis=-1)  # below the diagonal
+    shapes = np.stack(
+        [u, -1.0 + 0.5 * (v + 1.0) * (1.0 - u)], axis=-1
+    )  # triangle below the diagonal
     weights = np.multiply.outer(w, w) * 0.5 * (1.0 - u)
     B = A.grid(shapes).curvature[..., 2, 0, 1]
     assert -float((weights * B).sum()) == pytest.approx(p.pose[2], abs=1e-12)
@@ -87,11 +89,11 @@ def test_phase_matches_scipy_over_pinocchio(
     mu = case.rng.normal(size=case.system.r) if moving else np.zeros(case.system.r)
     p = pinred.phase(pinred.Connection.mechanical(case.system), gait, mu)
     expected = by_pinocchio(case.system, gait, mu)
-    apart = p.group.error(expected, p.pose)
+    error = p.group.error(expected, p.pose)
     size = 1.0 + float(np.linalg.norm(p.path, axis=1).max())
-    assert apart.rotation <= p.error.rotation + 1e-9
-    assert apart.translation <= p.error.translation + 1e-9 * size
-    if group in ("SO2", "SE2", "RxSE2"):  # whole turns count
+    assert error.rotation <= p.error.rotation + 1e-9
+    assert error.translation <= p.error.translation + 1e-9 * size
+    if group in ("SO2", "SE2", "RxSE2"):  # Full turns count.
         assert p.pose[-1] == pytest.approx(expected[-1], abs=1e-8)
 
 
@@ -102,9 +104,9 @@ def test_phase_of_gait_with_corners(make: object) -> None:
     gait = make([[0.5, 0.0, 0.2], [-0.5, 0.7, 0.1], [0.1, -0.6, -0.9]])  # type: ignore[operator]
     mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
     p = pinred.phase(pinred.Connection.mechanical(system), gait, mu)
-    apart = p.group.error(by_pinocchio(system, gait, mu), p.pose)
-    assert apart.rotation < 1e-10
-    assert apart.translation < 1e-10
+    error = p.group.error(by_pinocchio(system, gait, mu), p.pose)
+    assert error.rotation < 1e-10
+    assert error.translation < 1e-10
 
 
 def test_error_bound_holds_on_random_gaits() -> None:
@@ -116,9 +118,9 @@ def test_error_bound_holds_on_random_gaits() -> None:
         rough = pinred.phase(A, gait, tolerance=1e-4)
         fine = pinred.phase(A, gait, tolerance=1e-12)
         assert fine.samples >= 2 * rough.samples or fine.error.rotation < 1e-12
-        apart = A.group.error(fine.pose, rough.pose)
-        assert apart.rotation <= rough.error.rotation + fine.error.rotation
-        assert apart.translation <= rough.error.translation + fine.error.translation
+        error = A.group.error(fine.pose, rough.pose)
+        assert error.rotation <= rough.error.rotation + fine.error.rotation
+        assert error.translation <= rough.error.translation + fine.error.translation
 
 
 def test_phase_needs_few_shapes() -> None:
@@ -133,8 +135,8 @@ def test_phase_needs_few_shapes() -> None:
         )
         p = pinred.phase(A, gait)
         assert p.samples <= 192
-        apart = A.group.error(pinred.phase(A, gait, tolerance=1e-13).pose, p.pose)
-        assert max(float(apart.rotation), float(apart.translation)) < 1e-10
+        error = A.group.error(pinred.phase(A, gait, tolerance=1e-13).pose, p.pose)
+        assert max(float(error.rotation), float(error.translation)) < 1e-10
 
 
 def test_phase_is_dynamic_times_geometric() -> None:
@@ -148,21 +150,24 @@ def test_phase_is_dynamic_times_geometric() -> None:
     assert group.error(whole, p.pose).rotation < 1e-14
     close(group.error(pinred.phase(A, gait).pose, p.geometric).rotation, 0.0, 1e-10)
 
-    # d obeys its own equation: integrate (h, d) as one, the second by d = g h⁻¹ along the way.
+    # Integrate (h, d) together; d obeys a separate equation, with d = g h⁻¹.
     def rate(t: float, y: Array) -> Array:
         h, d = group.normalize(y[:7]), group.normalize(y[7:])
         x, xdot = gait.at(t)
         split = red.split(x)
-        own = np.linalg.solve(split.locked_inertia, group.Ad(group.compose(d, h)).T @ mu)
+        locked_inertia = np.linalg.solve(split.locked_inertia, group.Ad(group.compose(d, h)).T @ mu)
         return np.concatenate(
-            [group.rate(h, -split.local_connection @ xdot), group.rate(d, group.Ad(h) @ own)]
+            [
+                group.rate(h, -split.local_connection @ xdot),
+                group.rate(d, group.Ad(h) @ locked_inertia),
+            ]
         )
 
     start = np.tile(group.identity(), 2)
-    out = solve_ivp(rate, (0.0, gait.period), start, method="DOP853", rtol=1e-12, atol=1e-13)
-    apart = group.error(group.normalize(out.y[7:, -1]), p.dynamic)
-    assert apart.rotation < 1e-10
-    assert apart.translation < 1e-10
+    solution = solve_ivp(rate, (0.0, gait.period), start, method="DOP853", rtol=1e-12, atol=1e-13)
+    error = group.error(group.normalize(solution.y[7:, -1]), p.dynamic)
+    assert error.rotation < 1e-10
+    assert error.translation < 1e-10
 
 
 def test_phase_of_several_cycles() -> None:
@@ -178,10 +183,10 @@ def test_phase_of_several_cycles() -> None:
     mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
     moving = pinred.phase(A, gait, mu)
     there = by_pinocchio(system, Gait(gait.arcs * 2), mu)
-    apart = group.error(there, moving.cycles(2))
-    assert apart.rotation < 1e-9
-    assert apart.translation < 1e-9
-    # The conserved spatial momentum says what the body momentum is at the end.
+    error = group.error(there, moving.cycles(2))
+    assert error.rotation < 1e-9
+    assert error.translation < 1e-9
+    # The conserved spatial momentum gives the final body momentum.
     J = group.spatial_momentum(moving.pose, moving.end_momentum)
     close(J, mu, 1e-14)
     with pytest.raises(pinred.InputError, match="non-negative"):
@@ -203,9 +208,9 @@ def test_phase_matches_simulation() -> None:
         system, prescribed=plans, momentum=mu, duration=1.0, rtol=1e-12, atol=1e-12
     )
     p = pinred.phase(pinred.Connection.mechanical(system), gait, mu)
-    apart = system.group.error(traj.pose[-1], p.pose)
-    assert apart.rotation < 1e-9
-    assert apart.translation < 1e-9
+    error = system.group.error(traj.pose[-1], p.pose)
+    assert error.rotation < 1e-9
+    assert error.translation < 1e-9
 
 
 def test_screw_of_phase() -> None:
@@ -220,9 +225,11 @@ def test_screw_of_phase() -> None:
     q = pinred.phase(B, random_gait(np.random.default_rng(1), 6))
     foot = q.screw.point
     far = q.pose[:3] - foot
-    along = float(far @ q.screw.axis)
-    assert along == pytest.approx(q.screw.slide, abs=1e-12)
-    assert np.linalg.norm(far - along * q.screw.axis) == pytest.approx(q.screw.radius, abs=1e-12)
+    direction = float(far @ q.screw.axis)
+    assert direction == pytest.approx(q.screw.slide, abs=1e-12)
+    assert np.linalg.norm(far - direction * q.screw.axis) == pytest.approx(
+        q.screw.radius, abs=1e-12
+    )
 
 
 def test_length_matches_reduced_metric() -> None:

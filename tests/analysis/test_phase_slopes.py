@@ -37,16 +37,18 @@ def test_phase_derivative_matches_differences(group: str) -> None:
     """The derivative along a random direction of all coefficients equals differences."""
     case = make_case(group, 3, 11)
     gait = random_gait(case.rng, 3)
-    found = pinred.phase_slopes(pinred.Connection.mechanical(case.system), gait)
+    slopes = pinred.phase_slopes(pinred.Connection.mechanical(case.system), gait)
     start = coefficients_of(gait)
-    along = case.rng.normal(size=start.shape)
+    direction = case.rng.normal(size=start.shape)
     zero, G = np.zeros(case.system.r), case.system.group
-    close(G.error(by_pinocchio(case.system, gait, zero), found.pose).rotation, 0.0, 1e-9)
+    close(G.error(by_pinocchio(case.system, gait, zero), slopes.pose).rotation, 0.0, 1e-9)
     h, expected = 1e-4, np.zeros(case.system.r)
     for step in (1, -1):
-        moved = by_pinocchio(case.system, with_coefficients(gait, start + step * h * along), zero)
-        expected += 0.5 * step / h * G.log(G.compose(G.inverse(found.pose), moved))
-    close(np.tensordot(found.twist, along, 2), expected, 1e-6)
+        displacement = by_pinocchio(
+            case.system, with_coefficients(gait, start + step * h * direction), zero
+        )
+        expected += 0.5 * step / h * G.log(G.compose(G.inverse(slopes.pose), displacement))
+    close(np.tensordot(slopes.twist, direction, 2), expected, 1e-6)
 
 
 def test_effort_derivatives_match_differences() -> None:
@@ -55,7 +57,7 @@ def test_effort_derivatives_match_differences() -> None:
     red = pinred.Reduction(system)
     gait = random_gait(np.random.default_rng(3), 2)
     start = coefficients_of(gait)
-    along = np.random.default_rng(4).normal(size=start.shape)
+    direction = np.random.default_rng(4).normal(size=start.shape)
 
     def effort(coefficients: Array) -> Array:
         x, xdot = with_coefficients(gait, coefficients).samples(200)
@@ -66,10 +68,10 @@ def test_effort_derivatives_match_differences() -> None:
     close([found.length, found.action], effort(start), 1e-9)
     h = 1e-3
     expected = sum(
-        weight / (12.0 * h) * effort(start + step * h * along)
+        weight / (12.0 * h) * effort(start + step * h * direction)
         for step, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0))
     )
-    slopes = [float(np.sum(each * along)) for each in (found.length_slope, found.action_slope)]
+    slopes = [float(np.sum(each * direction)) for each in (found.length_slope, found.action_slope)]
     close(slopes, expected, 1e-8)
 
 
@@ -90,7 +92,7 @@ def test_lift_derivative_with_momentum_matches_differences(name: str) -> None:
     c, along = 0.4 * rng.normal(size=(2, 5, system.m))
     J = red.locked_inertia(c[0]) @ (2.0 * rng.normal(size=system.r))
     A = pinred.Connection.mechanical(system)
-    found = path_lift(A, cycloid_basis(2, 40, 2), c, Drift(system, J))
+    lift = path_lift(A, cycloid_basis(2, 40, 2), c, Drift(system, J))
 
     def end(coefficients: Array) -> Array:
         def rate(t: float, y: Array) -> Array:
@@ -107,9 +109,9 @@ def test_lift_derivative_with_momentum_matches_differences(name: str) -> None:
         y = solve_ivp(rate, (0.0, 1.0), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
         return group.normalize(y)
 
-    error = group.error(end(c), found.pose)
+    error = group.error(end(c), lift.pose)
     assert max(float(error.rotation), float(error.translation)) < 1e-9
-    h, back = 1e-5, group.inverse(found.pose)
+    h, back = 1e-5, group.inverse(lift.pose)
     steps = [group.log(group.compose(back, end(c + s * h * along))) for s in (1.0, -1.0)]
     expected = (steps[0] - steps[1]) / (2.0 * h)
-    close(np.tensordot(found.twist, along, 2), expected, 1e-7 * (1.0 + np.abs(expected).max()))
+    close(np.tensordot(lift.twist, along, 2), expected, 1e-7 * (1.0 + np.abs(expected).max()))

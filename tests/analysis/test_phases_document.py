@@ -17,9 +17,9 @@ def test_examples_of_phases_page_run(capsys: pytest.CaptureFixture[str]) -> None
     scope: dict[str, Any] = {}
     for code in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL):
         exec(compile(code, "phases.md", "exec"), scope)
-    out = capsys.readouterr().out
-    assert "3.3787199" in out
-    assert "-11.41080" in out
+    output = capsys.readouterr().out
+    assert "3.3787199" in output
+    assert "-11.41080" in output
     before, after = (scope[name].error for name in ("before", "after"))
     assert before == pytest.approx(0.27, abs=5e-3)
     assert after == pytest.approx(0.0015, abs=1e-4)

@@ -21,8 +21,8 @@ def rotated_by_euler(moments: Array, omega: Array, time: float) -> tuple[Array, 
         return np.concatenate([np.cross(moments * w, w) / moments, SO3.rate(q, w)])
 
     start = np.concatenate([omega, SO3.identity()])
-    out = solve_ivp(rate, (0.0, time), start, method="DOP853", rtol=1e-13, atol=1e-14)
-    return out.y[:3, -1], SO3.normalize(out.y[3:, -1])
+    solution = solve_ivp(rate, (0.0, time), start, method="DOP853", rtol=1e-13, atol=1e-14)
+    return solution.y[:3, -1], SO3.normalize(solution.y[3:, -1])
 
 
 MOMENTS = np.array([1.0, 2.0, 2.5])
@@ -80,7 +80,7 @@ def test_symmetric_top_phase_matches_closed_form() -> None:
     p = pinred.rigid_body_phase(pinred.load(model), [0.3, 0.4, 1.1])
     assert p.period == pytest.approx(2.0 * np.pi / (0.6 * 1.1), rel=1e-13)
     cosine = 1.6 * 1.1 / np.hypot(0.5, 1.6 * 1.1)
-    # For a flat top the momentum runs backwards round the body's axis.
+    # For an oblate top the momentum rotates backwards about the body axis.
     assert abs(p.solid_angle) == pytest.approx(2.0 * np.pi * (1.0 - cosine), rel=1e-12)
 
 

@@ -23,17 +23,16 @@ from .other_frames import from_link, in_section
 from .viscous import Rod, viscous_form
 from .wheels import Rolling, Wheel, kinematic_form
 
-# Least health of P_b at which A is defined, for symmetric and for other forms.
-_LEAST_SYMMETRIC = 16.0 * np.finfo(float).eps
-_LEAST_OTHER = 1e-9
+_LEAST_SYMMETRIC = 16.0 * np.finfo(float).eps  # least health of P_b if the form is symmetric
+_LEAST_OTHER = 1e-9  # least health of P_b otherwise
 
 
 @dataclass(frozen=True, eq=False)
 class ConnectionField:
     """A connection at many shapes, with the leading axes of x first in every array.
 
-    Each array is computed at first use, cached, and read-only.  Every array raises
-    SingularInertiaError, naming the first shape at which A is not defined.
+    Each array is computed at first use, cached, and read-only.  It raises SingularInertiaError
+    if A is not defined at a shape.
 
     Attributes:
         connection: The connection.
@@ -92,15 +91,14 @@ class ConnectionField:
 class Connection:
     """A local connection on G × B: horizontal motion is ξ = −A(x) ẋ.
 
-    ξ is the body twist of the base, (r,) [linear; angular].  Connections from momenta, drag or fluid
-    also define a metric M on shape space: inertia or dissipation.  Values are computed by machine
-    code, which is compiled at first use and validated against Pinocchio.
+    ξ is the body twist of the base, (r,) [linear; angular].  Momenta, drag and fluid also define a
+    metric M on shape space.  Machine code computes the values, validated against Pinocchio.
 
     Attributes:
         form: Form of velocities that vanishes on horizontal motions.
         code: Its machine code.
         system: The system, if the connection was built from one.
-        is_mechanical: Whether horizontal motion has zero momentum, without fluid.
+        is_mechanical: Whether it is the mechanical connection.
         turned_by_gravity: Reason why gravity changes the momenta; empty if it does not.
     """
 
@@ -299,9 +297,8 @@ class Connection:
         xdot = vectors(xdot, self.m, "xdot", self.joints)
         if x.shape != xdot.shape:
             raise InputError(f"x and xdot differ in shape, {x.shape} and {xdot.shape}")
-        return self.horizontal(x.reshape(-1, self.m), xdot.reshape(-1, self.m))[0].reshape(
-            *x.shape[:-1], self.r
-        )
+        xi, _ = self.horizontal(x.reshape(-1, self.m), xdot.reshape(-1, self.m))
+        return xi.reshape(*x.shape[:-1], self.r)
 
     def horizontal(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Compute ξ = −A ẋ and ẋᵀ M ẋ; errors as in `local`.

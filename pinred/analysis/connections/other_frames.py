@@ -71,11 +71,11 @@ def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> Connecti
 
     Args:
         form: The form.
-        pose: Returns the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+        pose: Returns the pose coordinates of h, (size,), as CasADi expressions of x (m,).
     Returns:
-        The new form.
+        The transformed form.
     Raises:
-        InputError: The number of pose coordinates is not that of the group.
+        InputError: `pose` returns a wrong number of coordinates.
     """
     group, m = form.group, form.m
     y = ca.SX.sym("x", m)
