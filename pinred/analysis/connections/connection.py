@@ -17,10 +17,9 @@ from ...kernels.connection.form import ConnectionForm
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.system import System
-from .fluid import Ellipse, Ellipsoid, fluid_form
+from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
 from .mechanical import mechanical_code
 from .other_frames import from_link, in_section
-from .viscous import Rod, viscous_form
 from .wheels import Rolling, Wheel, kinematic_form
 
 _LEAST_SYMMETRIC = 16.0 * np.finfo(float).eps  # least health of P_b if the form is symmetric
