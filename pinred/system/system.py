@@ -300,7 +300,7 @@ class System:
         return matrix if self.coupled is None else self.coupled.matrix(matrix, self.r)
 
     def model_q(self, pose: ArrayLike, x: ArrayLike) -> Array:
-        """Compute q (..., nq) in the joint order of `model`, for pose (..., size) and x (..., m)."""
+        """Compute q (..., nq) in the joint order of `model` for pose (..., size), x (..., m)."""
         pose, x = self._pair(pose, x, (self.group.size, self.m), ("pose", "x"))
         return self._map.to_q(np.concatenate([pose, self.joint_values(x)], axis=-1))
 
