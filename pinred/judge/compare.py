@@ -12,7 +12,7 @@ A trajectory passes in three steps, each with a separate line of the report:
    the growth of perturbations, which ABA measures (error_bounds.py). Each joint is measured in
    units of its motion.
 Where the third bound exceeds 0.1, the distance carries no information, and the verdict is
-CANNOT TELL (cannot_tell.py).
+CANNOT TELL (`count_informative_times`).
 """
 
 from __future__ import annotations
