@@ -16,7 +16,7 @@ from pinred.forces import Controller, Damper
 from pinred.reduction.canonical_form import CanonicalForm
 from pinred.reduction.potential import Potential
 
-SIX = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))  # differences of order six
+SIX = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))  # offsets and weights of sixth-order differences
 
 
 def chaotic_motion(duration: float) -> pinred.Trajectory:
@@ -78,7 +78,7 @@ def test_tangent_directions_match_separation_of_aba_motions() -> None:
     traj = chaotic_motion(3.0)
     system, model = traj.system, traj.system.model
     flow = linearised_flow(traj)
-    perturbation = np.array([0.3, -0.5, 0.2])  # of the shape, at the same momenta
+    perturbation = np.array([0.3, -0.5, 0.2])  # change of the shape at constant momenta
     flow.Y[:] = 0.0
     flow.Y[:3, 0] = perturbation
     flow.advance(3.0)
@@ -207,7 +207,9 @@ def test_floquet_multipliers_match_mathieu_equation(
     assert multipliers.multipliers.sum() == pytest.approx(expected.sum(), rel=1e-9)
     assert multipliers.multipliers.prod() == pytest.approx(1.0, abs=1e-11)
     if at:
-        assert np.abs(multipliers.multipliers).max() == pytest.approx(1.0, abs=1e-9)  # Kapitza's
+        assert np.abs(multipliers.multipliers).max() == pytest.approx(
+            1.0, abs=1e-9
+        )  # stable as Kapitza's pendulum
     assert "closes to" in str(multipliers)
 
 
@@ -215,7 +217,7 @@ def test_floquet_multipliers_at_edge_of_mathieu_tongue_are_minus_one() -> None:
     """On a = b₁(q) both multipliers are −1."""
     frequency = 9.0
     q = -0.3
-    # τ = ωt/2: a = 4 m l g/(I ω²), q = 2 m l A/I, whose sign is a shift of time.
+    # With τ = ωt/2: a = 4 m l g/(I ω²), q = 2 m l A/I. The sign of q is a shift of time.
     height = 2.0 * abs(q) * INERTIA / (4.0 * PULL)
     a = float(mathieu_b(1, abs(q)))
     frequency = float(np.sqrt(4.0 * PULL * G / (INERTIA * a)))
@@ -235,7 +237,7 @@ def test_floquet_of_rigid_body_rotation() -> None:
     body, xi = pinred.load("rigid_body"), [0.5, 0.0, 1.6]
     traj = pinred.simulate(body, xi0=xi, duration=40.0)
     mu = traj.body_momentum
-    # The period of the body momentum: from one passage through L₂ = 0 upwards to the next.
+    # The period of the body momentum is the time between two upward zeros of L₂.
     from scipy.optimize import brentq
 
     up = np.flatnonzero((mu[:-1, 1] < 0.0) & (mu[1:, 1] >= 0.0))
@@ -247,7 +249,7 @@ def test_floquet_of_rigid_body_rotation() -> None:
 
     T = crossing(int(up[1])) - crossing(int(up[0]))
     multipliers = pinred.floquet(traj, period=T)
-    # A double one in a Jordan block: exact to the root of round-off.
+    # The double eigenvalue 1 has a Jordan block, so its error is the root of round-off.
     np.testing.assert_allclose(multipliers.multipliers, 1.0, atol=1e-4)
     assert np.trace(multipliers.monodromy) == pytest.approx(2.0, abs=1e-8)
     for period in (0.5 * T, T + time_of_closure(traj, 4e-6)):

@@ -25,7 +25,7 @@ from pinred.analysis.stability.second_variation import (
 from pinred.reduction.base_parts import BaseParts
 
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
-BEYOND, WITHIN = 4.0, 0.4  # times a bound
+BEYOND, WITHIN = 4.0, 0.4  # factors of a tolerance
 
 
 def body(*moments: float) -> pinred.System:
@@ -120,7 +120,7 @@ def test_top_off_equilibrium_by_1e_8_is_undecided(factor: float, steady: bool) -
     pull = top.weight * np.linalg.norm(top.com)
     omega = (J - top.offset[2]) / top.inertia[2, 2]
     size = np.hypot(pull, top.scales[3] * omega)
-    # Aside by ε, the weight's moment along Γ and μ cannot be taken up by multipliers.
+    # At a tilt ε, no multipliers balance the torque of gravity.
     tilts = np.geomspace(1e-12, 1e-4, 161)
     left = np.array([_residual_at_tilt(top, tilt, J) for tilt in tilts])
     tilt = float(np.exp(np.interp(np.log(factor * 1e-8), np.log(left), np.log(tilts))))

@@ -19,7 +19,7 @@ from pinred.analysis.equilibria.problem import problem_of
 from pinred.common.arrays import Array
 
 HUB, MASS, LENGTH, G = 0.3, 1.2, 0.7, 9.81
-SLIM, WIDE = 0.01, 0.06  # moments of the arm along it and across
+SLIM, WIDE = 0.01, 0.06  # moments of inertia about the arm and transverse to it [kg m²]
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
 
 
@@ -136,7 +136,7 @@ def test_fold_needs_extended_system_and_half_steps(monkeypatch: pytest.MonkeyPat
             assert len(found_by.bifurcations_between(curve, here, there, 0.02)) == len(folds)
         v, e = curve.null_vector(fold.at), curve.energy(fold.at.points, fold.at.J)
         size = max(float(np.abs(e.hessian).max()), float(e.scale[0]))
-        with monkeypatch.context() as patch:  # where ∂F/∂J hardly has a part along v
+        with monkeypatch.context() as patch:  # with a small component of ∂F/∂J along v
             patch.setattr(
                 Curve, "slope_by_momentum", lambda *_, s=factor * 1e-6 * size * v / curve.unit: s
             )

@@ -37,7 +37,7 @@ def assert_steady(found: pinred.Equilibria, forces: dict[int, float] | None = No
         for k, torque in (forces or {}).items():
             tau[system.r + k] = torque
         free = pin.aba(model, data, q, v, tau)
-        if problem.driven:  # their drives keep them at their rates
+        if problem.driven:  # The drives keep these rates constant.
             rows = system.r + np.array(problem.driven)
             H = np.triu(pin.crba(model, data, q))
             inverse = np.linalg.inv(H + np.triu(H, 1).T)
@@ -56,7 +56,7 @@ def assert_steady(found: pinred.Equilibria, forces: dict[int, float] | None = No
 def test_rigid_body_has_three_axes() -> None:
     """The energy is ½ J²/I; the middle axis grows by λ = √((I₂−I₁)(I₃−I₂)/(I₁I₃)) Ω."""
     body = pinred.load("rigid_body")
-    I = np.array([2.5, 2.0, 1.0])  # the least energy first
+    I = np.array([2.5, 2.0, 1.0])  # descending, so that energies ascend
     J = 1.7
     equilibria = pinred.relative_equilibria(body, momentum=J)
     assert len(equilibria) == 3
@@ -132,7 +132,7 @@ def test_point_mass_pendulum_matches_closed_form(tmp_path: Path) -> None:
             direction = first[:2] / np.linalg.norm(first[:2])
             assert (
                 abs(direction[0] * second[1] - direction[1] * second[0]) < 1e-9
-            )  # in one upright plane
+            )  # The pendulum is in one vertical plane.
             radius = float(np.linalg.norm(first[:2]))
             alpha = float(second[:2] @ direction) / radius
             L = alpha * (m + alpha) / (m * (1.0 + alpha))
@@ -211,7 +211,7 @@ def test_gyrostat_verdict_changes_at_closed_form_thresholds() -> None:
         rate = omega * (I[k] - I[1]) / spin
         momentum = spin * (omega + rate)
         low, high = sorted([momentum - 0.05 * rate * spin, momentum + 0.05 * rate * spin])
-        if k == 2:  # unstable lies between the two thresholds
+        if k == 2:  # The unstable range is between the two thresholds.
             low, high = high, low
         for _ in range(40):
             middle = 0.5 * (low + high)

@@ -192,7 +192,7 @@ def test_null_space_leaves_base_at_rest() -> None:
     close(free.T @ free, np.eye(3), 1e-12)
     A = pinred.Reduction(system).local_connection(x)
     close(A[3:] @ free, np.zeros((3, 3)), 1e-12)
-    # One joint of a planar chain can do nothing without the base.
+    # One joint of a planar chain always moves the base.
     assert planar().null_space([0.3, 0.2]).shape == (2, 0)
     assert planar().null_space([0.3, 0.2], of="attitude").shape == (2, 1)
 
@@ -215,7 +215,7 @@ def test_singular_shapes_are_in_dependent_ranges() -> None:
     free = [any(a + step < r < b - step for a, b in workspace.independent) for r in seen]
     assert not any(free)
     assert len(workspace.independent) >= 1
-    # Stretched out on the far side of the base, the hand is farthest.
+    # The hand is farthest with the arm stretched away from the base.
     assert workspace.reach[1] == pytest.approx(2.5 - (4.0 * 1.0 + 3.0 * 2.0) / 47.0, abs=1e-3)
 
 
@@ -243,7 +243,7 @@ def test_workspace_of_six_joints_contains_sampled_shapes() -> None:
             seen.append(radius(x))
     assert len(seen) >= 4
     assert all(any(a - gap <= r <= b + gap for a, b in workspace.dependent) for r in seen)
-    # Descent knows the slope: no small step from where it is farthest goes farther.
+    # At the farthest point no small step increases the distance.
     slope, h = arm._radius_gradient(start), 1e-6
     ahead = [(radius(start + h * e) - radius(start - h * e)) / (2.0 * h) for e in np.eye(6)]
     close(slope, ahead, 1e-8)

@@ -33,7 +33,7 @@ def test_optimal_frame_reduces_error_of_surface_integral() -> None:
     after = pinred.corrected_integral(A, CIRCLE, frame)
     assert after.error < 5e-3
     assert after.trusted
-    # The frame is only another frame: the phase in it is the conjugate of the published one.
+    # In another frame the phase is conjugate to the published one.
     assert np.hypot(*after.phase[:2]) == pytest.approx(0.0512808243, abs=1e-8)
     assert pinred.corrected_integral(A, CIRCLE, pinred.optimal_frame(A, CIRCLE)).error < 0.02
 
@@ -84,7 +84,7 @@ def test_other_frames_have_larger_norm() -> None:
         displacement[:, 2] -= amount[2] * slope
         change = w @ (displacement[:, 2] ** 2 - field[:, 2] ** 2).sum(axis=1)
         assert change > 0.0
-        # p → p + δp in the frame: A′_v + A_ω × δp − ∂δp (in its axes, to first order).
+        # A shift δp of the origin changes A_v to A′_v + A_ω × δp − ∂δp, to first order.
         arms = amount[:2, None] * wave
         turning = field[:, 2]
         across = [-turning * arms[1][:, None], turning * arms[0][:, None]]
@@ -121,7 +121,7 @@ def test_optimal_origin_of_free_robot_is_centre_of_mass() -> None:
     assert frame.linear < 1e-8
     x = np.array([0.5, -0.3, 0.0])
     com = pinred.Reduction(system).split(x).com
-    # Up to a point that is fixed in the frame: the difference does not depend on the shape.
+    # The origin is unique up to a constant, so the difference is independent of the shape.
     G = system.group
 
     def seen(shape: Array) -> Array:
@@ -165,7 +165,7 @@ def test_flat_coordinates_need_zero_curvature() -> None:
     with pytest.raises(pinred.InputError, match="no such frame"):
         rods.coordinates([0.1, 0.2])
     assert "attitude: not flat" in str(rods)
-    board = pinred.load("snakeboard")  # afloat, its A does not depend on the shape
+    board = pinred.load("snakeboard")  # On a free base its A is independent of the shape.
     flat = pinred.flatness(pinred.Connection.mechanical(board))
     assert flat.is_flat
     assert flat.attitude_is_flat

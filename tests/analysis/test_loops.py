@@ -53,7 +53,7 @@ def test_falling_cat_matches_closed_form_roll(k: float, beta: float) -> None:
     c, s = np.cos(0.5 * beta), np.sin(0.5 * beta)
     roll = 2.0 * np.pi * (k * c / (k * c**2 + s**2) - 1.0)
     assert np.cos(p.screw.angle) == pytest.approx(np.cos(roll), abs=1e-10)
-    # About the direction between the two halves' axes, as the first half has it at the start.
+    # The axis bisects the axes of both halves, in the initial frame of the first half.
     axis = np.array([np.sin(0.5 * beta), 0.0, np.cos(0.5 * beta)])
     close(np.cross(p.screw.axis, axis), np.zeros(3), 1e-7)
 
@@ -105,7 +105,7 @@ def test_gait_and_its_reverse_cancel() -> None:
 
     assert apart(group.inverse(p.pose), pinred.phase(A, gait.reversed()).pose) < 1e-10
     assert apart(p.pose, pinred.phase(A, gait.lasting(7.0)).pose) < 1e-10
-    # g′ = g(t₁)⁻¹ g g(t₁) for the same loop begun at t₁.
+    # The same loop with start at t₁ has the phase g(t₁)⁻¹ g g(t₁).
     k = len(p.times) // 3
     on_way, share = p.path[k], p.times[k] / gait.period
     shifted = pinred.phase(A, gait.shifted(share)).pose

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import pinred
 from pinred.common.arrays import Array
 
-HALF = 0.5  # from the board's middle to its axles
+HALF = 0.5  # distance between board centre and axles [m]
 MASS, BOARD, ROTOR, AXLE = 8.0, 0.92, 0.1, 0.01
 # World coordinates (X, Y, θ), then the joints in the robot's order: front, rear, rotor.
 INERTIA = np.diag([MASS, MASS, BOARD, AXLE, AXLE, ROTOR])
@@ -49,7 +49,7 @@ def dalembert(
         q, v = y[:6], y[6:]
         W, drift = rows(q, v)
         if prescribed is not None:
-            h = 1e-4  # of the second derivative of a Fourier series
+            h = 1e-4  # step of the second differences
             ahead = [prescribed.at(t + k * h)[1] for k in (-3, -2, -1, 1, 2, 3)]
             weights = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / (60.0 * h)
             W = np.vstack([W, np.eye(6)[3:]])
@@ -76,7 +76,7 @@ def test_mixed_motion_without_torques_conserves_energy() -> None:
     assert np.ptp(motion.energy) < 1e-11 * motion.energy[0]
     v = expected[-1, 6:]
     assert motion.energy[-1] == pytest.approx(0.5 * v @ INERTIA @ v, rel=1e-11)
-    assert np.ptp(motion.p) > 1e-3  # it is no constant of the motion
+    assert np.ptp(motion.p) > 1e-3  # p is not conserved
 
 
 def test_mixed_motion_with_torques_gains_their_work() -> None:

@@ -39,7 +39,7 @@ def test_phase_of_elroys_beanie() -> None:
     close(p.dynamic, p.pose, 1e-14)
     close(p.geometric, [0.0], 1e-14)
     close(p.cycles(7), 7.0 * p.pose, 1e-13)
-    half = 0.5 * gait.period  # on the way, the base has turned by −A Δx + μt/I
+    half = 0.5 * gait.period  # At half time the base has rotated by −A Δx + μt/I.
     k = int(np.argmin(np.abs(p.times - half)))
     displacement = gait.at(p.times[k])[0] - gait.at(0.0)[0]
     close(p.path[k], -I2 / (I1 + I2) * displacement + 0.7 * p.times[k] / (I1 + I2), 1e-13)
@@ -61,10 +61,12 @@ def test_three_rods_rotate_by_triangle_gait() -> None:
     A = mechanical("three_rods")
     p = pinred.phase(A, Gait.waypoints(TRIANGLE))
     assert p.pose[2] == pytest.approx(0.033787199534, abs=5e-13)
-    # The rotations of the plane commute, so that the angle is −∬ B over the triangle.
+    # Planar rotations commute, so the angle is −∬ B over the triangle.
     x, w = np.polynomial.legendre.leggauss(24)
     u, v = np.meshgrid(x, x, indexing="ij")
-    shapes = np.stack([u, -1.0 + 0.5 * (v + 1.0) * (1.0 - u)], axis=-1)  # below the diagonal
+    shapes = np.stack(
+        [u, -1.0 + 0.5 * (v + 1.0) * (1.0 - u)], axis=-1
+    )  # triangle below the diagonal
     weights = np.multiply.outer(w, w) * 0.5 * (1.0 - u)
     B = A.grid(shapes).curvature[..., 2, 0, 1]
     assert -float((weights * B).sum()) == pytest.approx(p.pose[2], abs=1e-12)
@@ -91,7 +93,7 @@ def test_phase_matches_scipy_over_pinocchio(
     size = 1.0 + float(np.linalg.norm(p.path, axis=1).max())
     assert error.rotation <= p.error.rotation + 1e-9
     assert error.translation <= p.error.translation + 1e-9 * size
-    if group in ("SO2", "SE2", "RxSE2"):  # whole turns count
+    if group in ("SO2", "SE2", "RxSE2"):  # Full turns count.
         assert p.pose[-1] == pytest.approx(expected[-1], abs=1e-8)
 
 
@@ -148,7 +150,7 @@ def test_phase_is_dynamic_times_geometric() -> None:
     assert group.error(whole, p.pose).rotation < 1e-14
     close(group.error(pinred.phase(A, gait).pose, p.geometric).rotation, 0.0, 1e-10)
 
-    # d obeys its own equation: integrate (h, d) as one, the second by d = g h⁻¹ along the way.
+    # Integrate (h, d) together; d obeys a separate equation, with d = g h⁻¹.
     def rate(t: float, y: Array) -> Array:
         h, d = group.normalize(y[:7]), group.normalize(y[7:])
         x, xdot = gait.at(t)
@@ -184,7 +186,7 @@ def test_phase_of_several_cycles() -> None:
     error = group.error(there, moving.cycles(2))
     assert error.rotation < 1e-9
     assert error.translation < 1e-9
-    # The conserved spatial momentum says what the body momentum is at the end.
+    # The conserved spatial momentum gives the final body momentum.
     J = group.spatial_momentum(moving.pose, moving.end_momentum)
     close(J, mu, 1e-14)
     with pytest.raises(pinred.InputError, match="non-negative"):

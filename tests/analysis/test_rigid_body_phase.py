@@ -80,7 +80,7 @@ def test_symmetric_top_phase_matches_closed_form() -> None:
     p = pinred.rigid_body_phase(pinred.load(model), [0.3, 0.4, 1.1])
     assert p.period == pytest.approx(2.0 * np.pi / (0.6 * 1.1), rel=1e-13)
     cosine = 1.6 * 1.1 / np.hypot(0.5, 1.6 * 1.1)
-    # For a flat top the momentum runs backwards round the body's axis.
+    # For an oblate top the momentum rotates backwards about the body axis.
     assert abs(p.solid_angle) == pytest.approx(2.0 * np.pi * (1.0 - cosine), rel=1e-12)
 
 

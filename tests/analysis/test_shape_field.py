@@ -276,7 +276,7 @@ def test_grid_names_singular_shape(nearly: float) -> None:
             parent, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity()
         )
     system = pinred.load(model)
-    for i in (1, 2):  # after loading, past the checks
+    for i in (1, 2):  # Set after loading, to bypass its checks.
         system.model.inertias[i] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
     red = pinred.Reduction(system)
     assert red.grid([[1.0, 0.3], [2.0, 0.2]]).locked_inertia.shape == (2, 1, 1)

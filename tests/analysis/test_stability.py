@@ -127,7 +127,7 @@ def test_modes_solve_the_linearised_flow() -> None:
         return flow.kernel.evaluate_rate(y, flow.parameters)
 
     still = rate(flow.y0)
-    still[2:5] = 0.0  # angles of the wheels
+    still[2:5] = 0.0  # wheel angles
     assert np.abs(still).max() < 1e-13
     J = np.array([(rate(flow.y0 + h) - rate(flow.y0 - h)) / 2e-6 for h in 1e-6 * np.eye(n)]).T
     assert layout.active == (0,)

@@ -25,7 +25,7 @@ UP = Points(np.zeros((1, 0)), np.array([[0.0, 0.0, 1.0]]))
 # Of the gyrostat: moments about its pivot with the rotor's, and m g l of both.
 I1, I3, WHEEL = 0.1 + 0.25 + 0.01 + 0.4 * 0.49, 0.05 + 0.02, 0.02
 PULL = 9.81 * (1.0 * 0.5 + 0.4 * 0.7)
-THRESHOLD = float(np.sqrt(4.0 * PULL * I1))  # of the momentum about the axis
+THRESHOLD = float(np.sqrt(4.0 * PULL * I1))  # threshold of the momentum about the axis
 
 
 def upright_equilibrium(system: pinred.System, J: float, **given: object) -> RelativeEquilibrium:
@@ -61,12 +61,12 @@ def test_sleeping_top_is_stable_above_threshold() -> None:
     assert middle == pytest.approx(threshold, rel=1e-10)
     slow, fast = sleeping(0.9 * threshold), sleeping(1.1 * threshold)
     assert (slow.verdict, fast.verdict) == ("unstable", "stable")
-    assert fast.stability.index == 2  # the amended potential alone does not say so
-    # δ̈ I₁ − i I₃ ω δ̇ − m g l δ = 0 in the plane of Γ.
+    assert fast.stability.index == 2  # The amended potential alone does not show stability.
+    # The horizontal component δ of Γ obeys δ̈ I₁ − i I₃ ω δ̇ − m g l δ = 0.
     half, rest = 0.5 * I3 * 0.9 * threshold / I1, pull / I1
     assert slow.growth == pytest.approx(np.sqrt(rest - half**2), rel=1e-11)
     half = 0.5 * I3 * 1.1 * threshold / I1
-    # In the body, which turns at ω beside.
+    # Body coordinates rotate at ω.
     spins = half + np.array([-1.0, 1.0]) * np.sqrt(half**2 - rest)
     expected = np.sort(np.abs(1.1 * threshold - spins))
     np.testing.assert_allclose(fast.frequencies, expected, rtol=1e-10)
@@ -87,7 +87,7 @@ def test_sleeping_gyrostat_is_stable_above_threshold(momentum: float) -> None:
         equilibrium = upright_equilibrium(system, factor * THRESHOLD, cyclic=cyclic)
         assert equilibrium.verdict == verdict
         omega, rate = equilibrium.xi[2], equilibrium.xdot[0]
-        h = WHEEL * rate  # the rotor's own, relative to the body
+        h = WHEEL * rate  # relative to the body
         assert I3 * omega + h == pytest.approx(factor * THRESHOLD, rel=1e-12)
         assert WHEEL * (omega + rate) == pytest.approx(momentum, abs=1e-13)
         half = 0.5 * (I3 * omega + h) / I1
@@ -96,13 +96,13 @@ def test_sleeping_gyrostat_is_stable_above_threshold(momentum: float) -> None:
             assert equilibrium.growth == pytest.approx(np.sqrt(-left), rel=1e-11)
         else:
             spins = half + np.array([-1.0, 1.0]) * np.sqrt(left)
-            expected = np.sort(np.abs(omega - spins))  # in the body, which turns at ω
+            expected = np.sort(np.abs(omega - spins))  # Body coordinates rotate at ω.
             np.testing.assert_allclose(equilibrium.frequencies, expected, rtol=1e-9)
             assert equilibrium.stability.index == 2
         spectrum = full_spectrum(equilibrium)
         assert spectrum.real.max() == pytest.approx(
             equilibrium.growth, abs=1e-5
-        )  # double zeros: √ε
+        )  # double zeros have errors of √ε
         for expected in equilibrium.frequencies:
             assert np.abs(spectrum - 1j * expected).min() < 1e-5
 

@@ -19,8 +19,7 @@ from ...common.differences import central_differences
 from ...common.errors import InputError
 from ...kernels.connection.form import ConnectionForm, form_of
 from ...lie.group import Group
-from ...reduction.tree.link_motions import root_twist
-from ...reduction.tree.momenta import in_space
+from ...reduction.tree.momenta import in_space, root_twist
 from ...system.system import System
 from .links import link_jacobian, link_named
 
@@ -69,7 +68,13 @@ def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm
 def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> ConnectionForm:
     """Return the form in terms of the twist of a frame h(x), instead of the root's.
 
-    pose: returns the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+    Args:
+        form: The form.
+        pose: Returns the pose coordinates of h, (size,), as CasADi expressions of x (m,).
+    Returns:
+        The transformed form.
+    Raises:
+        InputError: `pose` returns a wrong number of coordinates.
     """
     group, m = form.group, form.m
     y = ca.SX.sym("x", m)
