@@ -57,9 +57,9 @@ class Base:
         attitude, _, momentum, _ = self.parts.split(b)
         if self.parts.spin:
             momentum = _into_body(attitude, self.spin) if self.parts.spin == 3 else self.spin
-        out = self._none.copy()
-        out[self._k :] = momentum
-        return out
+        body_momentum = self._none.copy()
+        body_momentum[self._k :] = momentum
+        return body_momentum
 
     def body_weight(self, b: Array) -> Array:
         """Return the gravity force that turns the base, in its frame, (3,) [N]; else zero."""
@@ -84,21 +84,21 @@ class Base:
         """
         attitude, down, momentum, push = self.parts.split(b)
         omega = xi[self._k :]
-        out = []
+        rates = []
         if self.parts.attitude == 1:
-            out.append(omega)
+            rates.append(omega)
         elif self.parts.attitude:
-            out.append(quaternion_rate(attitude, omega))
+            rates.append(quaternion_rate(attitude, omega))
         if self.parts.down:
-            out.append(np.cross(down, omega))
+            rates.append(np.cross(down, omega))
         if self.parts.momentum == 3:
-            out.append(np.cross(momentum, omega) + moment)
+            rates.append(np.cross(momentum, omega) + moment)
         elif self.parts.momentum:
-            out.append(moment)
+            rates.append(moment)
         if self.parts.push:
             turned = self._group.turned(self._normal(attitude), force)
-            out += [push[self._k :] / self._mass, turned]
-        return np.concatenate(out) if out else np.empty(0)
+            rates += [push[self._k :] / self._mass, turned]
+        return np.concatenate(rates) if rates else np.empty(0)
 
     def pose(self, b: Array, com: Array, t: Array) -> Array:
         """Return poses (T, size) from b (T, …), body-frame centres of mass (T, 3), times (T,)."""
@@ -110,10 +110,10 @@ class Base:
         """Return body twists (T, r) from those relative to the centre of mass."""
         if not self._k:
             return xi
-        out = xi.copy()
+        twists = xi.copy()
         carried = self._linear(b, t) / self._mass
-        out[:, : self._k] += self._group.turned_back(self._attitude(b), carried)
-        return out
+        twists[:, : self._k] += self._group.turned_back(self._attitude(b), carried)
+        return twists
 
     def base_energy(self, b: Array, com: Array, t: Array) -> Array:
         """Return the energy ½ m |ċ|² − m g · c, or −m g · R c_b of a pivoted base, (T,) [J]."""
