@@ -332,9 +332,13 @@ def sectional(R: Array, M: Array, u: Array, v: Array) -> float:
 
 
 def reduced_metric_derivatives(d: InertiaDerivatives, r: int) -> tuple[Array, Array, Array]:
-    """Compute M, ∂M and ∂∂M at the only shape of `d`, derivative indices last.
+    """Differentiate M = H_ss − Aᵀ H_bs, with A = I⁻¹ H_bs, twice.
 
-    M = H_ss − Aᵀ H_bs with A = I⁻¹ H_bs is differentiated twice; r: dimension of the group.
+    Args:
+        d: Derivatives of the mass matrix at one shape.
+        r: Dimension of the group.
+    Returns:
+        M, ∂M and ∂∂M, derivative indices last.
     """
     H, dH, d2H = d.H[0], d.dH[0], d.d2H[0]
     I, Hbs, dI, dHbs = H[:r, :r], H[:r, r:], dH[:r, :r], dH[:r, r:]

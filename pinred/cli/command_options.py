@@ -174,7 +174,6 @@ def scene_with(system: System, seed: int | None, **options: Any) -> Scene:
         system: The robot.
         seed: Seed of a random state, or None.
         **options: Other options of Scene.
-
     Returns:
         The scene.
     """

@@ -107,7 +107,7 @@ def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
     traj = simulate(scene, progress=True)
     print(f"playing {index}, {equilibrium}")
     if arguments.out is None:
-        from ..views.playback.show import play
+        from ..views.playback.server import play
 
         play(traj, View(), wait=True)
         return 0

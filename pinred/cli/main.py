@@ -59,7 +59,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Args:
         arguments: Words after `pinred`; None for those of the process.
-
     Returns:
         0; 1 if a comparison or an integration fails; 2 on invalid input; 3 if a comparison
         cannot tell; 130 after Ctrl-C.

@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         check_port(arguments.port)
     motion = motion_in(arguments.motion, arguments.robot)
     if out is None:
-        from ..views.playback.show import play
+        from ..views.playback.server import play
 
         play(motion, view, port=arguments.port, show=not arguments.no_open, wait=True)
     elif out.suffix == ".html":

@@ -140,7 +140,8 @@ def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
     Returns:
         The terms.
     Raises:
-        InputError: The force's function fails; the message says what to write instead.
+        InputError: The force's function fails; the message says how to write it.
+        PinredError: The force rejects its arguments.
     """
     try:
         with warnings.catch_warnings():

@@ -56,7 +56,9 @@ class ForceExpressions:
             prescribed: Motions of joints by name.
             robot: Symbols of the robot parameters.
             numbers: Symbols of the numbers of forces, which grow.
-            within: Time that selects the piece of tables, None without tables.
+            within: Time that selects the segment of tables, None without tables.
+        Raises:
+            InputError: A force does not suit the system.
         """
         self._system, self._robot, self._numbers = system, robot, numbers
         self.symbols, self.base = symbols_of(system, within)

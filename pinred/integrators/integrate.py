@@ -121,7 +121,6 @@ class Integration:
             quaternion: As for `integrate`.
             canonical: As for `integrate`.
             tangent: As for `integrate`.
-
         Raises:
             InputError: The method needs a derivative, and `tangent` is None.
         """
@@ -152,13 +151,11 @@ class Integration:
             progress: Called repeatedly with the finished fraction of the time.
             watch: Called with the solution so far, repeatedly and before a failure; if it
                 returns True, the integration stops there and the solution is not complete.
-
         Returns:
             The solution.
-
         Raises:
             IntegrationError: The integration failed; see `integrate`.
-        """
+        """  # noqa: DOC501, the exception is built by a function
         n, times, capacity, stepper = self._n, self.times, self._capacity, self._stepper
         run, work = np.frombuffer(bytearray(self._registers), LAYOUT), self._work.copy()
         work[Y, :n] = y0

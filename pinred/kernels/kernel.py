@@ -151,7 +151,6 @@ class Outputs:
             name: Name of the field, not "t".
             outputs: Outputs of the kernel, (…, size).
             system: The system of the kernel.
-
         Returns:
             (…,) or (…, length of the field's axis).
         """

@@ -117,7 +117,6 @@ class Group(ABC):
         Args:
             attitude: Angle [rad] or unit quaternion, (..., size − linear).
             v: Linear components along the body axes, (..., linear).
-
         Returns:
             (..., linear): the components along the fixed axes.
         """
@@ -134,7 +133,6 @@ class Group(ABC):
         Args:
             attitude: Angle [rad] or unit quaternion, (..., size − linear).
             v: Linear components along the fixed axes, (..., linear).
-
         Returns:
             (..., linear): the components along the body axes.
         """
@@ -148,7 +146,6 @@ class Group(ABC):
         Args:
             c: The point, (..., 3) [m], in the frame of mu.
             mu: Wrench or momentum [F; N] about the origin, (..., dim).
-
         Returns:
             (..., turns): the angular part about c.
         """
@@ -172,7 +169,6 @@ class Group(ABC):
         Args:
             g: Pose, (..., size).
             h: Pose, (..., size).
-
         Returns:
             (..., size): the pose g h.
         """
@@ -183,7 +179,6 @@ class Group(ABC):
 
         Args:
             g: Pose, (..., size).
-
         Returns:
             (..., size): the pose g⁻¹.
         """
@@ -194,7 +189,6 @@ class Group(ABC):
 
         Args:
             xi: Body twist, (..., dim).
-
         Returns:
             (..., size): the pose.
         """
@@ -205,7 +199,6 @@ class Group(ABC):
 
         Args:
             g: Pose, (..., size).
-
         Returns:
             (..., dim): the twist.
         """
@@ -216,7 +209,6 @@ class Group(ABC):
 
         Args:
             g: Pose, (..., size).
-
         Returns:
             (..., dim, dim): the matrix.
         """
@@ -229,7 +221,6 @@ class Group(ABC):
 
         Args:
             xi: Twist, (..., dim).
-
         Returns:
             (..., dim, dim): the matrix.
         """
@@ -241,7 +232,6 @@ class Group(ABC):
         Args:
             g: Pose, (..., size).
             xi: Body twist, (..., dim).
-
         Returns:
             (..., size): the rate.
         """
@@ -252,7 +242,6 @@ class Group(ABC):
 
         Args:
             g: Pose, (..., size).
-
         Returns:
             The homogeneous matrix; for a group without translations, the rotation matrix.
         """
@@ -263,7 +252,6 @@ class Group(ABC):
 
         Args:
             matrix: Matrix of an element of the group, with the shape that `matrix` returns.
-
         Returns:
             (..., size): the pose.
         """
@@ -273,7 +261,6 @@ class Group(ABC):
 
         Args:
             g: Pose, (..., size).
-
         Returns:
             (..., size): the normalised pose.
         """
@@ -285,7 +272,6 @@ class Group(ABC):
         Args:
             xi: Twist, (..., dim).
             eta: Twist, (..., dim).
-
         Returns:
             (..., dim): the bracket.
         """
@@ -297,7 +283,6 @@ class Group(ABC):
         Args:
             xi: Body twist, (..., dim).
             mu: Body momentum, (..., dim).
-
         Returns:
             (..., dim): ad*_ξ μ.
         """
@@ -309,7 +294,6 @@ class Group(ABC):
         Args:
             g: Pose, (..., size).
             mu: Body momentum, (..., dim).
-
         Returns:
             (..., dim): the momentum in the fixed frame, about its origin.
         """
@@ -322,7 +306,6 @@ class Group(ABC):
         Args:
             g: Pose, (..., size).
             h: Pose, (..., size).
-
         Returns:
             The rotational and the translational distance.
         """
@@ -338,10 +321,8 @@ class Group(ABC):
         Args:
             value: Pose coordinates (size,), Pinocchio's joint coordinates (cosine and sine
                 instead of a planar angle), a homogeneous matrix, or a pin.SE3 for SE3.
-
         Returns:
             (size,): the pose, with a unit quaternion.
-
         Raises:
             ShapeError: The shape is none of these, or an entry is not finite.
             InputError: The value is not an element of the group.

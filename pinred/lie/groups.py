@@ -54,10 +54,8 @@ def group_named(name: str) -> Group:
 
     Args:
         name: Name of the group; upper and lower case are equivalent.
-
     Returns:
         The group.
-
     Raises:
         InputError: No group has this name.  The message lists the valid names.
     """

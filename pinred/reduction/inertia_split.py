@@ -167,10 +167,14 @@ def cholesky(H: Array, system: System, x: Array) -> Array:
 
 
 def lost_inertia(system: System, x: Array) -> str:
-    """Describe the joint that moves hardly any mass at shape x (m,), as the end of a message.
+    """Describe the joint that moves hardly any mass, as the end of a message.
 
-    Empty if the least eigenvalue of the mass matrix, scaled by usual inertias, is not far below
-    its value at random shapes.
+    Args:
+        system: The system.
+        x: Shape, (m,).
+    Returns:
+        The text. It is empty if the least eigenvalue of the mass matrix, scaled by usual inertias,
+        is not far below its value at random shapes.
     """
     if not np.isfinite(x).all():
         return ""

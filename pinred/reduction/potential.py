@@ -211,9 +211,14 @@ def _spring_arrays(system: System, springs: Springs) -> tuple[Indices, Array, Ar
 
 
 def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
-    """Raise SymmetryError if gravity exerts a moment about the group's rotations.
+    """Check that gravity exerts no moment about the group's rotations.
 
-    model, data: with the component of gravity that acts on the shape.
+    Args:
+        system: The system.
+        model: Model with the component of gravity that acts on the shape.
+        data: Data of this model.
+    Raises:
+        SymmetryError: Gravity exerts a moment.
     """
     rng = np.random.default_rng(0)
     directions = []

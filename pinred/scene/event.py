@@ -76,10 +76,8 @@ def watched_of(system: System, events: Sequence[Event], *, base: bool) -> Watche
         system: System whose state the events observe.
         events: The events.
         base: Whether the scene computes the motion of the base.
-
     Returns:
         The expressions; None if there are no events.
-
     Raises:
         InputError: an expression cannot be used, or observes a base that is not computed.
     """

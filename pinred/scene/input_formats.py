@@ -38,10 +38,8 @@ def order_by_joint(value: Any, system: System, what: str) -> Any:
             mapping is returned unchanged.
         system: System with the joints.
         what: Name of the option, for messages.
-
     Returns:
         (m,) or (N, m), with zeros for the joints that are not named.
-
     Raises:
         InputError: a joint does not exist or is a mimic joint.
         ShapeError: the lengths differ.

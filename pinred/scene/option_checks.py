@@ -52,7 +52,6 @@ def check_tolerances(method: Method, rtol: float, atol: float) -> None:
         method: Integrator of the scene.
         rtol: Relative tolerance of the scene.
         atol: Absolute tolerance of the scene.
-
     Raises:
         InputError: the scene and the method both have tolerances.
     """
@@ -71,7 +70,6 @@ def with_tolerances(method: Method, rtol: float, atol: float) -> Method:
         method: Integrator.  It stays unchanged if it has equal steps or its own tolerances.
         rtol: Relative tolerance; raised to the smallest one that the method can keep.
         atol: Absolute tolerance.
-
     Returns:
         The method with tolerances.
     """
@@ -92,10 +90,8 @@ def compute_report_times(times: Any, duration: float | None, system: System) -> 
         times: Requested times, or None for EVEN_TIMES evenly spaced ones.
         duration: Duration of the scene [s], or None.
         system: System whose own duration is used if neither is stated.
-
     Returns:
         (T,): increasing times from 0 or later [s].
-
     Raises:
         InputError: the times do not increase, or are outside the duration.
         ShapeError: `times` is not a vector of finite numbers.
@@ -137,7 +133,6 @@ def check_span(model: ForceModel, end: float, *, base: bool) -> None:
         model: Forces and prescribed joints.
         end: End of the scene [s].
         base: Whether the motion of the base is computed.
-
     Raises:
         InputError: a signal is not defined over the whole scene, a force observes a base that
             is not computed, or a controller would be called too often.

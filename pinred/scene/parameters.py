@@ -39,10 +39,8 @@ class GivenParameters:
 
         Args:
             known: Names of the Parameters in forces and events.
-
         Returns:
             {name: number or array}.
-
         Raises:
             InputError: a name is unknown, or belongs to both the robot and a force.
         """
@@ -79,10 +77,8 @@ def given_parameters(system: System, parameters: Any) -> GivenParameters:
     Args:
         system: The robot.
         parameters: {name: value}, names, or "all" (see Scene).
-
     Returns:
         The parameters, and the robot with their values.
-
     Raises:
         InputError: a link or joint is unknown, a value is not physical, or two names set the
             same number.

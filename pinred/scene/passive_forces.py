@@ -31,7 +31,6 @@ def acting_passive(system: System, *, passive: bool, friction: float | None) -> 
         system: System with the forces of its file.
         passive: Whether springs and dampers act.
         friction: Width of the smooth friction law [rad/s | m/s]; None for no friction.
-
     Returns:
         The forces, with friction in its smooth form.
     """
@@ -55,7 +54,6 @@ def passive_left_out(
         passive: Whether springs and dampers act.
         friction: Width of the smooth friction law [rad/s | m/s]; None for no friction.
         who: Subject of the sentence.
-
     Returns:
         A sentence with the options that make them act; empty if all forces act.
     """

@@ -320,7 +320,6 @@ class Scene(SceneFields):
         Args:
             x: Initial shapes, (N, m) [rad | m].
             xdot: Initial shape rates, (N, m) [rad/s | m/s].
-
         Returns:
             Shapes and rates, (N, m) each.
         """

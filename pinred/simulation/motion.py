@@ -135,7 +135,6 @@ class Motion:
             t: Times, (T,) [s].
             changes: Reduced states and rates at these times.
             s: Time differences, (T,) [s].
-
         Returns:
             (T, n): body twist and shape rate at times t + s.
         """
@@ -173,10 +172,8 @@ def follow(plan: Plan, flow: ReducedFlow, integrate: Integrate) -> Motion:
         plan: The plan of the scene.
         flow: Its reduced flow.
         integrate: The function that integrates the flow.
-
     Returns:
         The motion.
-
     Raises:
         IntegrationError: The integration failed.
     """

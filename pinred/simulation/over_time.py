@@ -43,7 +43,6 @@ class OverTime(StateArrays):
 
         Returns:
             Dataset over t, or over member and t for the members of simulate_many.
-
         Raises:
             MissingPackageError: xarray is not installed.
         """
@@ -71,7 +70,6 @@ class OverTime(StateArrays):
         Returns:
             Table with a row for each t, or for each member and t for the members of
             simulate_many.
-
         Raises:
             MissingPackageError: pandas is not installed.
         """

@@ -84,10 +84,8 @@ class Integrate(Protocol):
             parameters: Parameters of the vector field, (p,); nobody changes them afterwards.
             watch: Called with the segment so far, now and then and before a failure; if it
                 returns True, the integration stops there.
-
         Returns:
             The segment.
-
         Raises:
             IntegrationError: The integration failed.
         """
@@ -101,7 +99,6 @@ def entry_name(system: System, active: Sequence[int], cyclic: Sequence[int], ent
         active: Indices of the joints whose positions and momenta come first.
         cyclic: Indices of the cyclic joints, whose positions follow.
         entry: Index of the entry.
-
     Returns:
         A noun phrase.
     """

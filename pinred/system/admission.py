@@ -52,10 +52,8 @@ def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
     Args:
         model: Model whose joint 1 is the root, with joints in depth-first order.
         coupled: Dependence of follower joints on the others, if there are followers.
-
     Returns:
         Group and doubts.
-
     Raises:
         ModelError: pinred cannot reduce the model.  The message names the joint or link and the
             way out.

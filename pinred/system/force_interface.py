@@ -57,7 +57,6 @@ class SeenState:
 
         Args:
             name: Name of the attribute.
-
         Raises:
             AttributeError: Always; the message lists the names.
         """
@@ -132,10 +131,8 @@ class Symbols:
         Args:
             name: Name of the joint.
             what: Beginning of the error message.
-
         Returns:
             Index of the joint in `every_name`.
-
         Raises:
             InputError: The name is unknown; the message lists the joints.
         """
@@ -147,7 +144,6 @@ class Symbols:
         Args:
             joint: Index of the joint in `every_name`.
             what: Beginning of the error message.
-
         Raises:
             InputError: The joint follows another.
         """
@@ -160,7 +156,6 @@ class Symbols:
         Args:
             values: Mapping from joint names, or a sequence of m values.
             what: Beginning of the error message.
-
         Returns:
             {joint index: value}.
         """
@@ -215,10 +210,8 @@ class Force(ABC):
             s: Variables of the system.
             number: Turns a value into a symbol if it may differ between scenes without another
                 kernel, or is a Parameter.
-
         Returns:
             Terms of the force.
-
         Raises:
             InputError: A joint is unknown.
         """
@@ -236,10 +229,8 @@ def finite(value: Any, what: str, wanted: str = "a number") -> Any:
         value: Value to check.
         what: Name of the value in messages.
         wanted: Description of the expected value in messages.
-
     Returns:
         The value as a float, or the Parameter.
-
     Raises:
         InputError: The value is neither.
     """
@@ -269,10 +260,8 @@ def entries(values: Any, count: int, what: str) -> list[Any]:
         values: Sequence, CasADi column, or a single value.
         count: Expected number of entries.
         what: Name of the values in messages.
-
     Returns:
         List of `count` entries.
-
     Raises:
         InputError: The number of entries is wrong.
     """

@@ -56,10 +56,8 @@ class Spring(Force):
         Args:
             s: Variables of the system.
             number: Turns a value into a symbol if it may vary.
-
         Returns:
             Terms with the potential.
-
         Raises:
             InputError: Both ends are the same joint.
         """
@@ -107,10 +105,8 @@ class Damper(Force):
         Args:
             s: Variables of the system.
             number: Turns a value into a symbol if it may vary.
-
         Returns:
             Terms with the torques.
-
         Raises:
             InputError: Both ends are the same joint.
         """
@@ -162,10 +158,8 @@ class Friction(Force):
 
         Args:
             width: Rate within which the torque changes its sign [rad/s | m/s].
-
         Returns:
             Friction that acts.
-
         Raises:
             InputError: The width is not positive.
         """
@@ -177,10 +171,8 @@ class Friction(Force):
         Args:
             s: Variables of the system.
             number: Turns a value into a symbol if it may vary.
-
         Returns:
             Terms with the torque.
-
         Raises:
             InputError: The friction has no width.
         """
@@ -230,10 +222,8 @@ def passive_contents(raw: pin.Model, shape: Sequence[str], locked: Collection[st
         raw: Model with all joints, as read from a URDF's <dynamics>.
         shape: Names of the shape joints.
         locked: Names of frozen joints.  All remaining joints belong to the base.
-
     Returns:
         Contents with `passive` and `left_out`.
-
     Raises:
         ModelError: A number is not finite.
     """

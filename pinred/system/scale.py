@@ -44,7 +44,6 @@ def moved_masses(model: pin.Model, data: pin.Data, q: Array) -> tuple[NDArray[np
         model: Model.
         data: Work space of the model; it is overwritten.
         q: Configuration, (nq,).
-
     Returns:
         Whether each velocity is a rotation, (nv,), and the mass that it moves, (nv,) [kg].
     """

@@ -171,10 +171,8 @@ def with_base(state: State | ShapeState, name: str) -> State:
     Args:
         state: A state, with or without the base.
         name: Name of the robot or motion in the message.
-
     Returns:
         The same state.
-
     Raises:
         InputError: The base was left out.
     """

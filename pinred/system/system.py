@@ -155,7 +155,6 @@ class System:
 
         Args:
             name: Name of the joint.
-
         Returns:
             Number from 0, follower joints counted.
         """
@@ -167,7 +166,6 @@ class System:
         Args:
             name: Name of the joint.
             what: Beginning of the message.
-
         Raises:
             InputError: The joint follows another.
         """
@@ -229,10 +227,8 @@ class System:
         Args:
             pose: Pose of the base, (..., size).
             x: Shape, (..., m) [rad | m].
-
         Returns:
             (..., nq): configuration.
-
         Raises:
             ShapeError: A length is wrong.
         """
@@ -244,10 +240,8 @@ class System:
         Args:
             xi: Body twist of the base [linear; angular], (..., r).
             xdot: Shape rate, (..., m) [rad/s | m/s].
-
         Returns:
             (..., nv): velocity.
-
         Raises:
             ShapeError: A length is wrong.
         """
@@ -258,10 +252,8 @@ class System:
 
         Args:
             q: Configuration, (..., nq), in the joint order of the original model.
-
         Returns:
             Pose and shape.  Angles that q holds as cosine and sine are in (−π, π].
-
         Raises:
             ShapeError: The length is wrong.
         """
@@ -276,10 +268,8 @@ class System:
 
         Args:
             v: Velocity, (..., nv), in the joint order of the original model.
-
         Returns:
             Body twist and shape rate.
-
         Raises:
             ShapeError: The length is wrong.
         """
@@ -353,7 +343,6 @@ class System:
         Args:
             key: Key of the value.
             make: Makes the value at the first call.
-
         Returns:
             The value.
         """

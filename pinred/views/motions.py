@@ -45,7 +45,7 @@ def play(
         InputError: An option is invalid, or the port is taken.
         OutputError: The page cannot be served.
     """
-    from .playback.show import play as serve
+    from .playback.server import play as serve
 
     return serve(traj, as_view(options, "play"), port=port, show=show, wait=wait)
 

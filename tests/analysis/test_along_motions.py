@@ -1,4 +1,4 @@
-"""Linearised flows along motions: differences, ABA, Mathieu's equation."""
+"""Linearised flows along motions, against finite differences, ABA and Mathieu's equation."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from pinred.forces import Controller, Damper
 from pinred.reduction.canonical_form import CanonicalForm
 from pinred.reduction.potential import Potential
 
-SIX = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))  # differences of order six
+SIX = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))  # offsets and weights of sixth-order differences
 
 
-def wild(duration: float) -> pinred.Trajectory:
-    """The double spherical pendulum thrown over: chaotic."""
+def chaotic_motion(duration: float) -> pinred.Trajectory:
+    """A double spherical pendulum with enough energy for chaotic motion."""
     return pinred.simulate(
         pinred.load("double_spherical_pendulum"),
         x0=[2.0, 0.3, 1.0], xdot0=[0.0, 1.0, 0.0], xi0=[1.0], duration=duration,
     )  # fmt: skip
 
 
-def test_linearise_is_the_derivative_of_pinocchios_equations() -> None:
-    """∂(ẋ, π̇)/∂(x, π) of the canonical form by Pinocchio, at a time in the middle."""
-    traj = wild(2.0)
+def test_linearise_equals_differences_of_pinocchio_equations() -> None:
+    """∂(ẋ, π̇)/∂(x, π) equals differences of Pinocchio's equations at a time inside the motion."""
+    traj = chaotic_motion(2.0)
     system, t = traj.system, 1.3
     linear = pinred.linearise(traj, t)
     assert linear.names == (*system.shape_names, *(f"π {n}" for n in system.shape_names))
@@ -53,8 +53,8 @@ def test_linearise_is_the_derivative_of_pinocchios_equations() -> None:
     assert "frequency" in str(linear)
 
 
-def test_linearise_sees_dampers_and_time() -> None:
-    """A damper takes the trace away: −c Σ M⁻¹_kk; plans in time enter by the clock."""
+def test_linearise_includes_dampers_and_time_dependent_forces() -> None:
+    """A damper adds −c Σ M⁻¹_kk to the trace; prescribed joints enter by the clock."""
     cat = pinred.load("falling_cat")
     c = 0.3
     traj = pinred.simulate(
@@ -73,49 +73,49 @@ def test_linearise_sees_dampers_and_time() -> None:
         pinred.linearise(shape, 0.1)
 
 
-def test_directions_grow_as_two_motions_part_by_aba() -> None:
-    """What the linearised flow makes of a direction in 3 s is what two ABA runs show."""
-    traj = wild(3.0)
+def test_tangent_directions_match_separation_of_aba_motions() -> None:
+    """A tangent direction after 3 s equals the difference of two ABA runs."""
+    traj = chaotic_motion(3.0)
     system, model = traj.system, traj.system.model
-    whole = linearised_flow(traj)
-    kick = np.array([0.3, -0.5, 0.2])  # of the shape, at the same momenta
-    whole.Y[:] = 0.0
-    whole.Y[:3, 0] = kick
-    whole.advance(3.0)
+    flow = linearised_flow(traj)
+    perturbation = np.array([0.3, -0.5, 0.2])  # change of the shape at constant momenta
+    flow.Y[:] = 0.0
+    flow.Y[:3, 0] = perturbation
+    flow.advance(3.0)
     ends = []
     red = pinred.Reduction(system)
     momenta = red.mass_matrix(traj.x[0]) @ np.r_[traj.xi[0], traj.xdot[0]]
     for sign in (1.0, -1.0):
-        x = traj.x[0] + sign * 1e-7 * kick
+        x = traj.x[0] + sign * 1e-7 * perturbation
         v = np.linalg.solve(red.mass_matrix(x), momenta)
         q, rates = aba.integrate(model, system.model_q([0.0], x), v, np.array([3.0]), rtol=1e-13)
         end = system.configuration(q[-1])
         pi = (red.mass_matrix(end.x) @ rates[-1])[1:]
         ends.append(np.concatenate([end.x, pi]))
-    apart = ends[0] - ends[1]
-    apart[:3] -= 2.0 * np.pi * np.round(apart[:3] / (2.0 * np.pi))
-    grown = apart / 2e-7
+    difference = ends[0] - ends[1]
+    difference[:3] -= 2.0 * np.pi * np.round(difference[:3] / (2.0 * np.pi))
+    grown = difference / 2e-7
     size = np.abs(grown).max()
     assert size > 30.0
-    np.testing.assert_allclose(whole.Y[:6, 0], grown, atol=1e-4 * size)
+    np.testing.assert_allclose(flow.Y[:6, 0], grown, atol=1e-4 * size)
 
 
 @pytest.mark.slow
-def test_lyapunov_spectrum() -> None:
-    """They add up to zero to 1e-8 and come in pairs to 2 %; the largest is ABA's to 10 %."""
-    traj = wild(40.0)
-    found = pinred.lyapunov(traj)
-    assert len(found.exponents) == 6
-    assert abs(found.exponents.sum()) < 1e-8
-    largest = found.exponents[0]
-    assert np.abs(found.exponents + found.exponents[::-1]).max() < 0.02 * largest
-    assert found.history.shape == (len(found.times), 6)
-    assert "1/s" in str(found)
-    assert parted_by_aba(traj, 40.0) == pytest.approx(largest, rel=0.1)
+def test_lyapunov_spectrum_is_paired_and_matches_aba() -> None:
+    """The sum is zero to 1e-8, pairs agree to 2 %, and the largest exponent matches ABA to 10 %."""
+    traj = chaotic_motion(40.0)
+    spectrum = pinred.lyapunov(traj)
+    assert len(spectrum.exponents) == 6
+    assert abs(spectrum.exponents.sum()) < 1e-8
+    largest = spectrum.exponents[0]
+    assert np.abs(spectrum.exponents + spectrum.exponents[::-1]).max() < 0.02 * largest
+    assert spectrum.history.shape == (len(spectrum.times), 6)
+    assert "1/s" in str(spectrum)
+    assert growth_rate_by_aba(traj, 40.0) == pytest.approx(largest, rel=0.1)
 
 
-def parted_by_aba(traj: pinred.Trajectory, end: float, every: float = 0.5) -> float:
-    """Benettin's rate at which two full motions part, by ABA, brought near again now and then."""
+def growth_rate_by_aba(traj: pinred.Trajectory, end: float, every: float = 0.5) -> float:
+    """Benettin's growth rate of the distance between two full motions by ABA, with rescaling."""
     system, model = traj.system, traj.system.model
     red, mu = pinred.Reduction(system), traj.body_momentum[0]
     q, v = system.given_q(traj.q[0]), traj.v[0]
@@ -141,24 +141,24 @@ def parted_by_aba(traj: pinred.Trajectory, end: float, every: float = 0.5) -> fl
 
 
 def unit(z: Array) -> Array:
-    """The direction of a vector."""
+    """Return the unit vector along z."""
     return np.asarray(z / np.linalg.norm(z))
 
 
-def test_a_regular_motion_has_no_exponents() -> None:
-    """Euler's top: two, whose growth is linear in time, so that log t/t is left."""
+def test_lyapunov_exponents_of_regular_motion_vanish() -> None:
+    """Perturbations of Euler's top grow linearly in time, so exponents are of order log t/t."""
     body = pinred.load("rigid_body")
-    found = pinred.lyapunov(pinred.simulate(body, xi0=[0.5, 0.7, 1.6], duration=400.0))
-    assert len(found.exponents) == 2
-    assert np.abs(found.exponents).max() < 3.0 * np.log(400.0) / 400.0
-    assert abs(found.exponents.sum()) < 1e-9
+    spectrum = pinred.lyapunov(pinred.simulate(body, xi0=[0.5, 0.7, 1.6], duration=400.0))
+    assert len(spectrum.exponents) == 2
+    assert np.abs(spectrum.exponents).max() < 3.0 * np.log(400.0) / 400.0
+    assert abs(spectrum.exponents.sum()) < 1e-9
 
 
 HUB, MASS, LENGTH, WIDE, G = 0.3, 1.2, 0.7, 0.06, 9.81
 INERTIA, PULL = MASS * LENGTH**2 + WIDE, MASS * LENGTH
 
 
-def shaken() -> pinred.System:
+def shaken_pendulum() -> pinred.System:
     """A pendulum on a hinge that slides up and down a hub."""
     model = pin.Model()
     model.name = "shaken"
@@ -175,9 +175,9 @@ def shaken() -> pinred.System:
 
 
 def shaken_motion(height: float, frequency: float, at: float) -> pinred.Trajectory:
-    """The pendulum at rest, hanging (0) or standing (π), while its hinge shakes for a period."""
+    """The pendulum at rest at angle 0 or π, with an oscillating hinge, for one period."""
     return pinred.simulate(
-        shaken(), x0={"tilt": at}, duration=2.0 * np.pi / frequency, momentum=0,
+        shaken_pendulum(), x0={"tilt": at}, duration=2.0 * np.pi / frequency, momentum=0,
         prescribed={"lift": f"{height!r}*cos({frequency!r}*t)"},
     )  # fmt: skip
 
@@ -185,9 +185,11 @@ def shaken_motion(height: float, frequency: float, at: float) -> pinred.Trajecto
 @pytest.mark.parametrize(
     ("height", "frequency", "at"), [(0.05, 9.0, 0.0), (0.2, 8.0, 0.0), (0.1, 90.0, np.pi)]
 )
-def test_floquet_multipliers_are_mathieus(height: float, frequency: float, at: float) -> None:
-    """θ̈ + (m l/I)(g − a ω² cos ωt) θ = 0, or with − where it stands: by SciPy's own integrator."""
-    found = pinred.floquet(shaken_motion(height, frequency, at))
+def test_floquet_multipliers_match_mathieu_equation(
+    height: float, frequency: float, at: float
+) -> None:
+    """θ̈ ± (m l/I)(g − a ω² cos ωt) θ = 0, integrated by SciPy, gives the same multipliers."""
+    multipliers = pinred.floquet(shaken_motion(height, frequency, at))
     sign = 1.0 if at == 0.0 else -1.0
 
     def hill(t: float, y: Array) -> list[float]:
@@ -201,39 +203,41 @@ def test_floquet_multipliers_are_mathieus(height: float, frequency: float, at: f
     ]
     expected = np.linalg.eigvals(np.array(columns).T).astype(complex)
     expected = expected[np.argsort(-np.abs(expected), kind="stable")]
-    np.testing.assert_allclose(np.abs(found.multipliers), np.abs(expected), rtol=1e-9)
-    assert found.multipliers.sum() == pytest.approx(expected.sum(), rel=1e-9)
-    assert found.multipliers.prod() == pytest.approx(1.0, abs=1e-11)
+    np.testing.assert_allclose(np.abs(multipliers.multipliers), np.abs(expected), rtol=1e-9)
+    assert multipliers.multipliers.sum() == pytest.approx(expected.sum(), rel=1e-9)
+    assert multipliers.multipliers.prod() == pytest.approx(1.0, abs=1e-11)
     if at:
-        assert np.abs(found.multipliers).max() == pytest.approx(1.0, abs=1e-9)  # Kapitza's
-    assert "closes to" in str(found)
+        assert np.abs(multipliers.multipliers).max() == pytest.approx(
+            1.0, abs=1e-9
+        )  # stable as Kapitza's pendulum
+    assert "closes to" in str(multipliers)
 
 
-def test_the_edge_of_mathieus_tongue() -> None:
+def test_floquet_multipliers_at_edge_of_mathieu_tongue_are_minus_one() -> None:
     """On a = b₁(q) both multipliers are −1."""
     frequency = 9.0
     q = -0.3
-    # τ = ωt/2: a = 4 m l g/(I ω²), q = 2 m l A/I, whose sign is a shift of time.
+    # With τ = ωt/2: a = 4 m l g/(I ω²), q = 2 m l A/I. The sign of q is a shift of time.
     height = 2.0 * abs(q) * INERTIA / (4.0 * PULL)
     a = float(mathieu_b(1, abs(q)))
     frequency = float(np.sqrt(4.0 * PULL * G / (INERTIA * a)))
-    found = pinred.floquet(shaken_motion(height, frequency, 0.0))
-    assert found.multipliers.sum().real == pytest.approx(-2.0, abs=1e-9)
+    multipliers = pinred.floquet(shaken_motion(height, frequency, 0.0))
+    assert multipliers.multipliers.sum().real == pytest.approx(-2.0, abs=1e-9)
 
 
-def late(traj: pinred.Trajectory, closure: float) -> float:
-    """The time in which a body's momentum moves on by so much of its size and 1."""
+def time_of_closure(traj: pinred.Trajectory, closure: float) -> float:
+    """Return the time in which a body's momentum changes by a given relative closure."""
     mu = traj.body_momentum[0]
     rate = np.abs(traj.system.group.coadjoint(traj.xi[0], mu)).max()
     return float(closure * (1.0 + np.abs(mu).max()) / rate)
 
 
-def test_periodic_rotations() -> None:
-    """Euler's top comes back: multipliers one; half of its period does not close."""
+def test_floquet_of_rigid_body_rotation() -> None:
+    """A full period of Euler's top has multipliers 1; half a period is refused."""
     body, xi = pinred.load("rigid_body"), [0.5, 0.0, 1.6]
     traj = pinred.simulate(body, xi0=xi, duration=40.0)
     mu = traj.body_momentum
-    # The period of the body momentum: from one passage through L₂ = 0 upwards to the next.
+    # The period of the body momentum is the time between two upward zeros of L₂.
     from scipy.optimize import brentq
 
     up = np.flatnonzero((mu[:-1, 1] < 0.0) & (mu[1:, 1] >= 0.0))
@@ -244,20 +248,22 @@ def test_periodic_rotations() -> None:
         )
 
     T = crossing(int(up[1])) - crossing(int(up[0]))
-    found = pinred.floquet(traj, period=T)
-    # A double one in a Jordan block: exact to the root of round-off.
-    np.testing.assert_allclose(found.multipliers, 1.0, atol=1e-4)
-    assert np.trace(found.monodromy) == pytest.approx(2.0, abs=1e-8)
-    for period in (0.5 * T, T + late(traj, 4e-6)):
+    multipliers = pinred.floquet(traj, period=T)
+    # The double eigenvalue 1 has a Jordan block, so its error is the root of round-off.
+    np.testing.assert_allclose(multipliers.multipliers, 1.0, atol=1e-4)
+    assert np.trace(multipliers.monodromy) == pytest.approx(2.0, abs=1e-8)
+    for period in (0.5 * T, T + time_of_closure(traj, 4e-6)):
         with pytest.raises(pinred.InputError, match="differs from the initial one"):
             pinred.floquet(traj, period=period)
-    assert pinred.floquet(traj, period=T + late(traj, 4e-7)).closure == pytest.approx(4e-7, rel=0.1)
+    assert pinred.floquet(traj, period=T + time_of_closure(traj, 4e-7)).closure == pytest.approx(
+        4e-7, rel=0.1
+    )
     with pytest.raises(pinred.InputError, match="at most the duration"):
         pinred.floquet(traj, period=50.0)
 
 
-def test_refusals() -> None:
-    """The readable route, and forces that jump."""
+def test_motions_without_smooth_compiled_flow_are_refused() -> None:
+    """The readable engine and discontinuous forces are refused."""
     cat = pinred.load("falling_cat")
     slow = pinred.simulate(cat, duration=0.1, engine="pinocchio")
     with pytest.raises(pinred.InputError, match="engine='compiled'"):

@@ -1,4 +1,4 @@
-"""The bounds of equilibria and stability: what is just beyond each, and what is just within."""
+"""Tolerances of equilibria and stability: cases just inside and just outside each."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from pinred.analysis.stability.second_variation import (
 from pinred.reduction.base_parts import BaseParts
 
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
-BEYOND, WITHIN = 4.0, 0.4  # times a bound
+BEYOND, WITHIN = 4.0, 0.4  # factors of a tolerance
 
 
 def body(*moments: float) -> pinred.System:
-    """A free body with these moments about its axes."""
+    """A free body with given principal moments of inertia."""
     model = pin.Model()
     root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag(moments))
@@ -38,8 +38,10 @@ def body(*moments: float) -> pinred.System:
 
 
 @pytest.mark.parametrize(("factor", "found"), [(BEYOND, 0), (WITHIN, 1)])
-def test_a_residual(monkeypatch: pytest.MonkeyPatch, factor: float, found: int) -> None:
-    """A billionth of the size of the energies, and no more, may be left of the gradient."""
+def test_residual_limit_is_1e_9_of_energy(
+    monkeypatch: pytest.MonkeyPatch, factor: float, found: int
+) -> None:
+    """A gradient counts as zero up to 1e-9 of the size of the energies."""
     monkeypatch.setattr(search, "NEWTON", 0)
     energy = AmendedEnergy(problem_of(body(2.0, 3.0, 4.0), **NOTHING))  # type: ignore[arg-type]
     middle = Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]]))
@@ -49,8 +51,8 @@ def test_a_residual(monkeypatch: pytest.MonkeyPatch, factor: float, found: int) 
 
 
 @pytest.mark.parametrize(("factor", "same"), [(BEYOND, False), (WITHIN, True)])
-def test_where_bodies_are(factor: float, same: bool) -> None:
-    """Shapes are one within 1e-5 of the robot's size; an odd number may change its sign."""
+def test_same_shape_tolerance_is_1e_5_of_robot_size(factor: float, same: bool) -> None:
+    """Shapes agree within 1e-5 of the robot's size; odd values may change sign if reversible."""
     one = Place(np.array([0.3, 0.7]), np.array([0.2]))
     even = Place(one.even + np.array([0.0, factor * 1e-5]), one.odd)
     odd = Place(one.even, -one.odd + factor * 1e-5)
@@ -60,16 +62,16 @@ def test_where_bodies_are(factor: float, same: bool) -> None:
 
 
 @pytest.mark.parametrize(("factor", "same"), [(BEYOND, False), (WITHIN, True)])
-def test_energies_of_a_family(factor: float, same: bool) -> None:
-    """Equilibria of one family have one energy to 1e-8."""
+def test_family_energies_agree_to_1e_8(factor: float, same: bool) -> None:
+    """Equilibria of one family have the same energy to 1e-8."""
     (_, one) = pinred.relative_equilibria(body(1.0, 2.0, 2.0), momentum=1.0, starts=50)[:2]
     energy = one.amended_potential * (1.0 + factor * 1e-8)
     assert _one_family(one, replace(one, amended_potential=energy)) == same
     assert not _one_family(one, replace(one, stability=replace(one.stability, index=3)))
 
 
-def test_steady_plans() -> None:
-    """A rate may change by 1e-12 of itself, which is round-off of a formula, and not by more."""
+def test_prescribed_rate_is_steady_within_1e_12() -> None:
+    """A prescribed rate may change by 1e-12, the round-off of a formula."""
     wheel = gyrostat((0.9, 1.3, 1.1))
     for factor in (WITHIN, BEYOND):
         plan = {"wheel": f"{0.5 * factor * 1e-12!r}*t**2 + 0.7*t"}
@@ -81,34 +83,36 @@ def test_steady_plans() -> None:
 
 
 @pytest.mark.parametrize(("parts", "name"), [(5.0, "stable"), (20.0, "unstable")])
-def test_a_growth_and_its_error(monkeypatch: pytest.MonkeyPatch, parts: float, name: str) -> None:
-    """The error is 1e-14 of the matrix by the eigenvalue's condition; ten of them make a growth."""
+def test_growth_beyond_ten_errors_is_unstable(
+    monkeypatch: pytest.MonkeyPatch, parts: float, name: str
+) -> None:
+    """The error is 1e-14 of the matrix norm times the condition of the eigenvalue."""
     I, J = (2.0, 3.0, 4.0), 1.0
     problem = problem_of(body(*I), **NOTHING)  # type: ignore[arg-type]
     middle = Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]]))
     a, b = J * (1.0 / I[1] - 1.0 / I[2]), J * (1.0 / I[0] - 1.0 / I[1])
     error = 1e-14 * max(a, b) * (a + b) / (2.0 * np.sqrt(a * b))
-    found = equilibrium_at(problem, middle, J)
-    assert found.growth == pytest.approx(np.sqrt(a * b), rel=1e-12)
-    assert found.stability.growth_error == pytest.approx(error, rel=1e-6, abs=0.0)
-    monkeypatch.setattr(verdict, "_ROUND_OFF", 1e-14 * found.growth / (parts * error))
+    equilibrium = equilibrium_at(problem, middle, J)
+    assert equilibrium.growth == pytest.approx(np.sqrt(a * b), rel=1e-12)
+    assert equilibrium.stability.growth_error == pytest.approx(error, rel=1e-6, abs=0.0)
+    monkeypatch.setattr(verdict, "_ROUND_OFF", 1e-14 * equilibrium.growth / (parts * error))
     again = equilibrium_at(problem, middle, J)
     assert (again.verdict == "unstable") == (name == "unstable")
 
 
 @pytest.mark.parametrize("part", [1e-7, 4e-6, 1e-3])
-def test_nearly_symmetric_bodies_have_no_family(part: float) -> None:
-    """Curvatures that differ by more than 1e-7 of the largest are not taken for none."""
-    found = pinred.relative_equilibria(body(1.0, 1.0 + part, 2.0), momentum=1.0)
-    assert [each.verdict for each in found] == ["stable", "unstable", "stable"]
-    assert [each.dimension for each in found] == [0, 0, 0]
+def test_curvatures_above_1e_7_are_not_flat(part: float) -> None:
+    """A curvature above 1e-7 of the largest does not count as a family direction."""
+    equilibria = pinred.relative_equilibria(body(1.0, 1.0 + part, 2.0), momentum=1.0)
+    assert [equilibrium.verdict for equilibrium in equilibria] == ["stable", "unstable", "stable"]
+    assert [equilibrium.dimension for equilibrium in equilibria] == [0, 0, 0]
     growth = np.sqrt(part * (1.0 - part) / 2.0) / (1.0 + part)
-    assert found[1].growth == pytest.approx(growth, rel=1e-7)
+    assert equilibria[1].growth == pytest.approx(growth, rel=1e-7)
 
 
 @pytest.mark.parametrize(("factor", "steady"), [(BEYOND, False), (WITHIN, True)])
-def test_tops_that_are_not_steady(factor: float, steady: bool) -> None:
-    """Off its equilibrium by 1e-8 of the forces, nothing is said of a top."""
+def test_top_off_equilibrium_by_1e_8_is_undecided(factor: float, steady: bool) -> None:
+    """No verdict is given if the critical-point equations have a residual above 1e-8."""
     system = heavy_gyrostat()
     problem = problem_of(system, **(NOTHING | {"cyclic": {"wheel": 2.0}}))  # type: ignore[arg-type]
     J = 6.0
@@ -116,17 +120,17 @@ def test_tops_that_are_not_steady(factor: float, steady: bool) -> None:
     pull = top.weight * np.linalg.norm(top.com)
     omega = (J - top.offset[2]) / top.inertia[2, 2]
     size = np.hypot(pull, top.scales[3] * omega)
-    # Aside by ε, the weight's moment along Γ and μ cannot be taken up by multipliers.
+    # At a tilt ε, no multipliers balance the torque of gravity.
     tilts = np.geomspace(1e-12, 1e-4, 161)
-    left = np.array([_left(top, tilt, J) for tilt in tilts])
+    left = np.array([_residual_at_tilt(top, tilt, J) for tilt in tilts])
     tilt = float(np.exp(np.interp(np.log(factor * 1e-8), np.log(left), np.log(tilts))))
     up = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
     assert size > 0.0
     assert is_definite_with_axis_momentum(top, up, J) == steady
 
 
-def _left(top: object, tilt: float, J: float) -> float:
-    """What multipliers leave of the energy's slope at a tilt, by least squares of one's own."""
+def _residual_at_tilt(top: object, tilt: float, J: float) -> float:
+    """Return the residual of the multiplier equations at a tilt, by separate least squares."""
     from pinred.analysis.stability.second_variation import HeavyTop
 
     assert isinstance(top, HeavyTop)
@@ -143,8 +147,8 @@ def _left(top: object, tilt: float, J: float) -> float:
     return float(np.linalg.norm(rest) / np.linalg.norm(slope))
 
 
-def test_definite_forms() -> None:
-    """A curvature below 1e-14 of the largest entry is none; a multiplier may bring it."""
+def test_definiteness_limit_is_1e_14_of_largest_entry() -> None:
+    """A form is definite if a multiplier makes its least eigenvalue exceed 1e-14 of its size."""
     assert _is_definite(lambda _: np.diag([1.0, BEYOND * 1e-14]), 0.0)
     assert not _is_definite(lambda _: np.diag([1.0, WITHIN * 1e-14]), 0.0)
     assert _is_definite(lambda _: np.diag([-1.0, -2.0]), 0.0)
@@ -154,10 +158,10 @@ def test_definite_forms() -> None:
 
 
 @pytest.mark.parametrize(("factor", "rows"), [(BEYOND, 1), (WITHIN, 3)])
-def test_no_momentum(factor: float, rows: int) -> None:
-    """Below 1e-12 of a usual one the leaf is a point; else it is a sphere."""
+def test_leaf_is_point_below_momentum_limit(factor: float, rows: int) -> None:
+    """The leaf is a point below 1e-12 of the typical momentum, and a sphere above."""
     z = factor * 1e-12 * np.array([0.6, 0.0, 0.8])
-    found = _casimir_gradients(z, 0, BaseParts(momentum=3))
-    assert found.shape == (rows, 3)
+    gradients = _casimir_gradients(z, 0, BaseParts(momentum=3))
+    assert gradients.shape == (rows, 3)
     if rows == 1:
-        assert found[0] == pytest.approx([0.6, 0.0, 0.8])
+        assert gradients[0] == pytest.approx([0.6, 0.0, 0.8])

@@ -1,4 +1,4 @@
-"""Branches over the momentum, on a pendulum whose folds and pitchforks are in closed form."""
+"""Branches over the momentum, on a pendulum whose folds and pitchforks have closed forms."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from pinred.analysis.equilibria.problem import problem_of
 from pinred.common.arrays import Array
 
 HUB, MASS, LENGTH, G = 0.3, 1.2, 0.7, 9.81
-SLIM, WIDE = 0.01, 0.06  # moments of the arm along it and across
+SLIM, WIDE = 0.01, 0.06  # moments of inertia about the arm and transverse to it [kg m²]
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
 
 
 def governor(offset: float) -> pinred.System:
-    """An arm on a hub that turns about the vertical, hinged beside the axis."""
+    """An arm on a hub that rotates about the vertical, hinged at an offset from the axis."""
     model = pin.Model()
     model.name = "governor"
     hub = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hub")
@@ -37,73 +37,77 @@ def governor(offset: float) -> pinred.System:
 
 
 def inertia(x: float | Array, offset: float) -> float | Array:
-    """About the vertical: the arm hangs at x = 0, and its end goes to −x."""
+    """Inertia about the vertical; the arm hangs at x = 0 and its tip moves towards −x."""
     s, c = np.sin(x), np.cos(x)
     return HUB + MASS * (offset - LENGTH * s) ** 2 + WIDE * s**2 + SLIM * c**2
 
 
-def momentum_at(x: float, offset: float) -> float:
-    """J² = 2 I² V′/I′ where the arm is in equilibrium at x."""
+def squared_momentum_at(x: float, offset: float) -> float:
+    """J² = 2 I² V′/I′, for which the arm is in equilibrium at x."""
     s, c = np.sin(x), np.cos(x)
     slope = -2.0 * MASS * LENGTH * c * (offset - LENGTH * s) + 2.0 * (WIDE - SLIM) * s * c
     return float(2.0 * inertia(x, offset) ** 2 * MASS * G * LENGTH * s / slope)
 
 
-def test_a_pitchfork() -> None:
-    """Hinged on the axis: J_c = I₀ √(m g l/ΔI); beyond it two arms lift, which are one shape."""
+def test_pitchfork_of_centred_governor() -> None:
+    """With the hinge on the axis, J_c = I₀ √(m g l/ΔI). Above it two mirror images lift."""
     wide = MASS * LENGTH**2 + WIDE - SLIM
     critical = (HUB + SLIM) * np.sqrt(MASS * G * LENGTH / wide)
-    found = pinred.branches(governor(0.0), momentum=(0.2 * critical, 2.0 * critical), starts=40)
-    hanging = [p for p in found.pitchforks if abs(p.x[0]) < 1.0]
+    branches = pinred.branches(governor(0.0), momentum=(0.2 * critical, 2.0 * critical), starts=40)
+    hanging = [p for p in branches.pitchforks if abs(p.x[0]) < 1.0]
     assert len(hanging) == 1
     assert hanging[0].momentum == pytest.approx(critical, rel=1e-10)
-    assert found.folds == ()
+    assert branches.folds == ()
     (lifted,) = (
-        k for k in range(found.count) if any(0.1 < abs(p.x[0]) < 1.4 for p in found.branch(k))
+        k for k in range(branches.count) if any(0.1 < abs(p.x[0]) < 1.4 for p in branches.branch(k))
     )
-    for p in found.branch(lifted):
+    for p in branches.branch(lifted):
         if abs(p.x[0]) > 0.02:
-            assert p.momentum**2 == pytest.approx(momentum_at(p.x[0], 0.0), rel=1e-9)
+            assert p.momentum**2 == pytest.approx(squared_momentum_at(p.x[0], 0.0), rel=1e-9)
             assert p.index == 0
             assert p.residual < 1e-12
-    assert min(p.momentum for p in found.branch(lifted)) == pytest.approx(critical, rel=2e-3)
-    (down,) = (k for k in range(found.count) if all(abs(p.x[0]) < 1e-6 for p in found.branch(k)))
-    for p in found.branch(down):
+    assert min(p.momentum for p in branches.branch(lifted)) == pytest.approx(critical, rel=2e-3)
+    (down,) = (
+        k for k in range(branches.count) if all(abs(p.x[0]) < 1e-6 for p in branches.branch(k))
+    )
+    for p in branches.branch(down):
         assert p.index == int(p.momentum > critical)
 
 
-def test_a_fold() -> None:
-    """Hinged beside the axis the pitchfork breaks into a fold, at the least J²(x) beyond."""
+def test_fold_of_offset_governor() -> None:
+    """An offset of the hinge breaks the pitchfork into a fold at the minimum of J²(x)."""
     offset = 0.05
     best = minimize_scalar(
-        lambda x: momentum_at(x, offset), bounds=(0.1, 1.2), method="bounded",
+        lambda x: squared_momentum_at(x, offset), bounds=(0.1, 1.2), method="bounded",
         options={"xatol": 1e-12},
     )  # fmt: skip
     critical = np.sqrt(best.fun)
-    found = pinred.branches(governor(offset), momentum=(0.5 * critical, 2.0 * critical), starts=40)
-    assert len(found.folds) == 1
-    (fold,) = found.folds
+    branches = pinred.branches(
+        governor(offset), momentum=(0.5 * critical, 2.0 * critical), starts=40
+    )
+    assert len(branches.folds) == 1
+    (fold,) = branches.folds
     assert fold.momentum == pytest.approx(critical, rel=1e-10)
     assert fold.x[0] == pytest.approx(best.x, abs=1e-5)
     assert fold.residual < 1e-9
-    assert found.pitchforks == ()
-    through = found.branch(fold.branch)
+    assert branches.pitchforks == ()
+    through = branches.branch(fold.branch)
     assert {p.index for p in through} == {0, 1}
     for p in through:
-        assert p.momentum**2 == pytest.approx(momentum_at(p.x[0], offset), rel=1e-8)
+        assert p.momentum**2 == pytest.approx(squared_momentum_at(p.x[0], offset), rel=1e-8)
     each = through[0].equilibrium()
     assert each.momentum == through[0].momentum
     assert each.residual < 1e-12
-    assert "fold at momentum" in str(found)
+    assert "fold at momentum" in str(branches)
 
 
-def test_an_artefact_is_no_fold(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that half steps find elsewhere, and one that the extended system has not."""
+def test_fold_needs_extended_system_and_half_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fold is rejected if half steps move it or the extended system does not confirm it."""
     offset = 0.05
     problem = problem_of(governor(offset), **NOTHING)  # type: ignore[arg-type]
     curve = Curve(AmendedEnergy(problem), 1.0)
     point = Points(np.array([[0.3]]), np.zeros((1, 0)))
-    here = curve.start(point, np.sqrt(momentum_at(0.3, offset)), np.array([-1.0, 0.0]))
+    here = curve.start(point, np.sqrt(squared_momentum_at(0.3, offset)), np.array([-1.0, 0.0]))
     there: CurvePoint | None = here
     while there is not None and there.index == here.index:
         here, there = there, curve.step(there, 0.02)
@@ -132,7 +136,7 @@ def test_an_artefact_is_no_fold(monkeypatch: pytest.MonkeyPatch) -> None:
             assert len(found_by.bifurcations_between(curve, here, there, 0.02)) == len(folds)
         v, e = curve.null_vector(fold.at), curve.energy(fold.at.points, fold.at.J)
         size = max(float(np.abs(e.hessian).max()), float(e.scale[0]))
-        with monkeypatch.context() as patch:  # where ∂F/∂J hardly has a part along v
+        with monkeypatch.context() as patch:  # with a small component of ∂F/∂J along v
             patch.setattr(
                 Curve, "slope_by_momentum", lambda *_, s=factor * 1e-6 * size * v / curve.unit: s
             )
@@ -144,8 +148,8 @@ def test_an_artefact_is_no_fold(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("third", "kind"), [(0.0, "pitchfork"), (3e-5, "pitchfork"), (3e-4, "crossing")]
 )
-def test_what_a_third_derivative_counts_for(third: float, kind: str) -> None:
-    """U = ⅙ c z³ of size 1: below 1e-4 it is even, so that what crosses is a pitchfork."""
+def test_crossing_is_pitchfork_below_third_derivative_limit(third: float, kind: str) -> None:
+    """For U = ⅙ c z³ of size 1, a crossing with |c| below 1e-4 is a pitchfork."""
 
     def energy(points: Points, _: float) -> SimpleNamespace:
         z = points.x[0, 0]
@@ -161,37 +165,37 @@ def test_what_a_third_derivative_counts_for(third: float, kind: str) -> None:
     )
     flat = np.zeros(1)
     at = CurvePoint(x=flat, n=np.zeros(0), J=1.0, tangent=flat, values=flat, residual=0.0)
-    found = found_by.classify(bent, at)
-    assert found is not None
-    assert found.kind == kind
+    bifurcation = found_by.classify(bent, at)
+    assert bifurcation is not None
+    assert bifurcation.kind == kind
 
 
-def test_rigid_bodies_have_straight_branches() -> None:
-    """½ J²/I along three branches, each of one index, none of which bifurcates."""
-    found = pinred.branches(pinred.load("rigid_body"), momentum=(0.5, 1.5), starts=20, step=0.2)
-    assert found.count == 3
-    assert len(found.folds) + len(found.pitchforks) + len(found.crossings) == 0
+def test_rigid_body_has_three_branches_without_bifurcation() -> None:
+    """The amended potential is ½ J²/I along three branches, each with one index."""
+    branches = pinred.branches(pinred.load("rigid_body"), momentum=(0.5, 1.5), starts=20, step=0.2)
+    assert branches.count == 3
+    assert len(branches.folds) + len(branches.pitchforks) + len(branches.crossings) == 0
     for k, I in enumerate((2.5, 2.0, 1.0)):
-        for p in found.branch(k):
+        for p in branches.branch(k):
             assert p.amended_potential == pytest.approx(0.5 * p.momentum**2 / I, rel=1e-12)
             assert p.index == k
-        ends = [found.branch(k)[0].momentum, found.branch(k)[-1].momentum]
+        ends = [branches.branch(k)[0].momentum, branches.branch(k)[-1].momentum]
         np.testing.assert_allclose(sorted(ends), [0.5, 1.5], rtol=1e-12)
 
 
 @pytest.mark.by_hand
-def test_bundled_pendulum() -> None:
-    """A fold at J = 0.908178: there are two equilibria more beyond it."""
+def test_double_pendulum_has_fold_at_published_momentum() -> None:
+    """The fold is at J = 0.908178; two more equilibria exist above it."""
     pendulum = pinred.load("double_spherical_pendulum")
-    found = pinred.branches(pendulum, momentum=(0.9, 0.915), starts=40, step=0.2)
-    (fold,) = found.folds
+    branches = pinred.branches(pendulum, momentum=(0.9, 0.915), starts=40, step=0.2)
+    (fold,) = branches.folds
     assert fold.momentum == pytest.approx(0.9081782824, rel=1e-9)
     before, after = (len(pinred.relative_equilibria(pendulum, momentum=J)) for J in (0.9, 0.915))
     assert after == before + 2
 
 
-def test_refusals() -> None:
-    """Ranges that are none, branches that there are not, robots with nothing to follow."""
+def test_invalid_ranges_and_branches_are_refused() -> None:
+    """Invalid ranges, missing branches and robots without unknowns are refused."""
     cat = pinred.load("falling_cat")
     for momentum in ((1.0, 0.5), (1.0,), (0.0, 1.0), (-1.0, 1.0), (np.nan, 1.0)):
         with pytest.raises(pinred.InputError, match="momentum"):

@@ -24,8 +24,8 @@ def test_covariant_forces_are_torques_at_zero_momentum(group: str) -> None:
     for k in range(9):
         for count, weight in ((1, 45.0), (2, -9.0), (3, 1.0)):
             for sign in (1.0, -1.0):
-                moved = motion.copy()
-                moved.ravel()[k] += sign * count * step
-                torque = joint_torques(case.system, *moved)
+                displacement = motion.copy()
+                displacement.ravel()[k] += sign * count * step
+                torque = joint_torques(case.system, *displacement)
                 expected[k] += sign * weight / (60.0 * step) * (along @ torque)
     close(slope[0], expected, 1e-6 * max(1.0, float(np.abs(expected).max())))

@@ -1,4 +1,4 @@
-"""Relative equilibria: closed forms, published counts, and no accelerations by ABA."""
+"""Relative equilibria: closed forms, published counts, and zero acceleration by ABA."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from pinred.reduction.potential import falling
 ROOT = Path(__file__).parent.parent.parent
 
 
-def stands_still(found: pinred.Equilibria, forces: dict[int, float] | None = None) -> None:
-    """ABA gives no body acceleration at any, but for gravity's fall and driven wheels."""
+def assert_steady(found: pinred.Equilibria, forces: dict[int, float] | None = None) -> None:
+    """Assert that ABA gives zero body acceleration, except free fall and driven wheels."""
     for each in found:
         system, problem = each.system, each.problem
         scene = each.scene()
@@ -37,7 +37,7 @@ def stands_still(found: pinred.Equilibria, forces: dict[int, float] | None = Non
         for k, torque in (forces or {}).items():
             tau[system.r + k] = torque
         free = pin.aba(model, data, q, v, tau)
-        if problem.driven:  # their drives keep them at their rates
+        if problem.driven:  # The drives keep these rates constant.
             rows = system.r + np.array(problem.driven)
             H = np.triu(pin.crba(model, data, q))
             inverse = np.linalg.inv(H + np.triu(H, 1).T)
@@ -53,56 +53,60 @@ def stands_still(found: pinred.Equilibria, forces: dict[int, float] | None = Non
         np.testing.assert_allclose(start.x, each.x, atol=1e-15)
 
 
-def test_rigid_body() -> None:
-    """Three axes; ½ J²/I; about the middle one λ = √((I₂−I₁)(I₃−I₂)/(I₁I₃)) Ω."""
+def test_rigid_body_has_three_axes() -> None:
+    """The energy is ½ J²/I; the middle axis grows by λ = √((I₂−I₁)(I₃−I₂)/(I₁I₃)) Ω."""
     body = pinred.load("rigid_body")
-    I = np.array([2.5, 2.0, 1.0])  # the least energy first
+    I = np.array([2.5, 2.0, 1.0])  # descending, so that energies ascend
     J = 1.7
-    found = pinred.relative_equilibria(body, momentum=J)
-    assert len(found) == 3
-    np.testing.assert_allclose([e.amended_potential for e in found], 0.5 * J**2 / I, rtol=1e-14)
-    assert [e.verdict for e in found] == ["stable", "unstable", "stable"]
-    for k, each in enumerate(found):
+    equilibria = pinred.relative_equilibria(body, momentum=J)
+    assert len(equilibria) == 3
+    np.testing.assert_allclose(
+        [e.amended_potential for e in equilibria], 0.5 * J**2 / I, rtol=1e-14
+    )
+    assert [e.verdict for e in equilibria] == ["stable", "unstable", "stable"]
+    for k, each in enumerate(equilibria):
         np.testing.assert_allclose(np.abs(each.direction), np.eye(3)[2 - k], atol=1e-12)
         np.testing.assert_allclose(each.mu, J * each.direction, atol=1e-14)
         np.testing.assert_allclose(each.xi, J / I[k] * each.direction, atol=1e-13)
         a, b = np.delete(I, k)
         rate = J / I[k] * np.sqrt(abs((I[k] - a) * (I[k] - b)) / (a * b))
-        wanted = each.growth if k == 1 else each.frequencies[0]
-        assert wanted == pytest.approx(rate, rel=1e-12)
-    stands_still(found)
+        expected = each.growth if k == 1 else each.frequencies[0]
+        assert expected == pytest.approx(rate, rel=1e-12)
+    assert_steady(equilibria)
 
 
-def test_the_middle_axis_by_simulation() -> None:
-    """What begins on the growing mode grows by e^{λt}."""
+def test_growing_mode_grows_in_simulation() -> None:
+    """A perturbation along the growing mode grows by e^{λt}."""
     body = pinred.load("rigid_body")
     middle = pinred.relative_equilibria(body, momentum=2.0)[1]
     growth = np.sqrt(1.0 * 0.5 / 2.5) * 1.0
     assert middle.growth == pytest.approx(growth, rel=1e-12)
     scene = middle.scene(0, amplitude=1e-7, duration=20.0)
     traj = pinred.simulate(scene)
-    apart = np.linalg.norm(traj.body_momentum - middle.mu, axis=1)
-    rate = np.polyfit(traj.t[20:180], np.log(apart[20:180]), 1)[0]
+    difference = np.linalg.norm(traj.body_momentum - middle.mu, axis=1)
+    rate = np.polyfit(traj.t[20:180], np.log(difference[20:180]), 1)[0]
     assert rate == pytest.approx(growth, rel=1e-4)
 
 
-def test_bundled_pendulum() -> None:
-    """At J = 2: 14 shapes, one stable, one undecided, the rest unstable; published frequencies."""
-    found = pinred.relative_equilibria(pinred.load("double_spherical_pendulum"), momentum=2.0)
-    assert len(found) == 14
-    verdicts = [e.verdict for e in found]
+def test_double_pendulum_matches_published_counts() -> None:
+    """At J = 2: 14 shapes, one stable, one undecided, 12 unstable; published frequencies."""
+    equilibria = pinred.relative_equilibria(pinred.load("double_spherical_pendulum"), momentum=2.0)
+    assert len(equilibria) == 14
+    verdicts = [e.verdict for e in equilibria]
     assert [verdicts.count(v) for v in ("stable", "unstable", "undecided")] == [1, 12, 1]
-    lowest = found[0]
+    lowest = equilibria[0]
     np.testing.assert_allclose(np.abs(lowest.x), [0.444672, 0.0, 0.155910], atol=5e-7)
     assert lowest.x[0] * lowest.x[2] > 0.0
     assert lowest.xi[0] == pytest.approx(2.913119, abs=5e-7)
     np.testing.assert_allclose(lowest.frequencies, [4.16816, 5.13036, 8.30001], atol=5e-6)
-    (one,) = (e for e in found if e.verdict == "undecided")
+    (one,) = (e for e in equilibria if e.verdict == "undecided")
     np.testing.assert_allclose(one.frequencies, [0.23173, 7.08424, 10.72249], atol=5e-6)
     np.testing.assert_allclose(np.abs(one.x), [0.355, np.pi / 2, np.pi / 2], atol=1e-3)
     damped = [f"{name} {one.damped_growth[name]:+.5g}" for name in one.system.shape_names]
-    assert f"{verdicts.index('undecided')}, by damping: grows by {', '.join(damped)}" in str(found)
-    stands_still(found)
+    assert f"{verdicts.index('undecided')}, by damping: grows by {', '.join(damped)}" in str(
+        equilibria
+    )
+    assert_steady(equilibria)
 
 
 def point_mass_pendulum(path: Path) -> pinred.System:
@@ -113,7 +117,7 @@ def point_mass_pendulum(path: Path) -> pinred.System:
 
 
 @pytest.mark.slow
-def test_point_masses(tmp_path: Path) -> None:
+def test_point_mass_pendulum_matches_closed_form(tmp_path: Path) -> None:
     """λ² = (L² − r²)/(L² − α²), L = α(m + α)/(m(1 + α)): both hanging branches, J = 0.2 … 30."""
     system = point_mass_pendulum(tmp_path / "pendulum.urdf")
     m, r = 2.0, 1.0
@@ -125,10 +129,12 @@ def test_point_masses(tmp_path: Path) -> None:
             pin.forwardKinematics(system.model, data, q)
             ends = [data.oMi[k].act(np.array([0.0, 0.0, -1.0])) for k in (2, 4)]
             first, second = ends[0], ends[1] - ends[0]
-            along = first[:2] / np.linalg.norm(first[:2])
-            assert abs(along[0] * second[1] - along[1] * second[0]) < 1e-9  # in one upright plane
+            direction = first[:2] / np.linalg.norm(first[:2])
+            assert (
+                abs(direction[0] * second[1] - direction[1] * second[0]) < 1e-9
+            )  # The pendulum is in one vertical plane.
             radius = float(np.linalg.norm(first[:2]))
-            alpha = float(second[:2] @ along) / radius
+            alpha = float(second[:2] @ direction) / radius
             L = alpha * (m + alpha) / (m * (1.0 + alpha))
             assert radius**2 == pytest.approx((L**2 - r**2) / (L**2 - alpha**2), abs=1e-9)
             omega = np.sqrt(GRAVITY * m / (-first[2] * (m + alpha)))
@@ -141,40 +147,43 @@ def test_point_masses(tmp_path: Path) -> None:
         assert any(-m < alpha < -1.0 for alpha in alphas)
 
 
-def test_three_rods() -> None:
-    """I = 2.25 (maximum of I: stable), 0.916667 twice (saddles), 0.25: four shapes."""
-    found = pinred.relative_equilibria(rods(), momentum=1.0)
-    inertias = [0.5 / e.amended_potential for e in found]
+def test_three_rods_have_four_equilibrium_shapes() -> None:
+    """I = 2.25 (maximum: stable), twice 0.916667 (saddles), and 0.25."""
+    equilibria = pinred.relative_equilibria(rods(), momentum=1.0)
+    inertias = [0.5 / e.amended_potential for e in equilibria]
     np.testing.assert_allclose(inertias, [2.25, 11.0 / 12.0, 11.0 / 12.0, 0.25], rtol=1e-13)
-    assert [e.stability.index for e in found] == [0, 1, 1, 2]
-    assert [e.verdict for e in found][:3] == ["stable", "unstable", "unstable"]
-    stands_still(found)
+    assert [e.stability.index for e in equilibria] == [0, 1, 1, 2]
+    assert [e.verdict for e in equilibria][:3] == ["stable", "unstable", "unstable"]
+    assert_steady(equilibria)
 
 
-def test_reaction_wheels() -> None:
-    """J = 0.5 and π = (0.3, −0.2, 0.4): eight; the opposite direction is none of them reversed."""
+def test_reaction_wheels_have_eight_equilibria() -> None:
+    """J = 0.5, π = (0.3, −0.2, 0.4): no two of the eight are opposite directions."""
     system = pinred.load("reaction_wheel_satellite")
-    found = pinred.relative_equilibria(
+    equilibria = pinred.relative_equilibria(
         system, momentum=0.5, cyclic={"wheel_x": 0.3, "wheel_y": -0.2, "wheel_z": 0.4}
     )
-    assert len(found) == 8
-    for each in found:
-        J = system.group.about(pinred.Reduction(system).split(each.x).com, each.mu)
+    assert len(equilibria) == 8
+    for equilibrium in equilibria:
+        J = system.group.about(pinred.Reduction(system).split(equilibrium.x).com, equilibrium.mu)
         assert np.linalg.norm(J) == pytest.approx(0.5, rel=1e-12)
-        pi = pinred.Reduction(system).mass_matrix(each.x)[6:] @ np.r_[each.xi, each.xdot]
+        pi = (
+            pinred.Reduction(system).mass_matrix(equilibrium.x)[6:]
+            @ np.r_[equilibrium.xi, equilibrium.xdot]
+        )
         np.testing.assert_allclose(pi[1:], [0.3, -0.2, 0.4], atol=1e-13)
-    stands_still(found)
+    assert_steady(equilibria)
 
 
 @pytest.mark.parametrize("rate", [-4.0, -0.5, 0.7, 6.0])
-def test_gyrostat(rate: float) -> None:
-    """s² = −Ω²(λ − I₁)(λ − I₃)/(I₁I₃), λ = I₂ + h/Ω, of a rotor driven on axis 2."""
+def test_gyrostat_matches_closed_form(rate: float) -> None:
+    """s² = −Ω²(λ − I₁)(λ − I₃)/(I₁I₃), λ = I₂ + h/Ω, for a rotor driven about axis 2."""
     I, J, spin = (0.9, 1.3, 1.1), 1.5, 0.03
-    found = pinred.relative_equilibria(
+    equilibria = pinred.relative_equilibria(
         gyrostat(I), momentum=J, prescribed={"wheel": f"{rate}*t"}, starts=100
     )
     h = spin * rate
-    about = [e for e in found if abs(abs(e.direction[1]) - 1.0) < 1e-9]
+    about = [e for e in equilibria if abs(abs(e.direction[1]) - 1.0) < 1e-9]
     assert len(about) == 2
     for each in about:
         omega = (J * each.direction[1] - h) / I[1]
@@ -187,11 +196,11 @@ def test_gyrostat(rate: float) -> None:
         else:
             assert each.frequencies[0] == pytest.approx(np.sqrt(-square), rel=1e-11)
             assert each.verdict == "stable"
-    stands_still(found)
+    assert_steady(equilibria)
 
 
-def test_thresholds_of_a_rotor() -> None:
-    """Where λ = I₁ or I₃: h = Ω (I_k − I₂), Ω = J/I_k; by bisection on the verdict, to 1e-10."""
+def test_gyrostat_verdict_changes_at_closed_form_thresholds() -> None:
+    """Thresholds are λ = I₁ or I₃: h = Ω (I_k − I₂), Ω = J/I_k; bisection agrees to 1e-10."""
     I, J, spin = (0.9, 1.0, 1.3), 1.5, 0.03
     second = Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]]))
     problem = problem_of(
@@ -202,23 +211,25 @@ def test_thresholds_of_a_rotor() -> None:
         rate = omega * (I[k] - I[1]) / spin
         momentum = spin * (omega + rate)
         low, high = sorted([momentum - 0.05 * rate * spin, momentum + 0.05 * rate * spin])
-        if k == 2:  # unstable lies between the two thresholds
+        if k == 2:  # The unstable range is between the two thresholds.
             low, high = high, low
         for _ in range(40):
             middle = 0.5 * (low + high)
-            each = equilibrium_at(replace(problem, cyclic_momenta=np.array([middle])), second, J)
-            low, high = (low, middle) if each.verdict == "unstable" else (middle, high)
-        assert each.xdot[0] == pytest.approx(rate, rel=1e-10)
-        assert each.xi[1] == pytest.approx(omega, rel=1e-10)
+            equilibrium = equilibrium_at(
+                replace(problem, cyclic_momenta=np.array([middle])), second, J
+            )
+            low, high = (low, middle) if equilibrium.verdict == "unstable" else (middle, high)
+        assert equilibrium.xdot[0] == pytest.approx(rate, rel=1e-10)
+        assert equilibrium.xi[1] == pytest.approx(omega, rel=1e-10)
 
 
-def test_dual_spin_satellite() -> None:
-    """About the axis of least inertia a free rotor may stabilise or not: h = π − I_w Ω."""
+def test_dual_spin_satellite_matches_closed_form() -> None:
+    """A free rotor on the least axis has the gyrostat's s² with h = π − I_w Ω."""
     I, spin = (1.1, 0.8, 1.3), 0.03
     system = gyrostat(I, group="SE3")
     for J, pi in ((1.0, 0.5), (1.0, -0.6), (0.4, 0.9)):
-        found = pinred.relative_equilibria(system, momentum=J, cyclic={"wheel": pi})
-        both = [e for e in found if abs(abs(e.direction[1]) - 1.0) < 1e-9]
+        equilibria = pinred.relative_equilibria(system, momentum=J, cyclic={"wheel": pi})
+        both = [e for e in equilibria if abs(abs(e.direction[1]) - 1.0) < 1e-9]
         for each in both:
             omega = (J * each.direction[1] - pi) / (I[1] - spin)
             assert each.xi[4] == pytest.approx(omega, rel=1e-12)
@@ -228,27 +239,27 @@ def test_dual_spin_satellite() -> None:
             rate = each.growth if square > 0.0 else each.frequencies[0]
             assert rate == pytest.approx(np.sqrt(abs(square)), rel=1e-10)
         assert len(both) == 2
-        stands_still(found)
+        assert_steady(equilibria)
 
 
-def test_cart_on_rails() -> None:
-    """ℝ at any momentum: the pole hangs or stands, ω² = g k/(M at 0) and its negative."""
+def test_cart_pole_hangs_or_stands_at_any_momentum() -> None:
+    """On ℝ, ω² is g k/(M at 0) for the hanging pole and its negative for the upright one."""
     cart = pinred.load("cartpole")
     for momentum in (0.0, -3.0):
-        found = pinred.relative_equilibria(cart, momentum=momentum)
-        assert [round(e.x[0], 12) for e in found] == [0.0, round(np.pi, 12)]
+        equilibria = pinred.relative_equilibria(cart, momentum=momentum)
+        assert [round(e.x[0], 12) for e in equilibria] == [0.0, round(np.pi, 12)]
         M = 0.34 - 1.0 / 12.0
         rate = np.sqrt(9.81 * 0.5 / M)
-        assert found[0].frequencies[0] == pytest.approx(rate, rel=1e-12)
-        assert found[1].growth == pytest.approx(rate, rel=1e-12)
-        assert found[0].xi[0] == pytest.approx(momentum / 3.0, abs=1e-14)
+        assert equilibria[0].frequencies[0] == pytest.approx(rate, rel=1e-12)
+        assert equilibria[1].growth == pytest.approx(rate, rel=1e-12)
+        assert equilibria[0].xi[0] == pytest.approx(momentum / 3.0, abs=1e-14)
 
 
-def test_springs_and_other_potentials() -> None:
-    """A spring moves the cat's spin; a potential of one's own says the same."""
+def test_spring_equals_custom_potential() -> None:
+    """A spring changes the equilibria of the cat exactly as the same custom potential does."""
     cat = pinred.load("falling_cat")
     spring = {"bend": (5.0, 0.6), "sway": (5.0, -0.2), "twist": (5.0, 0.3)}
-    found = pinred.relative_equilibria(cat, momentum=1.0, springs=spring, starts=150)
+    equilibria = pinred.relative_equilibria(cat, momentum=1.0, springs=spring, starts=150)
     own = pinred.relative_equilibria(
         cat,
         momentum=1.0,
@@ -257,20 +268,20 @@ def test_springs_and_other_potentials() -> None:
             lambda x: 2.5 * ((x[0] - 0.6) ** 2 + (x[1] + 0.2) ** 2 + (x[2] - 0.3) ** 2)
         ),
     )
-    assert own[0].energy == pytest.approx(found[0].energy, rel=1e-12)
-    np.testing.assert_allclose(own[0].x, found[0].x, atol=1e-10)
-    least = found[0]
+    assert own[0].energy == pytest.approx(equilibria[0].energy, rel=1e-12)
+    np.testing.assert_allclose(own[0].x, equilibria[0].x, atol=1e-10)
+    least = equilibria[0]
     tau = {k: -5.0 * (least.x[k] - rest) for k, rest in enumerate((0.6, -0.2, 0.3))}
     single = pinred.Equilibria(cat, 1.0, 1, 1, (least,))
-    stands_still(single, tau)
+    assert_steady(single, tau)
 
 
-def test_held_joints() -> None:
-    """A prescribed joint stands where it is held; the others are in equilibrium beside it."""
+def test_prescribed_joint_keeps_its_value() -> None:
+    """A prescribed joint keeps its value; the other joints are in equilibrium."""
     chain = rods(4)
-    held = pinred.relative_equilibria(chain, momentum=1.0, prescribed={"joint2": 0.5})
-    assert all(e.x[1] == 0.5 for e in held)
-    lowest = held[0]
+    equilibria = pinred.relative_equilibria(chain, momentum=1.0, prescribed={"joint2": 0.5})
+    assert all(e.x[1] == 0.5 for e in equilibria)
+    lowest = equilibria[0]
     energy = AmendedEnergy(lowest.problem)
     assert energy.problem.driven == (1,)
     red = pinred.Reduction(chain)
@@ -284,21 +295,21 @@ def test_held_joints() -> None:
             assert inertia(lowest.x + step * np.eye(3)[k]) < inertia(lowest.x)
 
 
-def test_pivots_in_gravity() -> None:
-    """A random heavy tree: ABA has no acceleration, the base turns about the vertical."""
+def test_heavy_pivoted_tree_is_steady() -> None:
+    """For a random heavy tree ABA has no acceleration, and the base rotates about the vertical."""
     model = random_model("SO3", 1, 7)
     model.gravity.linear = np.array([0.0, 3.0, -9.0])
     system = pinred.load(model)
-    found = pinred.relative_equilibria(system, momentum=0.7, starts=300)
-    assert len(found) >= 4
-    for each in found:
-        np.testing.assert_allclose(np.cross(each.xi, each.direction), 0.0, atol=1e-12)
-        assert each.mu @ each.direction == pytest.approx(0.7, rel=1e-12)
-    stands_still(found)
+    equilibria = pinred.relative_equilibria(system, momentum=0.7, starts=300)
+    assert len(equilibria) >= 4
+    for equilibrium in equilibria:
+        np.testing.assert_allclose(np.cross(equilibrium.xi, equilibrium.direction), 0.0, atol=1e-12)
+        assert equilibrium.mu @ equilibrium.direction == pytest.approx(0.7, rel=1e-12)
+    assert_steady(equilibria)
 
 
-def test_a_heavy_gyrostat() -> None:
-    """A rotor and an arm on a pivot in gravity: free with a momentum, and driven."""
+def test_heavy_gyrostat_with_free_and_driven_rotor() -> None:
+    """A rotor and an arm on a pivot under gravity; the rotor is free, then driven."""
     model = pin.Model()
     root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
     for kind, name, place, lever, moments in (
@@ -317,7 +328,7 @@ def test_a_heavy_gyrostat() -> None:
     )
     for found in (free, driven):
         assert len(found) >= 4
-        stands_still(found)
+        assert_steady(found)
     red = pinred.Reduction(system)
     for each in free:
         pi = red.mass_matrix(each.x) @ np.r_[each.xi, each.xdot]
@@ -325,29 +336,32 @@ def test_a_heavy_gyrostat() -> None:
     assert all(each.xdot[0] == 20.0 for each in driven)
 
 
-def test_joints_that_follow_others() -> None:
-    """A coupled tree turns steadily: no accelerations by ABA with multipliers."""
+def test_coupled_joints_are_steady() -> None:
+    """A tree with coupled joints has no acceleration by ABA with multipliers."""
     case = make_case("SE2", 3, 4)
     system, model = case.system, case.system.model
     assert system.couplings
-    found = pinred.relative_equilibria(system, momentum=1.0, starts=40)
-    assert len(found) >= 1
+    equilibria = pinred.relative_equilibria(system, momentum=1.0, starts=40)
+    assert len(equilibria) >= 1
     tau = multipliers(system)
-    for each in found:
-        q, v = system.model_q(np.zeros(3), each.x), system.model_v(each.xi, each.xdot)
+    for equilibrium in equilibria:
+        q, v = (
+            system.model_q(np.zeros(3), equilibrium.x),
+            system.model_v(equilibrium.xi, equilibrium.xdot),
+        )
         a = pin.aba(model, model.createData(), q, v, tau(0.0, q, v))
-        assert np.abs(a).max() <= 1e-9 * max(1.0, float(v @ v)), str(each)
+        assert np.abs(a).max() <= 1e-9 * max(1.0, float(v @ v)), str(equilibrium)
 
 
-def test_families_count_once() -> None:
-    """The cat's symmetric front half lets equilibria come in circles, judged across."""
-    found = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=1.0, starts=200)
-    dimensions = {e.dimension for e in found}
+def test_family_of_equilibria_counts_once() -> None:
+    """The cat's symmetric front half creates circles of equilibria, judged transverse to them."""
+    equilibria = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=1.0, starts=200)
+    dimensions = {e.dimension for e in equilibria}
     assert dimensions == {0, 1}
-    (least,) = (e for e in found if e.verdict == "stable")
+    (least,) = (e for e in equilibria if e.verdict == "stable")
     assert least.dimension == 1
     assert least.growth == 0.0
-    stands_still(found)
+    assert_steady(equilibria)
     disc = pin.Model()
     root = disc.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     disc.appendBodyToJoint(
@@ -359,8 +373,8 @@ def test_families_count_once() -> None:
 
 
 @pytest.mark.parametrize("moment", [0.2, 0.3, 1e-9, 7e5])
-def test_a_ball_spins_about_any_axis(moment: float) -> None:
-    """One entry, a family of dimension 2: its rates are round-off of what cancels."""
+def test_ball_has_one_family_of_dimension_2(moment: float) -> None:
+    """A ball spins about any axis; its growth rates are round-off."""
     ball = pin.Model()
     root = ball.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     body = pin.Inertia(moment, np.array([0.1, 0.2, 0.0]), moment * np.eye(3))
@@ -371,21 +385,21 @@ def test_a_ball_spins_about_any_axis(moment: float) -> None:
     assert only.amended_potential == pytest.approx(0.5 * moment, rel=1e-14)
 
 
-def test_many_joints_have_their_minimum() -> None:
-    """Every search from other starts ends at the same one; all residuals are round-off."""
+def test_minimum_of_many_joints_is_independent_of_seed() -> None:
+    """Searches with different seeds find the same minimum, with residuals of round-off."""
     system = pinred.load("satellite_two_arms")
     least = []
     for seed in range(2):
-        found = pinred.relative_equilibria(system, momentum=1.0, starts=30, seed=seed)
-        assert max(e.residual for e in found) < 1e-12
-        (one,) = (e for e in found if e.verdict == "stable")
-        assert one is found[0]
+        equilibria = pinred.relative_equilibria(system, momentum=1.0, starts=30, seed=seed)
+        assert max(e.residual for e in equilibria) < 1e-12
+        (one,) = (e for e in equilibria if e.verdict == "stable")
+        assert one is equilibria[0]
         least.append(one.amended_potential)
     assert least[0] == pytest.approx(least[1], rel=1e-12)
 
 
-def test_starts_of_a_humanoid() -> None:
-    """Of all shapes with quarter turns, 4³² here, as many are taken as there are to be."""
+def test_starting_points_of_humanoid_are_limited() -> None:
+    """Only the requested number of the 4³² shapes with quarter turns is generated."""
     rng = np.random.default_rng(0)
     assert _quarters(32, 25, rng).shape == (25, 32)
     assert _quarters(64, 25, rng).shape == (25, 64)
@@ -393,8 +407,8 @@ def test_starts_of_a_humanoid() -> None:
     assert _quarters(0, 5, rng).shape == (1, 0)
 
 
-def test_no_momentum_but_a_rotors() -> None:
-    """Without momentum nothing of the base can change: a rotor turns, and no mode is left."""
+def test_zero_momentum_with_rotor_has_no_modes() -> None:
+    """Without momentum the base cannot change: a rotor spins, and there is no mode."""
     system = gyrostat((0.9, 1.3, 1.1))
     (only,) = pinred.relative_equilibria(system, momentum=0.0, cyclic={"wheel": 0.4})
     assert (only.verdict, only.modes, only.momentum) == ("stable", (), 0.0)
@@ -402,18 +416,18 @@ def test_no_momentum_but_a_rotors() -> None:
 
 
 @pytest.mark.parametrize("J", [1e-9, 1e-3, 1.0, 1e6, 1e12])
-def test_verdicts_do_not_depend_on_the_unit_of_time(J: float) -> None:
-    """A free robot at another momentum is the same film at another speed."""
-    found = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=J, starts=150)
+def test_verdicts_are_independent_of_time_unit(J: float) -> None:
+    """A free robot at another momentum moves equally at another speed."""
+    equilibria = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=J, starts=150)
     usual = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=1.0, starts=150)
-    assert [e.verdict for e in found] == [e.verdict for e in usual]
-    for one, other in zip(found, usual, strict=True):
+    assert [e.verdict for e in equilibria] == [e.verdict for e in usual]
+    for one, other in zip(equilibria, usual, strict=True):
         assert one.growth == pytest.approx(J * other.growth, rel=1e-6)
         np.testing.assert_allclose(one.frequencies, J * other.frequencies, rtol=1e-6)
 
 
-def test_a_scene_begins_in_it() -> None:
-    """The motion keeps its shape, and on a mode it swings at the mode's frequency."""
+def test_scene_of_equilibrium_keeps_shape() -> None:
+    """The simulation keeps the shape, and oscillates on a mode at its frequency."""
     pendulum = pinred.load("double_spherical_pendulum")
     least = pinred.relative_equilibria(pendulum, momentum=2.0, starts=200)[0]
     traj = pinred.simulate(least.scene(duration=5.0))
@@ -427,8 +441,8 @@ def test_a_scene_begins_in_it() -> None:
         least.scene(3)
 
 
-def test_refusals() -> None:
-    """What is no relative equilibrium's problem is refused by name."""
+def test_invalid_problems_are_refused() -> None:
+    """Invalid arguments are refused by name."""
     cat, wheels = pinred.load("falling_cat"), pinred.load("reaction_wheel_satellite")
     for words, options in (
         ("not negative", {"momentum": -1.0}),
@@ -450,13 +464,13 @@ def test_refusals() -> None:
         pinred.relative_equilibria(tilted, momentum=1.0)
 
 
-def test_a_table_says_what_was_found() -> None:
-    """As text and as a card."""
-    found = pinred.relative_equilibria(pinred.load("rigid_body"), momentum=1.0, starts=10)
-    text = str(found)
+def test_equilibria_print_as_text_and_html() -> None:
+    """The table has a text form and an HTML form."""
+    equilibria = pinred.relative_equilibria(pinred.load("rigid_body"), momentum=1.0, starts=10)
+    text = str(equilibria)
     assert "3 relative equilibria found at momentum 1" in text
     assert "unstable" in text
-    assert "grows by 0.223607" in str(found[1])
+    assert "grows by 0.223607" in str(equilibria[1])
     assert "0.223607 ± " in text
-    assert "relative equilibria" in found._repr_html_()
-    assert len(found[:2]) == 2
+    assert "relative equilibria" in equilibria._repr_html_()
+    assert len(equilibria[:2]) == 2

@@ -1,4 +1,4 @@
-"""Free-floating arms: the generalised Jacobian against finite motions, and published numbers."""
+"""Free-floating arms: the generalised Jacobian, against simulations and published numbers."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Q1 = np.radians(-65.0)
 
 
 def planar() -> pinred.FloatingArm:
-    """Papadopoulos and Dubowsky's two-link arm."""
+    """The two-link arm of Papadopoulos and Dubowsky."""
     return pinred.FloatingArm(pinred.load("floating_arm"), "hand")
 
 
 def spatial() -> pinred.FloatingArm:
-    """The last link of an arm of six joints on a base in space."""
+    """The last link of a six-joint arm on a free base in space."""
     return pinred.FloatingArm(pinred.load("ur5", gravity=[0.0, 0.0, 0.0]), "tool0")
 
 
@@ -30,7 +30,7 @@ ARMS = pytest.mark.parametrize("make", [planar, spatial])
 
 
 def gait_of(m: int) -> pinred.Gait:
-    """Some motion of the joints."""
+    """Return a smooth motion of m joints."""
     rng = np.random.default_rng(6)
     return pinred.Gait.fourier(
         rng.uniform(-0.5, 0.5, m), rng.uniform(-0.4, 0.4, (2, m)), rng.uniform(-0.4, 0.4, (2, m))
@@ -38,8 +38,8 @@ def gait_of(m: int) -> pinred.Gait:
 
 
 @ARMS
-def test_against_the_finite_motion_of_the_simulation(make: object) -> None:
-    """The hand goes where J_g ẋ, integrated, says: joints prescribed, base free, to 1e-9."""
+def test_jacobian_matches_hand_motion_of_simulation(make: object) -> None:
+    """The integral of J_g ẋ gives the hand motion of a simulation to 1e-9."""
     arm: pinred.FloatingArm = make()  # type: ignore[operator]
     system, gait = arm.system, gait_of(arm.system.m)
     t1 = 0.4
@@ -65,16 +65,16 @@ def test_against_the_finite_motion_of_the_simulation(make: object) -> None:
         return np.concatenate([g.rotation @ V[:3], 0.5 * whole])
 
     y0 = pin.SE3ToXYZQUAT(start)
-    out = solve_ivp(rate, (0.0, t1), y0, method="DOP853", rtol=1e-12, atol=1e-13)
-    y = out.y[:, -1]
+    solution = solve_ivp(rate, (0.0, t1), y0, method="DOP853", rtol=1e-12, atol=1e-13)
+    y = solution.y[:, -1]
     y[3:] /= np.linalg.norm(y[3:])
     close(pin.log6(pin.XYZQUATToSE3(y).actInv(end)).vector, np.zeros(6), 1e-9)
 
 
 @ARMS
 @pytest.mark.parametrize("axes", ["local", "world"])
-def test_its_rate(make: object, axes: str) -> None:
-    """J̇_g, by differences along the horizontal motion, to 1e-9."""
+def test_jacobian_rate_matches_differences(make: object, axes: str) -> None:
+    """J̇_g equals differences along the horizontal motion to 1e-9."""
     arm: pinred.FloatingArm = make()  # type: ignore[operator]
     system = arm.system
     rng = np.random.default_rng(7)
@@ -91,8 +91,8 @@ def test_its_rate(make: object, axes: str) -> None:
             xi = -red.local_connection(shape) @ xdot
             return system.group.rate(system.group.normalize(y), xi)
 
-        out = solve_ivp(rate, (0.0, t), g0, method="DOP853", rtol=1e-13, atol=1e-14)
-        pose = system.group.normalize(out.y[:, -1])
+        solution = solve_ivp(rate, (0.0, t), g0, method="DOP853", rtol=1e-13, atol=1e-14)
+        pose = system.group.normalize(solution.y[:, -1])
         return arm.generalized_jacobian(x + t * xdot, axes=axes, pose=pose)  # type: ignore[arg-type]
 
     weights = [(1, 45.0), (-1, -45.0), (2, -9.0), (-2, 9.0), (3, 1.0), (-3, -1.0)]
@@ -101,8 +101,8 @@ def test_its_rate(make: object, axes: str) -> None:
     close(found, expected, 1e-9)
 
 
-def test_drift_under_momentum() -> None:
-    """With frozen joints the hand moves as a point of one rigid body: Pinocchio's velocities."""
+def test_drift_matches_rigid_motion_of_locked_arm() -> None:
+    """With locked joints the hand moves with a rigid body, by Pinocchio's velocities."""
     arm = spatial()
     system = arm.system
     rng = np.random.default_rng(8)
@@ -116,11 +116,11 @@ def test_drift_under_momentum() -> None:
     close(arm.drift(x, mu), expected.vector, 1e-12)
 
 
-def test_the_published_singularity() -> None:
-    """At q1 = −65° singular at q2 = −11.410803°; at q1 = 0 nowhere but stretched or folded."""
+def test_singularities_match_published_values() -> None:
+    """At q1 = −65° it is singular at q2 = −11.410803°; at q1 = 0 only stretched or folded."""
     arm = planar()
-    found = np.degrees(arm.singular_values_of("q2", [Q1, 0.0], limits=(-1.5, 1.5)))
-    close(found, [-11.410803], 1e-6)
+    angles = np.degrees(arm.singular_values_of("q2", [Q1, 0.0], limits=(-1.5, 1.5)))
+    close(angles, [-11.410803], 1e-6)
     (share,) = arm.singular_along([Q1, -1.0], [Q1, 1.0])
     assert np.degrees(-1.0 + 2.0 * share) == pytest.approx(-11.410803, abs=1e-6)
     for low, high in ((-3.14, -1e-3), (1e-3, 3.14)):
@@ -133,10 +133,10 @@ def test_the_published_singularity() -> None:
     close(J @ at.joints, np.zeros(2), 1e-8)
 
 
-def test_by_hand() -> None:
-    """The planar Jacobian from positions relative to the fixed centre of mass, by differences.
+def test_planar_jacobian_matches_manual_computation() -> None:
+    """The Jacobian equals differences of positions relative to the fixed centre of mass.
 
-    At zero momentum the centre of mass stays, and the base turns by −A_θ ẋ.
+    At zero momentum the centre of mass is at rest, and the base rotates by −A_θ ẋ.
     """
     arm = planar()
     x, h = np.array([0.7, -0.9]), 1e-4
@@ -181,8 +181,8 @@ def test_by_hand() -> None:
         assert J[5, k] == pytest.approx(rates.sum(), abs=1e-7)
 
 
-def test_reaction_null_space() -> None:
-    """Joint rates in it leave the base's momentum coupling empty; the two arms hold it still."""
+def test_null_space_leaves_base_at_rest() -> None:
+    """Joint rates in the null space move two arms and keep the base at rest."""
     system = pinred.load("satellite_two_arms")
     arm = pinred.FloatingArm(system, [f.name for f in system.model.frames][-1])
     x = np.array([0.3, -0.5, 0.4, -0.2, 0.6, 0.3])
@@ -192,16 +192,16 @@ def test_reaction_null_space() -> None:
     close(free.T @ free, np.eye(3), 1e-12)
     A = pinred.Reduction(system).local_connection(x)
     close(A[3:] @ free, np.zeros((3, 3)), 1e-12)
-    # One joint of a planar chain can do nothing without the base.
+    # One joint of a planar chain always moves the base.
     assert planar().null_space([0.3, 0.2]).shape == (2, 0)
     assert planar().null_space([0.3, 0.2], of="attitude").shape == (2, 1)
 
 
-def test_workspace() -> None:
-    """Singular shapes, found one by one, lie at distances that are called path-dependent."""
+def test_singular_shapes_are_in_dependent_ranges() -> None:
+    """Separately computed singular shapes have path-dependent distances."""
     arm = planar()
-    found = arm.workspace(samples=61)
-    step = 2.0 * float(np.ptp(found.reach)) / 61
+    workspace = arm.workspace(samples=61)
+    step = 2.0 * float(np.ptp(workspace.reach)) / 61
     rng = np.random.default_rng(2)
     seen = []
     for q1 in rng.uniform(-np.pi, np.pi, 12):
@@ -210,20 +210,20 @@ def test_workspace() -> None:
             q = arm.system.q(arm.system.group.identity(), [q1, q2])
             com = pin.centerOfMass(arm.system.model, arm.system.model.createData(), q)
             seen.append(float(np.linalg.norm(hand - com)))
-    inside = [any(a - step <= r <= b + step for a, b in found.dependent) for r in seen]
+    inside = [any(a - step <= r <= b + step for a, b in workspace.dependent) for r in seen]
     assert all(inside)
-    free = [any(a + step < r < b - step for a, b in found.independent) for r in seen]
+    free = [any(a + step < r < b - step for a, b in workspace.independent) for r in seen]
     assert not any(free)
-    assert len(found.independent) >= 1
-    # Stretched out on the far side of the base, the hand is farthest.
-    assert found.reach[1] == pytest.approx(2.5 - (4.0 * 1.0 + 3.0 * 2.0) / 47.0, abs=1e-3)
+    assert len(workspace.independent) >= 1
+    # The hand is farthest with the arm stretched away from the base.
+    assert workspace.reach[1] == pytest.approx(2.5 - (4.0 * 1.0 + 3.0 * 2.0) / 47.0, abs=1e-3)
 
 
 @pytest.mark.slow
-def test_workspace_of_many_joints() -> None:
-    """Six joints: singular shapes found one by one, and random shapes, lie where it says."""
+def test_workspace_of_six_joints_contains_sampled_shapes() -> None:
+    """Separately computed singular and random shapes are within the ranges."""
     arm = spatial()
-    found = arm.workspace(samples=60)
+    workspace = arm.workspace(samples=60)
     model, data, system = arm.system.model, arm.system.model.createData(), arm.system
     g, rng = system.group.identity(), np.random.default_rng(5)
 
@@ -232,9 +232,9 @@ def test_workspace_of_many_joints() -> None:
         return float(np.linalg.norm(arm.hand_pose(x).translation - com))
 
     random = [radius(x) for x in rng.uniform(-np.pi, np.pi, (500, 6))]
-    assert found.reach[0] <= min(random)
-    assert max(random) <= found.reach[1] <= 1.2 * max(random)
-    gap = 4.0 * float(np.ptp(found.reach)) / 60
+    assert workspace.reach[0] <= min(random)
+    assert max(random) <= workspace.reach[1] <= 1.2 * max(random)
+    gap = 4.0 * float(np.ptp(workspace.reach)) / 60
     seen = []
     for start in rng.uniform(-2.0, 2.0, (4, 6)):
         for value in arm.singular_values_of(system.shape_names[2], start):
@@ -242,15 +242,15 @@ def test_workspace_of_many_joints() -> None:
             assert arm.singularity(x).condition > 1e6
             seen.append(radius(x))
     assert len(seen) >= 4
-    assert all(any(a - gap <= r <= b + gap for a, b in found.dependent) for r in seen)
-    # Descent knows the slope: no small step from where it is farthest goes farther.
+    assert all(any(a - gap <= r <= b + gap for a, b in workspace.dependent) for r in seen)
+    # At the farthest point no small step increases the distance.
     slope, h = arm._radius_gradient(start), 1e-6
     ahead = [(radius(start + h * e) - radius(start - h * e)) / (2.0 * h) for e in np.eye(6)]
     close(slope, ahead, 1e-8)
 
 
-def test_refusals() -> None:
-    """Frames, rows and axes that are not there."""
+def test_unknown_frames_rows_and_axes_are_refused() -> None:
+    """Missing frames, rows and axes are refused by name."""
     system = pinred.load("floating_arm")
     with pytest.raises(pinred.InputError, match="did you mean 'hand'"):
         pinred.FloatingArm(system, "hnad")

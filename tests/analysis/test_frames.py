@@ -1,4 +1,4 @@
-"""Minimum-perturbation frames, surface integrals of curvature, flatness."""
+"""Minimum-perturbation frames, surface integrals of curvature, and flatness."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ BOX = [[-1.5, 1.5], [-1.5, 1.5]]
 
 
 def swimmer() -> pinred.Connection:
-    """Purcell's, with drag ratio 2."""
+    """Purcell's swimmer, with drag ratio 2."""
     return pinred.Connection.viscous(pinred.load("purcell_swimmer"), RODS)
 
 
-def test_the_surface_integral_becomes_trustworthy() -> None:
-    """Purcell's circle of radius 1: from 27 % in the middle link to below 0.5 % in the frame."""
+def test_optimal_frame_reduces_error_of_surface_integral() -> None:
+    """For Purcell's circle of radius 1 the error falls from 27 % to below 0.5 %."""
     A = swimmer()
     before = pinred.corrected_integral(A, CIRCLE)
     assert before.error == pytest.approx(0.266, abs=2e-3)
@@ -33,13 +33,13 @@ def test_the_surface_integral_becomes_trustworthy() -> None:
     after = pinred.corrected_integral(A, CIRCLE, frame)
     assert after.error < 5e-3
     assert after.trusted
-    # The frame is only another frame: the phase in it is the conjugate of the published one.
+    # In another frame the phase is conjugate to the published one.
     assert np.hypot(*after.phase[:2]) == pytest.approx(0.0512808243, abs=1e-8)
     assert pinred.corrected_integral(A, CIRCLE, pinred.optimal_frame(A, CIRCLE)).error < 0.02
 
 
-def test_where_it_stops_being_trustworthy() -> None:
-    """With the radius of the circle the error grows, in any frame; and it is told."""
+def test_error_of_surface_integral_grows_with_radius() -> None:
+    """The error grows with the radius in any frame, and it is reported."""
     A = swimmer()
     frame = pinred.optimal_frame(A, [[-2.5, 2.5], [-2.5, 2.5]])
     errors = [
@@ -48,8 +48,8 @@ def test_where_it_stops_being_trustworthy() -> None:
     assert errors[0] < errors[1]
 
 
-def test_it_does_not_matter_from_where() -> None:
-    """The same least norm from every base link, to 1e-8."""
+def test_optimal_frame_is_independent_of_base_link() -> None:
+    """All base links give the same least norm to 1e-8."""
     A = swimmer()
     found = [pinred.optimal_frame(c, BOX) for c in (A, A.seen_from("front"), A.seen_from("rear"))]
     norms = np.array([[each.angular, each.linear] for each in found])
@@ -58,19 +58,19 @@ def test_it_does_not_matter_from_where() -> None:
     assert found[1].linear < 0.1 * found[1].linear_before
 
 
-def test_the_frame_is_the_frame() -> None:
-    """A′ by its definition: the velocity that the frame has on a horizontal motion."""
+def test_optimal_frame_connection_is_its_velocity() -> None:
+    """A′ is the velocity of the frame on a horizontal motion."""
     A = swimmer()
     frame, G = pinred.optimal_frame(A, BOX), A.group
     x, xdot, h = np.array([0.7, -0.4]), np.array([0.3, 0.9]), 1e-4
     step = [G.compose(G.inverse(frame.pose(x)), frame.pose(x + k * h * xdot)) for k in (-1, 1)]
-    moved = (G.log(step[1]) - G.log(step[0])) / (2.0 * h)
-    xi = G.Ad(G.inverse(frame.pose(x))) @ A.velocity(x, xdot) + moved
+    displacement = (G.log(step[1]) - G.log(step[0])) / (2.0 * h)
+    xi = G.Ad(G.inverse(frame.pose(x))) @ A.velocity(x, xdot) + displacement
     close(frame.local(x) @ (xdot / 1.5), -xi, 1e-7)
 
 
-def test_least_means_least() -> None:
-    """Any other smooth frame disturbs more: angular and linear parts, each by itself."""
+def test_other_frames_have_larger_norm() -> None:
+    """Any other smooth frame has larger angular and linear norms."""
     A = swimmer()
     best = pinred.optimal_frame(A, BOX)
     rng = np.random.default_rng(1)
@@ -80,11 +80,11 @@ def test_least_means_least() -> None:
         k = rng.normal(size=2)
         wave, slope = np.sin(u @ k), np.cos(u @ k)[:, None] * k
         field = best.local_at(u)
-        moved = field.copy()
-        moved[:, 2] -= amount[2] * slope
-        change = w @ (moved[:, 2] ** 2 - field[:, 2] ** 2).sum(axis=1)
+        displacement = field.copy()
+        displacement[:, 2] -= amount[2] * slope
+        change = w @ (displacement[:, 2] ** 2 - field[:, 2] ** 2).sum(axis=1)
         assert change > 0.0
-        # p → p + δp in the frame: A′_v + A_ω × δp − ∂δp (in its axes, to first order).
+        # A shift δp of the origin changes A_v to A′_v + A_ω × δp − ∂δp, to first order.
         arms = amount[:2, None] * wave
         turning = field[:, 2]
         across = [-turning * arms[1][:, None], turning * arms[0][:, None]]
@@ -96,8 +96,8 @@ def test_least_means_least() -> None:
 
 
 @pytest.mark.by_hand
-def test_attitudes_in_space() -> None:
-    """SO(3) over three joints on 20³ nodes: the same norm from two sections, and stationary."""
+def test_optimal_attitude_in_space_is_stationary() -> None:
+    """For SO(3) over three joints on 20³ nodes, two sections give the same norm."""
     case = make_case("SO3", 3, 4)
     A = pinred.Connection.mechanical(case.system)
     best = pinred.optimal_frame(A, [[-0.6, 0.6]] * 3, nodes=20)
@@ -112,8 +112,8 @@ def test_attitudes_in_space() -> None:
     assert 2 <= best.iterations <= 16
 
 
-def test_free_floating_robots_want_their_centre_of_mass() -> None:
-    """In SE(3) the best origin is the centre of mass: nothing of the translations is left."""
+def test_optimal_origin_of_free_robot_is_centre_of_mass() -> None:
+    """In SE(3) no translation is left in the frame of the centre of mass."""
     system = pinred.load("falling_cat")
     frame = pinred.optimal_frame(
         pinred.Connection.mechanical(system), [[-0.8, 0.8]] * 2, joints=(0, 1), degree=12
@@ -121,7 +121,7 @@ def test_free_floating_robots_want_their_centre_of_mass() -> None:
     assert frame.linear < 1e-8
     x = np.array([0.5, -0.3, 0.0])
     com = pinred.Reduction(system).split(x).com
-    # Up to a point that is fixed in the frame: the difference does not depend on the shape.
+    # The origin is unique up to a constant, so the difference is independent of the shape.
     G = system.group
 
     def seen(shape: Array) -> Array:
@@ -131,8 +131,8 @@ def test_free_floating_robots_want_their_centre_of_mass() -> None:
     close(frame.pose(x)[:3], com, 1e-6)
 
 
-def test_a_gait_in_many_joints() -> None:
-    """On the disc of a gait of six joints the integral gets better, whatever the joints."""
+def test_optimal_frame_improves_gait_of_six_joints() -> None:
+    """On the disc of the gait the surface integral improves."""
     A = pinred.Connection.mechanical(pinred.load("satellite_two_arms"))
     rng = np.random.default_rng(3)
     gait = pinred.Gait.fourier(
@@ -144,18 +144,18 @@ def test_a_gait_in_many_joints() -> None:
     assert turned[1] < 0.5 * turned[0]
 
 
-def test_stokes_in_a_commutative_group() -> None:
-    """Of SO(2) the surface integral is the phase, exactly."""
+def test_surface_integral_is_exact_for_so2() -> None:
+    """For SO(2) the surface integral equals the phase."""
     A = pinred.Connection.mechanical(pinred.load("double_spherical_pendulum"))
     gait = pinred.Gait.fourier(
         [0.5, 0.4, -0.3], [[0.2, 0.1, 0.0], [0.05, 0.0, 0.02]], [[0.0, 0.2, -0.1], [0.0, 0.03, 0.1]]
     )
-    found = pinred.corrected_integral(A, gait)
-    assert found.error < 1e-9
+    corrected = pinred.corrected_integral(A, gait)
+    assert corrected.error < 1e-9
 
 
-def test_flat_and_not_flat() -> None:
-    """Curvature is a verdict: coordinates where it vanishes, a refusal where it does not."""
+def test_flat_coordinates_need_zero_curvature() -> None:
+    """Coordinates exist if the curvature vanishes; otherwise they are refused."""
     rods = pinred.flatness(pinred.Connection.mechanical(pinred.load("three_rods")))
     assert not rods.attitude_is_flat
     assert not rods.is_flat
@@ -165,7 +165,7 @@ def test_flat_and_not_flat() -> None:
     with pytest.raises(pinred.InputError, match="no such frame"):
         rods.coordinates([0.1, 0.2])
     assert "attitude: not flat" in str(rods)
-    board = pinred.load("snakeboard")  # afloat, its A does not depend on the shape
+    board = pinred.load("snakeboard")  # On a free base its A is independent of the shape.
     flat = pinred.flatness(pinred.Connection.mechanical(board))
     assert flat.is_flat
     assert flat.attitude_is_flat
@@ -174,8 +174,8 @@ def test_flat_and_not_flat() -> None:
     close(flat.coordinates(x)[2], A[2] @ x, 1e-13)
 
 
-def test_flat_coordinates_stand_still() -> None:
-    """One joint is always flat: from any base link the frame h(x) goes where the other says."""
+def test_flat_coordinates_are_fixed_in_space() -> None:
+    """A single joint is flat: from another base link, h(x) describes the same frame in space."""
     system = pinred.load("coupled_planar")
     A = pinred.Connection.mechanical(system)
     G = A.group
@@ -186,13 +186,13 @@ def test_flat_coordinates_stand_still() -> None:
     expected = G.compose(
         G.compose(G.inverse(link_pose(system, other, x)), flat.coordinates(x)), start
     )
-    apart = G.error(expected, seen.coordinates(x))
-    assert apart.rotation < 1e-12
-    assert apart.translation < 1e-12
+    error = G.error(expected, seen.coordinates(x))
+    assert error.rotation < 1e-12
+    assert error.translation < 1e-12
 
 
-def test_refusals() -> None:
-    """Limits, joints and gaits that do not fit."""
+def test_invalid_limits_joints_and_gaits_are_refused() -> None:
+    """Arguments that do not match are refused."""
     A = swimmer()
     with pytest.raises(pinred.InputError, match="one to three joints"):
         pinred.optimal_frame(A, [0.0, 1.0])

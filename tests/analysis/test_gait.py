@@ -1,4 +1,4 @@
-"""Gaits: closed paths as values."""
+"""Gaits: closed paths in shape space."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SPLINE = Gait.spline([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.3], [0.2, -1.0]], period=
 ALL = pytest.mark.parametrize("gait", [ELLIPSE, WAVES, SQUARE, SPLINE])
 
 
-def test_fourier_is_its_series() -> None:
-    """X and ẋ as the formula says."""
+def test_fourier_gait_equals_its_series() -> None:
+    """Shape and rate equal the sums of the series."""
     t = np.array([0.0, 0.3, 1.7])
     x, xdot = ELLIPSE.at(t)
     close(x, np.stack([0.2 + 0.8 * np.cos(np.pi * t), -0.1 + 0.5 * np.sin(np.pi * t)], axis=1))
@@ -30,8 +30,8 @@ def test_fourier_is_its_series() -> None:
 
 
 @ALL
-def test_rates_are_derivatives(gait: Gait) -> None:
-    """Between breaks, by differences; and it closes."""
+def test_gait_rate_is_derivative(gait: Gait) -> None:
+    """Between breaks the rate equals differences, and the gait closes."""
     t, h = np.array([0.11, 0.77, 1.31]), 1e-5
     x = [gait.at(t + k * h)[0] for k in (-2, -1, 1, 2)]
     close(gait.at(t)[1], (x[0] - 8.0 * x[1] + 8.0 * x[2] - x[3]) / (12.0 * h), 1e-9)
@@ -40,8 +40,8 @@ def test_rates_are_derivatives(gait: Gait) -> None:
 
 
 @ALL
-def test_what_is_done_with_a_gait(gait: Gait) -> None:
-    """Shift, reversal, amplitude, period and concatenation, each by its definition."""
+def test_gait_operations_match_definitions(gait: Gait) -> None:
+    """Shift, reversal, amplitude, period and concatenation follow their definitions."""
     t = np.linspace(0.01, 1.97, 23)
     x, xdot = gait.at(t)
     close(gait.shifted(0.3).at(t)[0], gait.at(t + 0.6)[0])
@@ -59,8 +59,8 @@ def test_what_is_done_with_a_gait(gait: Gait) -> None:
 
 
 @ALL
-def test_limits_are_exact(gait: Gait) -> None:
-    """Not those of samples: finer ones come ever nearer, and never beyond."""
+def test_gait_limits_bound_all_samples(gait: Gait) -> None:
+    """Finer samples approach the limits and never exceed them."""
     dense = gait.at(np.linspace(0.0, 2.0, 20001))[0]
     assert (dense <= gait.limits[:, 1] + 1e-12).all()
     assert (dense >= gait.limits[:, 0] - 1e-12).all()
@@ -70,8 +70,8 @@ def test_limits_are_exact(gait: Gait) -> None:
     close(some, gait.limits)
 
 
-def test_winding() -> None:
-    """How often it goes round, with its sense, and about which centre."""
+def test_winding_number_of_circles() -> None:
+    """The winding number counts signed turns about a centre."""
     assert ELLIPSE.winding() == 1.0
     assert ELLIPSE.reversed().winding() == -1.0
     assert ELLIPSE.winding(joints=(1, 0)) == -1.0
@@ -85,15 +85,15 @@ def test_winding() -> None:
         SQUARE.winding(centre=[1.0, 0.0])
 
 
-def test_waypoints_have_one_speed() -> None:
-    """The norm of ẋ is the length of the polygon over the period."""
+def test_polygon_has_constant_speed() -> None:
+    """The norm of ẋ is the length of the polygon divided by the period."""
     rates = np.linalg.norm(SQUARE.at(np.array([0.1, 0.6, 1.2, 1.8]))[1], axis=1)
     close(rates, np.full(4, 4.0))
     assert not SQUARE.is_smooth
 
 
-def test_spline_is_smooth_at_its_points() -> None:
-    """It passes through them, and its rate does not jump there, nor where it closes."""
+def test_spline_passes_through_points_smoothly() -> None:
+    """Its rate is continuous at the points and where the gait closes."""
     close(SPLINE.at([0.0, 0.5, 1.0, 1.5])[0], [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.3], [0.2, -1.0]])
     for t in (0.5, 1.0, 1.5, 2.0):
         close(SPLINE.at(t - 1e-9)[1], SPLINE.at(t + 1e-9)[1], 1e-6)
@@ -101,8 +101,8 @@ def test_spline_is_smooth_at_its_points() -> None:
     close(uneven.at([0.2, 0.9])[0], [[0.0], [-1.0]])
 
 
-def test_strokes() -> None:
-    """Joint by joint, by name; they must close."""
+def test_strokes_move_joints_by_name_and_must_close() -> None:
+    """Strokes move one joint after another and must close."""
     moves = [{"a": 1.0}, {"b": 0.5}, {"a": -1.0}, {"b": -0.5}]
     gait = Gait.strokes([0.0, 0.0], moves, ["a", "b"], period=4.0)
     close(gait.at([0.5, 1.5, 2.5, 3.5])[0], [[0.5, 0.0], [1.0, 0.25], [0.5, 0.5], [0.0, 0.25]])
@@ -113,11 +113,11 @@ def test_strokes() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
-def test_recorded_data(suffix: str, tmp_path: Path) -> None:
-    """A cycle of joint data becomes a spline through it."""
+def test_recorded_cycle_becomes_spline(suffix: str, tmp_path: Path) -> None:
+    """A recorded cycle of joint data becomes a spline through its points."""
     t = np.linspace(3.0, 5.0, 41)
     x = ELLIPSE.at(t - 3.0)[0]
-    path = write(tmp_path / f"motion{suffix}", t, x)
+    path = write_joint_data(tmp_path / f"motion{suffix}", t, x)
     gait = Gait.read(path)
     assert gait.period == pytest.approx(2.0)
     close(gait.at(t[:-1] - 3.0)[0], x[:-1])
@@ -125,11 +125,11 @@ def test_recorded_data(suffix: str, tmp_path: Path) -> None:
     assert Gait.read(path, period=1.0).period == pytest.approx(1.0)
     x[-1] += 1e-3
     with pytest.raises(pinred.InputError, match="not a closed path"):
-        Gait.read(write(path, t, x))
+        Gait.read(write_joint_data(path, t, x))
 
 
-def write(path: Path, t: Array, x: Array) -> Path:
-    """Write joint data."""
+def write_joint_data(path: Path, t: Array, x: Array) -> Path:
+    """Write joint data to a file."""
     if path.suffix == ".npz":
         np.savez(path, t=t, x=x)
     else:
@@ -156,7 +156,7 @@ def write(path: Path, t: Array, x: Array) -> Path:
         (lambda: ELLIPSE.scaled([1.0, 2.0, 3.0]), "factor"),
     ],
 )
-def test_refusals(make: object, message: str) -> None:
-    """What is no gait is refused, with the reason."""
+def test_invalid_gaits_are_refused(make: object, message: str) -> None:
+    """Invalid gaits are refused with the reason."""
     with pytest.raises(pinred.PinredError, match=message):
         make()  # type: ignore[operator]

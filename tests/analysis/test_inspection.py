@@ -1,4 +1,4 @@
-"""What inspect says of the connection and of Casimirs, against what is known in closed form."""
+"""Flatness and Casimirs of inspect, against closed forms."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ import pinred
         ("upright_drone", False, ("P3", "P1² + P2²")),
     ],
 )
-def test_flatness_and_casimirs(robot: str, flat: bool, casimirs: tuple[str, ...]) -> None:
-    """Of bundled robots."""
-    seen = pinred.inspect(pinred.load(robot))
-    assert (seen.flat, seen.casimirs) == (flat, casimirs)
-    assert f"connection  {'flat' if flat else 'curved'}" in str(seen)
-    assert ", ".join(casimirs) in str(seen)
-    assert "Casimir" in seen._repr_html_()
+def test_flatness_and_casimirs_of_bundled_robots(
+    robot: str, flat: bool, casimirs: tuple[str, ...]
+) -> None:
+    """Bundled robots have known flatness and Casimirs."""
+    inspection = pinred.inspect(pinred.load(robot))
+    assert (inspection.flat, inspection.casimirs) == (flat, casimirs)
+    assert f"connection  {'flat' if flat else 'curved'}" in str(inspection)
+    assert ", ".join(casimirs) in str(inspection)
+    assert "Casimir" in inspection._repr_html_()
 
 
-def test_wheels_on_one_axis_are_flat() -> None:
+def test_coaxial_rotors_are_flat() -> None:
     """Two rotors about the axis of a hub commute: B = 0 with two joints and A ≠ 0."""
     import numpy as np
     import pinocchio as pin
@@ -42,8 +44,8 @@ def test_wheels_on_one_axis_are_flat() -> None:
     assert pinred.inspect(pinred.load(model)).flat
 
 
-def test_a_pivot_in_gravity() -> None:
-    """Its Casimirs are those of the semidirect product."""
+def test_pivot_under_gravity_has_semidirect_casimirs() -> None:
+    """The Casimirs are those of the semidirect product."""
     system = pinred.load("coupled_spatial", group="SO3", gravity=(0.0, 0.0, -9.81))
     assert pinred.inspect(system).casimirs == (
         "L1 Γ1 + L2 Γ2 + L3 Γ3",

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import pinred
 from pinred.common.arrays import Array
 
-HALF = 0.5  # from the board's middle to its axles
+HALF = 0.5  # distance between board centre and axles [m]
 MASS, BOARD, ROTOR, AXLE = 8.0, 0.92, 0.1, 0.01
 # World coordinates (X, Y, θ), then the joints in the robot's order: front, rear, rotor.
 INERTIA = np.diag([MASS, MASS, BOARD, AXLE, AXLE, ROTOR])
@@ -34,9 +34,9 @@ def rows(q: Array, v: Array) -> tuple[Array, Array]:
     for k, (joint, side) in enumerate(((4, -1.0), (3, 1.0))):
         heading, rate = q[2] + q[joint], v[2] + v[joint]
         W[k, :3] = [-np.sin(heading), np.cos(heading), side * HALF * np.cos(q[joint])]
-        moved = [-np.cos(heading) * rate, -np.sin(heading) * rate]
-        moved.append(-side * HALF * np.sin(q[joint]) * v[joint])
-        drift[k] = np.dot(moved, v[:3])
+        displacement = [-np.cos(heading) * rate, -np.sin(heading) * rate]
+        displacement.append(-side * HALF * np.sin(q[joint]) * v[joint])
+        drift[k] = np.dot(displacement, v[:3])
     return W, drift
 
 
@@ -49,7 +49,7 @@ def dalembert(
         q, v = y[:6], y[6:]
         W, drift = rows(q, v)
         if prescribed is not None:
-            h = 1e-4  # of the second derivative of a Fourier series
+            h = 1e-4  # step of the second differences
             ahead = [prescribed.at(t + k * h)[1] for k in (-3, -2, -1, 1, 2, 3)]
             weights = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / (60.0 * h)
             W = np.vstack([W, np.eye(6)[3:]])
@@ -61,22 +61,22 @@ def dalembert(
 
     x, xdot = (X0, RATE0) if prescribed is None else prescribed.at(0.0)
     start = np.concatenate([np.zeros(3), x, xi0, xdot])
-    out = solve_ivp(rate, (0.0, TIMES[-1]), start, "DOP853", TIMES, rtol=1e-13, atol=1e-14)
-    return np.asarray(out.y.T)
+    solution = solve_ivp(rate, (0.0, TIMES[-1]), start, "DOP853", TIMES, rtol=1e-13, atol=1e-14)
+    return np.asarray(solution.y.T)
 
 
 def test_mixed_motion_without_torques_conserves_energy() -> None:
     """To 1e-11, with the energy conserved."""
     A = board()
-    found = pinred.simulate_mixed(A, X0, RATE0, P0, times=TIMES)
+    motion = pinred.simulate_mixed(A, X0, RATE0, P0, times=TIMES)
     expected = dalembert(A.velocity(X0, RATE0, P0), lambda _: np.zeros(3))
-    close(found.pose, expected[:, :3], 1e-11)
-    close(found.x, expected[:, 3:6], 1e-11)
-    close(found.xdot, expected[:, 9:], 1e-11)
-    assert np.ptp(found.energy) < 1e-11 * found.energy[0]
+    close(motion.pose, expected[:, :3], 1e-11)
+    close(motion.x, expected[:, 3:6], 1e-11)
+    close(motion.xdot, expected[:, 9:], 1e-11)
+    assert np.ptp(motion.energy) < 1e-11 * motion.energy[0]
     v = expected[-1, 6:]
-    assert found.energy[-1] == pytest.approx(0.5 * v @ INERTIA @ v, rel=1e-11)
-    assert np.ptp(found.p) > 1e-3  # it is no constant of the motion
+    assert motion.energy[-1] == pytest.approx(0.5 * v @ INERTIA @ v, rel=1e-11)
+    assert np.ptp(motion.p) > 1e-3  # p is not conserved
 
 
 def test_mixed_motion_with_torques_gains_their_work() -> None:
@@ -86,22 +86,22 @@ def test_mixed_motion_with_torques_gains_their_work() -> None:
         return np.array([0.02 * np.cos(3.0 * t), -0.01 * np.sin(2.0 * t), 0.3 * np.sin(4.0 * t)])
 
     A = board()
-    found = pinred.simulate_mixed(A, X0, RATE0, P0, times=TIMES, torques=torque)
+    motion = pinred.simulate_mixed(A, X0, RATE0, P0, times=TIMES, torques=torque)
     expected = dalembert(A.velocity(X0, RATE0, P0), torque)
-    close(found.pose, expected[:, :3], 1e-8)
-    close(found.x, expected[:, 3:6], 1e-8)
-    assert np.ptp(found.energy) > 1e-2
+    close(motion.pose, expected[:, :3], 1e-8)
+    close(motion.x, expected[:, 3:6], 1e-8)
+    assert np.ptp(motion.energy) > 1e-2
 
 
 def test_mixed_motion_along_gait_builds_up_momentum() -> None:
     """Prescribed joints, from rest: the snakeboard starts to move."""
     gait = pinred.Gait.fourier([0.0, 0.0, 0.0], [[0.5, -0.5, 0.0]], [[0.0, 0.0, 0.9]], period=2.0)
     A = board()
-    found = pinred.follow_mixed(A, gait, times=TIMES)
+    motion = pinred.follow_mixed(A, gait, times=TIMES)
     x, xdot = gait.at(0.0)
     expected = dalembert(A.velocity(x, xdot, [0.0]), lambda _: np.zeros(3), gait)
-    close(found.pose, expected[:, :3], 1e-10)
-    assert np.abs(found.p).max() > 1e-3
+    close(motion.pose, expected[:, :3], 1e-10)
+    assert np.abs(motion.p).max() > 1e-3
 
 
 def test_mixed_momentum_of_twist() -> None:
@@ -119,7 +119,7 @@ def test_chaplygin_sleigh_equals_dalembert() -> None:
     A = pinred.mixed_connection(system, [pinred.Wheel("rear_axle")])
     assert A.size == 2
     x0, rate0, p0 = np.array([0.2]), np.array([0.8]), np.array([0.9, -0.4])
-    found = pinred.simulate_mixed(A, x0, rate0, p0, times=TIMES)
+    motion = pinred.simulate_mixed(A, x0, rate0, p0, times=TIMES)
     H = np.diag([MASS, MASS, BOARD, ROTOR])
     H[2, 3] = H[3, 2] = ROTOR
 
@@ -132,10 +132,10 @@ def test_chaplygin_sleigh_equals_dalembert() -> None:
         return np.concatenate([v, np.linalg.solve(whole, np.append(np.zeros(4), -drift))[:4]])
 
     start = np.concatenate([np.zeros(3), x0, A.velocity(x0, rate0, p0), rate0])
-    out = solve_ivp(rate, (0.0, 2.0), start, "DOP853", TIMES, rtol=1e-13, atol=1e-14)
-    close(found.pose, out.y.T[:, :3], 1e-11)
-    close(found.x[:, 0], out.y[3], 1e-11)
-    assert np.ptp(found.energy) < 1e-11
+    solution = solve_ivp(rate, (0.0, 2.0), start, "DOP853", TIMES, rtol=1e-13, atol=1e-14)
+    close(motion.pose, solution.y.T[:, :3], 1e-11)
+    close(motion.x[:, 0], solution.y[3], 1e-11)
+    assert np.ptp(motion.energy) < 1e-11
 
 
 def test_invalid_mixed_connections_raise() -> None:

@@ -26,10 +26,10 @@ def conjugate(group: Group, g: Array, h: Array) -> Array:
 
 def agree(group: Group, found: Array, expected: Array, tolerance: float) -> None:
     """Assert that two poses agree."""
-    apart = group.error(expected, found)
+    error = group.error(expected, found)
     size = 1.0 + float(np.abs(expected).max())
-    assert apart.rotation <= tolerance
-    assert apart.translation <= tolerance * size
+    assert error.rotation <= tolerance
+    assert error.translation <= tolerance * size
 
 
 @pytest.mark.by_hand

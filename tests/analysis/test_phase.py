@@ -1,4 +1,4 @@
-"""Phases of gaits: closed forms, published numbers, and SciPy over Pinocchio's mass matrix."""
+"""Phases of gaits, against closed forms, published numbers, and SciPy over Pinocchio."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def mechanical(name: str) -> pinred.Connection:
     return pinred.Connection.mechanical(pinred.load(name))
 
 
-def test_elroys_beanie() -> None:
-    """Without momentum it comes back; with it, the base turns by μT/I, whatever the beanie does."""
+def test_phase_of_elroys_beanie() -> None:
+    """Without momentum the phase is zero; with it, the base rotates by μT/I for any gait."""
     A = mechanical("elroys_beanie")
     gait = Gait.fourier([0.3], [[0.5]], [[-0.4]], period=2.5)
     close(pinred.phase(A, gait).pose, [0.0], 1e-14)
@@ -39,74 +39,78 @@ def test_elroys_beanie() -> None:
     close(p.dynamic, p.pose, 1e-14)
     close(p.geometric, [0.0], 1e-14)
     close(p.cycles(7), 7.0 * p.pose, 1e-13)
-    half = 0.5 * gait.period  # on the way, the base has turned by −A Δx + μt/I
+    half = 0.5 * gait.period  # At half time the base has rotated by −A Δx + μt/I.
     k = int(np.argmin(np.abs(p.times - half)))
-    moved = gait.at(p.times[k])[0] - gait.at(0.0)[0]
-    close(p.path[k], -I2 / (I1 + I2) * moved + 0.7 * p.times[k] / (I1 + I2), 1e-13)
+    displacement = gait.at(p.times[k])[0] - gait.at(0.0)[0]
+    close(p.path[k], -I2 / (I1 + I2) * displacement + 0.7 * p.times[k] / (I1 + I2), 1e-13)
 
 
-def test_coupled_planar_bodies() -> None:
-    """A does not depend on the shape: on the way, the pose is exp(−A (x − x0))."""
+def test_pose_of_coupled_planar_bodies() -> None:
+    """A does not depend on the shape, so the pose is exp(−A (x − x0)) along the gait."""
     A = mechanical("coupled_planar")
     gait = Gait.fourier([0.3], [[0.5]], [[-0.4]], period=2.5)
     p = pinred.phase(A, gait)
     close(p.pose, np.zeros(3), 1e-14)
     local = np.array([0.0, -J2 * M2 * D / DELTA, J2 * M / DELTA])
-    moved = gait.at(p.times)[0] - gait.at(0.0)[0]
-    close(p.path, A.group.exp(-moved * local), 1e-13)
+    displacement = gait.at(p.times)[0] - gait.at(0.0)[0]
+    close(p.path, A.group.exp(-displacement * local), 1e-13)
 
 
-def test_three_rods_turn() -> None:
-    """The triangle loop, by the line integral of A; and by the surface integral of B."""
+def test_three_rods_rotate_by_triangle_gait() -> None:
+    """The line integral of A and the surface integral of B agree."""
     A = mechanical("three_rods")
     p = pinred.phase(A, Gait.waypoints(TRIANGLE))
     assert p.pose[2] == pytest.approx(0.033787199534, abs=5e-13)
-    # The rotations of the plane commute, so that the angle is −∬ B over the triangle.
+    # Planar rotations commute, so the angle is −∬ B over the triangle.
     x, w = np.polynomial.legendre.leggauss(24)
     u, v = np.meshgrid(x, x, indexing="ij")
-    shapes = np.stack([u, -1.0 + 0.5 * (v + 1.0) * (1.0 - u)], axis=-1)  # below the diagonal
+    shapes = np.stack(
+        [u, -1.0 + 0.5 * (v + 1.0) * (1.0 - u)], axis=-1
+    )  # triangle below the diagonal
     weights = np.multiply.outer(w, w) * 0.5 * (1.0 - u)
     B = A.grid(shapes).curvature[..., 2, 0, 1]
     assert -float((weights * B).sum()) == pytest.approx(p.pose[2], abs=1e-12)
     assert np.hypot(*p.pose[:2]) < 1.0
 
 
-def test_circles_do_not_turn_three_rods() -> None:
-    """The angle of the curvature is odd: loops that are symmetric about the straight shape."""
+def test_three_rods_do_not_rotate_by_circles() -> None:
+    """The angle row of the curvature is odd, so loops about the straight shape cancel."""
     assert abs(pinred.phase(mechanical("three_rods"), CIRCLE).pose[2]) < 1e-15
 
 
 @settings(max_examples=6)
 @given(group=groups, joints=st.integers(1, 3), seed=seeds, moving=st.booleans())
-def test_against_pinocchio(group: str, joints: int, seed: int, moving: bool) -> None:
-    """Random trees on every group, with momentum and without: SciPy's DOP853 over CRBA."""
+def test_phase_matches_scipy_over_pinocchio(
+    group: str, joints: int, seed: int, moving: bool
+) -> None:
+    """Random trees on every group, with and without momentum: DOP853 over CRBA."""
     case = make_case(group, joints, seed)
     gait = random_gait(case.rng, joints, harmonics=1)
     mu = case.rng.normal(size=case.system.r) if moving else np.zeros(case.system.r)
     p = pinred.phase(pinred.Connection.mechanical(case.system), gait, mu)
     expected = by_pinocchio(case.system, gait, mu)
-    apart = p.group.error(expected, p.pose)
+    error = p.group.error(expected, p.pose)
     size = 1.0 + float(np.linalg.norm(p.path, axis=1).max())
-    assert apart.rotation <= p.error.rotation + 1e-9
-    assert apart.translation <= p.error.translation + 1e-9 * size
-    if group in ("SO2", "SE2", "RxSE2"):  # whole turns count
+    assert error.rotation <= p.error.rotation + 1e-9
+    assert error.translation <= p.error.translation + 1e-9 * size
+    if group in ("SO2", "SE2", "RxSE2"):  # Full turns count.
         assert p.pose[-1] == pytest.approx(expected[-1], abs=1e-8)
 
 
 @pytest.mark.parametrize("make", [Gait.waypoints, Gait.spline])
-def test_gaits_with_corners(make: object) -> None:
-    """Piece by piece, between the corners."""
+def test_phase_of_gait_with_corners(make: object) -> None:
+    """The reference integrates each segment between corners separately."""
     system = pinred.load("falling_cat")
     gait = make([[0.5, 0.0, 0.2], [-0.5, 0.7, 0.1], [0.1, -0.6, -0.9]])  # type: ignore[operator]
     mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
     p = pinred.phase(pinred.Connection.mechanical(system), gait, mu)
-    apart = p.group.error(by_pinocchio(system, gait, mu), p.pose)
-    assert apart.rotation < 1e-10
-    assert apart.translation < 1e-10
+    error = p.group.error(by_pinocchio(system, gait, mu), p.pose)
+    assert error.rotation < 1e-10
+    assert error.translation < 1e-10
 
 
-def test_the_bound_holds() -> None:
-    """On 200 random gaits, against samples eight times as fine."""
+def test_error_bound_holds_on_random_gaits() -> None:
+    """200 random gaits are compared with eight times as many samples."""
     A = mechanical("falling_cat")
     rng = np.random.default_rng(8)
     for _ in range(200):
@@ -114,13 +118,13 @@ def test_the_bound_holds() -> None:
         rough = pinred.phase(A, gait, tolerance=1e-4)
         fine = pinred.phase(A, gait, tolerance=1e-12)
         assert fine.samples >= 2 * rough.samples or fine.error.rotation < 1e-12
-        apart = A.group.error(fine.pose, rough.pose)
-        assert apart.rotation <= rough.error.rotation + fine.error.rotation
-        assert apart.translation <= rough.error.translation + fine.error.translation
+        error = A.group.error(fine.pose, rough.pose)
+        assert error.rotation <= rough.error.rotation + fine.error.rotation
+        assert error.translation <= rough.error.translation + fine.error.translation
 
 
-def test_few_samples_are_enough() -> None:
-    """Of solo12 with three harmonics 1e-10 takes at most 192 shapes."""
+def test_phase_needs_few_shapes() -> None:
+    """Three harmonics of solo12 to 1e-10 need at most 192 shapes."""
     pytest.importorskip("example_robot_data")
     A = mechanical("solo12")
     rng = np.random.default_rng(1)
@@ -131,12 +135,12 @@ def test_few_samples_are_enough() -> None:
         )
         p = pinred.phase(A, gait)
         assert p.samples <= 192
-        apart = A.group.error(pinred.phase(A, gait, tolerance=1e-13).pose, p.pose)
-        assert max(float(apart.rotation), float(apart.translation)) < 1e-10
+        error = A.group.error(pinred.phase(A, gait, tolerance=1e-13).pose, p.pose)
+        assert max(float(error.rotation), float(error.translation)) < 1e-10
 
 
-def test_parts_compose() -> None:
-    """G = dynamic · geometric, where the dynamic part obeys ḋ = d Ad_h I⁻¹ μ by itself."""
+def test_phase_is_dynamic_times_geometric() -> None:
+    """The dynamic part solves ḋ = d Ad_h I⁻¹ μ separately."""
     system = pinred.load("coupled_spatial")
     A, group, red = pinred.Connection.mechanical(system), system.group, pinred.Reduction(system)
     gait = random_gait(np.random.default_rng(2), 3, harmonics=1)
@@ -146,25 +150,28 @@ def test_parts_compose() -> None:
     assert group.error(whole, p.pose).rotation < 1e-14
     close(group.error(pinred.phase(A, gait).pose, p.geometric).rotation, 0.0, 1e-10)
 
-    # d obeys its own equation: integrate (h, d) as one, the second by d = g h⁻¹ along the way.
+    # Integrate (h, d) together; d obeys a separate equation, with d = g h⁻¹.
     def rate(t: float, y: Array) -> Array:
         h, d = group.normalize(y[:7]), group.normalize(y[7:])
         x, xdot = gait.at(t)
         split = red.split(x)
-        own = np.linalg.solve(split.locked_inertia, group.Ad(group.compose(d, h)).T @ mu)
+        locked_inertia = np.linalg.solve(split.locked_inertia, group.Ad(group.compose(d, h)).T @ mu)
         return np.concatenate(
-            [group.rate(h, -split.local_connection @ xdot), group.rate(d, group.Ad(h) @ own)]
+            [
+                group.rate(h, -split.local_connection @ xdot),
+                group.rate(d, group.Ad(h) @ locked_inertia),
+            ]
         )
 
     start = np.tile(group.identity(), 2)
-    out = solve_ivp(rate, (0.0, gait.period), start, method="DOP853", rtol=1e-12, atol=1e-13)
-    apart = group.error(group.normalize(out.y[7:, -1]), p.dynamic)
-    assert apart.rotation < 1e-10
-    assert apart.translation < 1e-10
+    solution = solve_ivp(rate, (0.0, gait.period), start, method="DOP853", rtol=1e-12, atol=1e-13)
+    error = group.error(group.normalize(solution.y[7:, -1]), p.dynamic)
+    assert error.rotation < 1e-10
+    assert error.translation < 1e-10
 
 
-def test_cycles() -> None:
-    """Powers without momentum; with it, the momentum turns with the body from cycle to cycle."""
+def test_phase_of_several_cycles() -> None:
+    """Without momentum the phases are powers; with it, the momentum rotates with the body."""
     system = pinred.load("falling_cat")
     A, group = pinred.Connection.mechanical(system), system.group
     gait = random_gait(np.random.default_rng(5), 3, harmonics=1)
@@ -176,18 +183,18 @@ def test_cycles() -> None:
     mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
     moving = pinred.phase(A, gait, mu)
     there = by_pinocchio(system, Gait(gait.arcs * 2), mu)
-    apart = group.error(there, moving.cycles(2))
-    assert apart.rotation < 1e-9
-    assert apart.translation < 1e-9
-    # The conserved spatial momentum says what the body momentum is at the end.
+    error = group.error(there, moving.cycles(2))
+    assert error.rotation < 1e-9
+    assert error.translation < 1e-9
+    # The conserved spatial momentum gives the final body momentum.
     J = group.spatial_momentum(moving.pose, moving.end_momentum)
     close(J, mu, 1e-14)
     with pytest.raises(pinred.InputError, match="non-negative"):
         moving.cycles(-1)
 
 
-def test_the_simulation_agrees() -> None:
-    """The flow with all joints prescribed, which shares no quadrature with the phase."""
+def test_phase_matches_simulation() -> None:
+    """The simulation with all joints prescribed shares no quadrature with the phase."""
     system = pinred.load("falling_cat")
     gait = Gait.fourier([0.2, 0.0, -0.1], [[0.3, 0.0, 0.2]], [[0.0, 0.4, 0.1]])
     mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
@@ -201,13 +208,13 @@ def test_the_simulation_agrees() -> None:
         system, prescribed=plans, momentum=mu, duration=1.0, rtol=1e-12, atol=1e-12
     )
     p = pinred.phase(pinred.Connection.mechanical(system), gait, mu)
-    apart = system.group.error(traj.pose[-1], p.pose)
-    assert apart.rotation < 1e-9
-    assert apart.translation < 1e-9
+    error = system.group.error(traj.pose[-1], p.pose)
+    assert error.rotation < 1e-9
+    assert error.translation < 1e-9
 
 
-def test_screws() -> None:
-    """A planar body that turns and moves runs on a circle, one in space on a helix."""
+def test_screw_of_phase() -> None:
+    """A planar motion has a circle as its path, a spatial one a helix."""
     A = pinred.Connection.mechanical(pinred.load("planar_chain5"))
     p = pinred.phase(A, random_gait(np.random.default_rng(1), 5))
     assert p.screw.angle == pytest.approx(p.pose[2], abs=1e-14)
@@ -218,13 +225,15 @@ def test_screws() -> None:
     q = pinred.phase(B, random_gait(np.random.default_rng(1), 6))
     foot = q.screw.point
     far = q.pose[:3] - foot
-    along = float(far @ q.screw.axis)
-    assert along == pytest.approx(q.screw.slide, abs=1e-12)
-    assert np.linalg.norm(far - along * q.screw.axis) == pytest.approx(q.screw.radius, abs=1e-12)
+    direction = float(far @ q.screw.axis)
+    assert direction == pytest.approx(q.screw.slide, abs=1e-12)
+    assert np.linalg.norm(far - direction * q.screw.axis) == pytest.approx(
+        q.screw.radius, abs=1e-12
+    )
 
 
-def test_length_is_that_of_the_metric() -> None:
-    """∫√(ẋᵀ M ẋ) dt by SciPy over Pinocchio's reduced metric."""
+def test_length_matches_reduced_metric() -> None:
+    """∫√(ẋᵀ M ẋ) dt equals SciPy's quadrature over Pinocchio's reduced metric."""
     system = pinred.load("three_rods")
     red = pinred.Reduction(system)
 
@@ -237,8 +246,8 @@ def test_length_is_that_of_the_metric() -> None:
     assert p.length == pytest.approx(expected, abs=1e-9)
 
 
-def test_refusals() -> None:
-    """What does not belong together, and tolerances out of reach."""
+def test_mismatched_arguments_and_tolerances_are_refused() -> None:
+    """Arguments that do not match and unattainable tolerances are refused."""
     A = mechanical("three_rods")
     with pytest.raises(pinred.InputError, match=r"expected 2 joints for .*, got 1\."):
         pinred.phase(A, Gait.fourier([0.0], [[1.0]], [[0.0]]))
@@ -251,8 +260,8 @@ def test_refusals() -> None:
 
 
 @pytest.mark.parametrize("group", ["SO3", "SO2"])
-def test_gravity_that_turns_the_base_is_refused(group: str) -> None:
-    """No motion follows A then, though A is there; nor does it in other frames."""
+def test_symmetry_breaking_gravity_is_refused(group: str) -> None:
+    """Motions do not follow A under such gravity, in any frame."""
     model = random_model(group, 2, 1)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     heavy = pinred.Connection.mechanical(pinred.load(model))
@@ -275,8 +284,8 @@ def test_gravity_that_turns_the_base_is_refused(group: str) -> None:
             call()
 
 
-def test_what_is_no_number() -> None:
-    """Refused by name, whatever it is."""
+def test_non_numbers_are_refused() -> None:
+    """The message names the argument."""
     A = mechanical("three_rods")
     calls: list[Callable[[], object]] = [
         lambda: pinred.phase(A, 3),  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""docs/phases.md runs as it stands, and says the numbers that come out."""
+"""The examples of docs/phases.md run and print the documented numbers."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ TEXT = (Path(__file__).parents[2] / "docs/phases.md").read_text("utf-8")
 
 
 @pytest.mark.slow
-def test_its_examples_run(capsys: pytest.CaptureFixture[str]) -> None:
-    """One after another, as a reader would."""
+def test_examples_of_phases_page_run(capsys: pytest.CaptureFixture[str]) -> None:
+    """The examples run in the order of the page."""
     scope: dict[str, Any] = {}
     for code in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL):
         exec(compile(code, "phases.md", "exec"), scope)
-    out = capsys.readouterr().out
-    assert "3.3787199" in out
-    assert "-11.41080" in out
+    output = capsys.readouterr().out
+    assert "3.3787199" in output
+    assert "-11.41080" in output
     before, after = (scope[name].error for name in ("before", "after"))
     assert before == pytest.approx(0.27, abs=5e-3)
     assert after == pytest.approx(0.0015, abs=1e-4)

@@ -1,4 +1,4 @@
-"""Montgomery's rigid-body phase against SciPy over Euler's equations, and its own formula."""
+"""Montgomery's rigid-body phase, against Euler's equations by SciPy and its formula."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from pinred.common.arrays import Array
 from pinred.lie import SO3
 
 
-def turned(moments: Array, omega: Array, time: float) -> tuple[Array, Array]:
-    """Angular velocity and quaternion after a time, by Euler's equations."""
+def rotated_by_euler(moments: Array, omega: Array, time: float) -> tuple[Array, Array]:
+    """Return angular velocity and quaternion after a time, by Euler's equations."""
 
     def rate(_: float, y: Array) -> Array:
         w, q = y[:3], y[3:] / np.linalg.norm(y[3:])
         return np.concatenate([np.cross(moments * w, w) / moments, SO3.rate(q, w)])
 
     start = np.concatenate([omega, SO3.identity()])
-    out = solve_ivp(rate, (0.0, time), start, method="DOP853", rtol=1e-13, atol=1e-14)
-    return out.y[:3, -1], SO3.normalize(out.y[3:, -1])
+    solution = solve_ivp(rate, (0.0, time), start, method="DOP853", rtol=1e-13, atol=1e-14)
+    return solution.y[:3, -1], SO3.normalize(solution.y[3:, -1])
 
 
 MOMENTS = np.array([1.0, 2.0, 2.5])
 
 
-def test_the_known_numbers() -> None:
-    """Of `rigid_body` from (0.5, 0.7, 1.6): period, angle, and 2ET/|J| less the solid angle."""
+def test_rigid_body_phase_matches_known_numbers() -> None:
+    """`rigid_body` from (0.5, 0.7, 1.6): the angle is 2ET/|J| minus the solid angle."""
     p = pinred.rigid_body_phase(pinred.load("rigid_body"), [0.5, 0.7, 1.6])
     assert p.period == pytest.approx(6.384198031, abs=5e-10)
     assert p.angle == pytest.approx(4.88084917, abs=1e-8)
@@ -44,19 +44,19 @@ def test_the_known_numbers() -> None:
     "omega",
     [[0.5, 0.7, 1.6], [1.6, 0.7, 0.5], [-1.6, 0.7, 0.5], [0.5, 0.7, -1.6], [0.0, 0.0, 1.0]],
 )
-def test_against_eulers_equations(omega: list[float]) -> None:
-    """After one period the rates are back, and the body has turned about J by the angle."""
+def test_rigid_body_phase_matches_euler_equations(omega: list[float]) -> None:
+    """After one period the rates return, and the body has rotated about J by the angle."""
     w = np.array(omega)
     p = pinred.rigid_body_phase(pinred.load("rigid_body"), w)
-    end, q = turned(MOMENTS, w, p.period)
+    end, q = rotated_by_euler(MOMENTS, w, p.period)
     close(end, w, 1e-10)
     log = SO3.log(q)
     close(np.cross(log, p.axis), np.zeros(3), 1e-10)
     close((log @ p.axis - p.angle + np.pi) % (2.0 * np.pi), np.pi, 1e-10)
 
 
-def test_a_body_that_floats() -> None:
-    """About its centre of mass, with axes that are not principal, from a frame beside it."""
+def test_floating_body_phase_about_centre_of_mass() -> None:
+    """The axes are not principal, and the frame is not at the centre of mass."""
     rng = np.random.default_rng(3)
     R = pin.exp3(rng.normal(size=3))
     model = pin.Model()
@@ -70,8 +70,8 @@ def test_a_body_that_floats() -> None:
     close(p.axis, R @ same.axis, 1e-12)
 
 
-def test_a_symmetric_top() -> None:
-    """Its momentum runs round a circle: solid angle and period in closed form."""
+def test_symmetric_top_phase_matches_closed_form() -> None:
+    """The momentum describes a circle; solid angle and period have closed forms."""
     model = pin.Model()
     model.gravity.setZero()
     root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
@@ -80,7 +80,7 @@ def test_a_symmetric_top() -> None:
     p = pinred.rigid_body_phase(pinred.load(model), [0.3, 0.4, 1.1])
     assert p.period == pytest.approx(2.0 * np.pi / (0.6 * 1.1), rel=1e-13)
     cosine = 1.6 * 1.1 / np.hypot(0.5, 1.6 * 1.1)
-    # For a flat top the momentum runs backwards round the body's axis.
+    # For an oblate top the momentum rotates backwards about the body axis.
     assert abs(p.solid_angle) == pytest.approx(2.0 * np.pi * (1.0 - cosine), rel=1e-12)
 
 
@@ -88,14 +88,14 @@ def test_a_symmetric_top() -> None:
     ("omega", "message"),
     [([0.0, 1.0, 0.0], "no period"), ([0.0, 0.0, 0.0], "non-zero vector"), ([1.0], "omega")],
 )
-def test_refusals(omega: list[float], message: str) -> None:
-    """Where nothing comes back, or nothing goes."""
+def test_non_periodic_rotations_are_refused(omega: list[float], message: str) -> None:
+    """Rotations without a period and bodies at rest are refused."""
     with pytest.raises(pinred.InputError, match=message):
         pinred.rigid_body_phase(pinred.load("rigid_body"), omega)
 
 
-def test_other_systems_are_refused() -> None:
-    """With joints, or in the plane."""
+def test_systems_with_joints_or_planar_are_refused() -> None:
+    """Only a single rigid body in space is accepted."""
     with pytest.raises(pinred.InputError, match="Lock them"):
         pinred.rigid_body_phase(pinred.load("falling_cat"), [1.0, 0.0, 0.0])
     with pytest.raises(pinred.InputError, match="SO3 or SE3, got SE2"):

@@ -35,10 +35,10 @@ def agree(red: pinred.Reduction, shapes: Array) -> None:
     field = red.grid(shapes)
     lead = shapes.shape[:-1]
     for name in NAMES:
-        found = getattr(field, name)
-        assert found.shape[: len(lead)] == lead
+        computed = getattr(field, name)
+        assert computed.shape[: len(lead)] == lead
         for index in np.ndindex(lead):
-            close(found[index], getattr(red.at(shapes[index]), name))
+            close(computed[index], getattr(red.at(shapes[index]), name))
 
 
 @settings(max_examples=60)
@@ -100,8 +100,8 @@ def test_grid_includes_armature_of_root() -> None:
     system = pinred.load(model)
     x = np.array([0.3, -0.4, 1.1])
     expected = pin.crba(system.model, system.model.createData(), system.q(np.zeros(1), x))[0, 0]
-    found = pinred.Reduction(system).grid(x).locked_inertia
-    np.testing.assert_allclose(found, [[expected]], rtol=1e-13)
+    locked_inertia = pinred.Reduction(system).grid(x).locked_inertia
+    np.testing.assert_allclose(locked_inertia, [[expected]], rtol=1e-13)
 
 
 def two_sliders(spin: float, carriage: float, load: float) -> pinred.System:
@@ -276,7 +276,7 @@ def test_grid_names_singular_shape(nearly: float) -> None:
             parent, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity()
         )
     system = pinred.load(model)
-    for i in (1, 2):  # after loading, past the checks
+    for i in (1, 2):  # Set after loading, to bypass its checks.
         system.model.inertias[i] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
     red = pinred.Reduction(system)
     assert red.grid([[1.0, 0.3], [2.0, 0.2]]).locked_inertia.shape == (2, 1, 1)

@@ -1,4 +1,4 @@
-"""Stability: thresholds in closed form, parity of index and growth, what dampers do."""
+"""Stability: closed-form thresholds, parity of index and growth, effect of dampers."""
 
 from __future__ import annotations
 
@@ -25,34 +25,36 @@ from pinred.simulation.plan import plan_of
 ROOT = Path(__file__).parent.parent.parent
 
 
-def test_hanging_and_tilted_tops() -> None:
-    """A hanging top is stable; a family that precesses tilted is one entry, of dimension 1."""
+def test_hanging_top_is_stable_and_precession_is_a_family() -> None:
+    """Steady precession at a tilt is one entry of dimension 1."""
     top = pinred.load(ROOT / "examples/heavy_top.urdf", group="SO3")
-    found = pinred.relative_equilibria(top, momentum=4.0, starts=200)
-    lowest = found[0]
+    equilibria = pinred.relative_equilibria(top, momentum=4.0, starts=200)
+    lowest = equilibria[0]
     assert lowest.verdict == "stable"
-    for each in found:
-        tilted = abs(abs(each.direction[2]) - 1.0) > 1e-6
-        assert each.dimension == int(tilted)
-    assert sum(e.dimension for e in found) >= 1
+    for equilibrium in equilibria:
+        tilted = abs(abs(equilibrium.direction[2]) - 1.0) > 1e-6
+        assert equilibrium.dimension == int(tilted)
+    assert sum(e.dimension for e in equilibria) >= 1
 
 
 @pytest.mark.by_hand
 @settings(max_examples=5)
 @given(st.sampled_from(["SO2", "SE2", "SO3", "SE3"]), st.integers(1, 3), seeds)
-def test_parity(group: str, joints: int, seed: int) -> None:
-    """The index is odd just where an odd number of real modes grow: two separate routes."""
+def test_index_is_odd_exactly_if_growing_modes_are_odd(group: str, joints: int, seed: int) -> None:
+    """The index and the number of real growing modes are computed independently."""
     model = random_model(group, joints, seed)
-    found = pinred.relative_equilibria(pinred.load(model), momentum=1.0, starts=30)
-    for each in found:
-        if each.dimension == 0 and each.residual < 1e-12:
-            assert each.stability.index % 2 == each.stability.growing % 2, str(each)
-            if each.verdict == "stable":
-                assert each.stability.index in (0, 2) if group == "SO3" else True
+    equilibria = pinred.relative_equilibria(pinred.load(model), momentum=1.0, starts=30)
+    for equilibrium in equilibria:
+        if equilibrium.dimension == 0 and equilibrium.residual < 1e-12:
+            assert equilibrium.stability.index % 2 == equilibrium.stability.growing % 2, str(
+                equilibrium
+            )
+            if equilibrium.verdict == "stable":
+                assert equilibrium.stability.index in (0, 2) if group == "SO3" else True
 
 
-def test_second_variation_is_the_energys() -> None:
-    """At the least energy, any small change of the reduced state on its leaf raises the energy."""
+def test_positive_second_variation_is_energy_minimum() -> None:
+    """At the minimum, each small change of the reduced state on its leaf raises the energy."""
     cat = pinred.load("planar_chain5")
     least = pinred.relative_equilibria(cat, momentum=1.0, starts=60)[0]
     assert least.verdict == "stable"
@@ -67,8 +69,8 @@ def test_second_variation_is_the_energys() -> None:
         assert energy(point.moved(step), 1.0).U[0] > least.amended_potential
 
 
-def test_the_stable_stay_close_in_the_energys_norm() -> None:
-    """δzᵀ h″ δz stays what it was: h″ from the linearised flow is symmetric and positive."""
+def test_energy_norm_is_conserved_at_stable_equilibrium() -> None:
+    """h″ from the linearised flow is symmetric and positive, and δzᵀ h″ δz stays constant."""
     pendulum = pinred.load("double_spherical_pendulum")
     least = pinred.relative_equilibria(pendulum, momentum=2.0, starts=100)[0]
     start = pinred.simulate(least.scene(duration=1.0))
@@ -83,13 +85,13 @@ def test_the_stable_stay_close_in_the_energys_norm() -> None:
         for x, xi, v in zip(traj.x, traj.xi, traj.xdot, strict=True)
     ]
     steady = (red.mass_matrix(least.x) @ np.r_[least.xi, least.xdot])[1:]
-    apart = np.hstack([traj.x - least.x, np.array(momenta) - steady])
-    size = np.einsum("ti,ij,tj->t", apart, second, apart)
+    difference = np.hstack([traj.x - least.x, np.array(momenta) - steady])
+    size = np.einsum("ti,ij,tj->t", difference, second, difference)
     np.testing.assert_allclose(size, size[0], rtol=0.05)
 
 
 def damped_growth(each: RelativeEquilibrium, joint: str, c: float) -> float:
-    """The largest growth with a damper at a joint, by the Jacobian of a kernel that has it."""
+    """Return the largest growth with a damper at a joint, by the Jacobian of that kernel."""
     from dataclasses import replace
 
     scene = replace(each.scene(), forces=Damper(joint, c), outputs="shape")
@@ -98,24 +100,26 @@ def damped_growth(each: RelativeEquilibrium, joint: str, c: float) -> float:
     return float(np.linalg.eigvals(matrix).real.max())
 
 
-def test_dampers_of_the_undecided() -> None:
-    """∂Re λ/∂c of each joint is what a kernel with that damper shows."""
+def test_damped_growth_matches_kernel_with_damper() -> None:
+    """∂Re λ/∂c of each joint equals the change that a kernel with that damper shows."""
     pendulum = pinred.load("double_spherical_pendulum")
-    found = pinred.relative_equilibria(pendulum, momentum=2.0)
-    (one,) = (e for e in found if e.verdict == "undecided")
+    equilibria = pinred.relative_equilibria(pendulum, momentum=2.0)
+    (one,) = (e for e in equilibria if e.verdict == "undecided")
     assert set(one.damped_growth) == set(pendulum.shape_names)
     for joint, growth in one.damped_growth.items():
         assert growth > 0.0
         c = 1e-4 / growth
         assert damped_growth(one, joint, c) == pytest.approx(c * growth, rel=2e-2)
-    assert all(not e.damped_growth for e in found if e is not one)
+    assert all(not e.damped_growth for e in equilibria if e is not one)
 
 
 def test_modes_solve_the_linearised_flow() -> None:
-    """J v = λ v for each mode, with J by differences of the kernel's rates."""
+    """J v = λ v holds for each mode, with J by differences of the kernel's rates."""
     system = pinred.load("reaction_wheel_satellite")
-    found = pinred.relative_equilibria(system, momentum=0.5, cyclic={"wheel_x": 0.3}, starts=200)
-    each = found[0]
+    equilibria = pinred.relative_equilibria(
+        system, momentum=0.5, cyclic={"wheel_x": 0.3}, starts=200
+    )
+    each = equilibria[0]
     flow = flow_at(each.problem, Points(each.x[None, :1], each.direction[None]), each.xdot, each.xi)
     n, layout = len(flow.y0), flow.kernel.layout
 
@@ -123,7 +127,7 @@ def test_modes_solve_the_linearised_flow() -> None:
         return flow.kernel.evaluate_rate(y, flow.parameters)
 
     still = rate(flow.y0)
-    still[2:5] = 0.0  # angles of the wheels
+    still[2:5] = 0.0  # wheel angles
     assert np.abs(still).max() < 1e-13
     J = np.array([(rate(flow.y0 + h) - rate(flow.y0 - h)) / 2e-6 for h in 1e-6 * np.eye(n)]).T
     assert layout.active == (0,)

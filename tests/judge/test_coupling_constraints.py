@@ -18,8 +18,8 @@ from pinred.system.coupling import Coupled
 
 MASSLESS = robot(
     *(link(name, mass) for name, mass in (("a", 2.0), ("b", 2.0), ("c", 0.0), ("d", 1.0))),
-    joint("a", "b"), joint("a", "c", inside='<axis xyz="0 1 0"/>'),
-    joint("b", "d", inside='<axis xyz="1 0 0"/><mimic joint="a-c" multiplier="-1.5"/>'),
+    joint("a", "b"), joint("a", "c", content='<axis xyz="0 1 0"/>'),
+    joint("b", "d", content='<axis xyz="1 0 0"/><mimic joint="a-c" multiplier="-1.5"/>'),
 )  # fmt: skip
 
 

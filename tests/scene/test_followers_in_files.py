@@ -17,7 +17,7 @@ MIMIC = '<axis xyz="0 1 0"/><mimic joint="left" multiplier="-2" offset="0.1"/>'
 HAND = robot(
     *(link(name) for name in "abc"),
     joint("a", "b").replace('"a-b"', '"left"'),
-    joint("a", "c", inside=MIMIC).replace('"a-c"', '"right"'),
+    joint("a", "c", content=MIMIC).replace('"a-c"', '"right"'),
 )
 
 

@@ -230,7 +230,7 @@ def test_file_of_coupled_robot_restores_robot_and_motion(tmp_path: Path) -> None
     """A file contains q of all joints, and the robot."""
     text = robot(
         *(link(name) for name in "abc"), joint("a", "b"),
-        joint("b", "c", inside='<axis xyz="1 0 0"/><mimic joint="a-b" multiplier="-2"/>'),
+        joint("b", "c", content='<axis xyz="1 0 0"/><mimic joint="a-b" multiplier="-2"/>'),
     )  # fmt: skip
     traj = pinred.simulate(pinred.load(write(tmp_path, text)), seed=1, duration=0.2)
     for suffix in ("npz", "csv"):
@@ -256,7 +256,7 @@ def test_members_of_coupled_robot_agree_with_simulate(crank: pinred.System) -> N
 def test_file_with_broken_coupling_is_rejected(tmp_path: Path) -> None:
     """The robot file now has another ratio than q in the recording."""
     text = robot(*(link(name) for name in "abc"), joint("a", "b"), "{}")
-    last = joint("b", "c", inside='<axis xyz="1 0 0"/><mimic joint="a-b" multiplier="{}"/>')
+    last = joint("b", "c", content='<axis xyz="1 0 0"/><mimic joint="a-b" multiplier="{}"/>')
     path = write(tmp_path, text.format(last.format(2)))
     pinred.simulate(pinred.load(path), seed=1, duration=0.2).save(tmp_path / "motion.npz")
     write(tmp_path, text.format(last.format(2.001)))

@@ -26,7 +26,7 @@ def arm(*mimics: str, last: float = 2.0) -> str:
     """Return a URDF of links a, b, c, d in a chain, with content for joints a-b, b-c and c-d."""
     links = [*(link(name) for name in "abc"), link("d", last)]
     pairs = zip("abc", "bcd", (*mimics, "", "", "")[:3], strict=True)
-    return robot(*links, *(joint(p, c, inside=AXIS + more) for p, c, more in pairs))
+    return robot(*links, *(joint(p, c, content=AXIS + more) for p, c, more in pairs))
 
 
 def mimic(leader: str, numbers: str = "") -> str:
@@ -120,7 +120,7 @@ def test_coupling_of_root_is_refused() -> None:
 def test_leader_that_becomes_root_can_be_locked(tmp_path: Path) -> None:
     """On a massless anchor the first joint is the root; locking it locks its follower."""
     parts = [link("a", 0.0), link("b"), link("c"), joint("a", "b")]
-    path = write(tmp_path, robot(*parts, joint("b", "c", inside=AXIS + mimic("a-b"))))
+    path = write(tmp_path, robot(*parts, joint("b", "c", content=AXIS + mimic("a-b"))))
     with pytest.raises(ModelError, match=r"'b-c' follows 'a-b'.*root joint 'a-b'.*lock 'a-b'"):
         pinred.load(path)
     assert pinred.load(path, lock=["a-b"], group="SE3").m == 0
@@ -231,12 +231,12 @@ def test_coupled_joints_out_of_order_keep_q_and_v() -> None:
 def test_massless_leader_with_heavy_follower_is_admitted(tmp_path: Path) -> None:
     """A joint that moves no mass is admitted if its follower moves mass, and refused otherwise."""
     tree = [link("a"), link("b", 0.0), link("c"), joint("a", "b")]
-    follows = joint("a", "c", inside=AXIS + mimic("a-b"))
+    follows = joint("a", "c", content=AXIS + mimic("a-b"))
     system = pinred.load(write(tmp_path, robot(*tree, follows)))
     assert singular_shapes(system.model).everywhere == ("a-b",)
     assert system.doubts == ()
     assert system.m == 1
-    for other in (joint("a", "c"), joint("a", "c", inside=AXIS + mimic("a-b", 'multiplier="0"'))):
+    for other in (joint("a", "c"), joint("a", "c", content=AXIS + mimic("a-b", 'multiplier="0"'))):
         with pytest.raises(ModelError, match=r"a-b.*lock=\['a-b'\]"):
             pinred.load(write(tmp_path, robot(*tree, other)))
 

@@ -44,7 +44,7 @@ BRANCHED = robot(
     *(link(name) for name in "abcd"),
     joint("a", "b", "prismatic", '<axis xyz="0 3 4"/>'),
     joint("b", "c", "continuous"),
-    joint("a", "d", inside='<axis xyz="1 1 0"/>'),
+    joint("a", "d", content='<axis xyz="1 1 0"/>'),
 )
 ANCHORED = robot(link("w", 0), link("a"), link("b"), joint("w", "a"), joint("a", "b"))
 

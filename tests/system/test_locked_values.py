@@ -152,7 +152,7 @@ def arm(*mimics: str) -> str:
     """Return a URDF of links a to f in a chain, with further content in its joints."""
     links = [link(name) for name in "abcdef"]
     pairs = zip("abcde", "bcdef", (*mimics, "", "", "", "")[:5], strict=True)
-    return robot(*links, *(joint(p, c, inside='<axis xyz="0 1 1"/>' + m) for p, c, m in pairs))
+    return robot(*links, *(joint(p, c, content='<axis xyz="0 1 1"/>' + m) for p, c, m in pairs))
 
 
 def test_followers_of_locked_leader_move_with_it(tmp_path: Path) -> None:

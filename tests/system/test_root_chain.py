@@ -58,7 +58,7 @@ CHAINS = {
 def text_of(joints: list[str]) -> str:
     """Return a robot whose link d is at the end of a chain and carries an arm."""
     between = [link(name, 0) for name in "we"[: len(joints) - 1]] + [link("c", 0)]
-    arm = joint("d", "a", inside='<axis xyz="1 1 0"/>')
+    arm = joint("d", "a", content='<axis xyz="1 1 0"/>')
     return robot(*between, link("d"), link("a"), *joints, arm)
 
 

@@ -14,8 +14,7 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.system.catalogue import has_example_robots
-from pinred.views.playback.drawn_bodies import drawn_bodies
-from pinred.views.playback.solids import Bodies
+from pinred.views.playback.drawn_bodies import Bodies, drawn_bodies
 
 needs_robots = pytest.mark.skipif(
     not has_example_robots(), reason="example-robot-data is not installed"

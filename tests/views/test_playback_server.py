@@ -16,8 +16,7 @@ from commands import refused
 
 import pinred
 from pinred.cli.main import main
-from pinred.views.playback.server import Player
-from pinred.views.playback.show import play
+from pinred.views.playback.server import Player, play
 from pinred.views.playback.view import View
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import pinred
 from pinred import plots
 from pinred.common.arrays import Array
-from pinred.views.plots.crossings import crossings
+from pinred.views.plots.poincare_section import crossings
 
 
 def contours(axes: Axes) -> list[Any]:

@@ -164,7 +164,7 @@ def _is_confirmed(curve: Curve, a: CurvePoint, h: float, k: int, fold: CurvePoin
     if not extended_residual(curve, fold) <= 1e-9:
         return False
     point: CurvePoint | None = a
-    for _ in range(4):  # Half steps cut a bent curve less, so two may not suffice.
+    for _ in range(4):  # Two half steps may span less of a bent curve than one full step.
         assert point is not None
         next_point = curve.step(point, 0.5 * h)
         if next_point is None:

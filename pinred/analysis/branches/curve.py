@@ -21,7 +21,7 @@ from ..equilibria.search import residuals
 from ..stability.second_variation import weights
 
 FLAT = 1e-7  # relative to the largest curvature; below it a direction is flat
-_MAX_ITERATIONS = 8  # of Newton's method
+_MAX_ITERATIONS = 8  # largest number of Newton iterations
 _CONVERGED = 1e-7  # Newton step whose square is round-off
 
 

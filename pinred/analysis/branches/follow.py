@@ -27,12 +27,12 @@ from .curve import Curve, CurvePoint
 STEP = 0.05  # rad, longest step along a curve
 _SHORTEST = 1e-6  # rad, shortest step along a curve
 _BEND = 0.98  # least cosine of the angle between successive tangents
-_MAX_STEPS = 4000  # of one curve
+_MAX_STEPS = 4000  # largest number of steps of one curve
 _MAX_CURVES = 200
 _UNIT = 0.3  # fraction of the range of momenta that counts as 1 rad
 _SWITCH = 0.02  # rad, first step on a branching curve
 _STARTS = 300  # number of starting points of each search
-_ROUND_SWITCH = 1e-12  # rad | m; smaller values are printed as zero
+_ROUND_OFF = 1e-12  # rad | m; smaller values are printed as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class Branches:
         for name in ("folds", "pitchforks", "crossings"):
             for p in getattr(self, name):
                 shape = ", ".join(
-                    f"{0.0 if abs(value) < _ROUND_SWITCH else value:.6g}" for value in p.x
+                    f"{0.0 if abs(value) < _ROUND_OFF else value:.6g}" for value in p.x
                 )
                 lines.append(f"  {name[:-1]} at momentum {p.momentum:.10g}: ({shape})")
         return "\n".join(lines)

@@ -358,9 +358,14 @@ class Connection:
             )
 
     def refuse_crossing(self, health: Array) -> None:
-        """Raise SingularInertiaError if P_b is singular between the shapes of a path.
+        """Reject a path that crosses a singular shape.
 
-        If the form is not symmetric, its health (N,) changes sign there.
+        If the form is not symmetric, its health changes sign there.
+
+        Args:
+            health: Condition measure of P_b along the path, (N,).
+        Raises:
+            SingularInertiaError: P_b is singular between the shapes of the path.
         """
         if not self.form.symmetric and health.min() < 0.0 < health.max():
             raise SingularInertiaError(

@@ -69,7 +69,13 @@ def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm
 def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> ConnectionForm:
     """Return the form in terms of the twist of a frame h(x), instead of the root's.
 
-    pose: returns the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+    Args:
+        form: The form.
+        pose: Returns the pose coordinates of h, (size,), as CasADi expressions of x (m,).
+    Returns:
+        The transformed form.
+    Raises:
+        InputError: `pose` returns a wrong number of coordinates.
     """
     group, m = form.group, form.m
     y = ca.SX.sym("x", m)

@@ -230,7 +230,7 @@ def is_definite_with_axis_momentum(top: HeavyTop, up: Array, J: float) -> bool:
     if np.linalg.norm(constraint_gradients.T @ multipliers - dh) > _CRITICAL * np.linalg.norm(dh):
         return False
     _, singular, right = np.linalg.svd(constraint_gradients.T)
-    is_upright = singular[2] <= _RANK * singular[0]  # then the axis is vertical
+    is_upright = singular[2] <= _RANK * singular[0]  # Upright, one multiplier stays free.
     multiplier_direction = right[2] / right[2][0] if is_upright else np.zeros(3)
     axis_rotation = np.concatenate([np.cross(axis, gamma), np.cross(axis, mu)]) / D
     constraints = (

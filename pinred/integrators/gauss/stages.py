@@ -18,7 +18,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, make_intrinsic
+from ..stepping.compiling import compiled, inlined, make_intrinsic
 from ..stepping.kernel_call import call
 from ..stepping.run_state import NEW, Run, Y
 from ..stepping.vector_rows import VectorRows, add_pairwise
@@ -189,7 +189,7 @@ def work_rows(stages: int, n: int, behind: int) -> Array:
     return work
 
 
-@compiled
+@inlined
 def multiply(work: Array, out: int, base: int, table: int, row: int, n: int, lanes: int) -> None:
     """Compute a table times a stage row, plus a row.
 
@@ -208,7 +208,7 @@ def multiply(work: Array, out: int, base: int, table: int, row: int, n: int, lan
         _multiply8(work, out, base, table, row, n)
 
 
-@compiled
+@inlined
 def refresh(work: Array, row: int, n: int, lanes: int, h: float) -> float:
     """Set L in a row to h b RATE; return the norm of the change, weighted by SCALE.
 
@@ -222,8 +222,10 @@ def refresh(work: Array, row: int, n: int, lanes: int, h: float) -> float:
         The norm.
     """
     if lanes == 4:
-        return float(np.sqrt(_refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)))
-    return float(np.sqrt(_refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)))
+        total = _refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)
+    else:
+        total = _refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)
+    return float(np.sqrt(total))
 
 
 @compiled

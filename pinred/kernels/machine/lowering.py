@@ -151,7 +151,7 @@ class _Lowering:
             Name of the value.
         """
         self.used.add(op)
-        width = max([self.width.get(v, 1) for v in operands])
+        width = max(self.width.get(v, 1) for v in operands)
         one = constant(1.0)
         if width > 1:
             operands = [self.in_lanes(v, width) for v in operands]

@@ -26,10 +26,8 @@ def read_document(path: str | Path, table: Table, kind: str) -> tuple[dict[str, 
         path: Path of the file.
         table: The valid keys.
         kind: "scene" or "gait", for messages.
-
     Returns:
         The document, and the place of its top level.
-
     Raises:
         InputError: a key or a value is not valid.
         LoadError: the file cannot be read.
@@ -64,10 +62,8 @@ def robot_in(document: Mapping[str, Any], folder: Path, place: Place) -> System:
         document: The document.
         folder: Folder of the file; paths in the document are relative to it.
         place: Place of the top level of the document.
-
     Returns:
         The robot.
-
     Raises:
         InputError: the file of the robot does not exist.
         PinredError: `pinred.load` fails; the message names the key.

@@ -104,7 +104,6 @@ def unknown(name: str, kind: str, valid: Iterable[str], title: str) -> str:
         kind: The kind of name, such as "key" or "joint".
         valid: The valid names.
         title: Words in front of the list of valid names.
-
     Returns:
         The message.
     """

@@ -52,7 +52,6 @@ def _force_kind(
         function: See ForceKind.
         defaults: {field: default in words} where the default of the class does not say enough;
             "" makes the key required.
-
     Returns:
         The kind of force.
     """

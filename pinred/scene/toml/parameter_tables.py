@@ -86,10 +86,8 @@ def with_robot_parameters(
         system: The robot as loaded.
         parameters: The parameters of the file.
         place: Place of the top level of the document.
-
     Returns:
         The robot with its parameters, and the parameters that are not the robot's.
-
     Raises:
         InputError: a value is not physical; the message names the key.
     """

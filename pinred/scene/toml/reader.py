@@ -49,10 +49,8 @@ def load_scene(path: str | Path) -> Scene:
 
     Args:
         path: Path of the file.
-
     Returns:
         The scene.
-
     Raises:
         InputError: a key or value is not valid; the message names file, line and key.
         LoadError: the file, or a file that it names, cannot be read.

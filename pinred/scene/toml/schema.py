@@ -40,10 +40,8 @@ class Node(ABC):
         Args:
             value: The value as tomllib returns it.
             place: Its place in the file, for messages.
-
         Returns:
             The value with floats for numbers.
-
         Raises:
             InputError: the value does not fit; the message names the place.
         """

@@ -82,10 +82,8 @@ class SignalReader:
         Args:
             value: Number, formula in t, or signal table.
             place: Its place in the file.
-
         Returns:
             The signal.
-
         Raises:
             InputError: the signal is not defined; the message names the place.
             LoadError: a csv file cannot be read.

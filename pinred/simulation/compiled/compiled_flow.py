@@ -106,7 +106,6 @@ class CompiledFlow:
             t: Times, (T,) [s].
             y: Reduced states, (T, k).
             parameters: Parameters at these times, (p,); the initial ones if None.
-
         Returns:
             The states, without the base if the scene leaves it out.
         """
@@ -152,7 +151,6 @@ def kernel_of(plan: Plan, *, zero_momentum: bool, generic: bool = False) -> Kern
         plan: The plan.
         zero_momentum: Whether the initial angular momentum of the base is exactly zero.
         generic: Whether the variable parameters of the robot may take any value.
-
     Returns:
         The kernel; plans of the same structure and force expressions share it.
     """
@@ -176,7 +174,6 @@ def flows_of(
         plan: The plan of all members.
         given: Their initial states, (N, …).
         own: Parameters in which they differ from the plan.
-
     Returns:
         Sorted indices of members and their flow, for each of both kinds that has members.
     """

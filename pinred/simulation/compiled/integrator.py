@@ -42,7 +42,6 @@ def integrator(
         flow: The flow of the plan.
         plan: The plan.
         progress: Called now and then with the fraction of the time that is done.
-
     Returns:
         The function; it raises an IntegrationError with time and shape.
     """
@@ -154,7 +153,6 @@ def explained(
         scene: The scene.
         start: Start time of the segment [s].
         parameters: Parameters of the vector field in the segment, (p,).
-
     Returns:
         The error to raise instead.
     """

@@ -37,10 +37,8 @@ class InitialMap:
         Args:
             given: The inputs.
             t: Time of the start [s]; the path of the centre of mass starts at time zero.
-
         Returns:
             The flow.
-
         Raises:
             InputError: The momentum or twist overflows.
         """
@@ -76,7 +74,6 @@ class InitialMap:
             state: Directions of their state, (…, N).
             constants: Directions of their constants, (…, N).
             t: Time of the start [s].
-
         Returns:
             Derivatives of the reduced state (n, N), the parameters (p, N) and the path (3k, N).
         """
@@ -98,7 +95,6 @@ class InitialMap:
             by_y: Cotangent of the reduced state, (n,).
             by_parameters: Cotangent of the parameters, (p,).
             by_path: Cotangent of the path, (3k,).
-
         Returns:
             The cotangents.
         """

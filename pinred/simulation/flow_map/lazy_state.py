@@ -53,7 +53,6 @@ def lazy_state(
         t: Time [s].
         outputs: Function that computes the kernel's outputs, (where.size,); called once.
         wanted: Whether the outputs contain the base.
-
     Returns:
         A State with the base, a ShapeState without it.
     """

@@ -93,14 +93,12 @@ class Propagator:
         Args:
             given: The inputs.
             stages: Whether to store stage derivatives for the backward pass.
-
         Returns:
             The value.
-
         Raises:
             InputError: The initial momentum or twist overflows.
-            IntegrationError: The motion cannot be followed.
-        """
+            IntegrationError: The integrator cannot continue.
+        """  # noqa: DOC501, the exception is built by a function
         flow = self._initial(given)
         y, layout = flow.y0, self.kernel.layout
         solutions: list[Solution] = []
@@ -154,10 +152,8 @@ class Propagator:
             states: State of the inputs, (N, …), as in Given.
             constants: Constants of the inputs, (N, …), as in Given.
             threads: Number of threads; as many as processors if None.
-
         Returns:
             (N, T, ·): the outputs at the report times.
-
         Raises:
             InputError: An initial momentum or twist overflows.
             IntegrationError: A member cannot be followed.
@@ -199,7 +195,6 @@ class Propagator:
             rows: The outputs.
             state: Directions of the inputs' state, (…, N).
             constants: Directions of their constants, (…, N).
-
         Returns:
             (T, rows, N).
         """
@@ -230,7 +225,6 @@ class Propagator:
             run: The value.
             rows: The outputs.
             covectors: Cotangents of the outputs, (T, rows).
-
         Returns:
             The cotangents.
         """
@@ -274,10 +268,8 @@ class Propagator:
             rows: The outputs.
             columns: N directions of the inputs' state and constants, (…, N); None for no
                 derivatives.
-
         Returns:
             The state, and the derivatives, (rows, N).
-
         Raises:
             InputError: The step passes a time at which a force is not smooth.
             IntegrationError: The state is not finite.

@@ -38,7 +38,6 @@ def integrate_members(
         members: Indices of the members, (N,) sorted.
         threads: Number of threads; as many as processors if None.
         progress: Called now and then with the fraction of the time that is done.
-
     Returns:
         The solutions of all members.
     """

@@ -1,4 +1,4 @@
-"""Trajectories: the motions of all members, as arrays and one by one."""
+"""Trajectories: the motions of all members, as arrays, one by one, and in files."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
+from ...common.files import check_path, write_atomic
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System
+from ...system.variants import nominal
 from ..over_time import OverTime
 from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory
+from ..trajectory_files import robot_arrays, write_zarr
 
 if TYPE_CHECKING:
     from ..compiled.compiled_flow import CompiledFlow
@@ -190,7 +193,12 @@ class Trajectories(OverTime):
         return Trajectory(scene, None, run, again, self._states(member))
 
     def save(self, path: str | Path) -> None:
-        """Write the states of all members to a file.
+        """Write the states of all members to a file; nothing is left of a file that fails.
+
+        The file contains `t`, (T,), one array (N, T, …) for each other field of State, and the
+        robot as `Trajectory.save` writes it.  For each member there are `failure`, (N,), the reason
+        for its failure or "", and `reached`, (N,), the last time [s].  `gravity` is (N, 3), and
+        `parameter_values`, (N, …), include the parameters of forces.
 
         An InputError is raised for another suffix or a missing folder, an OutputError if writing
         fails, and a MissingPackageError if zarr is not installed.
@@ -198,10 +206,21 @@ class Trajectories(OverTime):
         Args:
             path: Path of the file; its suffix, .npz or .zarr, selects the format.
         """
-        from .save_members import save
-
-        scenes = [self._scene_of(member) for member in range(len(self))]
-        save(self, scenes, {f.member: (f.time, f.reason) for f in self.failures}, path)
+        path = check_path(path, (".npz", ".zarr"))
+        reasons, reached = [""] * len(self), np.full(len(self), float(self.t[-1]))
+        for failure in self.failures:
+            reasons[failure.member], reached[failure.member] = failure.reason, failure.time
+        arrays = {
+            **robot_arrays(nominal(self.system)),
+            **arrays_of(self.outputs),
+            "failure": np.array(reasons, dtype=str),
+            "reached": reached,
+            **_scene_arrays([self._scene_of(member) for member in range(len(self))]),
+        }
+        if path.suffix == ".npz":
+            write_atomic(path, lambda file: np.savez_compressed(file, **arrays))
+        else:
+            write_zarr(path, arrays)
 
     def _states(self, member: int) -> State | ShapeState:
         """Return the states of one member at the report times; NaN where it has failed."""
@@ -249,3 +268,23 @@ def _missing_states(system: System, t: Array, *, wanted: bool) -> State | ShapeS
         for name in kind.__dataclass_fields__
     }
     return kind(**(fields | {"t": t}))
+
+
+def _scene_arrays(scenes: Sequence[Scene]) -> dict[str, Any]:
+    """Return gravity and parameters of all members, NaN for parameters that a member lacks."""
+    parameters = [
+        {name: np.ravel(value) for name, value in scene.parameters.items()} for scene in scenes
+    ]
+    sizes = {name: len(value) for values in parameters for name, value in values.items()}
+    gravity = {"gravity": np.array([scene.system.gravity for scene in scenes])}
+    if not sizes:
+        return gravity
+    entries = [
+        np.concatenate([values.get(name, np.full(size, np.nan)) for name, size in sizes.items()])
+        for values in parameters
+    ]
+    return gravity | {
+        "parameter_names": np.array(list(sizes), dtype=str),
+        "parameter_sizes": np.array(list(sizes.values())),
+        "parameter_values": np.array(entries),
+    }

@@ -50,10 +50,8 @@ def compiled(source: Any, *, shapes: bool = False) -> Any:
     Args:
         source: Path, MjSpec or MjModel.
         shapes: Whether to read meshes that carry no mass.
-
     Returns:
         The MjModel.
-
     Raises:
         LoadError: MuJoCo cannot read or compile the source; the message has one line.
         ModelError: A number is not finite.

@@ -52,10 +52,8 @@ def read_mujoco(
         root: Body of the world that carries the robot, if several can move.
         lock: Joints to freeze, with their values [rad | m].
         gravity: Gravity instead of the file's, (3,) [m/s²].
-
     Returns:
         The robot.
-
     Raises:
         LoadError: MuJoCo cannot read the source.
         ModelError: pinred cannot reduce the robot.

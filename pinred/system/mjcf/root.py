@@ -65,10 +65,8 @@ def root_motion(joints: Sequence[Joint], gravity: Array, turn: Array) -> RootMot
         joints: Joints of the body.
         gravity: Gravity in the world frame, (3,) [m/s²].
         turn: Rotation from the axes of the body, as the file draws it, to the world's, (3, 3).
-
     Returns:
         The motion.
-
     Raises:
         ModelError: Rotors break the symmetry of the base.
     """

@@ -80,10 +80,8 @@ def tree_of(
         lock: Joints to freeze, with their values [rad | m].
         gravity: Gravity that acts on rotors of the base, (3,) [m/s²].
         keep_frozen: Whether frozen joints behind the root stay joints of the model.
-
     Returns:
         The tree.
-
     Raises:
         InputError: A joint to lock is unknown.
         ModelError: A joint inside the tree has several degrees of freedom, or the base has

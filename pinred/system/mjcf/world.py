@@ -100,10 +100,8 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
         model: The MjModel.
         root: Name of that body, if several can move.
         what: Source of the model, for messages.
-
     Returns:
         The robot.
-
     Raises:
         LoadError: No body has a joint or a mass.
         ChoiceError: Several bodies can move and root is None; the message lists them.

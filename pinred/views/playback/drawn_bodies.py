@@ -1,23 +1,26 @@
-"""Shapes of a robot for drawing: those of its file, or ellipsoids of its inertias."""
+"""Shapes of a robot for drawing: those of its URDF or MJCF file, or ellipsoids of its inertias."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
 from ...common.library_output import library_output
 from ...system.catalogue import bundled_robots, example_robot
+from ...system.mjcf.compile import compiled
+from ...system.mjcf.mujoco_joints import frame
+from ...system.mjcf.world import World, robot_in
 from ...system.robot_files import URDFDOM, is_mjcf, read_text
 from ...system.system import System
 from ...system.visuals import Visuals, mesh_folders
-from .mjcf_shapes import mjcf_shapes
-from .solids import Bodies, Mesh, Solid
 
 # Muted colours that are distinguishable for colour-blind people (after Okabe and Ito).
 PALETTE = (
@@ -26,6 +29,68 @@ PALETTE = (
 )  # fmt: skip
 _SLENDER = 0.04  # radius of a connecting capsule, relative to the robot's size
 _THIN = 1e-3  # smallest semi-axis of an ellipsoid, relative to the robot's size
+
+# MuJoCo's mjtGeom → kind and number of sizes. Planes and height fields are not drawn.
+_SHAPES = {
+    2: ("sphere", 1),
+    3: ("capsule", 2),
+    4: ("ellipsoid", 3),
+    5: ("cylinder", 2),
+    6: ("box", 3),
+}
+_MESHES = (7, 8)  # mesh, and signed distance function, which includes a mesh
+_VISIBLE_GROUPS = 3  # MuJoCo's viewer shows groups below; others usually have collision shapes
+_NO_COLOUR = (0.5, 0.5, 0.5, 1.0)  # default colour, replaced by that of the material
+
+Colour: TypeAlias = tuple[float, float, float, float]  # red, green, blue, opacity
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh.
+
+    Attributes:
+        vertices: Positions, (V, 3) [m].
+        faces: Indices of vertices, (T, 3).
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Solid:
+    """One shape on a joint.
+
+    Attributes:
+        joint: Index of the joint; 0 is the world.
+        kind: Box, sphere, cylinder, capsule, cone (along z), ellipsoid or mesh.
+        size: Box: three half sides; sphere: radius; cylinder, capsule and cone: radius and half
+            length; ellipsoid: three semi-axes [m]; mesh: index of a Mesh.
+        placement: Position [m] and quaternion in the joint's frame, (7,).
+        colour: Red, green, blue, opacity.
+    """
+
+    joint: int
+    kind: str
+    size: tuple[float, ...]
+    placement: Array
+    colour: Colour
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """All shapes of a robot.
+
+    Attributes:
+        solids: The shapes.
+        meshes: Their meshes.
+        note: Remark for the user on the origin of the shapes; may be empty.
+    """
+
+    solids: tuple[Solid, ...]
+    meshes: tuple[Mesh, ...]
+    note: str
 
 
 def drawn_bodies(
@@ -228,3 +293,55 @@ def _capsule(joint: int, end: Array, size: float) -> list[Solid]:
     placement = np.concatenate([0.5 * end, rotation.coeffs()])
     colour = (0.45, 0.48, 0.52, 1.0)
     return [Solid(joint, "capsule", (_SLENDER * size, 0.5 * length), placement, colour)]
+
+
+def mjcf_shapes(system: System, path: Path) -> Bodies:
+    """Return the shapes of the robot in an MJCF file.
+
+    Raises LoadError if MuJoCo cannot read it or one of its meshes.
+    """
+    model = compiled(path, shapes=True)
+    world = robot_in(model, None if system.origin is None else system.origin.root)
+    bodies = set(world.bodies)
+    geoms = [k for k in range(model.ngeom) if int(model.geom_bodyid[k]) in bodies]
+    visible = [k for k in geoms if model.geom_group[k] < _VISIBLE_GROUPS] or geoms
+    meshes: dict[int, int] = {}
+    solids = [solid for k in visible if (solid := _solid(system, world, k, meshes)) is not None]
+    return Bodies(tuple(solids), tuple(_mjcf_mesh(model, k) for k in meshes), "")
+
+
+def _solid(system: System, world: World, geom: int, meshes: dict[int, int]) -> Solid | None:
+    """Convert a geom; None if it is not drawn.  meshes: mesh id → index, extended on use."""
+    model, kind = world.model, int(world.model.geom_type[geom])
+    size: tuple[float, ...]
+    if kind in _MESHES:
+        name, size = "mesh", (float(meshes.setdefault(int(model.geom_dataid[geom]), len(meshes))),)
+    elif kind in _SHAPES:
+        name, count = _SHAPES[kind]
+        size = tuple(map(float, model.geom_size[geom, :count]))
+    else:
+        return None
+    colour = _colour(model, geom)
+    if colour[3] == 0.0:
+        return None
+    body = world.body_names[int(model.geom_bodyid[geom])]
+    link = system.model.frames[system.model.getFrameId(body, pin.FrameType.BODY)]
+    placement = link.placement * frame(model.geom_pos[geom], model.geom_quat[geom])
+    return Solid(link.parentJoint, name, size, np.array(pin.SE3ToXYZQUAT(placement)), colour)
+
+
+def _colour(model: Any, geom: int) -> Colour:
+    material = int(model.geom_matid[geom])
+    colour = tuple(map(float, model.geom_rgba[geom]))
+    rgba = model.mat_rgba[material] if material >= 0 and colour == _NO_COLOUR else colour
+    red, green, blue, opacity = map(float, rgba)
+    return red, green, blue, opacity
+
+
+def _mjcf_mesh(model: Any, mesh: int) -> Mesh:
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    return Mesh(
+        np.array(model.mesh_vert[first : first + count], dtype=np.float32),
+        np.array(model.mesh_face[face : face + faces], dtype=np.uint32),
+    )

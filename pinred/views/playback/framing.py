@@ -8,9 +8,8 @@ import numpy as np
 
 from ...common.arrays import Array, freeze
 from ...lie.rotations import rotation
-from .drawn_bodies import extents
+from .drawn_bodies import Bodies, extents
 from .playback import Playback
-from .solids import Bodies
 
 ARROW = 1.3  # length of the momentum arrow with a margin, in radii of the robot
 _SAMPLES = 200  # number of frames that determine the robot's radius

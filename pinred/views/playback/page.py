@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from ...common.errors import LoadError
 from ...common.files import check_path, write_atomic
 from ..motion_source import MotionSource
-from .drawn_bodies import drawn_bodies
+from .drawn_bodies import Bodies, drawn_bodies
 from .framing import frame
 from .playback import Playback, playback
 from .shape_panel import ShapePanel, shape_panel
-from .solids import Bodies
 from .view import View
 
 # The page contains the viewer, so it must contain the viewer's licences.

@@ -1,4 +1,4 @@
-"""Player: a server of one page for browsers on this machine only.
+"""play() and Player: a server of one page for browsers on this machine only.
 
 meshcat's server listens on every interface. This one is bound to 127.0.0.1 and answers only
 requests with that host name, so that a foreign site cannot redirect its host name to this server.
@@ -18,6 +18,9 @@ from types import TracebackType
 from typing import Any
 
 from ...common.errors import InputError, OutputError
+from ..motion_source import MotionSource
+from .page import page
+from .view import View
 
 HOST = "127.0.0.1"
 
@@ -144,3 +147,40 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
         """Print nothing."""
+
+
+def play(
+    source: MotionSource,
+    view: View,
+    *,
+    port: int | None = None,
+    show: bool = True,
+    wait: bool | None = None,
+) -> Player:
+    """Serve the playback of a motion and print its address.
+
+    Args:
+        source: The motion.
+        view: Options of the drawing.
+        port: Port; any free one if None.
+        show: Open the user's browser.
+        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
+    Returns:
+        The server.
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
+    """
+    check_port(port)  # before the page is built, which may take long
+    player = Player(page(source, view), port)
+    wait = not hasattr(sys, "ps1") if wait is None else wait
+    try:
+        print(f"playing at {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)
+        if show:
+            player.open()
+        if wait:
+            player.wait()
+    except KeyboardInterrupt:
+        player.close()
+        if not wait:
+            raise
+    return player

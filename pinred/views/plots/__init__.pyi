@@ -4,16 +4,16 @@ from .branch_diagram import branches as branches
 from .by_kind import options_of as options_of
 from .by_kind import plot as plot
 from .connection_field import field as field
-from .conserved import energy as energy
-from .conserved import momentum as momentum
 from .curvature_field import curvature as curvature
-from .full_error import error as error
 from .gait_cycles import cycles as cycles
-from .loops import loop as loop
+from .gait_cycles import loop as loop
 from .momentum_sphere import sphere as sphere
 from .phase_portrait import phase as phase
 from .poincare_section import poincare as poincare
 from .time_series import base as base
+from .time_series import energy as energy
+from .time_series import error as error
+from .time_series import momentum as momentum
 from .time_series import shape as shape
 from .work_against_error import work_precision as work_precision
 

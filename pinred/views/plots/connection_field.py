@@ -15,8 +15,7 @@ from ...common.arrays import Array, vector
 from ...common.errors import InputError
 from ...common.names import joint_index
 from .curvature_field import component_of
-from .level_sets import fill, name_axes, outline
-from .shape_plane import Limits, around, draw_path, plane
+from .shape_plane import Limits, around, draw_path, fill, name_axes, outline, plane
 from .style import BLACK, figure, styled
 
 Part = Literal["curvature", "exterior", "bracket", "connection"]

@@ -18,9 +18,20 @@ from ...simulation.trajectory import Trajectory
 from ...system.system import System, checked_system
 from ..motion_source import MotionSource
 from .fine_path import fine_path
-from .level_sets import NONE, fill, name_axes, outline
 from .motion_labels import labels_of
-from .shape_plane import Limits, around, checked_path, draw_path, plane, reach, title_at
+from .shape_plane import (
+    NONE,
+    Limits,
+    around,
+    checked_path,
+    draw_path,
+    fill,
+    name_axes,
+    outline,
+    plane,
+    reach,
+    title_at,
+)
 from .style import figure, styled
 from .time_series import require_joints
 

@@ -1,18 +1,33 @@
-"""The path of the body over some cycles of a gait, and its pose after each cycle."""
+"""Figures of gaits: the path of the body over some cycles, and an optimised loop.
+
+An optimised loop is drawn on the curvature, beside its joints and the base over time.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...analysis.connections.connection import Connection
+from ...analysis.gaits.gait import Gait
 from ...analysis.phases.lift import in_space
 from ...analysis.phases.phase import Phase
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...lie.group import Group
+from ...planning.optimisation.best_gait import BestGait
+from ...planning.reorientation.turn_plan import TurnPlan
+from .curvature_field import component_of
+from .shape_plane import around, draw_path, fill, name_axes, outline, plane
 from .style import BLACK, RED, figure, legend, line, styled
 
 _MOST = 1000
+
+_TIMES = 400
+_OTHERS = 5  # largest number of further local optima in the figure
 
 
 @styled
@@ -70,3 +85,87 @@ def _arrows(axes: Axes, places: Array, angles: Array, path: Array) -> None:
         places[:, 0], places[:, 1], "o", color=RED, markersize=3, linestyle="none",
         label="after each cycle",
     )  # fmt: skip
+
+
+@styled
+def loop(source: BestGait | TurnPlan) -> Figure:
+    """Draw a best gait or a reorientation plan: the loop, its joints, and the base.
+
+    The loop is drawn over the curvature of the two joints that move most, with the other joints at
+    their initial values; thin lines are further local optima. The panels over time are the joints,
+    and the rotation of the base [°], or its position if it cannot rotate [m].
+
+    Args:
+        source: Result of `optimise_gait` or `reorient`.
+    Returns:
+        The figure.
+    Raises:
+        InputError: `source` has another type.
+    """
+    if isinstance(source, BestGait):
+        connection, gaits = source.task.connection, [optimum.gait for optimum in source.optima]
+        gait = gaits[0]
+        times = np.linspace(0.0, gait.period, _TIMES)
+        shapes = gait.at(times)[0]
+        at, poses = source.phase.times, source.phase.path
+        title = f"best of {source.starts} starts: merit {source.merit:.6g}"
+    elif isinstance(source, TurnPlan):
+        connection, gaits = Connection.mechanical(source.system), [source.gait]
+        gait, traj = source.gait, source.trajectory
+        times, shapes, at, poses = traj.t, traj.x, traj.t, traj.pose
+        title = f"{source.cycles} cycles, {source.remaining:.1e} rad remain"
+    else:
+        raise InputError(
+            "loop draws a BestGait or a TurnPlan, as optimise_gait and reorient return, got "
+            f"{type(source).__name__}"
+        )
+    drawing = figure(f"{connection.form.what}: {title}", width=9.6, height=4.4)
+    panels: Any = drawing.subfigures(1, 2, width_ratios=(1.25, 1.0))
+    field_panel, time_panel = panels
+    _on_curvature(field_panel.subplots(), connection, gaits[: 1 + _OTHERS])
+    joints, base = time_panel.subplots(2, 1, sharex=True)
+    moving = np.argsort(-gait.amplitude, kind="stable")[:6]
+    for k, joint in enumerate(sorted(moving)):
+        joints.plot(times, shapes[:, joint], label=connection.joints[joint], **line(k))
+    units = sorted({connection.form.units[k] for k in moving}, reverse=True)
+    joints.set_ylabel(f"joints [{' | '.join(units)}]")
+    legend(joints)
+    _over_time(base, connection.group, at, poses)
+    return drawing
+
+
+def _on_curvature(axes: Axes, connection: Connection, gaits: list[Gait]) -> None:
+    """Draw the loops over the curvature of the two joints that the first loop moves most."""
+    gait = gaits[0]
+    pair = sorted(np.argsort(-gait.amplitude, kind="stable")[:2].tolist())
+    paths = [loop.at(np.linspace(0.0, loop.period, _TIMES))[0] for loop in gaits]
+    paths = [path[[*range(_TIMES - 1), 0]] for path in paths]
+    units = [connection.form.units[k] for k in pair]
+    limits = around(np.concatenate(paths)[:, pair], units)
+    shapes = plane(pair, limits, paths[0][0])
+    curvature = connection.grid(shapes.shapes).curvature[..., pair[0], pair[1]]
+    index = component_of(connection.group, None, curvature)
+    filled = fill(axes, shapes.axes, curvature[..., index])
+    outline(axes, shapes.axes, curvature[..., index], filled)
+    for path in paths[1:]:
+        axes.plot(path[:, pair[0]], path[:, pair[1]], color="white", linewidth=0.8, zorder=3)
+    draw_path(axes, paths[0][:, pair[0]], paths[0][:, pair[1]])
+    a, b = (connection.joints[k] for k in pair)
+    what = f"B, component {connection.group.twist_names[index]}"
+    name_axes(axes, filled, (a, b), units, limits, what)
+
+
+def _over_time(axes: Axes, group: Group, t: Array, poses: Array) -> None:
+    """Draw the rotation of the base over time, or its position if it cannot rotate."""
+    if group.turns == 1:
+        axes.plot(t, np.degrees(poses[:, -1] - poses[0, -1]), label="θ", **line(0))
+    else:
+        inverse = group.inverse(poses[0])
+        log = in_space(group, group.log(group.compose(inverse[None], poses)))
+        changes = np.degrees(log[:, 3:]) if group.turns else log[:, :3]
+        for k in range(3):
+            if group.turns or k in group.axes:
+                label = f"{'θ' if group.turns else ''}{'xyz'[k]}"
+                axes.plot(t, changes[:, k], label=label, **line(k))
+    axes.set(xlabel="time [s]", ylabel="turn of the base [°]" if group.turns else "base [m]")
+    legend(axes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,11 +12,12 @@ from ...common.errors import InputError
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ..motion_source import MotionSource
-from .crossings import crossings
-from .fine_path import fine_path, shape_path
+from .fine_path import fine_path, fine_times, shape_path
 from .motion_labels import labels
 from .style import dots, figure, legend, styled
 from .time_series import require_joints
+
+_HALVINGS = 64  # bisections, enough to reach the spacing of floating-point numbers
 
 
 @styled
@@ -116,3 +117,30 @@ def section(
     x, xdot = path(t)
     points = np.stack([x[:, shown], xdot[:, shown]], axis=1)
     return points if not direction else points[np.sign(xdot[:, joint]) == direction]
+
+
+def crossings(motion: MotionSource, function: Callable[[Array], Array]) -> Array:
+    """Find the times at which a continuous function changes its sign, by bisection.
+
+    Two crossings within an eighth of an integration step, or of a report interval, are missed.
+
+    Args:
+        motion: The motion, whose steps are searched.
+        function: Function from times (T,) to values (T,).
+    Returns:
+        Times of the crossings, (K,) [s].
+    """
+    t = fine_times(motion)
+    # An exact zero takes the sign before it, so that the crossing is counted once.
+    signs = np.sign(function(t))
+    for k in np.flatnonzero(signs == 0.0):
+        signs[k] = signs[k - 1] if k else 0.0
+    change = signs[:-1] * signs[1:] < 0.0
+    low, high, sign = t[:-1][change], t[1:][change], signs[:-1][change]
+    if not low.size:
+        return low
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        before = np.sign(function(middle)) == sign
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    return np.asarray(high)

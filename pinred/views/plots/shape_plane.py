@@ -1,4 +1,7 @@
-"""Lines and planes in shape space: one or two joints vary, the others are frozen."""
+"""Lines and planes in shape space: one or two joints vary, the others are frozen.
+
+A quantity over a plane is drawn as a colour map with level sets.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,25 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.contour import QuadContourSet
 from matplotlib.patheffects import Stroke, withStroke
+from matplotlib.ticker import MaxNLocator
 
 from ...common.arrays import Array, as_floats, vectors
 from ...common.errors import InputError
 from ...system.joints import is_prismatic
 from ...system.system import System
 from .motion_labels import Labels
-from .style import BLACK, RED
+from .style import BLACK, FIELD, RED, legend
 
 _POINTS = {1: 241, 2: 61}  # points along each axis of a line or a plane
 Limits: TypeAlias = Sequence[Sequence[float]]
 _MARGIN = 0.2  # margin around a path, relative to its extent
 _LEAST = {"rad": 0.4, "m": 0.05}  # half of the smallest range of an axis
 _SLIDE = 0.5  # half of the range of a prismatic joint without limits [m]
+
+NONE = 1e-12  # smaller values and differences are round-off
+_LEVELS = 20
 
 
 @dataclass(frozen=True)
@@ -119,3 +127,43 @@ def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
     return "drawn for " + ", ".join(
         f"{names.joints[k]} = {at[k]:.3g} {names.units[k]}" for k in others
     )
+
+
+def fill(axes: Axes, plane: Sequence[Array], values: Array) -> QuadContourSet:
+    """Draw values at the points of a plane of shapes as filled contours."""
+    low, high = float(values.min()), float(values.max())
+    if high - low < NONE:
+        low, high = low - 1.0, high + 1.0
+    if low < 0.0 < high:  # a symmetric range puts zero in the middle of the colour map
+        low, high = -max(-low, high), max(-low, high)
+    levels = MaxNLocator(_LEVELS).tick_values(low, high)
+    return axes.contourf(*plane, values, levels=levels, cmap=FIELD)
+
+
+def outline(axes: Axes, plane: Sequence[Array], values: Array, filled: QuadContourSet) -> None:
+    """Draw every second level as a line, and zero as a thick line, unless all is round-off."""
+    if np.abs(values).max() < NONE:
+        return
+    axes.contour(
+        *plane, values, levels=np.asarray(filled.levels)[::2], colors=BLACK, linewidths=0.4
+    )
+    if values.min() < 0.0 < values.max():
+        axes.contour(*plane, values, levels=[0.0], colors=BLACK, linewidths=2.0)
+        axes.plot([], [], color=BLACK, linewidth=2.0, label="zero")
+
+
+def name_axes(
+    axes: Axes,
+    filled: QuadContourSet,
+    joints: Sequence[str],
+    units: Sequence[str],
+    limits: Limits,
+    value: str,
+) -> None:
+    """Label both joint axes and the colour bar, and set the limits."""
+    axes.grid(visible=False)
+    axes.set(xlabel=f"{joints[0]} [{units[0]}]", ylabel=f"{joints[1]} [{units[1]}]")
+    axes.set(xlim=limits[0], ylim=limits[1])
+    bar = axes.figure.colorbar(filled, ax=axes, location="left", pad=0.02, shrink=0.9)
+    bar.set_label(value)
+    legend(axes)

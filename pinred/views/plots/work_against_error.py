@@ -73,10 +73,8 @@ def work_precision(
     Args:
         results: One or several results of `bench_accuracy`.
         against: Quantity on the vertical axis.
-
     Returns:
         The figure.
-
     Raises:
         InputError: There is nothing to draw, or an argument is of the wrong kind.
     """
