@@ -14,7 +14,7 @@ from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, r
 from ...integrators.solution import Solution
 from ...kernels.derived_code import tangent_of
 from ...kernels.differentiable import call_value
-from ...kernels.evaluate import evaluate_each
+from ...kernels.evaluate import evaluate
 from ...kernels.flow_functions import Row, outcome_of, rate_of, sizes_of
 from ...system.coordinates import Indices
 from ...system.state_fields import Outcome, ShapeState, State, map_arrays
@@ -175,8 +175,8 @@ class Propagator:
             if not kernel.layout.clock:
                 rows = np.hstack([rows, np.tile(span.start + span.times, count)[:, None]])
             constants = np.hstack([flow.parameters_between(span.start, span.stop), flow.path])
-            out = evaluate_each(
-                kernel.outputs.address, rows, np.repeat(constants, T, axis=0), kernel.where.size
+            out = evaluate(
+                kernel.outputs.address, np.repeat(constants, T, axis=0), rows, kernel.where.size
             )
             parts.append(out.reshape(count, T, kernel.where.size))
         return np.concatenate(parts, axis=1)
