@@ -14,13 +14,13 @@ from .analysis.connections.connection import Connection as Connection
 from .analysis.connections.connection import ConnectionField as ConnectionField
 from .analysis.connections.fluid import Ellipse as Ellipse
 from .analysis.connections.fluid import Ellipsoid as Ellipsoid
+from .analysis.connections.fluid import Rod as Rod
 from .analysis.connections.mixed import MixedConnection as MixedConnection
 from .analysis.connections.mixed import mixed_connection as mixed_connection
 from .analysis.connections.mixed_motion import MixedMotion as MixedMotion
 from .analysis.connections.mixed_motion import follow_mixed as follow_mixed
 from .analysis.connections.mixed_motion import simulate_mixed as simulate_mixed
 from .analysis.connections.shape_field import ShapeField as ShapeField
-from .analysis.connections.viscous import Rod as Rod
 from .analysis.connections.wheels import Rolling as Rolling
 from .analysis.connections.wheels import Wheel as Wheel
 from .analysis.equilibria.find import relative_equilibria as relative_equilibria

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from .command_options import add_robot, add_scene, scene_of
+from .output_files import print_report
 
 if TYPE_CHECKING:
     from ..simulation.trajectory import Trajectory
@@ -28,8 +29,5 @@ def run(arguments: argparse.Namespace) -> int:
 def print_comparison(traj: Trajectory) -> int:
     """Print the comparison of a motion with full ABA.  Returns 0, 1 or 3, as `run` does."""
     from ..judge.compare import compare
-    from ..judge.report import EXIT_CODES
 
-    report = compare(traj, progress=True)
-    print(report)
-    return EXIT_CODES[report.verdict]
+    return print_report(compare(traj, progress=True))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from .command_options import add_options, add_parameters, option_adder, options_in, source_of
-from .output_files import describe_file, save_figure
+from .output_files import write_plan
 
 if TYPE_CHECKING:
     from ..analysis.gaits.gait import Gait
@@ -34,7 +34,6 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the best loop and its certificate.  Returns 0, or the verdict of --compare."""
     from ..common.files import DATA, FIGURES, check_path
-    from ..judge.report import EXIT_CODES
     from ..planning.optimisation.optimise import optimise_gait
 
     path = None if arguments.out is None else check_path(arguments.out, (*DATA, *FIGURES))
@@ -44,18 +43,12 @@ def run(arguments: argparse.Namespace) -> int:
         source.connection, **{**source.optimise, **_stated(arguments)}, progress=True
     )
     print(best)
-    if path is not None:
-        if path.suffix in FIGURES:
-            from ..views.plots.by_kind import plot
-
-            save_figure(plot(best, "loop"), path)
-        else:
-            _write(best.gait, source.connection.joints, path)
-        print(describe_file(path))
-    if arguments.compare:
-        print(best.report)
-        return EXIT_CODES[best.report.verdict]
-    return 0
+    return write_plan(
+        best,
+        path,
+        lambda file: _write(best.gait, source.connection.joints, file),
+        compare=arguments.compare,
+    )
 
 
 def _stated(arguments: argparse.Namespace) -> dict[str, Any]:

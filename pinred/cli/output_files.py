@@ -1,12 +1,17 @@
-"""Files that commands write: figures, and the message about a written file."""
+"""Results of commands: figures and other files, their messages, and comparisons."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from ..judge.report import Report
+    from ..planning.optimisation.best_gait import BestGait
+    from ..planning.reorientation.turn_plan import TurnPlan
 
 _NO_DATE: dict[str, dict[str, Any]] = {  # Without a date, the same figure gives the same file.
     ".png": {},
@@ -28,3 +33,41 @@ def save_figure(figure: Figure, path: Path) -> None:
 def describe_file(path: Path) -> str:
     """Return the message that a file was written, with its size."""
     return f"written to {path} ({path.stat().st_size / 1e3:.0f} kB)"
+
+
+def print_report(report: Report) -> int:
+    """Print a comparison with full ABA; return the exit code of its verdict."""
+    from ..judge.report import EXIT_CODES
+
+    print(report)
+    return EXIT_CODES[report.verdict]
+
+
+def write_plan(
+    plan: BestGait | TurnPlan,
+    path: Path | None,
+    write_data: Callable[[Path], None],
+    *,
+    compare: bool,
+) -> int:
+    """Write a plan as a figure or as data, and compare it with full ABA.
+
+    Args:
+        plan: The gait or motion.
+        path: Path of a figure or of data; None to write nothing.
+        write_data: Called with the path if its suffix is that of data.
+        compare: Whether to print the comparison.
+    Returns:
+        0, or the exit code of the comparison.
+    """
+    from ..common.files import FIGURES
+
+    if path is not None:
+        if path.suffix in FIGURES:
+            from ..views.plots.by_kind import plot
+
+            save_figure(plot(plan, "loop"), path)
+        else:
+            write_data(path)
+        print(describe_file(path))
+    return print_report(plan.report) if compare else 0

@@ -16,7 +16,7 @@ from .command_options import (
     refuse_of_robots,
     system_of,
 )
-from .output_files import describe_file, save_figure
+from .output_files import write_plan
 
 if TYPE_CHECKING:
     from ..scene.toml.schema import Key
@@ -35,7 +35,6 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the plan.  Returns 0, or the verdict of --compare."""
     from ..common.files import DATA, FIGURES, check_path
-    from ..judge.report import EXIT_CODES
     from ..planning.reorientation.reorient import reorient
 
     path = None if arguments.out is None else check_path(arguments.out, (*DATA, *FIGURES))
@@ -45,18 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     plan = reorient(system, **options)
     print(plan)
     print(f"  missed by the motion    {plan.missed:.1e} rad")
-    if path is not None:
-        if path.suffix in FIGURES:
-            from ..views.plots.by_kind import plot
-
-            save_figure(plot(plan, "loop"), path)
-        else:
-            plan.trajectory.save(path)
-        print(describe_file(path))
-    if arguments.compare:
-        print(plan.report)
-        return EXIT_CODES[plan.report.verdict]
-    return 0
+    return write_plan(plan, path, plan.trajectory.save, compare=arguments.compare)
 
 
 def _stated(arguments: argparse.Namespace) -> tuple[System, dict[str, Any]]:

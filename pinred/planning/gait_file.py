@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..analysis.connections.connection import Connection
-from ..analysis.connections.fluid import Ellipse, Ellipsoid
-from ..analysis.connections.viscous import Rod
+from ..analysis.connections.fluid import Ellipse, Ellipsoid, Rod
 from ..analysis.connections.wheels import Rolling, Wheel
 from ..analysis.gaits.gait import Gait
 from ..common.arrays import Array

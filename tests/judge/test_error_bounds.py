@@ -15,13 +15,13 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.judge import compare as judge
 from pinred.judge.compare import (
+    compute_error_bounds,
     count_informative_times,
     explain_rest,
     explain_uninformative_times,
 )
 from pinred.judge.distances import FullMotion, Size
 from pinred.judge.equation_errors import equation_errors
-from pinred.judge.error_bounds import compute_error_bounds
 from pinred.judge.reference_solution import FullState
 from pinred.judge.report import Verdict
 from pinred.judge.step_defects import Defects

@@ -29,9 +29,17 @@ from pinred.reduction.tree.free_bodies import (
     total_mass,
     with_free,
 )
-from pinred.reduction.tree.link_motions import inertia_tensors, root_twist, speed_along, tensors_of
-from pinred.reduction.tree.link_motions import twists_at as twists_of_bodies
-from pinred.reduction.tree.momenta import bracket, centre_of_mass, locked, momenta
+from pinred.reduction.tree.momenta import (
+    bracket,
+    centre_of_mass,
+    inertia_tensors,
+    locked,
+    momenta,
+    root_twist,
+    speed_along,
+    tensors_of,
+)
+from pinred.reduction.tree.momenta import twists_at as twists_of_bodies
 
 CLOSE: Any = {"rel": 1e-9, "abs": 1e-9}
 

@@ -17,23 +17,21 @@ from ...kernels.connection.form import ConnectionForm
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.system import System
-from .fluid import Ellipse, Ellipsoid, fluid_form
+from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
 from .mechanical import mechanical_code
 from .other_frames import from_link, in_section
-from .viscous import Rod, viscous_form
 from .wheels import Rolling, Wheel, kinematic_form
 
-# Least health of P_b at which A is defined, for symmetric and for other forms.
-_LEAST_SYMMETRIC = 16.0 * np.finfo(float).eps
-_LEAST_OTHER = 1e-9
+_LEAST_SYMMETRIC = 16.0 * np.finfo(float).eps  # least health of P_b if the form is symmetric
+_LEAST_OTHER = 1e-9  # least health of P_b otherwise
 
 
 @dataclass(frozen=True, eq=False)
 class ConnectionField:
     """A connection at many shapes, with the leading axes of x first in every array.
 
-    Each array is computed at first use, cached, and read-only.  Every array raises
-    SingularInertiaError, naming the first shape at which A is not defined.
+    Each array is computed at first use, cached, and read-only.  It raises SingularInertiaError
+    if A is not defined at a shape.
 
     Attributes:
         connection: The connection.
@@ -51,7 +49,7 @@ class ConnectionField:
     @property
     def metric(self) -> Array:
         """Metric M, (..., m, m).  Raises InputError if the connection has no metric."""
-        return self.connection.checked_metric(self._locals[1])
+        return _require_metric(self.connection.form, self._locals[1])
 
     @cached_property
     def curvature(self) -> Array:
@@ -92,19 +90,15 @@ class ConnectionField:
 class Connection:
     """A local connection on G × B: horizontal motion is ξ = −A(x) ẋ.
 
-    ξ is the body twist of the base, (r,) [linear; angular].  The curvature is
-    B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (r, m, m), with the bracket of body twists.  Connections
-    from momenta, drag or fluid also define a metric M on shape space: inertia or dissipation.
-    Connections from wheels do not.  Values are computed by machine code, which is compiled at
-    first use and validated against Pinocchio.
+    ξ is the body twist of the base, (r,) [linear; angular].  Momenta, drag and fluid also define a
+    metric M on shape space.  Machine code computes the values, validated against Pinocchio.
 
     Attributes:
         form: Form of velocities that vanishes on horizontal motions.
         code: Its machine code.
         system: The system, if the connection was built from one.
-        is_mechanical: Whether horizontal motion has zero momentum, without fluid.
-        turned_by_gravity: Reason why gravity changes the momenta, so that no motion is horizontal;
-            empty if it does not.
+        is_mechanical: Whether it is the mechanical connection.
+        turned_by_gravity: Reason why gravity changes the momenta; empty if it does not.
     """
 
     form: ConnectionForm = field(repr=False)
@@ -115,7 +109,13 @@ class Connection:
 
     @classmethod
     def of(cls, form: ConnectionForm) -> Connection:
-        """Return the connection of a form of velocities."""
+        """Return the connection of a form of velocities.
+
+        Args:
+            form: Form that vanishes on horizontal motions.
+        Returns:
+            The connection.
+        """
         return cls(form, ConnectionCode(form))
 
     @classmethod
@@ -148,14 +148,11 @@ class Connection:
     def fluid(
         cls, system: System, density: float, bodies: Mapping[str, Ellipsoid | Ellipse | ArrayLike]
     ) -> Connection:
-        """Return the connection of a robot in a perfect fluid, by added masses.
-
-        The flow around each body is computed as if there were no other body.
+        """Return the connection in a perfect fluid, by added masses of each body alone.
 
         Args:
             system: The system.
-            density: Density of the fluid [kg/m³]; with an Ellipse [kg/m²], if the masses of the
-                robot are per metre of height.
+            density: Density of the fluid [kg/m³], or [kg/m²] per metre of height with an Ellipse.
             bodies: {link: Ellipsoid, Ellipse or tensor}.  A tensor (6, 6) is symmetric and is the
                 added inertia per density in the link's frame.
         Returns:
@@ -174,24 +171,21 @@ class Connection:
             system: The system.
             wheels: Wheels, as many as the group has dimensions.
         Returns:
-            The connection, without metric.  Its methods raise SingularInertiaError at shapes where
-            the wheels do not determine the motion of the body.
+            The connection, without metric.
         """
         return replace(cls.of(kinematic_form(system, wheels)), system=system)
 
     def seen_from(self, link: str) -> Connection:
         """Return the same connection with another link as the base; ξ is then its twist.
 
-        A cycle from x₀ has the phase h(x₀)⁻¹ g h(x₀), where h is the pose of the link relative to
-        the old base.
+        A cycle from x₀ then has the phase h(x₀)⁻¹ g h(x₀); h: pose relative to the old base.
 
         Args:
-            link: Name of the link.
+            link: Name of the link, whose motions must be in the group.
         Returns:
             The connection.
         Raises:
-            InputError: The connection has no system, there is no such link, or its motions are
-                not in the group.
+            InputError: The connection has no system, or the link is not admissible.
         """
         if self.system is None:
             raise InputError("only a connection made from a System can be seen from a link")
@@ -263,10 +257,10 @@ class Connection:
         Returns:
             (m, m), symmetric and positive.  Raises InputError if there is no metric.
         """
-        return read_only(self.checked_metric(self.locals_at(self._one(x))[1])[0])
+        return read_only(_require_metric(self.form, self.locals_at(self._one(x))[1])[0])
 
     def curvature(self, x: ArrayLike) -> Array:
-        """Compute the curvature B(x).
+        """Compute the curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], with the bracket of twists.
 
         Args:
             x: Shape, (m,) [rad | m].
@@ -302,43 +296,56 @@ class Connection:
         xdot = vectors(xdot, self.m, "xdot", self.joints)
         if x.shape != xdot.shape:
             raise InputError(f"x and xdot differ in shape, {x.shape} and {xdot.shape}")
-        return self.horizontal(x.reshape(-1, self.m), xdot.reshape(-1, self.m))[0].reshape(
-            *x.shape[:-1], self.r
-        )
+        xi, _ = self.horizontal(x.reshape(-1, self.m), xdot.reshape(-1, self.m))
+        return xi.reshape(*x.shape[:-1], self.r)
 
     def horizontal(self, x: Array, xdot: Array) -> tuple[Array, Array]:
-        """Return ξ (N, r) and ẋᵀ M ẋ (N,) at shapes and rates (N, m); errors as in `local`.
+        """Compute ξ = −A ẋ and ẋᵀ M ẋ; errors as in `local`.
 
-        The squares are NaN without a metric.
+        Args:
+            x: Shapes, (N, m) [rad | m].
+            xdot: Shape rates, (N, m) [rad/s | m/s].
+        Returns:
+            ξ (N, r) and ẋᵀ M ẋ (N,), which is NaN without a metric.
         """
         values = self.code.velocities(x, xdot)
         self.refuse_singular(x, values.health)
         return values.xi, values.square
 
     def horizontal_slopes(self, x: Array, xdot: Array) -> Array:
-        """Return the exact derivatives of (ξ, ẋᵀ M ẋ) by (x, ẋ), (N, r + 1, 2m).
+        """Compute the exact derivatives of (ξ, ẋᵀ M ẋ) by (x, ẋ).
 
-        Without a metric, there are r rows.
+        Args:
+            x: Shapes, (N, m) [rad | m].
+            xdot: Shape rates, (N, m) [rad/s | m/s].
+        Returns:
+            (N, r + 1, 2m), or (N, r, 2m) without a metric.
         """
         return self.code.velocity_slopes(x, xdot)
 
     def locals_at(self, x: Array) -> tuple[Array, Array | None, Array]:
-        """Return A (N, r, m), M (N, m, m) or None, and P_b (N, r, r); errors as in `local`."""
+        """Compute A, M and P_b; errors as in `local`.
+
+        Args:
+            x: Shapes, (N, m) [rad | m].
+        Returns:
+            A (N, r, m), M (N, m, m) or None, and P_b (N, r, r).
+        """
         terms = self.code.locals(x)
         self.refuse_singular(x, terms.health)
         return terms.A, terms.M, terms.P
 
     def curvatures_at(self, x: Array) -> Curvatures:
-        """Return both terms of the curvature at shapes (N, m); errors as in `local`."""
+        """Compute both terms of the curvature; errors as in `local`.
+
+        Args:
+            x: Shapes, (N, m) [rad | m].
+        Returns:
+            The terms, (N, r, m, m) each.
+        """
         terms = self.code.curvatures(x)
         self.refuse_singular(x, terms.health)
         return terms
-
-    def checked_metric(self, M: Array | None) -> Array:
-        """Return the metric.  Raises InputError if there is none."""
-        if M is None:
-            raise InputError(f"{self.form.what} give no metric on shape space")
-        return M
 
     def refuse_gravity(self) -> None:
         """Raise SymmetryError if gravity changes the momenta, so that no motion is horizontal."""
@@ -346,7 +353,14 @@ class Connection:
             raise SymmetryError(f"momenta are not conserved: {self.turned_by_gravity}")
 
     def refuse_singular(self, x: Array, health: Array) -> None:
-        """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular."""
+        """Raise an error at shapes where A is not defined.
+
+        Args:
+            x: Shapes, (N, m) [rad | m].
+            health: Health of P_b at these shapes, (N,).
+        Raises:
+            SingularInertiaError: P_b is singular; the message names the first shape.
+        """
         least = _LEAST_SYMMETRIC if self.form.symmetric else _LEAST_OTHER
         size = health if self.form.symmetric else np.abs(health)
         singular = ~(size > least)
@@ -358,14 +372,12 @@ class Connection:
             )
 
     def refuse_crossing(self, health: Array) -> None:
-        """Reject a path that crosses a singular shape.
-
-        If the form is not symmetric, its health changes sign there.
+        """Reject paths that cross singular shapes, where the health of other forms changes sign.
 
         Args:
-            health: Condition measure of P_b along the path, (N,).
+            health: Health of P_b along the path, (N,).
         Raises:
-            SingularInertiaError: P_b is singular between the shapes of the path.
+            SingularInertiaError: P_b is singular between two shapes.
         """
         if not self.form.symmetric and health.min() < 0.0 < health.max():
             raise SingularInertiaError(
@@ -378,3 +390,10 @@ class Connection:
 
     def _one(self, x: ArrayLike) -> Array:
         return vector(x, self.m, f"shape x of {self.form.what}", self.joints)[None]
+
+
+def _require_metric(form: ConnectionForm, M: Array | None) -> Array:
+    """Return the metric M.  Raises InputError if there is none."""
+    if M is None:
+        raise InputError(f"{form.what} give no metric on shape space")
+    return M

@@ -19,8 +19,7 @@ from ...common.differences import central_differences
 from ...common.errors import InputError
 from ...kernels.connection.form import ConnectionForm, form_of
 from ...lie.group import Group
-from ...reduction.tree.link_motions import root_twist
-from ...reduction.tree.momenta import in_space
+from ...reduction.tree.momenta import in_space, root_twist
 from ...system.system import System
 from .links import link_jacobian, link_named
 

@@ -14,7 +14,7 @@ from ...common.errors import InputError
 from ...common.names import joint_index
 from ...kernels.connection.form import ConnectionForm, form_of
 from ...reduction.tree.body_frames import bodies_of
-from ...reduction.tree.link_motions import speed_along, twists_at
+from ...reduction.tree.momenta import speed_along, twists_at
 from ...system.system import System, checked_system
 from .links import Link, link_jacobian, link_named
 

@@ -3,8 +3,8 @@
 from .branch_diagram import branches as branches
 from .by_kind import options_of as options_of
 from .by_kind import plot as plot
+from .connection_field import curvature as curvature
 from .connection_field import field as field
-from .curvature_field import curvature as curvature
 from .gait_cycles import cycles as cycles
 from .gait_cycles import loop as loop
 from .momentum_sphere import sphere as sphere

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from ...planning.reorientation.turn_plan import TurnPlan
     from ...simulation.trajectory import Trajectory
     from ..motion_source import MotionSource
-    from .connection_field import Part
-    from .curvature_field import Source
+    from .connection_field import Part, Source
     from .shape_plane import Limits
     from .work_against_error import MeasuredWork
 

@@ -20,7 +20,7 @@ from ...common.errors import InputError
 from ...lie.group import Group
 from ...planning.optimisation.best_gait import BestGait
 from ...planning.reorientation.turn_plan import TurnPlan
-from .curvature_field import component_of
+from .connection_field import component_of
 from .shape_plane import around, draw_path, fill, name_axes, outline, plane
 from .style import BLACK, RED, figure, legend, line, styled
 

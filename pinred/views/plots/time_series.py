@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...judge.audit import audit_trajectory
-from ...judge.compare import compare
-from ...judge.error_bounds import DRIFT_BOUND
+from ...judge.compare import DRIFT_BOUND, compare
 from ...judge.report import Report
 from ...lie.groups import group_named
 from ...simulation.recording import Recording
