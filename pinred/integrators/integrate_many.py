@@ -230,15 +230,6 @@ def over_threads(
 
 def solutions(method: Method, batch: Batch) -> Solutions:
     """Return the results of a finished batch."""
-    outcomes = batch.outcomes
-    return Solutions(
-        method=method,
-        times=batch.times,
-        y=batch.y,
-        status=outcomes["status"].copy(),
-        end=outcomes["t"].copy(),
-        entry=outcomes["entry"].copy(),
-        steps=outcomes["steps"].copy(),
-        rejected=outcomes["rejected"].copy(),
-        evaluations=outcomes["evaluations"].copy(),
-    )
+    names = ("status", "t", "entry", "steps", "rejected", "evaluations")
+    outcomes = [batch.outcomes[name].copy() for name in names]
+    return Solutions(method, batch.times, batch.y, *outcomes)

@@ -25,8 +25,8 @@ from ..common.errors import InputError, KernelMismatch
 from ..common.memo import once
 from ..integrators.stepping.kernel_call import SEEDS
 from ..integrators.stepping.linear_systems import jacobian
+from .build import model_bytes
 from .evaluate import evaluate
-from .fingerprint import model_bytes
 from .kernel import Kernel
 from .machine.native import NativeCode, compile_object, load_object
 from .object_cache import ObjectCache, cache_key

@@ -12,34 +12,20 @@ from ..integrators.stepping.kernel_call import SEEDS, call, call_tangent
 
 
 def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
-    """Evaluate a kernel at several states with common parameters.
+    """Evaluate a kernel at several states, with common or separate parameters.
 
     Args:
         address: Address of the machine code.
-        parameters: Parameters, (p,).
+        parameters: Parameters, (p,), or those of each state, (T, p).
         y: States, (T, k).
         size: Number of values at each state.
     Returns:
         (T, size): the values.
     """
     values = np.empty((len(y), size))
-    _evaluate_all(address, np.ascontiguousarray(parameters), np.ascontiguousarray(y), values)
-    return values
-
-
-def evaluate_each(address: int, y: Array, parameters: Array, size: int) -> Array:
-    """Evaluate a kernel at several states with separate parameters.
-
-    Args:
-        address: Address of the machine code.
-        y: States, (N, k).
-        parameters: Parameters of each state, (N, p).
-        size: Number of values at each state.
-    Returns:
-        (N, size): the values.
-    """
-    values = np.empty((len(y), size))
-    _evaluate_pairs(address, np.ascontiguousarray(y), np.ascontiguousarray(parameters), values)
+    rows = np.ascontiguousarray(np.atleast_2d(parameters))
+    stride = 0 if parameters.ndim == 1 else 1  # between the parameters of successive states
+    _evaluate_all(address, rows, np.ascontiguousarray(y), values, stride)
     return values
 
 
@@ -62,15 +48,9 @@ def _repeat(address: int, parameters: Array, y: Array, out: Array, count: int) -
 
 
 @compiled
-def _evaluate_all(address: int, parameters: Array, y: Array, out: Array) -> None:
+def _evaluate_all(address: int, parameters: Array, y: Array, out: Array, stride: int) -> None:
     for k in range(len(y)):
-        call(address, y[k], parameters, out[k])
-
-
-@compiled
-def _evaluate_pairs(address: int, y: Array, parameters: Array, out: Array) -> None:
-    for k in range(len(y)):
-        call(address, y[k], parameters[k], out[k])
+        call(address, y[k], parameters[k * stride], out[k])
 
 
 WIDTH = SEEDS  # directions per call

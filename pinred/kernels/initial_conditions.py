@@ -28,8 +28,8 @@ from ..reduction.tree.scalars import Scalar
 from ..system.system import System
 from ..system.variants import nominal
 from .base_graph import BaseGraph
-from .evaluate import evaluate, evaluate_each
-from .fingerprint import model_bytes
+from .build import model_bytes
+from .evaluate import evaluate
 from .machine.native import NativeCode, compile_object, load_object
 from .object_cache import ObjectCache, cache_key
 from .reference_state import perturb_parameters
@@ -90,11 +90,7 @@ class InitialConditionsKernel:
         states = np.concatenate([pose, x, xdot, motion], axis=1)
         if numbers is None:
             numbers = free_numbers(self.system, self.freed) if self.freed else np.zeros(1)
-        address, size = self.code.address, m + 2 * r
-        if numbers.ndim == 1:
-            values = evaluate(address, numbers, states, size)
-        else:
-            values = evaluate_each(address, states, numbers, size)
+        values = evaluate(self.code.address, numbers, states, m + 2 * r)
         about, fixed, c0, v0 = m, m + r - k, m + 2 * (r - k), m + 2 * (r - k) + k
         return InitialConditions(
             pi=values[:, :about],

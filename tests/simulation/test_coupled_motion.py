@@ -17,7 +17,7 @@ import pinred
 from pinred import InputError
 from pinred.common.arrays import Array
 from pinred.forces import PD, ComputedTorque, Controller, Damper, Limit, Spring, Torque
-from pinred.kernels.fingerprint import model_bytes
+from pinred.kernels.build import model_bytes
 from pinred.system.contents import Contents, Coupling
 
 Engine = Literal["compiled", "pinocchio"]

@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable
 from functools import cache, partial
 from math import sqrt
-from typing import Any
+from typing import Any, ClassVar
 
 from llvmlite import ir
 from numba import extending
@@ -29,45 +29,42 @@ register_model: Any = extending.register_model
 insert_function: Any = cgutils.get_or_insert_function
 new_model: Any = extending.models.PrimitiveModel.__init__
 
-_DOUBLE, _BIT, _INT32 = ir.DoubleType(), ir.IntType(1), ir.IntType(32)
+_DOUBLE, _INT32 = ir.DoubleType(), ir.IntType(32)
 
 
-class Vector(types.Type):
-    """Numba type of a float64 per lane.
+class _PerLane(types.Type):
+    """Numba type of an entry per lane.
 
     Attributes:
         width: Number of lanes.
+        entry: LLVM type of an entry.
     """
+
+    entry: ClassVar[Any]
 
     def __init__(self, width: int) -> None:
         """Take the number of lanes."""
         self.width = width
-        super().__init__(name=f"pinred_vector{width}")
+        super().__init__(name=f"pinred_{type(self).__name__.lower()}{width}")
 
 
-class Mask(types.Type):
-    """Numba type of a truth value per lane.
+class Vector(_PerLane):
+    """Numba type of a float64 per lane."""
 
-    Attributes:
-        width: Number of lanes.
-    """
+    entry = _DOUBLE
 
-    def __init__(self, width: int) -> None:
-        """Take the number of lanes."""
-        self.width = width
-        super().__init__(name=f"pinred_mask{width}")
+
+class Mask(_PerLane):
+    """Numba type of a truth value per lane."""
+
+    entry = ir.IntType(1)
 
 
 @register_model(Vector)
-class _VectorModel(extending.models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Vector) -> None:
-        new_model(self, manager, kind, ir.VectorType(_DOUBLE, kind.width))
-
-
 @register_model(Mask)
-class _MaskModel(extending.models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Mask) -> None:
-        new_model(self, manager, kind, ir.VectorType(_BIT, kind.width))
+class _LaneModel(extending.models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: _PerLane) -> None:
+        new_model(self, manager, kind, ir.VectorType(kind.entry, kind.width))
 
 
 # --- operators -----------------------------------------------------------------------------

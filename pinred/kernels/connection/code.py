@@ -205,11 +205,10 @@ def cached_code(
         The code.  The caller must validate it.
     """
     width, inputs = (WIDTH, (2,)) if wide else (1, (0,))
-    cache, entry = ObjectCache(), cache_key(key, f"connection {name} {width}")
-    binary = cache.get(entry)
-    if binary is None:
-        binary = compile_object(graph(), name, wide=width, wide_inputs=inputs)
-        cache.put(entry, binary)
+    binary = ObjectCache().get_or_compile(
+        cache_key(key, f"connection {name} {width}"),
+        lambda: compile_object(graph(), name, wide=width, wide_inputs=inputs),
+    )
     return load_object(binary, name)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...kernels.differentiable import call_value
-from ...kernels.evaluate import evaluate_each
+from ...kernels.evaluate import evaluate
 from ...kernels.flow_functions import initial_conditions_of
 from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.kernel import Kernel
@@ -55,7 +55,7 @@ class InitialMap:
         """Return the flow of N inputs, rows of states and constants.  Raises InputError."""
         rest, falls = self._split(constants.T)
         known = np.ascontiguousarray(self._with_path(rest, None).T)
-        outputs = evaluate_each(self._address, states, known, self._size)
+        outputs = evaluate(self._address, known, states, self._size)
         _refuse_overflow(outputs)
         y, head, start = self._pieces(outputs.T)
         path = np.vstack([start, falls])

@@ -14,7 +14,7 @@ from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, r
 from ...integrators.solution import Solution
 from ...kernels.derived_code import tangent_of
 from ...kernels.differentiable import call_value
-from ...kernels.evaluate import evaluate_each
+from ...kernels.evaluate import evaluate
 from ...kernels.flow_functions import Row, outcome_of, rate_of, sizes_of
 from ...system.coordinates import Indices
 from ...system.state_fields import Outcome, ShapeState, State, map_arrays
@@ -175,8 +175,8 @@ class Propagator:
             if not kernel.layout.clock:
                 inputs = np.hstack([inputs, np.tile(span.start + span.times, count)[:, None]])
             constants = np.hstack([flow.parameters_between(span.start, span.stop), flow.path])
-            rows_of_outputs = evaluate_each(
-                kernel.outputs.address, inputs, np.repeat(constants, T, axis=0), kernel.where.size
+            rows_of_outputs = evaluate(
+                kernel.outputs.address, np.repeat(constants, T, axis=0), inputs, kernel.where.size
             )
             outputs.append(rows_of_outputs.reshape(count, T, kernel.where.size))
         return np.concatenate(outputs, axis=1)
