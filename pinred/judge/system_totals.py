@@ -114,7 +114,7 @@ class SystemTotals:
         return np.asarray(np.abs(pin.computeGeneralizedGravity(self._pivot_gravity, self._data, q)))
 
     def pivot_load_sizes(self, q: Array) -> Array:
-        """Return the magnitudes of gravity's moments about the pivot axes, see gravity_loads."""
+        """Return the magnitudes of gravity's moments about the pivot axes."""
         return gravity_load_sizes(self._pivot_gravity, self._data, q)[self._linear : self._r]
 
     def at_origin(self, q: Array) -> Array:

@@ -90,5 +90,5 @@ def test_diagram_draws_branches_over_momentum() -> None:
         plots.branches(found, joint="pile")
     with pytest.raises(pinred.InputError, match="from 0 to 0"):
         plots.branches(found, joint=1)
-    with pytest.raises(pinred.InputError, match="takes what pinred"):
+    with pytest.raises(pinred.InputError, match="takes the result of"):
         plots.branches(pinred.load("cartpole"))  # type: ignore[arg-type]

@@ -49,14 +49,14 @@ class CompiledFlow:
     @classmethod
     def of_plan(cls, plan: Plan) -> CompiledFlow:
         """Return the flow of a plan from its initial state."""
-        given = plan.scene.given
-        start = _initial_conditions(plan, given, NO_DIFFERENCES)
-        return _set_up(plan, given, start, NO_DIFFERENCES, zero=not start.about.any())[0]
+        states = plan.scene.given
+        start = _initial_conditions(plan, states, NO_DIFFERENCES)
+        return _set_up(plan, states, start, NO_DIFFERENCES, zero=not start.about.any())[0]
 
     def __getitem__(self, members: object) -> CompiledFlow:
         """Return the flow of one or some of the members."""
-        rows = (a[members] for a in (self.y0, self.parameters, self.path))  # type: ignore[call-overload]
-        return CompiledFlow(self.kernel, *rows)
+        columns = (a[members] for a in (self.y0, self.parameters, self.path))  # type: ignore[call-overload]
+        return CompiledFlow(self.kernel, *columns)
 
     @property
     def numbers_at(self) -> slice:
@@ -79,24 +79,25 @@ class CompiledFlow:
     def sample(self, t: float, y: Array, parameters: Array | None = None) -> Sample:
         """Return the state at time t that forces depend on; see `states`."""
         parameters = self.parameters if parameters is None else parameters
-        where, out = self.kernel.where, self.kernel.evaluate_outputs(t, y, parameters, self.path)
-        weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
+        where = self.kernel.where
+        outputs = self.kernel.evaluate_outputs(t, y, parameters, self.path)
+        weight = outputs[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
         base = None
         if self.kernel.layout.base_requested:
             fields = ("pose", "xi", "body_momentum", "spatial_momentum")
-            base = BaseInSpace(*(out[where.fields[name]] for name in fields))
-        x, xdot = out[where.fields["x"]], out[where.xdot]
-        return Sample(x, xdot, out[where.xi], out[where.mu], weight, base)
+            base = BaseInSpace(*(outputs[where.fields[name]] for name in fields))
+        x, xdot = outputs[where.fields["x"]], outputs[where.xdot]
+        return Sample(x, xdot, outputs[where.xi], outputs[where.mu], weight, base)
 
     def outputs(self, t: Array, y: Array, parameters: Array | None = None) -> Array:
         """Return the kernel's outputs, (T, ·), at times (T,) and reduced states (T, k)."""
         kernel, layout = self.kernel, self.kernel.layout
         parameters = self.parameters if parameters is None else parameters
-        rows = y[:, : layout.size]
+        inputs = y[:, : layout.size]
         if not layout.clock:
-            rows = np.concatenate([rows, t[:, None]], axis=1)
+            inputs = np.concatenate([inputs, t[:, None]], axis=1)
         constants = np.concatenate([parameters, self.path])
-        return evaluate(kernel.outputs.address, constants, rows, kernel.where.size)
+        return evaluate(kernel.outputs.address, constants, inputs, kernel.where.size)
 
     def states(self, t: Array, y: Array, parameters: Array | None = None) -> State | ShapeState:
         """Return the full states behind reduced ones.
@@ -109,9 +110,9 @@ class CompiledFlow:
             The states, without the base if the scene leaves it out.
         """
         system, where = self.kernel.system, self.kernel.where
-        out = self.outputs(t, y, parameters)
+        outputs = self.outputs(t, y, parameters)
         kind = State if self.kernel.layout.base_requested else ShapeState
-        fields = {name: where.read_field(name, out, system) for name in where.fields}
+        fields = {name: where.read_field(name, outputs, system) for name in where.fields}
         return kind(t=t.copy(), **fields)
 
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
@@ -128,8 +129,8 @@ class CompiledFlow:
 
     def shape(self, t: float, y: Array, parameters: Array) -> Array:
         """Return the shape (m,) of a reduced state (k,) at time t [s]."""
-        out = self.kernel.evaluate_outputs(t, y, parameters, self.path)
-        return np.asarray(out[self.kernel.where.fields["x"]])
+        outputs = self.kernel.evaluate_outputs(t, y, parameters, self.path)
+        return np.asarray(outputs[self.kernel.where.fields["x"]])
 
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""
@@ -183,14 +184,17 @@ def flows_of(
         start = _initial_conditions(plan, given[chunk], own[chunk])
         zeros = ~start.about.any(axis=1) & (not plan.acting.momentum_changes)
         for zero in (False, True):
-            some = np.flatnonzero(zeros == zero)
-            if some.size:
-                here = InitialConditions(*(rows[some] for rows in vars(start).values()))
-                members[zero].append(first + some)
-                flows[zero].append(
-                    _set_up(plan, given[chunk][some], here, own[chunk][some], zero=zero)
-                )
-    return [(np.concatenate(members[zero]), _stacked(some)) for zero, some in flows.items() if some]
+            indices = np.flatnonzero(zeros == zero)
+            if indices.size:
+                conditions = InitialConditions(*(rows[indices] for rows in vars(start).values()))
+                states, parameters = given[chunk][indices], own[chunk][indices]
+                members[zero].append(first + indices)
+                flows[zero].append(_set_up(plan, states, conditions, parameters, zero=zero))
+    return [
+        (np.concatenate(members[zero]), _stacked(chunks))
+        for zero, chunks in flows.items()
+        if chunks
+    ]
 
 
 def has_no_momentum(plan: Plan) -> bool:
@@ -265,5 +269,5 @@ def _down(plan: Plan, attitude: Array, own: MemberParameters) -> Array:
     if own.gravity is None:
         return into_body(attitude, weight / np.linalg.norm(weight))
     units = own.gravity / np.linalg.norm(own.gravity, axis=1)[:, None]
-    rows = [into_body(q[None], unit) for q, unit in zip(attitude, units, strict=True)]
-    return np.concatenate(rows)
+    directions = [into_body(q[None], unit) for q, unit in zip(attitude, units, strict=True)]
+    return np.concatenate(directions)

@@ -48,7 +48,7 @@ def integrator(
     scene, method, layout = plan.scene, plan.method, flow.kernel.layout
     reports, address = scene.report_times, flow.address(method)
     # Balances integrate polynomials of degree 7 between knots, so steps of eight stages are split.
-    parts = max(1, method.order // 4) if method.lanes > 1 else 1
+    divisions = max(1, method.order // 4) if method.lanes > 1 else 1
 
     def run(
         start: float,
@@ -58,14 +58,14 @@ def integrator(
         watch: Callable[[Segment], bool] | None = None,
     ) -> Segment:
         # The clock of an integration begins at 0; equations that depend on time have it in y.
-        whole = start == 0.0 and end == scene.end
+        is_complete = start == 0.0 and end == scene.end
         # The arrays are read-only: numba has a separate type for those that are not.
-        times = reports if whole else _NO_TIMES
+        times = reports if is_complete else _NO_TIMES
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)
 
         def segment(solution: Solution) -> Segment:
-            knots = _refined(solution.knots + start, parts)
+            knots = _refined(solution.knots + start, divisions)
             if solution.complete:
                 knots[-1] = end  # whatever round-off makes of it
 

@@ -39,11 +39,11 @@ class Batched:
     def along(self, columns: Sequence[Any], directions: Sequence[Any]) -> Array:
         """Return the derivatives along directions of the inputs, (…, size)."""
         lead = _lead([*columns, *directions])
-        out = np.zeros((*lead, self.columns.size))
+        derivatives = np.zeros((*lead, self.columns.size))
         for place, inputs, seeds in _runs(columns, directions, lead):
             flat = [seed.reshape(-1, seed.shape[-1]) for seed in seeds]
-            out[place] = self.columns.jvp(inputs, flat).reshape(out[place].shape)
-        return out
+            derivatives[place] = self.columns.jvp(inputs, flat).reshape(derivatives[place].shape)
+        return derivatives
 
     def back(self, columns: Sequence[Any], covector: Any) -> list[Array]:
         """Return the derivatives of covector · output by each input, (…, its size)."""
@@ -51,8 +51,8 @@ class Batched:
         slopes = [np.zeros((*lead, size)) for size in self.columns.sizes]
         for place, inputs, (seed,) in _runs(columns, [covector], lead):
             gradients = self.columns.vjp(inputs, seed.reshape(-1, seed.shape[-1]))
-            for out, slope in zip(slopes, gradients, strict=True):
-                out[place] = slope.reshape(out[place].shape)
+            for result, slope in zip(slopes, gradients, strict=True):
+                result[place] = slope.reshape(result[place].shape)
         return slopes
 
 

@@ -211,9 +211,9 @@ class Flow:
         Returns:
             The state after the step, and the derivatives of the outputs, (rows, N).
         """
-        given = self.input_map.given(inputs)
-        columns = self.input_map.basis(given) if derivatives else None
-        return self.propagator.one_step(given, h, t, self._rows, columns)
+        columns_of_inputs = self.input_map.given(inputs)
+        columns = self.input_map.basis(columns_of_inputs) if derivatives else None
+        return self.propagator.one_step(columns_of_inputs, h, t, self._rows, columns)
 
     def columns(self) -> Columns:
         """Return the flow as a function between vectors, in the order of `inputs`."""
@@ -256,11 +256,11 @@ class Flow:
         Returns:
             The solutions between stops.
         """
-        given = self.input_map.given(inputs)
-        key = given.state.tobytes() + given.constants.tobytes()
+        columns = self.input_map.given(inputs)
+        key = columns.state.tobytes() + columns.constants.tobytes()
         last = self._last
         if last is None or last[0] != key:
-            last = self._last = (key, self.propagator.run(given, stages=stages))
+            last = self._last = (key, self.propagator.run(columns, stages=stages))
         return last[1]
 
     def _covectors(self, covector: Any) -> Array:

@@ -43,10 +43,10 @@ class InitialMap:
             InputError: The momentum or twist overflows.
         """
         constants, fall = self._split(given.constants)
-        out = np.empty(self._size)
-        call_value(self._address, given.state, self._with_path(constants, None), out)
-        _refuse_overflow(out)
-        y, head, start = self._pieces(out)
+        outputs = np.empty(self._size)
+        call_value(self._address, given.state, self._with_path(constants, None), outputs)
+        _refuse_overflow(outputs)
+        y, head, start = self._pieces(outputs)
         path = _moved_back(t, np.concatenate([start, fall]), self._fall)
         parameters = np.concatenate([head, self._with_path(constants, path)])
         return CompiledFlow(self._kernel, y if y.size else np.zeros(1), parameters, path)
@@ -55,9 +55,9 @@ class InitialMap:
         """Return the flow of N inputs, rows of states and constants.  Raises InputError."""
         rest, falls = self._split(constants.T)
         known = np.ascontiguousarray(self._with_path(rest, None).T)
-        out = evaluate_each(self._address, states, known, self._size)
-        _refuse_overflow(out)
-        y, head, start = self._pieces(out.T)
+        outputs = evaluate_each(self._address, states, known, self._size)
+        _refuse_overflow(outputs)
+        y, head, start = self._pieces(outputs.T)
         path = np.vstack([start, falls])
         parameters = np.vstack([head, self._with_path(rest, path)])
         return CompiledFlow(
@@ -79,8 +79,8 @@ class InitialMap:
         """
         constants, falls = self._split(constants)
         known, directions = self._known(given), self._with_path(constants, None)
-        out = self._function.forward(given.state, known, state, directions, self._size)
-        y, head, start = self._pieces(out)
+        derivatives = self._function.forward(given.state, known, state, directions, self._size)
+        y, head, start = self._pieces(derivatives)
         path = _moved_back(t, np.vstack([start, falls]), self._fall)
         parameters = np.vstack([head, self._with_path(constants, path)])
         return y if len(y) else np.zeros((1, state.shape[1])), parameters, path

@@ -65,17 +65,17 @@ class Inputs:
         self._system = system = scene.system
         model, layout, initial = scene.force_model, kernel.layout, scene.given
         twist = "xi0" if motion_of(scene) == "xi" else "momentum"
-        parts = {
+        initial_parts = {
             "pose0": initial.pose[0], "x0": initial.x[0], "xdot0": initial.xdot[0],
             twist: initial.motion[0],
         }  # fmt: skip
-        self._places = _slices({name: len(part) for name, part in parts.items()})
+        self._places = _slices({name: len(part) for name, part in initial_parts.items()})
         self._parameters = {} if model is None else {p.name: p.value for p in model.parameters}
         self._slopes = np.zeros((0, 0)) if model is None else model.slopes
         numbers = np.empty(0) if model is None else model.numbers
         bodies = free_numbers(system, layout.freed)
         constants = [gravity[list(layout.gravity)], bodies, numbers, falling(system)]
-        self.own = Given(np.concatenate([*parts.values()]), np.concatenate(constants))
+        self.own = Given(np.concatenate([*initial_parts.values()]), np.concatenate(constants))
         first = len(layout.gravity) + len(bodies)
         self._numbers_at = slice(first, first + len(numbers))
         self._robot = None if scene.varied is None else RobotColumns(scene, layout, len(numbers))

@@ -128,11 +128,11 @@ class Propagator:
 
     def states(self, run: Run) -> State | ShapeState:
         """Return the full states of a value at the report times."""
-        parts = [
+        states = [
             run.flow.states(span.start + span.times, solution.y, solution.params)
             for span, solution in self._reported(run)
         ]
-        return map_arrays(_joined, *parts) if len(parts) > 1 else parts[0]
+        return map_arrays(_joined, *states) if len(states) > 1 else states[0]
 
     def outputs(self, run: Run) -> Array:
         """Return the kernel's outputs, (T, ·), at the report times."""
@@ -166,20 +166,20 @@ class Propagator:
                 f"member {failure.member} of {count} stopped at t = {failure.time:g} s: "
                 f"{failure.reason}"
             )
-        parts = []
+        outputs = []
         for span in self.plan.spans:
             T = len(span.times)
-            rows = batch.y[:, span.rows, : kernel.layout.size].reshape(
+            inputs = batch.y[:, span.rows, : kernel.layout.size].reshape(
                 count * T, kernel.layout.size
             )
             if not kernel.layout.clock:
-                rows = np.hstack([rows, np.tile(span.start + span.times, count)[:, None]])
+                inputs = np.hstack([inputs, np.tile(span.start + span.times, count)[:, None]])
             constants = np.hstack([flow.parameters_between(span.start, span.stop), flow.path])
-            out = evaluate_each(
-                kernel.outputs.address, rows, np.repeat(constants, T, axis=0), kernel.where.size
+            rows_of_outputs = evaluate_each(
+                kernel.outputs.address, inputs, np.repeat(constants, T, axis=0), kernel.where.size
             )
-            parts.append(out.reshape(count, T, kernel.where.size))
-        return np.concatenate(parts, axis=1)
+            outputs.append(rows_of_outputs.reshape(count, T, kernel.where.size))
+        return np.concatenate(outputs, axis=1)
 
     def entries(self, rows: Iterable[Outcome]) -> Indices:
         """Return the indices of fields of State among the kernel's outputs."""
@@ -200,7 +200,7 @@ class Propagator:
         """
         layout, size = self.kernel.layout, self._size(rows)
         y, parameters, path = self._initial.along(run.given, state, constants)
-        outcome, out = outcome_of(self.kernel, rows), []
+        outcome, derivatives = outcome_of(self.kernel, rows), []
         for span, solution in zip(self.plan.spans, run.solutions, strict=True):
             tangents = run_along(
                 self.method, self.address, self.slopes, solution.params, solution.states[0],
@@ -215,8 +215,8 @@ class Propagator:
             for a, slopes in zip(points, tangents.slopes, strict=True):
                 a_along = np.zeros((len(a), state.shape[1]))
                 a_along[: layout.size] = slopes[: layout.size]
-                out.append(outcome.forward(a, b, a_along, b_along, size))
-        return np.array(out)
+                derivatives.append(outcome.forward(a, b, a_along, b_along, size))
+        return np.array(derivatives)
 
     def back(self, run: Run, rows: tuple[Row, ...], covectors: Array) -> tuple[Array, Array]:
         """Return the cotangents of the inputs' state and constants.
@@ -243,12 +243,12 @@ class Propagator:
                     span.start, span.times, solution.y, constants, covectors[span.rows], at_times,
                     by_rest,
                 )  # fmt: skip
-            found = run_back(
+            gradients = run_back(
                 self.method, self.address, self.slopes, solution.params, solution, span.times,
                 layout.quaternion, covector, at_times,
             )  # fmt: skip
-            covector = found.by_state
-            by_rest[:p] += found.by_parameters
+            covector = gradients.by_state
+            by_rest[:p] += gradients.by_parameters
         return self._initial.back(run.given, covector, by_rest[:p], by_rest[p:])
 
     def one_step(
@@ -313,9 +313,9 @@ class Propagator:
             row[: layout.size] = y[: layout.size]
             if not layout.clock:
                 row[layout.size] = t
-            out = np.empty(kernel.where.size)
-            call_value(kernel.outputs.address, row, np.concatenate([parameters, flow.path]), out)
-            return out
+            column = np.empty(kernel.where.size)
+            call_value(kernel.outputs.address, row, np.concatenate([parameters, flow.path]), column)
+            return column
 
         return lazy_state(kernel.system, kernel.where, t, outputs, wanted=layout.base_requested)
 

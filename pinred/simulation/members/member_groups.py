@@ -114,19 +114,19 @@ def of_scenes(scenes: Sequence[Scene]) -> Members:
                 f"'{scene.outputs}', entry 0 '{first.outputs}'"
             )
         sets.setdefault(_structure(plan), []).append(k)
-    groups = [_group(np.array(some), [plans[k] for k in some]) for some in sets.values()]
+    groups = [_group(np.array(indices), [plans[k] for k in indices]) for indices in sets.values()]
     return Members(len(scenes), groups, [plan.scene for plan in plans].__getitem__)
 
 
 def _structure(plan: Plan) -> Hashable:
     """Return a key that is equal for scenes that share a kernel, a method and stops."""
-    forces, given = plan.forces, plan.scene.given
+    forces, states = plan.forces, plan.scene.given
     varied = plan.scene.varied
     robot = None if varied is None else (varied.names, plan.acting.gravity.astype(bool).tobytes())
     pieces: Hashable = (plan.stops.tobytes(), robot)
     if forces is not None and forces.held:
         pieces = id(plan)  # Controllers have states, so each member has its own.
-    return (None if forces is None else forces.key, plan.method, pieces, given.mu is None)
+    return (None if forces is None else forces.key, plan.method, pieces, states.mu is None)
 
 
 def _group(members: Indices, plans: Sequence[Plan]) -> Group:
@@ -136,13 +136,15 @@ def _group(members: Indices, plans: Sequence[Plan]) -> Group:
         else np.concatenate([getattr(p.scene.given, name) for p in plans])
         for name, part in vars(plans[0].scene.given).items()
     }
-    own = MemberParameters(numbers=np.array([plan.numbers for plan in plans]))
+    parameters = MemberParameters(numbers=np.array([plan.numbers for plan in plans]))
     varied = plans[0].scene.varied
     if varied is not None:
         freed = plans[0].freed(generic=True)
-        own = replace(own, robot=np.array([free_numbers(p.system, freed) for p in plans]))
+        parameters = replace(
+            parameters, robot=np.array([free_numbers(p.system, freed) for p in plans])
+        )
         if varied.gravity:
             acting = np.array([plan.acting.gravity for plan in plans])
             fall = np.array([falling(plan.system) for plan in plans])
-            own = replace(own, gravity=acting, fall=fall)
-    return Group(members, plans[0], GivenStates(**columns), own)
+            parameters = replace(parameters, gravity=acting, fall=fall)
+    return Group(members, plans[0], GivenStates(**columns), parameters)

@@ -69,13 +69,13 @@ class MemberOptions:
             ShapeError: A value has the wrong shape, or another number of members.
         """
         self.seeds = seeds
-        own = dict(base.parameters)
+        scene_values = dict(base.parameters)
         self.system = system = nominal(base.system if isinstance(base, Scene) else base)
         self.base: System | Scene = system
         if isinstance(base, Scene):
             self.base = replace(base, system=system, parameters={})
         self.common = dict(options)
-        values = _parameter_values(system, self.common.pop("parameters", None), own)
+        values = _parameter_values(system, self.common.pop("parameters", None), scene_values)
         for name, value in _checked_members(members).items():
             if name in (*self.common, *values):
                 raise InputError(f"'{name}' is given among the members and beside them")
@@ -90,7 +90,7 @@ class MemberOptions:
             for name in STATES
             if self.common.get(name) is not None and dimensions(self.common[name]) == 2
         }
-        self.gravity = self._member_gravity(values, own)
+        self.gravity = self._member_gravity(values, scene_values)
         sizes = {name: size_of(system, name) for name in values}
         self.robot = {name: size for name, size in sizes.items() if size is not None}
         self.parameters = {
@@ -99,9 +99,13 @@ class MemberOptions:
             if dimensions(value) == (2 if self.robot.get(name, 1) > 1 else 1)
         }
         if self.gravity is not None:
-            own = {name: value for name, value in own.items() if name not in GRAVITY}
+            scene_values = {
+                name: value for name, value in scene_values.items() if name not in GRAVITY
+            }
         fixed = {name: value for name, value in values.items() if name not in self.parameters}
-        self.common["parameters"] = {n: v for n, v in own.items() if n not in values} | fixed
+        self.common["parameters"] = {
+            n: v for n, v in scene_values.items() if n not in values
+        } | fixed
         self.count = self._count()
 
     def _member_gravity(self, values: dict[str, Any], own: Mapping[str, Any]) -> Array | None:
@@ -140,10 +144,10 @@ class MemberOptions:
     def scene(self, member: int, *, common_parameters: bool = False) -> Scene:
         """Return the scene of one member, or one with only the parameters that all share."""
         options: dict[str, Any] = {name: values[member] for name, values in self.states.items()}
-        own = {name: values[member] for name, values in self.parameters.items()}
+        values_of_member = {name: values[member] for name, values in self.parameters.items()}
         options |= self.common
         if not common_parameters:
-            options["parameters"] = {**self.common["parameters"], **own}
+            options["parameters"] = {**self.common["parameters"], **values_of_member}
         if self.seeds is not None:
             options["seed"] = self.seeds[member]
         base = self.base
@@ -176,13 +180,13 @@ class MemberOptions:
         elif self.gravity is not None:
             template = replace(template, system=self.system)
         numbers = self._numbers(template)
-        given = self._given(template, numbers)
-        own = MemberParameters(numbers, self._robot_numbers(template) if varying else None)
+        states = self._given(template, numbers)
+        parameters = MemberParameters(numbers, self._robot_numbers(template) if varying else None)
         scene_of = partial(self._scene_by, members_plan(first).scene.method)
         if self.gravity is None:
-            groups = [Group(np.arange(self.count), members_plan(template), given, own)]
+            groups = [Group(np.arange(self.count), members_plan(template), states, parameters)]
         else:
-            groups = self._by_gravity(template, given, own)
+            groups = self._by_gravity(template, states, parameters)
         return Members(self.count, groups, scene_of)
 
     def _by_gravity(
@@ -247,7 +251,7 @@ class MemberOptions:
 
     def _given(self, scene: Scene, numbers: Array | None) -> GivenStates:
         """Return the initial states of all members: the scene's where they do not differ."""
-        system, own = scene.system, scene.given
+        system, common_states = scene.system, scene.given
         states = dict(self.states)
         if self.seeds is not None:
             random = [random_state(system, seed) for seed in self.seeds]
@@ -257,9 +261,9 @@ class MemberOptions:
             ("v0", input_formats.parse_velocity, _OF_V),
         ):
             if option in states:
-                parts = [read(row, system) for row in states.pop(option)]
+                converted = [read(row, system) for row in states.pop(option)]
                 states |= {
-                    n: np.array([getattr(part, field) for part in parts]) for n, field in fields
+                    n: np.array([getattr(part, field) for part in converted]) for n, field in fields
                 }
 
         def rows(name: str, size: int, common: Array | None) -> Array | None:
@@ -267,15 +271,18 @@ class MemberOptions:
                 return vectors(states[name], size, name)
             return None if common is None else np.repeat(common, self.count, axis=0)
 
-        x, xdot = rows("x0", system.m, own.x), rows("xdot0", system.m, own.xdot)
+        x, xdot = rows("x0", system.m, common_states.x), rows("xdot0", system.m, common_states.xdot)
         assert x is not None
         assert xdot is not None
-        pose = np.repeat(own.pose, self.count, axis=0)
+        pose = np.repeat(common_states.pose, self.count, axis=0)
         if "pose0" in states:
             pose = np.array([system.group.pose(row) for row in states["pose0"]])
         refuse_vague(np.abs(x).max(axis=0), system)
         x, xdot = _with_prescribed(scene, x, xdot, numbers)
-        xi, momentum = rows("xi0", system.r, own.xi), rows("momentum", system.r, own.mu)
+        xi, momentum = (
+            rows("xi0", system.r, common_states.xi),
+            rows("momentum", system.r, common_states.mu),
+        )
         return GivenStates(pose, x, xdot, xi, momentum)
 
 

@@ -144,17 +144,17 @@ class Trajectories(OverTime):
     @cached_property
     def y(self) -> Array:
         """Reduced states, (N, T, k); NaN past the end of those with fewer entries."""
-        parts = [(batch.members, batch.y) for batch in self._batches]
+        pieces = [(batch.members, batch.y) for batch in self._batches]
         for member, traj in self._single.items():
             reached = self.t[self.t <= traj.scene.end]
-            rows = traj.motion.reduced(reached)
-            missing = np.full((len(self.t) - len(reached), rows.shape[1]), np.nan)
-            parts.append((np.array([member]), np.concatenate([rows, missing])[None]))
-        if len(parts) == 1 and len(parts[0][1]) == len(self):
-            return parts[0][1]
-        width = max((y.shape[2] for _, y in parts), default=0)
+            reduced = traj.motion.reduced(reached)
+            missing = np.full((len(self.t) - len(reached), reduced.shape[1]), np.nan)
+            pieces.append((np.array([member]), np.concatenate([reduced, missing])[None]))
+        if len(pieces) == 1 and len(pieces[0][1]) == len(self):
+            return pieces[0][1]
+        width = max((y.shape[2] for _, y in pieces), default=0)
         combined = np.full((len(self), len(self.t), width), np.nan)
-        for members, y in parts:
+        for members, y in pieces:
             combined[members, :, : y.shape[2]] = y
         return combined
 
