@@ -61,6 +61,11 @@ class Reduction(PointwiseReduction):
     has the wrong length or is not finite. It raises SingularInertiaError if the mass matrix is
     numerically singular there. For several quantities at one shape, call `at`, which computes them
     together. An instance owns Pinocchio work space, so use one per thread.
+
+    Args:
+        system: System to reduce.
+        springs: Springs that are added to V(x), {joint: (stiffness [N·m/rad | N/m],
+            rest [rad | m])}.
     """
 
     def amended_potential(self, x: ArrayLike, mu: ArrayLike) -> float:
