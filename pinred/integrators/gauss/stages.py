@@ -37,13 +37,7 @@ def product(lanes: int) -> Callable[..., None]:
 
     @make_intrinsic
     def multiply(  # type: ignore[no-untyped-def]
-        typing: Any,
-        work: Any,
-        out: Any,
-        base: Any,
-        table: Any,
-        row: Any,
-        n: Any,
+        typing: Any, work: Any, out: Any, base: Any, table: Any, row: Any, n: Any
     ):
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
