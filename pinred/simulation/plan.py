@@ -197,18 +197,23 @@ class Plan:
         # Symplectic methods integrate a constant angular momentum that rotates in the body by a
         # quaternion.
         constant = self.system.group.turns == 3 and not (zero or acting.momentum_changes)
-        axes = tuple(np.flatnonzero(acting.gravity).tolist())
-        if axes and generic and varied is not None and varied.gravity_name() == "gravity":
-            axes = (0, 1, 2)
-        structure = Structure(
-            zero_momentum=zero,
-            cyclic=acting.cyclic,
-            gravity=axes,
-            base=self.wanted,
-            lifted=self.method.symplectic and constant,
-            freed=self.freed(generic=generic),
-        )
-        return once(acting, structure, lambda: Kind(self.system, self.forces, structure))
+        lifted = self.method.symplectic and constant
+        any_gravity = generic and varied is not None and varied.gravity_name() == "gravity"
+        freed = self.freed(generic=generic)
+
+        def make() -> Kind:
+            axes = tuple(np.flatnonzero(acting.gravity).tolist())
+            structure = Structure(
+                zero_momentum=zero,
+                cyclic=acting.cyclic,
+                gravity=(0, 1, 2) if axes and any_gravity else axes,
+                base=self.wanted,
+                lifted=lifted,
+                freed=freed,
+            )
+            return Kind(self.system, self.forces, structure)
+
+        return once(acting, (Kind, zero, self.wanted, lifted, freed, any_gravity), make)
 
     def freed(self, *, generic: bool = False) -> Freed:
         """Return the parameters of the robot that are inputs of the kernel; see `kind`."""

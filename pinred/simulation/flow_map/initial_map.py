@@ -99,10 +99,10 @@ class InitialMap:
             The cotangents.
         """
         size, head = self._cuts[0], self._cuts[1] - self._cuts[0]
-        hole = slice(head + self._hole, head + self._hole + self._path)
         if self._path:
+            first = head + self._hole
             by_path = by_path.copy()
-            by_path[: self._path] += by_parameters[hole]
+            by_path[: self._path] += by_parameters[first : first + self._path]
         starts = len(by_path) - self._fall
         covector = np.concatenate([by_y[:size], by_parameters[:head], by_path[:starts]])
         state, constants = self._function.reverse(given.state, self._known(given), covector)

@@ -96,6 +96,7 @@ class Inputs:
         sizes |= {"pose0": system.r} | {n: len(v) for n, v in self._robot_values.items()}
         self.sizes = {name: sizes.get(name, 1) for name in self.names}
         self._spans = _slices(self.sizes)
+        self._scalars = {n for n, size in self.sizes.items() if size == 1 and n not in self._places}
         self._last: tuple[Given, tuple[Array, Array]] | None = None  # cache of `basis`
 
     def value(self, name: str) -> Array:
@@ -178,9 +179,8 @@ class Inputs:
 
         A parameter with one entry has no last axis.
         """
-        numbers = {n for n, size in self.sizes.items() if size == 1 and n not in self._places}
         return {
-            name: rows[..., span.start] if name in numbers else rows[..., span]
+            name: rows[..., span.start] if name in self._scalars else rows[..., span]
             for name, span in self._spans.items()
         }
 
