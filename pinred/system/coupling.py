@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError, ModelError
 from ..common.names import listed, quoted
-from .contents import Coupling
+from .robot_file_contents import Coupling
 
 _SAME = 1e-9  # tolerance between a follower's locked value and the value of its coupling [rad | m]
 
