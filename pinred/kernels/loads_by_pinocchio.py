@@ -1,6 +1,6 @@
 """Generalised forces of wrenches on links, computed with Pinocchio's frame Jacobians.
 
-The result τ = Jᵀ (F, N) validates forces/link_loads.py, with which it shares no formula.
+The result τ = Jᵀ (F, N) validates forces/link_wrenches.py, with which it shares no formula.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class LoadsByPinocchio:
             system: The system.
             axes: Motion axes of the root joint in its fixed frame, (6, r).
             places: For each wrench, the name of the link (None for the base) and the frame of its
-                components ("world" or "link").
+                components ("world" or "body").
         """
         self._model, self._data = system.model, system.model.createData()
         self._axes, self._places = axes, tuple(places)

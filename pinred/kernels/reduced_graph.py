@@ -247,8 +247,8 @@ class ReducedGraph:
     def _add_shape_loads(self, pidot: list[Scalar], wrench: list[Scalar]) -> list[Scalar]:
         """Return π̇ plus the generalised forces of gravity and of the base wrench on the shape."""
         # With F and the centre of mass c in the body frame, gravity contributes ∂(F·c)/∂x, and a
-        # force on the base contributes −∂(F·c)/∂x.  Gravity acts at the centre of mass.  A force on the base accelerates the frame of the
-        # centre of mass, which exerts the opposite force on the shape.
+        # force on the base contributes −∂(F·c)/∂x, because it accelerates the frame of the
+        # centre of mass, in which the shape then feels the opposite force.
         m = self.system.m
         angles = joint_values(self.system, ca.vertsplit(self._angles) if m else [])
         com = centre_of_mass(self._bodies, angles)
