@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, vector, vectors
 from ..common.errors import InputError
 from ..lie.group import Group
-from ..reduction.at_a_shape import PointwiseReduction
+from ..reduction.pointwise_reduction import PointwiseReduction
 from ..reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
 from ..system.coordinates import Velocity
 

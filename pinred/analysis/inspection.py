@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
-from ..reduction.at_a_shape import PointwiseReduction, ReducedShape
 from ..reduction.casimirs import casimirs
 from ..reduction.cyclic_joints import cyclic_joints
+from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape
 from ..reduction.potential import broken_by_gravity
 from ..scene.passive_forces import passive_left_out
 from ..scene.scene import Scene

@@ -1,6 +1,6 @@
 """Wrenches on links, by Jacobians of Pinocchio's frames, for validation.
 
-The generalised forces τ = Jᵀ (F, N) share no formula with forces/link_loads.py.
+The generalised forces τ = Jᵀ (F, N) share no formula with forces/link_wrenches.py.
 """
 
 from __future__ import annotations

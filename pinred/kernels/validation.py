@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch, ModelError
-from ..forces.acting import ForceInputs
+from ..forces.force_values import ForceInputs
 from ..reduction.potential import translations
 from ..system.joints import axes_of
 from ..system.scale import ill_scaled

@@ -28,7 +28,6 @@ from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.spatial_groups import SE3
 from . import catalogue
-from .contents import Contents, Coupling, Origin
 from .coordinates import InitialState
 from .coupling import locked_by, with_followers
 from .joints import RootChain, motion_group, places_on_root, root_chain, root_joint
@@ -38,9 +37,10 @@ from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
 from .passive import passive_contents
 from .rebuild import rebuild, without_mimics
+from .robot_file_contents import Contents, Coupling, Origin
 from .robot_files import is_mjcf, read_description, read_text, read_xml
 from .system import System
-from .urdf import mimic_couplings
+from .urdf_elements import mimic_couplings
 from .visuals import Visuals, mesh_folders, with_visuals
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from ...forces.signals import Signal
 from ...scene.option_checks import check_seed
 from ...system.system import System, checked_system
 from ..equilibria.amended_energy import AmendedEnergy, Points
+from ..equilibria.equilibrium_problem import Problem, problem_of
 from ..equilibria.find import checked_starts, equilibrium_at, search_points
-from ..equilibria.problem import Problem, problem_of
 from ..equilibria.relative_equilibrium import RelativeEquilibrium
 from ..equilibria.same_shape import place_of
 from ..equilibria.search import critical_points

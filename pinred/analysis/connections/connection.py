@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, read_only, vector, vectors
 from ...common.errors import InputError, SingularInertiaError, SymmetryError
-from ...kernels.connection.code import ConnectionCode, Curvatures
-from ...kernels.connection.form import ConnectionForm
+from ...kernels.connection.connection_code import ConnectionCode, Curvatures
+from ...kernels.connection.connection_form import ConnectionForm
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.system import System
 from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
-from .mechanical import mechanical_code
+from .mechanical_connection import mechanical_code
 from .other_frames import from_link, in_section
 from .wheels import Rolling, Wheel, kinematic_form
 

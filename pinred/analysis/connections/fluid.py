@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, positive, vector
 from ...common.errors import InputError
-from ...kernels.connection.form import ConnectionForm, form_of
+from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...reduction.tree.momenta import inertia_tensors, locked, momenta, tensors_of
 from ...system.system import System, checked_system
 from .links import summed, tensors_by_body

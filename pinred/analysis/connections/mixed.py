@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, read_only, vector
 from ...common.errors import InputError
-from ...kernels.connection.form import form_of, health
+from ...kernels.connection.connection_form import form_of, health
 from ...kernels.machine.native import NativeCode, compile_object, load_object
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.momenta import bracket, momenta

@@ -17,7 +17,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.differences import central_differences
 from ...common.errors import InputError
-from ...kernels.connection.form import ConnectionForm, form_of
+from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...lie.group import Group
 from ...reduction.tree.momenta import in_space, root_twist
 from ...system.system import System

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from ...common.arrays import Array, freeze, read_only, vector
 from ...common.errors import SymmetryError
 from ...integrators.stepping.compiling import compiled
-from ...kernels.connection.code import Locals
+from ...kernels.connection.connection_code import Locals
 from ...reduction.inertia_split import cholesky, usual_inertias
 from ...reduction.potential import Potential
 from ...reduction.section import Moves
 from ...system.system import System
-from .mechanical import centres_of_mass, mechanical_code
+from .mechanical_connection import centres_of_mass, mechanical_code
 
 # A pivot of the mass matrix below this multiple of n ε times its diagonal entry is examined.
 _SUSPICIOUS = 16.0

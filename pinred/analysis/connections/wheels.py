@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ...common.arrays import Array, positive, vector
 from ...common.errors import InputError
 from ...common.names import joint_index
-from ...kernels.connection.form import ConnectionForm, form_of
+from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.momenta import speed_along, twists_at
 from ...system.system import System, checked_system

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...reduction.base_parts import root_of
 from ...reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
-from .problem import Problem
+from .equilibrium_problem import Problem
 
 Which: TypeAlias = slice | list[int] | NDArray[Any]
 

@@ -17,9 +17,9 @@ from ...simulation.plan import plan_of
 from ...system.system import System, checked_system
 from ..stability.linearisation import linearised
 from ..stability.second_variation import second_variation
-from ..stability.verdict import Stability, assess_stability
+from ..stability.stability_verdict import Stability, assess_stability
 from .amended_energy import AmendedEnergy, Energies, Points
-from .problem import Problem, finite, problem_of
+from .equilibrium_problem import Problem, finite, problem_of
 from .relative_equilibrium import Equilibria, RelativeEquilibrium, pose_of
 from .same_shape import Place, place_of
 from .search import critical_points, minima, polished, residuals, starting_points

@@ -11,11 +11,11 @@ import numpy as np
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...lie.rotations import quaternion_exp
-from ...reduction.at_a_shape import PointwiseReduction
+from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.scene import Scene
 from ...system.system import System
-from ..stability.verdict import Mode, Stability, Verdict
-from .problem import Problem
+from ..stability.stability_verdict import Mode, Stability, Verdict
+from .equilibrium_problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

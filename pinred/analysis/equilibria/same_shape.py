@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
-from .problem import Problem
+from .equilibrium_problem import Problem
 
 _SAME = 1e-5  # relative to the size of the robot, the accuracy at degenerate equilibria
 

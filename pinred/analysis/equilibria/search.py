@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...reduction.tree.second_derivatives import inertia_derivatives
 from .amended_energy import AmendedEnergy, Energies, Points, Which
-from .problem import Problem
+from .equilibrium_problem import Problem
 
 NEWTON, DESCENT = 60, 200  # largest number of steps
 FOUND = 1e-9  # largest residual of a critical point

@@ -21,7 +21,7 @@ from ...integrators.gauss.tables import tables
 from ...lie.group import Group
 from ...system.system import System
 from ..connections.connection import Connection
-from ..connections.mechanical import mechanical_code
+from ..connections.mechanical_connection import mechanical_code
 from ..gaits.arcs import FourierArc
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lifted, nodes

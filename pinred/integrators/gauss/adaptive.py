@@ -51,11 +51,13 @@ from .stages import (
 from .tables import lanes_of
 
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
-_ORDER = 17.0  # order of the error of one step
-# Ratio of the error to the square of the estimate, measured on the bundled robots.
+_ORDER = 17.0  # exponent p of the error of one step, which is proportional to h^p
+# Ratio of the true error to the square of the quadrature's error estimate, measured on the bundled
+# robots.
 _CALIBRATION = 1.0
-_LEFT = 0.01  # error of the iteration, as a fraction of the tolerance
-# Contraction of the iteration above which longer steps would cost more iterations than they save.
+_LEFT = 0.01  # limit on the iteration error, as a fraction of the tolerance
+# Contraction of the fixed-point iteration to which the step length is limited, because longer steps
+# would cost more iterations than they save.
 _FASTEST = 0.15
 
 
@@ -122,7 +124,7 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:
 
 @inlined
 def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Array) -> None:
-    """Store a step end, followed by the L of the step if stages are requested."""
+    """Store a step end, followed by the stage increments L of the step if stages are requested."""
     keep_state(run, work, t, end_times, end_states)
     if run.keep == STAGES_KEPT:
         for i in range(run.n * run.lanes):
@@ -131,7 +133,7 @@ def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Arr
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Write a state in the step; reject the step if that state is not solved (hook)."""
+    """Write a state inside the step; reject the step if that state does not converge (hook)."""
     if write_inside_state(run, params, work, time, t_new, out):
         return DONE
     return reject_step(run, (t_new - run.t) * _HALF)
@@ -139,7 +141,7 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
 
 @compiled
 def _growth(error: float) -> float:
-    """Return the factor by which the next step may be longer."""
+    """Return the factor for the next step length; error: in units of the tolerance."""
     if error < 1e-300:
         return _GROW
     return min(_GROW, max(_SHRINK, _SAFETY * exp(-log(error) / _ORDER)))
@@ -147,7 +149,7 @@ def _growth(error: float) -> float:
 
 @compiled
 def _measure_by_tolerance(run: Run, work: Array) -> None:
-    """Fill SCALE, so that the norm of a change is its root mean square in tolerances."""
+    """Fill SCALE so that the norm of a change is its root mean square in units of the tolerance."""
     rtol, atol, mean = run.rtol, run.atol, 1.0 / sqrt(run.n * run.stages)
     for i in range(run.n):
         work[SCALE, i] = mean / (atol + rtol * entry_size(work[Y], i, run.quaternion))

@@ -7,9 +7,9 @@ propagated back by the same equations with μ transposed,
 
 (see `tables` for μ). Fixed-point iteration solves both to round-off, whatever tolerance the
 integrator used. The results are thus derivatives of the converged steps. The first guess of L is
-that stored by the run, otherwise the extrapolated L of the step treated before. The first guess
-of Z is extrapolated, too. All stages are evaluated at once, in SIMD lanes. A state inside a step
-is the end of a shorter step.
+the L that the run has stored. If the run has stored none, it is extrapolated from the step treated
+before. The first guess of Z is extrapolated, too. All stages are evaluated at once, in SIMD lanes.
+A state inside a step is the end of a shorter step.
 """
 
 from __future__ import annotations
@@ -45,20 +45,22 @@ from .stages import (
 from .tables import tables
 
 # Rows after those of `stages`: μ transposed, the covectors Λ of the stages, and Z of this step, of
-# the one treated before and of a step to a report time. Row NEW contains the covector at the end.
+# the step treated before, and of a shorter step to a report time. Row NEW contains the covector at
+# the end of the step.
 TRANSPOSED, SEED, Z, OLD_Z, SUB_Z = range(ROWS, ROWS + 5)
 
-_MOST = 400  # iterations
-_PATIENCE = 2  # iterations without improvement near round-off
-_WAVES = 20  # iterations without improvement elsewhere, as slow convergence comes in waves
-_CLOSE = 1e-10  # relative change above which a stopped iteration has not converged
+_MOST = 400  # largest number of fixed-point iterations per solve
+_PATIENCE = 2  # limit on iterations without improvement, near round-off
+_WAVES = 20  # the same limit far from round-off, where slow convergence comes in waves
+# Relative change above which an iteration that has stopped improving counts as not converged.
+_CLOSE = 1e-10
 _EPS = float(np.finfo(float).eps)
 _SURE = 64.0 * _EPS  # change below which the ratio of two changes predicts the remaining error
 _FURTHEST = 2.0  # limit of the extrapolation, in lengths of the step treated before
 
 
 def reverse_rows(stages: int, n: int) -> Array:
-    """Return the work rows of `reverse` with tables filled in."""
+    """Return the work rows of `reverse`, with the tables of the method stored in them."""
     return _first_rows(stages, n).copy()
 
 
@@ -96,18 +98,19 @@ def reverse(
         adjoint: Address of its adjoint kernel.
         params: Parameters, (p,).
         stages: Number of stages.
-        lanes: Number of SIMD lanes.
+        lanes: Number of SIMD lanes, idle lanes included.
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
         knots: Times of the step ends, (K,) [s].
-        stored: States at the step ends, (K, n), or (K, n + n lanes) with the L of each step.
+        stored: States at the step ends, (K, n), or (K, n + n lanes) with the stage increments L of
+            each step.
         times: Sorted report times, (T,) [s].
         at_times: Covectors of the states at the report times, (T, n); overwritten.
         covector: Covector, changed in place.
-        by_params: Derivative by the parameters, (p,), to which is added.
+        by_params: Derivative with respect to the parameters, (p,); the result is added to it.
         work: Work rows, see `reverse_rows`.
         both: Workspace ((n + p) lanes,) for the output of the adjoint kernel.
     Returns:
-        0, or 1 plus the number of the first step that was not solved.
+        0, or 1 plus the index of the first step whose equations did not converge.
     """
     n, first, last_h = covector.shape[0], times.shape[0], 0.0
     for step in range(knots.shape[0] - 2, -1, -1):
@@ -178,15 +181,15 @@ def reverse(
 def find_stages(
     address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float
 ) -> bool:
-    """Solve the L in `row` from a guess, and compute the stages in STAGE.
+    """Solve for the stage increments in `row` from a first guess, and write the stages to STAGE.
 
     Args:
         address: Address of the kernel.
         params: Parameters, (p,).
         work: Work rows.
-        n: Entries of the state.
-        lanes: Number of SIMD lanes.
-        row: Row of L.
+        n: Number of entries of the state.
+        lanes: Number of SIMD lanes, idle lanes included.
+        row: Row of the stage increments L.
         h: Length of the step [s].
     Returns:
         Whether the iteration converged.
@@ -226,11 +229,11 @@ def step_back(
         adjoint: Address of the adjoint kernel.
         params: Parameters, (p,).
         work: Work rows.
-        lanes: Number of SIMD lanes.
+        lanes: Number of SIMD lanes, idle lanes included.
         row: Row of Z, which contains a first guess.
         h: Length of the step [s].
         covector: Covector, changed in place.
-        by_params: Derivative by the parameters, (p,), to which is added.
+        by_params: Derivative with respect to the parameters, (p,); the result is added to it.
         both: Workspace ((n + p) lanes,) for the output of the adjoint kernel.
     Returns:
         Whether the iteration converged.
@@ -266,7 +269,7 @@ def step_back(
 
 @compiled
 def _settled(change: float, previous: float, best: float, idle: int) -> bool:
-    """Whether further fixed-point iterations would not improve the solution."""
+    """Return whether further fixed-point iterations would not improve the solution."""
     if change <= _EPS or idle >= (_PATIENCE if best <= _CLOSE else _WAVES):
         return True
     ratio = change / previous

@@ -53,9 +53,10 @@ from .stages import (
     scale_by_largest,
 )
 
-_STAY = 64  # steps with Newton's method before fixed-point iteration is tried again
-_SEGMENTS = 64  # largest number of shorter steps that replace the step to a report time
-# Change, relative to the largest number, above which a stopped iteration has not converged.
+_STAY = 64  # number of steps with Newton's method before fixed-point iteration is tried again
+_SEGMENTS = 64  # largest number of substeps into which a step to a report time is split
+# Change, relative to the largest absolute value of the state, above which an iteration that has
+# stopped improving counts as not converged.
 _SLACK = 1e-6
 
 
@@ -71,7 +72,7 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 
 @inlined
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
-    """Solve the stages by fixed points or by Newton's method (hook)."""
+    """Solve the stages by fixed-point iteration or Newton's method (hook)."""
     n, lanes, stages = run.n, run.lanes, run.stages
     auto = run.solver == AUTO
     newton = run.solver == NEWTON or (auto and run.remaining > 0)
@@ -116,7 +117,7 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
 def load_step(
     run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
 ) -> None:
-    """Do nothing, because the ends of a stored step suffice (hook)."""
+    """Do nothing, because the states at the ends of a stored step suffice (hook)."""
 
 
 @inlined
@@ -129,7 +130,7 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
 
 @compiled
 def continue_from_end(run: Run, work: Array) -> None:
-    """Start the next step at the end of this one, and store the L of this one."""
+    """Start the next step at the end of this step, and keep this step's stage increments."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[CARRY, i] = work[NEXT_CARRY, i]
@@ -154,7 +155,7 @@ def find_stages(run: Run, params: Array, work: Array, row: int, h: float) -> int
         run: Registers of the run.
         params: Parameters, (p,).
         work: Work rows.
-        row: Row of L, which contains a first guess.
+        row: Row of the stage increments L, which contains a first guess.
         h: Length of the step [s].
     Returns:
         The number of iterations, or NO_SOLUTION.
@@ -174,7 +175,7 @@ def find_stages_by_newton(
         run: Registers of the run.
         params: Parameters, (p,).
         work: Work rows.
-        row: Row of L, which contains a first guess.
+        row: Row of the stage increments L, which contains a first guess.
         which: Factors to use, MAIN or REPORT.
         fresh: Whether to compute these factors first.
         h: Length of the step [s].
@@ -192,10 +193,10 @@ def find_stages_by_newton(
 
 @compiled
 def _iterations_worth_newton(n: int, stages: int) -> int:
-    """Return the number of fixed-point iterations that take as long as Newton's method.
+    """Return the number of fixed-point iterations that take as long as one Newton solve.
 
-    Measured on the bundled robots. So many iterations are rare: Newton's method is for steps at
-    which fixed-point iteration converges slowly or not at all.
+    The number was measured on the bundled robots. A step rarely needs as many iterations, so
+    Newton's method is used only where fixed-point iteration converges slowly or not at all.
     """
     return 40 + n * ((stages + 1) // 2)
 
@@ -242,7 +243,7 @@ def write_inside_state(
 
 @compiled
 def _write_by_segments(run: Run, params: Array, work: Array, h: float, out: Array) -> bool:
-    """Write the state at time h by 2, 4, … shorter steps; return whether it was computed."""
+    """Write the state at time h, computed with 2, 4, … substeps; return whether they converged."""
     n, lanes, segments = run.n, run.lanes, 2
     for i in range(n):
         out[i] = work[Y, i]

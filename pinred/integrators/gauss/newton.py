@@ -1,10 +1,10 @@
 """Newton's method for the stages of Gauss's methods, where fixed-point iteration is slow.
 
-With L of tables.py, an iteration solves ΔL − h (G ⊗ J) ΔL = h b f − L with G = diag(b) μ. In the
-eigenvectors of G this splits into one system of n numbers per pair of eigenvalues (E. Hairer,
-G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.8). J belongs to the
-start of this step or an earlier one, so the iteration continues to round-off, as for the fixed
-point.
+With the stage increments L of tables.py, an iteration solves ΔL − h (G ⊗ J) ΔL = h b f − L with G =
+diag(b) μ. In the eigenvectors of G this splits into one system of n numbers per pair of eigenvalues
+(E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.8). The
+Jacobian J is evaluated at the start of this step or of an earlier step. It is not exact, so the
+iteration converges linearly and continues to round-off, like fixed-point iteration.
 """
 
 from __future__ import annotations
@@ -22,13 +22,15 @@ from ..stepping.run_state import Run, Y, first_not_finite
 from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply, work_rows
 from .tables import MOST_STAGES, tables
 
-_ENTRY = 2 + 4 * MOST_STAGES  # numbers per pair: the eigenvalue and its two eigenvectors
-MAIN, SUB = 0, 1  # separate factors: for the steps, and for the shorter steps to report times
+_ENTRY = 2 + 4 * MOST_STAGES  # number of floats per pair: the eigenvalue and its two eigenvectors
+# Indices of the factorisations for whole steps, and for shorter steps to report times.
+MAIN, SUB = 0, 1
 
-_MOST = 50  # iterations
+_MOST = 50  # largest number of Newton iterations per stage solve
 _STALLED = 0.5  # ratio of successive changes above which the iteration has stalled
 _SLOW = 0.1  # ratio of successive changes above which the Jacobian is recomputed
-# Changes relative to the largest number: round-off, and the limit for a stalled iteration.
+# Changes relative to the largest absolute value of the state: the change that counts as round-off,
+# and the largest change at which a stalled iteration counts as converged.
 _SMALL, _SLACK = 1e-13, 1e-6
 
 
@@ -36,8 +38,9 @@ _SMALL, _SLACK = 1e-13, 1e-6
 def pairs(stages: int) -> Array:
     """Return eigenvalue, right and left eigenvector of G for one eigenvalue of each conjugate pair.
 
-    Rows (p, 2 + 4 MOST_STAGES): λ, then v and w, by their real and imaginary parts. A pair
-    contributes twice the real part of its term. For a real eigenvalue v is halved instead.
+    Rows (p, 2 + 4 MOST_STAGES): the eigenvalue λ, then the right eigenvector v and the left
+    eigenvector w, each stored as its real and imaginary parts. A pair contributes twice the real
+    part of its term. For a real eigenvalue, v is halved, so that the same formula holds.
     """
     method = tables(stages)
     G = method.b[:stages, None] * method.mu[:stages, :stages]
@@ -77,16 +80,16 @@ def _wide(n: int) -> int:
 
 @compiled
 def prepare(run: Run, params: Array, work: Array, which: int, h: float) -> bool:
-    """Factor the systems of a step h from row Y, with the Jacobian there.
+    """Factorise the linear systems of a step of length h, with the Jacobian at the state in row Y.
 
     Args:
         run: Registers of the run.
         params: Parameters, (p,).
         work: Work rows.
-        which: Factors to compute, MAIN or SUB.
+        which: Factorisation to compute, MAIN or SUB.
         h: Length of the step [s].
     Returns:
-        Whether all systems are regular.
+        Whether all linear systems are regular.
     """
     n, stages = run.n, run.stages
     wide, p = _wide(n), (stages + 1) // 2
@@ -114,7 +117,7 @@ def prepare(run: Run, params: Array, work: Array, which: int, h: float) -> bool:
 
 @compiled
 def _systems(behind: Array, n: int, p: int, which: int) -> tuple[Array, Array]:
-    """Return pivots (p, wide), and the Jacobian above the systems, (n + 2 n p, wide)."""
+    """Return the pivots, (p, wide), and the rows of Jacobian and systems, (n + 2 n p, wide)."""
     wide = _wide(n)
     size = (p + n + 2 * n * p) * wide
     block = behind[p * _ENTRY + (2 * SEEDS + 2) * wide + which * size :][:size]
@@ -125,16 +128,18 @@ def _systems(behind: Array, n: int, p: int, which: int) -> tuple[Array, Array]:
 def refine(
     run: Run, params: Array, work: Array, row: int, which: int, fresh: bool, h: float
 ) -> int:
-    """Iterate the L in `row` from a guess to the solution; SCALE contains 1 / the largest number.
+    """Solve for the stage increments in `row` by Newton's method from a first guess.
+
+    SCALE must contain the reciprocal of the largest absolute value (see `scale_by_largest`).
 
     Args:
         run: Registers of the run.
         params: Parameters, (p,).
         work: Work rows.
-        row: Row of L.
-        which: Factors to use, MAIN or SUB.
-        fresh: Whether the factors belong to this step. If not, they are recomputed when the
-            iteration converges slowly.
+        row: Row of the stage increments L.
+        which: Factorisation to use, MAIN or SUB.
+        fresh: Whether the factorisation was computed at this step. If not, it is recomputed when
+            the iteration converges slowly.
         h: Length of the step [s].
     Returns:
         The number of iterations, or NO_SOLUTION.

@@ -5,9 +5,10 @@ integrator used. The results are thus derivatives of the converged steps. Along 
 
     δY_i = δy + h Σ a_ij (J_j δY_j + ∂f/∂p δp),          δy₁ = δy + h Σ b_j (J_j δY_j + …)
 
-is solved by fixed-point iteration, which converges as that of the stages. All stages are
-evaluated at once, in SIMD lanes. A state inside a step is the end of a shorter step. E. Hairer,
-C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section VI.4.
+is solved by fixed-point iteration, which converges at the same rate as the iteration for the
+stages. All stages are evaluated at once, in SIMD lanes. A state inside a step is the end of a
+shorter step. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section
+VI.4.
 """
 
 from __future__ import annotations
@@ -19,17 +20,18 @@ from ..explicit.forward_sensitivities import normalise_with
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import call, call_slopes
 
-_MOST = 400  # iterations
-_PATIENCE = 2  # iterations without improvement near round-off
-_WAVES = 20  # iterations without improvement elsewhere, as slow convergence comes in waves
-_CLOSE = 1e-10  # relative change above which a stopped iteration has not converged
+_MOST = 400  # largest number of fixed-point iterations per solve
+_PATIENCE = 2  # limit on iterations without improvement, near round-off
+_WAVES = 20  # the same limit far from round-off, where slow convergence comes in waves
+# Relative change above which an iteration that has stopped improving counts as not converged.
+_CLOSE = 1e-10
 
 
 @compiled
 def _iterate_once(
     start: Array, a: Array, lanes: int, h: float, rates: Array, found: Array
 ) -> tuple[float, float]:
-    """Set stages (n lanes,) to start + h Σ a_jk rates_k; return their largest change and size."""
+    """Set stages (n lanes,) to start + h Σ a_jk rates_k; return their largest change and value."""
     change = size = 0.0
     for i in range(start.shape[0]):
         for j in range(lanes):
@@ -45,13 +47,13 @@ def _iterate_once(
 
 @compiled
 def _settled(change: float, size: float, best: float, idle: int) -> bool:
-    """Whether further fixed-point iterations would not improve the solution."""
+    """Return whether further fixed-point iterations would not improve the solution."""
     return change == 0.0 or idle >= (_PATIENCE if best <= _CLOSE * size else _WAVES)
 
 
 @compiled
 def _write_end(y: Array, b: Array, lanes: int, h: float, F: Array, out: Array) -> None:
-    """Write the end of a step with rates F, which may overlap `out`."""
+    """Write the state at the end of a step with stage rates F; `out` may overlap F."""
     for i in range(y.shape[0]):
         total = 0.0
         for k in range(lanes):
@@ -68,14 +70,14 @@ def find_stages(
     Args:
         address: Address of the kernel.
         params: Parameters, (p,).
-        a: Weights, (lanes, lanes).
+        a: Weights a_ij of the method, padded with zeros, (lanes, lanes).
         lanes: Number of SIMD lanes.
         h: Length of the step [s].
-        y: State at its start, (n,).
+        y: State at the start of the step, (n,).
         Y: Stages, (n lanes,), output.
         F: Rates of the stages, (n lanes,), output.
     Returns:
-        The number of iterations, −1 if they did not converge.
+        The number of iterations, or −1 if the iteration did not converge.
     """
     n = y.shape[0]
     for i in range(n):
@@ -114,17 +116,17 @@ def step_forward(
     Args:
         slopes: Address of the tangent kernel.
         params: Parameters, (p,).
-        a: Weights, (lanes, lanes).
-        b: Weights of the end, (lanes,).
+        a: Weights a_ij of the method, padded with zeros, (lanes, lanes).
+        b: Weights b_j of the step end, padded with zeros, (lanes,).
         lanes: Number of SIMD lanes.
         h: Length of the step [s].
         Y: Stages of the step, (n lanes,).
         along: Direction of the state, (n,), changed in place.
         along_params: Direction of the parameters, (p,).
-        D: Workspace (n lanes,).
-        G: Workspace (n lanes,).
+        D: Workspace for the stage directions, (n lanes,).
+        G: Workspace for the rates of the stage directions, (n lanes,).
     Returns:
-        The number of iterations, −1 if they did not converge.
+        The number of iterations, or −1 if the iteration did not converge.
     """
     n = along.shape[0]
     for i in range(n):
@@ -168,30 +170,30 @@ def forward(
     D: Array,
     G: Array,
 ) -> int:
-    """Propagate a state and tangent directions over given steps, in place.
+    """Propagate a state and tangent directions over steps with prescribed ends, in place.
 
     Args:
         address: Address of the kernel.
         slopes: Address of its tangent kernel.
         params: Parameters, (p,).
-        a: Weights, (lanes, lanes).
-        b: Weights of the end, (lanes,).
+        a: Weights a_ij of the method, padded with zeros, (lanes, lanes).
+        b: Weights b_j of the step end, padded with zeros, (lanes,).
         lanes: Number of SIMD lanes.
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
         knots: Times of the step ends, (K,) [s].
         states: States at the step ends, (K, n), from which each step starts, or (0, n).
         times: Sorted report times, (T,) [s].
-        y: State, (n,), changed to that at the end.
+        y: State, (n,), changed to the state at the end.
         along: Directions of the state, (N, n), changed in place.
         along_params: Directions of the parameters, (N, p).
         out: States at the report times, (T, n), output.
-        out_along: Their tangents, (T, N, n), output.
-        Y: Workspace (n lanes,) for stages.
-        F: Workspace (n lanes,) for their rates.
+        out_along: Tangents of these states, (T, N, n), output.
+        Y: Workspace (n lanes,) for stage states.
+        F: Workspace (n lanes,) for stage rates.
         D: Workspace (n lanes,) for stage directions.
-        G: Workspace (n lanes,) for their rates.
+        G: Workspace (n lanes,) for the rates of the stage directions.
     Returns:
-        0, or 1 plus the number of the first step that was not solved.
+        0, or 1 plus the index of the first step whose equations did not converge.
     """
     n, count = y.shape[0], along.shape[0]
     normalise_with(y, quaternion, along, 1)

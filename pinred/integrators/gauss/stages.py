@@ -142,32 +142,36 @@ def _variable(builder: Any, value: Any) -> Any:
     return allocate(builder, value)
 
 
-# Rows of `work` after the two state rows. L and OLD: h b f of this step and the previous one. SUB:
-# h b f of a step to a report time. CARRY: round-off of the sum of all steps. CHANGE and BEST: see
-# `refreshment`. SCALE: factors by which changes are measured. INFO: largest change that may be
-# round-off, and the ratio of the last two changes. MU to BARY: tables of the method.
+# Rows of `work` after the two state rows. L, OLD, SUB: stage increments L_j = h b_j f(Y_j) of this
+# step, of the previous step, and of the shorter step to a report time. CARRY: compensation of the
+# sum over all steps. CHANGE and BEST: see `refreshment`. SCALE: weights of the changes in their
+# norm. INFO: largest change that may be round-off, and the ratio of the last two changes. MU to
+# BARY: tables of the method.
 CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, CHANGE, BEST, SCALE = range(2, 12)
 MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(12, 20)
 ROWS = 20
 
-MOST, MOST_WITHIN = 100, 300  # iterations; for a report time, with its worse first guess
-_PATIENCE = 8  # iterations without improvement far from round-off
-# Contraction, and fraction of INFO[0], below which one iteration without improvement suffices.
+# Largest numbers of fixed-point iterations for a step, and for a shorter step to a report time,
+# whose first guess is worse.
+MOST, MOST_WITHIN = 100, 300
+_PATIENCE = 8  # limit on iterations without improvement, far from round-off
+# Limits on the contraction, and on the change as a fraction of INFO[0]. Below either limit, the
+# iteration stops at the first iteration without improvement.
 _FAST, _NEAR = 0.3, 1e-8
-ROUND_OFF = 0.0  # limit of `iterate` that continues until the changes stop decreasing
-NO_SOLUTION = -1  # returned instead of a number of iterations
+ROUND_OFF = 0.0  # `limit` with which `iterate` continues until the changes stop decreasing
+NO_SOLUTION = -1  # returned instead of a number of iterations if the iteration did not converge
 
 _multiply4, _multiply8 = product(4), product(8)
 _refresh4, _refresh8 = refreshment(4), refreshment(8)
 
 
 def work_rows(stages: int, n: int, behind: int) -> Array:
-    """Allocate the work rows of a step and fill in the tables.
+    """Allocate the work rows of a step and store the tables of the method in them.
 
     Args:
         stages: Number of stages.
-        n: Entries of the state.
-        behind: Numbers of additional space behind the rows.
+        n: Number of entries of the state.
+        behind: Number of additional floats behind the rows, as workspace.
     Returns:
         The rows, (ROWS + …, stride).
     """
@@ -193,7 +197,7 @@ def multiply(work: Array, out: int, base: int, table: int, row: int, n: int, lan
         base: Row to add, one number per entry, −1 for zero.
         table: Row of the table, stored by columns.
         row: Stage row to multiply.
-        n: Entries of the state.
+        n: Number of entries of the state.
         lanes: Number of SIMD lanes.
     """
     if lanes == 4:
@@ -204,12 +208,12 @@ def multiply(work: Array, out: int, base: int, table: int, row: int, n: int, lan
 
 @inlined
 def refresh(work: Array, row: int, n: int, lanes: int, h: float) -> float:
-    """Set L in a row to h b RATE; return the norm of the change, weighted by SCALE.
+    """Set the stage increments in a row to h b RATE; return the weighted norm of their change.
 
     Args:
         work: Work rows.
-        row: Row of L.
-        n: Entries of the state.
+        row: Row of the stage increments L.
+        n: Number of entries of the state.
         lanes: Number of SIMD lanes.
         h: Length of the step [s].
     Returns:
@@ -224,11 +228,11 @@ def refresh(work: Array, row: int, n: int, lanes: int, h: float) -> float:
 
 @compiled
 def scale_by_largest(work: Array, n: int, lanes: int, base: int, row: int) -> None:
-    """Fill SCALE with 1 / the largest number in two rows.
+    """Fill SCALE with the reciprocal of the largest absolute value in two rows.
 
     Args:
         work: Work rows.
-        n: Entries of the state.
+        n: Number of entries of the state.
         lanes: Number of SIMD lanes.
         base: Row with one number per entry.
         row: Stage row, often a first guess of the solution.
@@ -247,15 +251,15 @@ def scale_by_largest(work: Array, n: int, lanes: int, base: int, row: int) -> No
 def start_evenly(
     address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float
 ) -> None:
-    """Set a row of L to h b ẏ(start) at all stages, as a first guess.
+    """Set the stage increments in a row to h b ẏ(start) at all stages, as a first guess.
 
     Args:
         address: Address of the kernel.
         params: Parameters, (p,).
         work: Work rows.
-        n: Entries of the state.
+        n: Number of entries of the state.
         lanes: Number of SIMD lanes.
-        row: Row of L.
+        row: Row of the stage increments L.
         h: Length of the step [s].
     """
     for i in range(n):
@@ -271,7 +275,7 @@ def start_evenly(
 def prepare_guess(
     work: Array, lanes: int, stages: int, table: int, begin: float, ratio: float
 ) -> None:
-    """Compute the table that extrapolates L of one step to L of another.
+    """Compute the table that extrapolates the stage increments of one step to those of another.
 
     The rates of the other step are those of the polynomial through the stage rates of the first.
 
@@ -296,28 +300,28 @@ def prepare_guess(
 
 @compiled
 def guess(work: Array, n: int, lanes: int, table: int, source: int, row: int) -> None:
-    """Fill a row of L from another by a table of `prepare_guess`.
+    """Extrapolate the stage increments of another step with a table of `prepare_guess`.
 
     Args:
         work: Work rows.
-        n: Entries of the state.
+        n: Number of entries of the state.
         lanes: Number of SIMD lanes.
         table: Row of the table.
-        source: Row of the known L.
-        row: Row of the guess.
+        source: Row of the known stage increments.
+        row: Row of the extrapolated stage increments, output.
     """
     multiply(work, row, -1, table, source, n, lanes)
 
 
 @compiled
 def guess_evenly(run: Run, params: Array, work: Array, row: int, h: float) -> None:
-    """Fill a row of L by `start_evenly`, and count the evaluations.
+    """Fill a row of stage increments with `start_evenly`, and count the evaluations.
 
     Args:
         run: Registers of the run.
         params: Parameters, (p,).
         work: Work rows.
-        row: Row of L.
+        row: Row of the stage increments L.
         h: Length of the step [s].
     """
     start_evenly(run.address, params, work, run.n, run.lanes, row, h)
@@ -326,16 +330,16 @@ def guess_evenly(run: Run, params: Array, work: Array, row: int, h: float) -> No
 
 @compiled
 def iterate(run: Run, params: Array, work: Array, row: int, h: float, limit: float) -> int:
-    """Iterate the L in `row` from a guess to the solution, by fixed points.
+    """Solve for the stage increments in `row` by fixed-point iteration from a first guess.
 
     Args:
         run: Registers of the run.
         params: Parameters, (p,).
         work: Work rows.
-        row: Row of L.
+        row: Row of the stage increments L.
         h: Length of the step [s].
         limit: Limit on the remaining error, measured by SCALE. With ROUND_OFF, the iteration
-            continues until no number's change decreases.
+            continues until the change of no entry decreases.
     Returns:
         The number of iterations, or NO_SOLUTION.
     """
@@ -357,8 +361,8 @@ def iterate(run: Run, params: Array, work: Array, row: int, h: float, limit: flo
             improved += best[n * lanes + j]
         if size == 0.0:
             return iteration
-        # Round-off fluctuates, so a lack of improvement ends the iteration. A diverging one grows
-        # far above round-off; a slowly converging one may improve in waves.
+        # Round-off fluctuates, so a lack of improvement ends the iteration. Changes grow far above
+        # round-off if the iteration diverges, and come in waves if it is slow.
         idle = idle + 1 if iteration > 2 and improved == 0.0 else 0
         expected = size if iteration == 1 else _FAST * expected
         if idle > 0 and size <= max(limit, work[INFO, 0]):
@@ -380,9 +384,9 @@ def finish(work: Array, n: int, lanes: int, row: int) -> None:
 
     Args:
         work: Work rows.
-        n: Entries of the state.
+        n: Number of entries of the state.
         lanes: Number of SIMD lanes.
-        row: Row of L.
+        row: Row of the stage increments L.
     """
     for i in range(n):
         total = work[CARRY, i]

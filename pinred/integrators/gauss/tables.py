@@ -33,9 +33,9 @@ class Tables:
     """Coefficients of the method, padded with zeros to w SIMD lanes.
 
     Attributes:
-        mu: μ, (w, w).
-        b: Weights, (w,).
-        c: Nodes, (w,).
+        mu: Coefficients μ_ij, (w, w).
+        b: Weights b_j of the stage rates in the step end, (w,).
+        c: Nodes c_j, the stage times as fractions of the step, (w,).
         last: Weights for which Σ_j last_j L_j is h times the highest Legendre coefficient of ẏ,
             (w,).
         bary: Barycentric weights of c, (w,).
@@ -53,7 +53,7 @@ class Tables:
 
 @cache
 def tables(stages: int) -> Tables:
-    """Return the tables of a number of stages."""
+    """Return the tables of the method with a number of stages."""
     x, weights = legendre.leggauss(stages)
     P = legendre.legvander(x, stages)  # P_k(x_i), (s, s + 1)
     # ∫ from −1 to x of P_k is (P_{k+1} − P_{k−1}) / (2k + 1), and x + 1 for k = 0.
@@ -65,7 +65,8 @@ def tables(stages: int) -> Tables:
     for i in range(stages):
         mu[i, i] = 0.5
         for j in range(i):
-            # 1 − a is exact for a of at least ½, and one of the two is.
+            # 1 − a is exact in floating point if a is at least ½, which holds for one of the two
+            # entries.
             big, small = ((i, j), (j, i)) if mu[i, j] >= 0.5 else ((j, i), (i, j))
             mu[small] = 1.0 - mu[big]
     c, lanes = 0.5 * (x + 1.0), lanes_of(stages)

@@ -1,7 +1,8 @@
 """Stored steps and dense output of Radau IIA.
 
 A step end is stored as the state before its quaternion is normalised, followed by the stages of
-the step. Dense output from stored steps is thus equal to the last bit.
+the step. Dense output from stored steps is thus equal, to the last bit, to the dense output during
+the run.
 
 The polynomial through the stages has order 3 only. Corrections from ẏ and ÿ at the ends, which
 the exact Jacobian gives, raise it to order 5. In stiff directions ẏ and ÿ amplify errors by hλ
@@ -25,7 +26,7 @@ from ..stepping.run_state import DENSE, DONE, NEW, Run, Y, copy_an_end, unit, un
 RATE, END_RATE, Z, CORRECTION, FREE, PIVOTS, ALONG = 2, 4, 5, 8, 11, 18, 21
 SLOPES = ALONG + SEEDS
 MATRIX = SLOPES + SEEDS  # the Jacobian, three systems of a step, and one of the corrections
-KEPT = 4  # numbers stored at a step end per entry of the state
+KEPT = 4  # number of floats stored at a step end per entry of the state
 
 GAMMA = float(tableau.MU_REAL)
 _C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
@@ -132,9 +133,9 @@ def _filter(work: Array, system: int, n: int, pivots: Array, v: Array) -> None:
 
     Args:
         work: Work rows.
-        system: First row of the factored system 1/F.
-        n: Entries of the state.
-        pivots: Its pivots.
+        system: First row of the factorised matrix F⁻¹ = 1 − hJ/γ.
+        n: Number of entries of the state.
+        pivots: Pivots of this factorisation.
         v: Vector, (n,), changed in place.
     """
     power, total = work[FREE], work[FREE + 1]
@@ -150,7 +151,10 @@ def _filter(work: Array, system: int, n: int, pivots: Array, v: Array) -> None:
 
 @compiled
 def stage_polynomial(a: float, b: float, c: float, x: float) -> float:
-    """Return the polynomial through 0 at 0 and the stages a, b, c, at fraction x of a step."""
+    """Return the stage polynomial, which is 0 at the start, at fraction x of a step.
+
+    a, b and c are its values at the three stages.
+    """
     first = a * (x - _C2) * (x - 1.0) / (_C1 * (_C1 - _C2) * (_C1 - 1.0))
     second = b * (x - _C1) * (x - 1.0) / (_C2 * (_C2 - _C1) * (_C2 - 1.0))
     return x * (first + second + c * (x - _C1) * (x - _C2) / ((1.0 - _C1) * (1.0 - _C2)))

@@ -2,8 +2,8 @@
 
 E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer 1996,
 section IV.8, and Hairer's code radau5.f, with its step control and constants. The coefficients
-are SciPy's copy. The exact Jacobian is cheap compared to its factors, so it is recomputed
-whenever these are.
+are SciPy's copy. Evaluating the exact Jacobian is cheap compared with factorising the systems, so
+the Jacobian is recomputed before every factorisation.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from .dense import (
 )
 
 # Rows of `work` besides those of dense.py. W: stages in the coordinates that diagonalise the matrix
-# of the method. F: stage rates, then right-hand sides and solutions. OLD: Z of the previous step.
-# MISS: error estimate.
+# of the method. F: stage rates, then right-hand sides and solutions. OLD: stages Z of the previous
+# step, relative to its initial state. MISS: error estimate.
 SCALE, STAGE, W, F, OLD, MISS = 3, END_RATE, 8, 11, 14, 17
 
 _C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
@@ -57,10 +57,10 @@ _E1, _E2, _E3 = (float(e) for e in tableau.E)
 _ALPHA, _BETA = float(tableau.MU_COMPLEX.real), float(tableau.MU_COMPLEX.imag)
 _EPS = float(np.finfo(float).eps)
 
-_MOST = 7  # iterations of Newton's method
+_MOST = 7  # largest number of Newton iterations per stage solve
 _SAFETY, _SHRINK, _GROW, _CRASH, _HALF = 0.9, 0.2, 8.0, 0.1, 0.5
-_FAST = 1e-2  # contraction below which the next step uses the same factors
-_SAME = 1.2  # growth below which the next step has the same length, to reuse the factors
+_FAST = 1e-2  # contraction of Newton's method below which the next step reuses the factorisation
+_SAME = 1.2  # growth of the step length below which the length is kept, to reuse the factorisation
 
 
 @inlined
@@ -88,7 +88,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
     """Solve the stages by Newton's method and estimate the error (hook)."""
     n, h = run.n, t_new - run.t
     if abs(h - run.factored) > 1e-9 * h:
-        run.pause -= n * n // 8  # evaluations that cost as much as the factors
+        run.pause -= n * n // 8  # number of evaluations that cost as much as the factorisation
         if not _prepare(run, params, work, h):
             return reject_step(run, h * _HALF)
     iterations = _newton(run, params, work, h)
@@ -130,7 +130,7 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:
     if run.again:
         new = min(new, h)
     else:
-        run.entry = -1  # the run has left the place where an entry was not finite
+        run.entry = -1  # the accepted step is finite, so an earlier non-finite entry is obsolete
     run.again, run.fresh = 0, 0
     if run.contraction <= _FAST and h <= new <= _SAME * h:
         new = h
@@ -141,7 +141,7 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:
 
 @compiled
 def _prepare(run: Run, params: Array, work: Array, h: float) -> bool:
-    """Factor the two systems of a step h; return whether both are regular."""
+    """Factorise the two linear systems of a step of length h; return whether both are regular."""
     n = run.n
     real, imag, first = MATRIX + 2 * n, MATRIX + 3 * n, MATRIX + n
     if not run.fresh:
@@ -164,14 +164,18 @@ def _prepare(run: Run, params: Array, work: Array, h: float) -> bool:
 
 @compiled
 def _tolerances(run: Run) -> tuple[float, float]:
-    """Return tolerances for the error estimate, of order 3, that give an error of rtol and atol."""
+    """Return rtol and atol for the error estimate.
+
+    The estimate is of order 3, the method of order 5. The returned tolerances are converted so that
+    the error of the method meets the tolerances of the run.
+    """
     relative = 0.1 * run.rtol ** (2.0 / 3.0)
     return relative, relative * run.atol / run.rtol
 
 
 @compiled
 def _measure(run: Run, work: Array) -> None:
-    """Fill row SCALE with the inverse tolerance of each entry."""
+    """Fill row SCALE with the reciprocal of each entry's tolerance."""
     n, quaternion = run.n, run.quaternion
     rtol, atol = _tolerances(run)
     for i in range(n):
@@ -180,7 +184,10 @@ def _measure(run: Run, work: Array) -> None:
 
 @compiled
 def _newton(run: Run, params: Array, work: Array, h: float) -> int:
-    """Solve the stages; return the iterations, or 0 with the factor of the next step in run.cut."""
+    """Return the number of Newton iterations that solve the stages, 0 for failure.
+
+    After a failure, run.cut contains the factor that shortens the step.
+    """
     n = run.n
     first, real, imag = MATRIX + n, MATRIX + 2 * n, MATRIX + 3 * n
     _measure(run, work)
@@ -235,7 +242,7 @@ def _newton(run: Run, params: Array, work: Array, h: float) -> int:
 
 @compiled
 def _residual(work: Array, n: int, h: float) -> None:
-    """Convert stage rates in F to right-hand sides of Newton's method."""
+    """Convert the stage rates in F to the right-hand sides of Newton's method, in place."""
     for i in range(n):
         a, b, c = h * work[F, i], h * work[F + 1, i], h * work[F + 2, i]
         u, v, w = work[W, i], work[W + 1, i], work[W + 2, i]
@@ -246,7 +253,7 @@ def _residual(work: Array, n: int, h: float) -> None:
 
 @compiled
 def _move(work: Array, n: int) -> None:
-    """Add the solutions in F to W, and update Z."""
+    """Add the Newton corrections in F to the transformed stages W, and update the stages Z."""
     for i in range(n):
         for k in range(3):
             work[W + k, i] += work[F + k, i]
@@ -257,7 +264,10 @@ def _move(work: Array, n: int) -> None:
 
 @compiled
 def _guess(work: Array, n: int, ratio: float) -> None:
-    """Extrapolate Z and W from the previous step; ratio: of the lengths, 0 for a first step."""
+    """Extrapolate the stages Z and W from the previous step.
+
+    `ratio` is the length of this step divided by that of the previous step, or 0 for a first step.
+    """
     for i in range(n):
         a, b, c = work[OLD, i], work[OLD + 1, i], work[OLD + 2, i]
         if ratio == 0.0:
@@ -294,7 +304,7 @@ def _error(run: Run, params: Array, work: Array, h: float) -> float:
 
 @compiled
 def _size(work: Array, n: int) -> float:
-    """Return the root mean square of row MISS, in tolerances."""
+    """Return the root mean square of row MISS in units of the tolerance."""
     total = 0.0
     for i in range(n):
         total += (work[MISS, i] * work[SCALE, i]) ** 2

@@ -12,7 +12,7 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.phase import Phase
 from ...common.errors import InputError
 from ...judge.compare import compare
-from ...judge.report import Report
+from ...judge.verdict import Report
 from ...lie.group import PoseError
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory

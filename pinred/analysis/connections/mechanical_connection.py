@@ -8,8 +8,8 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.memo import once
-from ...kernels.connection.code import ConnectionCode, cached_code
-from ...kernels.connection.form import ConnectionForm, form_of
+from ...kernels.connection.connection_code import ConnectionCode, cached_code
+from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...kernels.evaluate import evaluate
 from ...kernels.machine.native import NativeCode
 from ...kernels.validation import require_agreement

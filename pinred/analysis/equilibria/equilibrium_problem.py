@@ -20,8 +20,8 @@ from ...common.names import joint_index
 from ...forces.force import Force
 from ...forces.force_model import ForceModel
 from ...forces.signals import Signal
-from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
+from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.scene import Scene
 from ...simulation.plan import Plan, plan_of
 from ...system.joints import axes_of
