@@ -134,7 +134,7 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
-        """FAILED if a value exceeds its bound or is NaN; else CANNOT TELL if there are `reasons`."""
+        """FAILED if a value exceeds its bound or is NaN; CANNOT TELL if there are `reasons`."""
         if not all(value <= bound for value, bound in self.checks.values()):
             return Verdict.FAILED
         return Verdict.CANNOT_TELL if self.reasons else Verdict.PASSED
