@@ -80,7 +80,7 @@ from .integrators.methods import Radau as Radau
 from .integrators.methods import Tsit5 as Tsit5
 from .integrators.methods import Variational as Variational
 from .judge.compare import compare as compare
-from .judge.report import Report as Report
+from .judge.verdict import Report as Report
 from .kernels.casadi_functions import casadi_functions as casadi_functions
 from .planning.gait_file import GaitFile as GaitFile
 from .planning.gait_file import gait_schema as gait_schema
@@ -90,7 +90,7 @@ from .planning.optimisation.best_gait import Optimum as Optimum
 from .planning.optimisation.optimise import optimise_gait as optimise_gait
 from .planning.reorientation.reorient import reorient as reorient
 from .planning.reorientation.turn_plan import TurnPlan as TurnPlan
-from .reduction.at_a_shape import ReducedShape as ReducedShape
+from .reduction.pointwise_reduction import ReducedShape as ReducedShape
 from .scene.event import Event as Event
 from .scene.scene import Scene as Scene
 from .scene.toml.keys import scene_schema as scene_schema

@@ -37,13 +37,13 @@ def test_upward_import_of_any_syntax_is_detected(
     code: str, imported: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every syntax of an import is recognised; imports of lower packages are accepted."""
-    path = tmp_path / "at_a_shape.py"
+    path = tmp_path / "pointwise_reduction.py"
     path.write_text(f"from ..common.arrays import Array\n{code}\n", "utf-8")
     modules = package_graph.list_modules()
-    modules["pinred.reduction.at_a_shape"] = path
+    modules["pinred.reduction.pointwise_reduction"] = path
     monkeypatch.setattr(package_graph, "list_modules", lambda: modules)
     upward = package_graph.find_upward_imports(package_graph.list_imports())
-    assert {i.of for i in upward if i.by.endswith(".at_a_shape")} == {imported}
+    assert {i.of for i in upward if i.by.endswith(".pointwise_reduction")} == {imported}
 
 
 def test_import_cycle_is_detected() -> None:

@@ -95,7 +95,7 @@ def _branches(
 def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
     """Simulate one equilibrium, perturbed along a mode, and play or write it.  Returns 0."""
     from ..simulation.simulate import simulate
-    from ..views.playback.view import FILM_FPS, FPS, View
+    from ..views.playback.view_options import FILM_FPS, FPS, View
 
     index, count = arguments.play, len(equilibria)
     if not 0 <= index < count:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..judge.report import Report
+    from ..judge.verdict import Report
     from ..planning.optimisation.best_gait import BestGait
     from ..planning.reorientation.turn_plan import TurnPlan
 
@@ -37,7 +37,7 @@ def describe_file(path: Path) -> str:
 
 def print_report(report: Report) -> int:
     """Print a comparison with full ABA; return the exit code of its verdict."""
-    from ..judge.report import EXIT_CODES
+    from ..judge.verdict import EXIT_CODES
 
     print(report)
     return EXIT_CODES[report.verdict]

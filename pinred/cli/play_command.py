@@ -29,7 +29,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Play or write the motion.  Returns 0."""
-    from ..views.playback.view import FILM_FPS, FPS, View
+    from ..views.playback.view_options import FILM_FPS, FPS, View
 
     _check(arguments)
     pair = None if arguments.pair is None else tuple(arguments.pair.split(","))

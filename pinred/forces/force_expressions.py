@@ -15,7 +15,7 @@ from .columns import symbols_of, terms_of, through, torque_column, wrench_column
 from .force import Force, Terms
 from .force_numbers import ForceNumbers, RobotSymbols
 from .kinds import Controller
-from .link_loads import of_load
+from .link_wrenches import of_load
 from .signals import Signal
 
 

@@ -16,11 +16,11 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..system.system import System
-from .acting import Acting, ForceInputs, Prescribed
 from .columns import load_column, seen_of_base
 from .force import Force
 from .force_expressions import ForceExpressions
 from .force_numbers import ForceNumbers, RobotSymbols, numbers_of, random_numbers
+from .force_values import Acting, ForceInputs, Prescribed
 from .signals import Signal
 
 

@@ -31,8 +31,8 @@ from .audit import audit_trajectory, measurement_error
 from .distances import Distance, FullMotion, Size
 from .equation_errors import equation_errors
 from .reference_solution import FINEST, PERTURBATION, FullState
-from .report import Report
 from .step_defects import Defects, compute_defects
+from .verdict import Report
 
 TIGHTER = 100.0  # ratio of the scene's tolerance to the reference's
 SAMPLES = 101  # evenly spaced times of the comparison, in addition to the report times

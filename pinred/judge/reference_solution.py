@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
-from ..forces.acting import BaseInSpace, ForceInputs
+from ..forces.force_values import BaseInSpace, ForceInputs
 from ..kernels.loads_by_pinocchio import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
@@ -24,7 +24,7 @@ from ..system.system import System
 from .coupling_constraints import CouplingConstraints
 from .distances import Distance, FullMotion, Size
 from .full_coordinates import Configuration, root_motion
-from .hairer import Hairer
+from .hairer_integrators import Hairer
 from .system_totals import SystemTotals
 
 FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy

@@ -16,7 +16,7 @@ from ..common.errors import SymmetryError
 from ..system.joints import axes_of
 from ..system.scale import radius_of_gyration
 from ..system.system import System
-from .at_a_shape import PointwiseReduction
+from .pointwise_reduction import PointwiseReduction
 from .potential import pivot_weight
 
 _SAMPLES = 3  # random shapes at which dependence is checked

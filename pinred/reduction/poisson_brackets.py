@@ -34,11 +34,11 @@ from ..common.arrays import Array, vector
 from ..common.errors import InputError, ShapeError
 from ..common.memo import once
 from ..system.system import System, checked_system
-from .at_a_shape import PointwiseReduction
 from .base_parts import root_of
 from .casimirs import Casimir as Casimir
 from .casimirs import casimirs as casimirs
 from .casimirs import momentum_tensor
+from .pointwise_reduction import PointwiseReduction
 from .potential import pivot_weight, shape_gravity
 from .tree.all_joints import joint_values
 from .tree.body_frames import bodies_of

@@ -33,8 +33,8 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, read_only, vector
 from ..common.errors import InputError
 from ..lie.rotations import apply, rotation
-from .at_a_shape import PointwiseReduction, ReducedShape
 from .base_parts import root_of
+from .pointwise_reduction import PointwiseReduction, ReducedShape
 from .potential import pivot_weight
 
 _UNIT = 1e-6  # tolerance for the length of gamma

@@ -14,7 +14,7 @@ import numpy as np
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
 from ..common.names import quoted
-from ..reduction.at_a_shape import PointwiseReduction
+from ..reduction.pointwise_reduction import PointwiseReduction
 from ..system.joints import joint_units
 from ..system.system import System
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.arrays import Array, as_floats, entries_of, positive
-from ..common.defaults import is_given
+from ..common.default_marker import is_given
 from ..common.errors import InputError, ShapeError
 from ..common.names import brief, listed, one_of
 from ..forces.force import Force

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..common.arrays import Array, dimensions, positive, read_only, vector
-from ..common.defaults import is_given
+from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.names import brief, one_of
 from ..forces.force import Force

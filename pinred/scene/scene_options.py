@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, TypedDict, get_args
 
 from numpy.typing import ArrayLike
 
-from ..common.defaults import Default
+from ..common.default_marker import Default
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method

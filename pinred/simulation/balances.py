@@ -23,9 +23,9 @@ import pinocchio as pin
 from numpy.polynomial import legendre
 
 from ..common.arrays import Array, freeze, read_only
-from ..forces.acting import ForceInputs
-from ..reduction.at_a_shape import PointwiseReduction
+from ..forces.force_values import ForceInputs
 from ..reduction.canonical_form import CanonicalForm
+from ..reduction.pointwise_reduction import PointwiseReduction
 from ..reduction.potential import shape_gravity
 from ..reduction.textbook_equations import lagrange_poincare
 from ..system.joints import axes_of

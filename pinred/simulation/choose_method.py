@@ -19,10 +19,10 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..common.memo import once
-from ..forces.acting import BaseInSpace, ForceInputs
 from ..forces.force_model import ForceModel
+from ..forces.force_values import BaseInSpace, ForceInputs
 from ..integrators.methods import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
-from ..reduction.at_a_shape import PointwiseReduction
+from ..reduction.pointwise_reduction import PointwiseReduction
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.coupled_groups import Groups
 from ..reduction.tree.identical_branches import Lanes, links_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..common.arrays import Array
-from ..forces.acting import BaseInSpace
+from ..forces.force_values import BaseInSpace
 
 
 @dataclass(frozen=True)

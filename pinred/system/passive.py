@@ -13,8 +13,8 @@ from ..common.arrays import positive
 from ..common.errors import InputError, ModelError
 from ..common.names import plain, quoted
 from ..common.parameter import Parameter, checked_number, value_of
-from .contents import Contents, LeftOut
 from .force_interface import Force, Symbols, Terms, finite, settle
+from .robot_file_contents import Contents, LeftOut
 
 # Kinds of actions that are left out.
 BASE = "springs, damping and friction of the base"

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array
 from ..common.errors import ModelError
 from ..common.names import quoted
-from .contents import Coupling
 from .joints import RootChain, places_on_root
+from .robot_file_contents import Coupling
 
 # Aligned joints along x, y and z, which are faster than the one along any axis.
 PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)

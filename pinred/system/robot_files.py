@@ -21,8 +21,8 @@ from ..common.errors import LoadError, ModelError
 from ..common.files import is_file, is_folder
 from ..common.library_output import library_output
 from ..common.names import plain_path, quoted_path
-from .contents import Coupling
-from .urdf import (
+from .robot_file_contents import Coupling
+from .urdf_elements import (
     UNLIMITED,
     check_urdf,
     keep_dynamics,

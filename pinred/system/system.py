@@ -16,7 +16,6 @@ from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
 from ..lie.group import Group
 from .admission import admit
-from .contents import Contents, Coupling, Keyframe, LeftOut, Origin
 from .coordinates import (
     Configuration,
     CoordinateMap,
@@ -30,6 +29,7 @@ from .coupling import Coupled, coupled, following
 from .force_interface import Force
 from .joints import joint_units
 from .rebuild import depth_first
+from .robot_file_contents import Contents, Coupling, Keyframe, LeftOut, Origin
 
 T = TypeVar("T")
 

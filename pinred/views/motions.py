@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from ..common.signatures import shows_fields
 from ..simulation.trajectory import Trajectory
-from .playback.view import FILM_FPS, View, ViewOptions, as_view
+from .playback.view_options import FILM_FPS, View, ViewOptions, as_view
 from .plots.by_kind import plot as plot
 
 if TYPE_CHECKING:

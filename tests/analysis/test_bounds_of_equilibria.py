@@ -12,10 +12,10 @@ from spinning_robots import gyrostat, heavy_gyrostat
 import pinred
 from pinred.analysis.equilibria import search
 from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.equilibrium_problem import problem_of
 from pinred.analysis.equilibria.find import _one_family, equilibrium_at
-from pinred.analysis.equilibria.problem import problem_of
 from pinred.analysis.equilibria.same_shape import Place
-from pinred.analysis.stability import verdict
+from pinred.analysis.stability import stability_verdict as verdict
 from pinred.analysis.stability.reduced_state import _casimir_gradients
 from pinred.analysis.stability.second_variation import (
     _is_definite,

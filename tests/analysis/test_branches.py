@@ -15,7 +15,7 @@ import pinred
 from pinred.analysis.branches import bifurcations as found_by
 from pinred.analysis.branches.curve import Curve, CurvePoint
 from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
-from pinred.analysis.equilibria.problem import problem_of
+from pinred.analysis.equilibria.equilibrium_problem import problem_of
 from pinred.common.arrays import Array
 
 HUB, MASS, LENGTH, G = 0.3, 1.2, 0.7, 9.81

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from strategies import Case, cases
 
 import pinred
+from pinred.kernels.connection.connection_form import ConnectionForm
 from pinred.kernels.connection.connection_validation import trial_shapes
-from pinred.kernels.connection.form import ConnectionForm
 
 
 @settings(max_examples=4)

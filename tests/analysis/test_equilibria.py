@@ -15,8 +15,8 @@ from trees import random_model
 
 import pinred
 from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.equilibrium_problem import problem_of
 from pinred.analysis.equilibria.find import equilibrium_at
-from pinred.analysis.equilibria.problem import problem_of
 from pinred.analysis.equilibria.search import _quarters
 from pinred.common.arrays import Array
 from pinred.forces import Damper, PotentialEnergy

@@ -15,7 +15,7 @@ from interruptions import BEGIN, interrupted
 
 from pinred.common.arrays import Array
 from pinred.common.interrupts import held_interrupt
-from pinred.judge.hairer import Hairer
+from pinred.judge.hairer_integrators import Hairer
 
 
 def check(at: float) -> None:

@@ -14,7 +14,7 @@ from forced_trees import against_aba, tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, ComputedTorque, Controller, Damper, Limit, Spring, Torque
-from pinred.forces.acting import ForceInputs
+from pinred.forces.force_values import ForceInputs
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Expression, Fourier, Signal, Spline

@@ -16,8 +16,8 @@ from forced_trees import against_aba, tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import SeenState, Torque, Wrench
-from pinred.forces.acting import BaseInSpace, ForceInputs
 from pinred.forces.force_model import ForceModel
+from pinred.forces.force_values import BaseInSpace, ForceInputs
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation.plan import plan_of

@@ -15,8 +15,8 @@ from passive_trees import MujocoForces, passive_tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Damper, Force, Friction, Spring
-from pinred.forces.acting import ForceInputs
 from pinred.forces.force_model import ForceModel
+from pinred.forces.force_values import ForceInputs
 
 WIDTH = 0.05
 

@@ -18,7 +18,7 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.system.contents import Contents, Coupling
+from pinred.system.robot_file_contents import Contents, Coupling
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import pinred
 from pinred.cli.compare_command import print_comparison
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
-from pinred.judge.report import EXIT_CODES, Verdict, _closest
+from pinred.judge.verdict import EXIT_CODES, Verdict, _closest
 from pinred.system.joints import joint_units
 
 RTOL, ATOL = 1e-8, 5e-9

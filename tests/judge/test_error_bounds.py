@@ -23,8 +23,8 @@ from pinred.judge.compare import (
 from pinred.judge.distances import FullMotion, Size
 from pinred.judge.equation_errors import equation_errors
 from pinred.judge.reference_solution import FullState
-from pinred.judge.report import Verdict
 from pinred.judge.step_defects import Defects
+from pinred.judge.verdict import Verdict
 
 RTOL, ATOL = 1e-8, 5e-9
 TOLERANCE = RTOL + ATOL

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import ode
 
 from pinred.common.arrays import Array
-from pinred.judge.hairer import Hairer
+from pinred.judge.hairer_integrators import Hairer
 
 
 class Oscillator:

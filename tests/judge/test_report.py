@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinred.common.arrays import Array
-from pinred.judge.report import Report, _closest
+from pinred.judge.verdict import Report, _closest
 
 BOUND = 1e-3
 

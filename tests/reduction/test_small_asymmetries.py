@@ -9,8 +9,8 @@ from trees import random_model
 
 import pinred
 from pinred.reduction import potential
-from pinred.reduction.at_a_shape import PointwiseReduction as Reduction
 from pinred.reduction.cyclic_joints import cyclic_joints
+from pinred.reduction.pointwise_reduction import PointwiseReduction as Reduction
 from pinred.reduction.potential import Potential, pivot_weight
 
 

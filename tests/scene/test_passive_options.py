@@ -15,7 +15,7 @@ from pinred.forces import Damper, Friction
 from pinred.scene.passive_forces import passive_left_out
 from pinred.simulation.explain import explain
 from pinred.simulation.plan import plan_of
-from pinred.system.contents import Contents
+from pinred.system.robot_file_contents import Contents
 
 ROBOT = """<robot name="pair">
 <link name="a"><inertial><mass value="2"/>

@@ -17,7 +17,7 @@ import pytest
 
 import pinred
 from pinred.cli.main import main
-from pinred.common.defaults import Default
+from pinred.common.default_marker import Default
 from pinred.forces import (
     PD,
     ComputedTorque,

@@ -18,7 +18,7 @@ from pinred import InputError
 from pinred.common.arrays import Array
 from pinred.forces import PD, ComputedTorque, Controller, Damper, Limit, Spring, Torque
 from pinred.kernels.build import model_bytes
-from pinred.system.contents import Contents, Coupling
+from pinred.system.robot_file_contents import Contents, Coupling
 
 Engine = Literal["compiled", "pinocchio"]
 ENGINES: list[Engine] = ["compiled", "pinocchio"]

@@ -17,7 +17,7 @@ import pinred
 from pinred.forces import PD, ComputedTorque, Damper, Spring, Wrench
 from pinred.lie import GROUPS
 from pinred.signals import Fourier
-from pinred.system.contents import Contents
+from pinred.system.robot_file_contents import Contents
 
 TURNED = [0.1, 0.2, 0.3, 0.2, -0.4, 0.7]
 JOINTS = 3

@@ -15,8 +15,8 @@ from trees import inertia, placement, random_model
 
 import pinred
 from pinred import InputError, ModelError
-from pinred.system.contents import Contents, Coupling
 from pinred.system.coupling import resolved
+from pinred.system.robot_file_contents import Contents, Coupling
 from pinred.system.singular_mass_matrix import singular_shapes
 
 AXIS = '<axis xyz="0 0 1"/>'

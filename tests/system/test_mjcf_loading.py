@@ -94,7 +94,7 @@ def test_root_chooses_among_several_bodies(tmp_path: Path) -> None:
     path = write(tmp_path, content)
     with pytest.warns(LeftOutWarning):
         system = pinred.load(path, root="side")
-    assert system.origin == pinred.system.contents.Origin(str(path), {}, "side")
+    assert system.origin == pinred.system.robot_file_contents.Origin(str(path), {}, "side")
 
 
 def test_root_argument_is_refused_for_urdf() -> None:

@@ -16,9 +16,9 @@ from test_mjcf_loading import SIDE, arm, base, loaded, text, with_warning, write
 
 import pinred
 from pinred import InputError, LoadError, ModelError, PinredError
-from pinred.system.contents import Coupling
 from pinred.system.mjcf import compile as mjcf_compilation
 from pinred.system.mjcf.read import constraints_of
+from pinred.system.robot_file_contents import Coupling
 
 TWO = base(arm("left") + arm("right"))
 # Constraint between left and right, or one of them and the ground; words of the refusal.

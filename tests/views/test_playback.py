@@ -21,7 +21,7 @@ from pinred.views.playback.film import write_frames, write_gif
 from pinred.views.playback.framing import frame
 from pinred.views.playback.playback import Playback, playback
 from pinred.views.playback.shape_panel import shape_panel
-from pinred.views.playback.view import View
+from pinred.views.playback.view_options import View
 
 
 def film(name: str, *, ghost: bool = False, fps: float = 60.0, **scene: Any) -> Playback:

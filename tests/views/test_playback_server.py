@@ -17,7 +17,7 @@ from commands import refused
 import pinred
 from pinred.cli.main import main
 from pinred.views.playback.server import Player, play
-from pinred.views.playback.view import View
+from pinred.views.playback.view_options import View
 
 
 def listeners(port: int) -> set[str]:

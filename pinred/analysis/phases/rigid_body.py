@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from ...common.arrays import Array, freeze, vector
 from ...common.errors import InputError
 from ...lie.rotations import TAU
-from ...reduction.at_a_shape import PointwiseReduction
+from ...reduction.pointwise_reduction import PointwiseReduction
 from ...system.system import System, checked_system
 
 _EDGE = 1e-12  # relative distance below which a motion counts as on the separatrix

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array, freeze, positive
 from ...common.errors import InputError
 from ...common.progress import Progress, shown
-from ...forces.acting import ForceInputs
+from ...forces.force_values import ForceInputs
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.trajectory import Trajectory

@@ -32,7 +32,7 @@ from ...lie.rotations import hat
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.second_derivatives import inertia_derivatives
 from ..equilibria.amended_energy import AmendedEnergy, Points, tangents
-from ..equilibria.problem import Problem
+from ..equilibria.equilibrium_problem import Problem
 from ..equilibria.search import critical_points, residuals
 
 _NULL = 1e-7  # relative to the largest curvature; below it a direction is flat

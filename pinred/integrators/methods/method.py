@@ -8,7 +8,7 @@ from math import ceil, inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...common.arrays import positive
-from ...common.defaults import Default
+from ...common.default_marker import Default
 from ...common.errors import InputError
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from ...common.differences import central_differences
 from ..evaluate import columns_at, evaluate
 from ..machine.native import NativeCode
 from ..validation import require_agreement
-from .form import ConnectionForm
+from .connection_form import ConnectionForm
 
 _TRIALS = 2  # shapes to compare
 _MOST_DRAWS = 100  # random shapes tried until enough of them are regular

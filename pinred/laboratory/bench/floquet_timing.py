@@ -23,7 +23,7 @@ from ...analysis.stability.linearised_flow import without_base
 from ...common.arrays import Array, freeze
 from ...common.progress import Progress, one_by_one
 from ...kernels.derived_code import jacobian_of
-from ...reduction.at_a_shape import PointwiseReduction
+from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of

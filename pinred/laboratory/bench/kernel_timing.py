@@ -12,8 +12,8 @@ import pinocchio as pin
 from ...common.progress import Progress, one_by_one
 from ...kernels.build import build_kernel
 from ...kernels.kernel import Structure
-from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
+from ...reduction.pointwise_reduction import PointwiseReduction
 from ...system.catalogue import has_example_robots
 from ...system.load import load
 from .timing import NoCache, alternating, evaluations, repeated

@@ -14,8 +14,8 @@ from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
 from ...kernels.kernel import Structure
-from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
+from ...reduction.pointwise_reduction import PointwiseReduction
 from .chains import FAMILIES, chain
 from .timing import ROUNDS, NoCache, alternating, evaluations
 

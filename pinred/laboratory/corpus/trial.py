@@ -18,7 +18,7 @@ from ...common.errors import (
     SymmetryError,
 )
 from ...judge.compare import compare
-from ...judge.report import Report, Verdict
+from ...judge.verdict import Report, Verdict
 from ...simulation.simulate import simulate
 from ...system.load import load
 from ...system.mjcf.package import mujoco_package

@@ -12,7 +12,7 @@ from ...analysis.gaits.coefficients import rest_to_rest
 from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array, freeze
 from ...judge.compare import compare
-from ...judge.report import Report
+from ...judge.verdict import Report
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from ...common.defaults import Default
+from ...common.default_marker import Default
 from ...integrators.methods import METHODS, Method, Option, options_of
 from .schema import Either, Key, Node, Table, Tagged, Text, Whole
 from .signal_tables import POSITIVE

@@ -9,7 +9,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.memo import once
-from ...forces.acting import BaseInSpace
+from ...forces.force_values import BaseInSpace
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
 from ...kernels.derived_code import tangent_of, wide_rate

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
-from ...forces.acting import BaseInSpace, ForceInputs
+from ...forces.force_values import BaseInSpace, ForceInputs
 from ...lie.rotations import apply, rotation, unit
 from ...reduction.base_parts import base_parts, into_body, quaternion_rate, root_of
 from ...reduction.canonical_form import CanonicalForm

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from ..contents import LeftOut
 from ..force_interface import Force
 from ..passive import BASE, Damper, Friction, Spring
+from ..robot_file_contents import LeftOut
 from .mujoco_joints import acts_on_joint
 from .package import mujoco_package
 from .tree import Tree

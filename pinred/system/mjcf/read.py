@@ -16,9 +16,9 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import ModelError
 from ...lie.group import Group
-from ..contents import Contents, Coupling, Keyframe
 from ..coupling import locked_by, with_followers
 from ..locked_joints import LockedJoints, Tie
+from ..robot_file_contents import Contents, Coupling, Keyframe
 from .compile import compiled
 from .mujoco_forces import left_out_actions, moving_tendons, passive_forces
 from .mujoco_joints import Joint, joint_of

@@ -24,7 +24,7 @@ from ..motion_source import MotionSource
 from .headless_browser import browser
 from .page import page
 from .playback import frame_times
-from .view import View
+from .view_options import View
 
 SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120

@@ -20,7 +20,7 @@ from .drawn_bodies import Bodies, drawn_bodies
 from .framing import frame
 from .playback import Playback, playback
 from .shape_panel import ShapePanel, shape_panel
-from .view import View
+from .view_options import View
 
 # The page contains the viewer, so it must contain the viewer's licences.
 _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")

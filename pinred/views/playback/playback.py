@@ -19,7 +19,7 @@ from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
-from .view import View
+from .view_options import View
 
 MOST_FRAMES = 100_000
 

@@ -20,7 +20,7 @@ from typing import Any
 from ...common.errors import InputError, OutputError
 from ..motion_source import MotionSource
 from .page import page
-from .view import View
+from .view_options import View
 
 HOST = "127.0.0.1"
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ...analysis.connections.connection import Connection
     from ...analysis.gaits.gait import Gait
     from ...analysis.phases.phase import Phase
-    from ...judge.report import Report
+    from ...judge.verdict import Report
     from ...planning.optimisation.best_gait import BestGait
     from ...planning.reorientation.turn_plan import TurnPlan
     from ...simulation.trajectory import Trajectory

@@ -12,7 +12,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...judge.audit import audit_trajectory
 from ...judge.compare import DRIFT_BOUND, compare
-from ...judge.report import Report
+from ...judge.verdict import Report
 from ...lie.groups import group_named
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory

@@ -15,15 +15,7 @@ from ...integrators.stepping.compiling import compiled
 from ..evaluate import WIDTH, columns_at, evaluate
 from ..machine.native import NativeCode, compile_object, load_object
 from ..object_cache import ObjectCache, cache_key
-from .connection_validation import (
-    validate_column_derivatives,
-    validate_columns,
-    validate_covariant,
-    validate_locked_derivative,
-    validate_slope,
-    validate_velocity,
-)
-from .form import (
+from .connection_form import (
     ConnectionForm,
     column_derivative_graph,
     column_graph,
@@ -31,6 +23,14 @@ from .form import (
     locked_derivative_graph,
     velocity_graph,
     velocity_slope_graph,
+)
+from .connection_validation import (
+    validate_column_derivatives,
+    validate_columns,
+    validate_covariant,
+    validate_locked_derivative,
+    validate_slope,
+    validate_velocity,
 )
 
 _NONE = np.zeros(1)

@@ -17,7 +17,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import ModelError
 from ..common.names import quoted
-from .contents import Coupling
+from .robot_file_contents import Coupling
 
 UNLIMITED = 1.7e308  # position limit that stands for infinity, which the parser does not know
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
