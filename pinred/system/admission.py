@@ -1,9 +1,9 @@
-"""Admission of models: pinred reduces trees with a symmetric root, and refuses others by name.
+"""Admission of models: which models pinred can reduce, and error messages for all others.
 
-A tree has revolute and prismatic joints behind a root that moves in one of the groups.  Refused
-are numbers without meaning (infinite ones, negative masses and moments) and mass matrices that
-are singular at every shape.  Inertias that no real body has, and matrices that are singular at
-single shapes, become doubts.
+pinred reduces trees of revolute and prismatic joints whose root moves in one of the groups.  It
+refuses invalid numbers (infinite values, negative masses or moments) and mass matrices that are
+singular at every shape.  Inertias that no real body has, and mass matrices that are singular at
+isolated shapes, are reported as doubts.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from .joints import axes_of, is_prismatic, is_shape_joint, joint_kind, motion_gr
 from .massless_motions import largest_step, no_moment
 from .singular_mass_matrix import SingularShape, singular_shapes
 
-_UNIT = 1e-9  # tolerance on the length of an axis and on the orthogonality of a rotation
+_UNIT = 1e-9  # tolerance for the unit length of an axis and the orthogonality of a rotation
 _MOST_FREEDOMS = 400
-# Bytes of one work space of Pinocchio, over the cube of the degrees of freedom.
+# Memory of one Pinocchio work space (pin.Data), divided by the cube of the degrees of freedom
+# [byte].
 WORKSPACE_BYTES = 33.0
-_HUGE = 1e100  # kg, kg m², m; products of larger numbers overflow
+_HUGE = 1e100  # largest accepted mass, moment or length [kg, kg m², m]; larger products overflow
 # A flat body satisfies the triangle inequality with equality, up to this relative round-off.
 _TRIANGLE_SLACK = 1e-9
 
@@ -38,8 +39,8 @@ class Admission:
 
     Attributes:
         group: Symmetry group.
-        doubts: Sentences about inertias that no real body has, and about shapes at which the
-            mass matrix is singular.
+        doubts: Warnings, one sentence each, about inertias that no real body has and about
+            shapes at which the mass matrix is singular.
     """
 
     group: Group
@@ -47,16 +48,16 @@ class Admission:
 
 
 def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
-    """Return the symmetry group of a model, and doubts about it.
+    """Check that a model can be reduced; return its symmetry group and doubts about it.
 
     Args:
         model: Model whose joint 1 is the root, with joints in depth-first order.
-        coupled: Dependence of follower joints on the others, if there are followers.
+        coupled: Dependence of follower joints on independent joints; None without followers.
     Returns:
-        Group and doubts.
+        Symmetry group and doubts.
     Raises:
-        ModelError: pinred cannot reduce the model.  The message names the joint or link and the
-            way out.
+        ModelError: pinred cannot reduce the model.  The message names the joint or link at
+            fault and a remedy.
     """
     group = _root_group(model)
     if model.nv > _MOST_FREEDOMS:
@@ -112,7 +113,7 @@ def _admit_shape_joint(model: pin.Model, i: int) -> None:
 
 
 def _admit_geometry(model: pin.Model, i: int) -> None:
-    """Refuse a joint whose axis is not of length one, or whose placement is not finite."""
+    """Refuse a joint whose axis is not a unit vector or whose placement is not finite."""
     name = model.names[i]
     R = model.jointPlacements[i].rotation
     if not np.isfinite(model.jointPlacements[i].homogeneous).all():
@@ -127,7 +128,7 @@ def _admit_geometry(model: pin.Model, i: int) -> None:
 
 
 def _admit_numbers(model: pin.Model, group: Group) -> None:
-    """Refuse gravity or armature that is not finite or breaks the symmetry."""
+    """Refuse gravity and armature that are not finite or that break the symmetry."""
     for name, values in (("gravity", model.gravity.vector), ("armature", model.armature)):
         if not np.isfinite(values).all():
             raise ModelError(f"the model's {name} is not finite: {values}")
@@ -147,7 +148,7 @@ def _admit_numbers(model: pin.Model, group: Group) -> None:
 
 
 def _check_inertias(model: pin.Model, coupled: Coupled | None) -> tuple[str, ...]:
-    """Return doubts about inertias.  Raises ModelError for inertias that cannot be simulated."""
+    """Return doubts about the inertias; raise ModelError for those that cannot be simulated."""
     unit = largest_step(model)
     for i in range(1, model.njoints):
         _check_body(model, i, unit)
@@ -165,7 +166,7 @@ def _check_inertias(model: pin.Model, coupled: Coupled | None) -> tuple[str, ...
 
 
 def _body_words(model: pin.Model, i: int) -> str:
-    """Return a description of the body that joint i moves: its links and the joint."""
+    """Describe the body that joint i moves by its links and its joint, for messages."""
     links = [f.name for f in model.frames if f.parentJoint == i and f.type == pin.FrameType.BODY]
     words = f"link {quoted(links[0])}" if links else "the body"
     if len(links) > 1:
@@ -174,7 +175,7 @@ def _body_words(model: pin.Model, i: int) -> str:
 
 
 def _check_body(model: pin.Model, i: int, unit: float) -> None:
-    """Refuse an inertia that is not finite, negative, or so large that products overflow."""
+    """Refuse an inertia that is infinite, negative, or so large that products overflow."""
     body = model.inertias[i]
     mass, inertia = body.mass, body.inertia
     if not all(np.isfinite(a).all() for a in (mass, inertia, body.lever)):
@@ -198,7 +199,7 @@ def _check_body(model: pin.Model, i: int, unit: float) -> None:
 
 
 def _refusal(model: pin.Model, joints: tuple[str, ...]) -> str:
-    """Return why a model with joints that move no mass at any shape is refused."""
+    """Return the error message for a model with joints that move no mass at any shape."""
     i = model.getJointId(joints[0])
     body, behind = model.inertias[i], len(model.children[i]) > 0
     lacks = "no mass"
@@ -219,7 +220,7 @@ def _refusal(model: pin.Model, joints: tuple[str, ...]) -> str:
 
 
 def _triangle_doubt(model: pin.Model, unit: float) -> str:
-    """Return which bodies break the triangle inequality of moments of inertia, and by how much."""
+    """Describe the bodies whose moments of inertia violate the triangle inequality."""
     bodies = []
     for i in range(1, model.njoints):
         body = model.inertias[i]
@@ -247,10 +248,11 @@ def _nearly_singular_doubt(model: pin.Model, joints: tuple[str, ...]) -> str:
 
 
 def _isolated_shapes_doubt(model: pin.Model, shapes: tuple[SingularShape, ...]) -> str:
-    """Return at which single shapes joints move no mass."""
+    """Describe the isolated shapes at which a joint moves no mass."""
     if not shapes:
         return ""
-    values: dict[tuple[str, str], list[str]] = {}  # values of the last joint, for joint and others
+    # Group shapes that differ only in the value of the last deciding joint.
+    values: dict[tuple[str, str], list[str]] = {}
     for shape in shapes:
         *others, last = [_joint_value_words(model, *entry) for entry in shape.at.items()]
         name, _, value = last.rpartition(" = ")

@@ -1,10 +1,10 @@
 """Inertial parameters of bodies by name, such as "hand.mass".
 
-A body consists of all links that are fixed to each other, and moves with one joint.  Each of its
-links, and its joint, can name it.  Values are in the frame of the joint.
+A body consists of all links that are fixed to each other, and moves with one joint.  The body can
+be named after any of its links or after its joint.  Values are in the frame of the joint.
 
-Mass, centre of mass and moments about it vary independently: any positive mass with any centre
-is physical, and moments are checked.  The ten log-Cholesky parameters need no check (C. Rucker,
+Mass, centre of mass and moments about the centre vary independently.  Any positive mass with any
+centre is physical; moments are validated.  Log-Cholesky parameters are always physical (C. Rucker,
 P. Wensing, Smooth parameterization of rigid-body inertia, IEEE Robotics and Automation Letters 7
 (2022) 2771–2778).
 """
@@ -27,11 +27,11 @@ from .system import System
 SIZES = {
     "mass": 1, "com": 3, "inertia": 6, "payload.mass": 1, "payload.at": 3, "log_cholesky": 10,
 }  # fmt: skip
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of moments xx, xy, xz, yy, yz, zz
-# Position of our moments among Pinocchio's dynamic parameters, whose order is xx, xy, yy, xz, yz,
-# zz.  The map is its own inverse.
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # entries xx, xy, xz, yy, yz, zz
+# Permutation from pinred's order of moments to that of Pinocchio's dynamic parameters (xx, xy, yy,
+# xz, yz, zz).  The permutation is its own inverse.
 _TO_PINOCCHIO = [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]
-# Least eigenvalue of a pseudo-inertia, over the largest one, that counts as round-off.
+# Eigenvalues of a pseudo-inertia below this fraction of the largest one count as round-off.
 _LEAST = 1e-12
 
 
@@ -42,7 +42,7 @@ class BodyParameter:
     Attributes:
         name: Name of the parameter.
         body: Index of the body, 0 for the root.
-        kind: One of SIZES.
+        kind: Kind of parameter, a key of SIZES.
     """
 
     name: str
@@ -56,7 +56,7 @@ class BodyParameter:
 
 
 def body_parameter(system: System, name: str) -> BodyParameter | None:
-    """Return the body parameter with a name, or None if the name has another form.
+    """Return the body parameter that a name denotes, or None if the name has another form.
 
     Raises:
         InputError: The body is unknown.
@@ -76,7 +76,7 @@ def body_parameter(system: System, name: str) -> BodyParameter | None:
 
 
 def body_names(system: System) -> dict[str, int]:
-    """Return the bodies by the names of their links and joints; links take precedence."""
+    """Return {name of link or joint: body index}; link names take precedence."""
     model = system.model
     joints = {str(model.names[i]): i - 1 for i in range(1, model.njoints)}
     links = [f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0]
@@ -88,24 +88,25 @@ class Bodies:
 
     Attributes:
         parameters: Body parameters, in the order of their names.
-        free: Indices of the bodies that they change, sorted.
+        free: Indices of the bodies that the parameters change, sorted.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Find the body parameters among names.
+        """Select the body parameters from a list of names.
 
         Args:
             system: Robot.
             names: Names of parameters of all kinds.
         Raises:
-            InputError: Two of them describe the same property of a body.
+            InputError: Two parameters set the same property of a body.
         """
         self._system = system
         parameters = [body_parameter(system, name) for name in names]
         self.parameters = tuple(entry for entry in parameters if entry is not None)
         self.free = tuple(sorted({entry.body for entry in self.parameters}))
         self._body_of = {entry.name: entry.body for entry in self.parameters}
-        self._names: dict[int, dict[str, str]] = {body: {} for body in self.free}  # by kind
+        # {body: {kind: name of the parameter}}
+        self._names: dict[int, dict[str, str]] = {body: {} for body in self.free}
         self._nominal: dict[tuple[int, str], Array] = {}
         self._last: dict[int, tuple[list[Array], tuple[Array, dict[str, Array]]]] = {}
         for entry in self.parameters:
@@ -124,23 +125,24 @@ class Bodies:
                 )
 
     def own(self) -> dict[str, Array]:
-        """Return the values of the system, {name: (size,)}."""
+        """Return the present values of the parameters in the system, {name: (size,)}."""
         return {entry.name: _value(self._body(entry), entry.kind) for entry in self.parameters}
 
     def changed_by(self, names: Iterable[str]) -> list[int]:
-        """Return the bodies that parameters change, sorted."""
+        """Return the indices of the bodies that these parameters change, sorted."""
         return sorted({self._body_of[name] for name in names if name in self._body_of})
 
     def dynamic(self, body: int, values: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
-        """Compute mass, first and second moments of a body about its joint's origin.
+        """Compute mass, first and second moments of a body about the origin of its joint.
 
-        The last result is cached by the identity of the values, if they are read-only.
+        If the value arrays are read-only, the last result is cached by the identity of the arrays.
 
         Args:
             body: Index of the body.
             values: Values of all parameters, {name: (size,)}.
         Returns:
-            (10,): m, m c, then xx, xy, xz, yy, yz, zz; and derivatives, {name: (10, size)}.
+            Moments, (10,): mass m, first moment m c, then second moments xx, xy, xz, yy, yz, zz;
+            and their derivatives with respect to the parameters, {name: (10, size)}.
         Raises:
             InputError: The values are not physical.
         """
@@ -211,7 +213,7 @@ class Bodies:
         return values
 
     def _nominal_value(self, body: int, kind: str) -> Array:
-        """Return the value of a kind for a body of the system, from the cache."""
+        """Return the cached nominal value of one kind of parameter for a body."""
         if (body, kind) not in self._nominal:
             inertia = self._system.model.inertias[body + 1]
             self._nominal[body, kind] = read_only(_value(inertia, kind))
@@ -222,9 +224,9 @@ class Bodies:
 
 
 def numbers(value: Any, name: str, size: int) -> Array:
-    """Return a copy of a parameter's value as an array (size,).
+    """Return a parameter's value as a new array, (size,).
 
-    Raises ShapeError, naming the parameter, for another length or type.
+    Raises ShapeError with the name of the parameter if the length or type is wrong.
     """
     if type(value) is np.ndarray and value.shape == (size,) and value.dtype == float:
         copied: Array = value.copy()
@@ -235,12 +237,12 @@ def numbers(value: Any, name: str, size: int) -> Array:
 
 
 def inertia_of(moments: Array) -> pin.Inertia:
-    """Return the inertia with (10,) moments about the joint's origin."""
+    """Convert moments about the joint's origin, (10,), to a Pinocchio inertia."""
     return pin.Inertia.FromDynamicParameters(moments[_TO_PINOCCHIO])
 
 
 def _value(body: pin.Inertia, kind: str) -> Array:
-    """Return the value of a kind for a body."""
+    """Compute the value of one kind of parameter from a body's inertia."""
     if kind == "mass":
         return np.array([body.mass])
     if kind == "com":
@@ -262,7 +264,7 @@ def _value(body: pin.Inertia, kind: str) -> Array:
 
 
 def _log_cholesky(J: Array) -> Array:
-    """Return Pinocchio's log-Cholesky parameters (10,) of a pseudo-inertia (4, 4), J = U Uᵀ."""
+    """Compute Pinocchio's log-Cholesky parameters, (10,), of a pseudo-inertia J = U Uᵀ, (4, 4)."""
     U = np.linalg.cholesky(J[::-1, ::-1])[::-1, ::-1]
     scaled = U / U[3, 3]
     diagonal = np.log(np.append(U[3, 3], np.diag(scaled)[:3]))
@@ -270,7 +272,7 @@ def _log_cholesky(J: Array) -> Array:
 
 
 def _point_moments(m: float, c: Array) -> tuple[Array, Array, Array]:
-    """Return the moments (10,) of a point mass m at c, and derivatives (10,) and (10, 3)."""
+    """Return moments, (10,), of a point mass m at c, and derivatives by m (10,) and c (10, 3)."""
     x, y, z = c.tolist()
     by_mass = np.array(
         [1.0, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]

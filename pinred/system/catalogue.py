@@ -1,4 +1,4 @@
-"""Robots that can be loaded by name: bundled ones, and those of example-robot-data."""
+"""Robots that can be loaded by name: bundled robots, and robots of example-robot-data."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ INSTALL_ROBOTS = 'pip install "pinred[robots]"'
 
 @dataclass(frozen=True)
 class BundledRobot:
-    """One entry of robots/robots.toml.
+    """A robot that is bundled with pinred: one entry of robots/robots.toml.
 
     Attributes:
         name: Name of the robot.
-        path: Its URDF file.
+        path: Path of its URDF file.
         group: Name of its symmetry group.
-        description: One line about it.
+        description: Description of the robot in one line.
         gravity: Gravity in the world frame, (3,) [m/s²].
-        initial: x, xdot, xi and duration of a generic initial state.
+        initial: Generic initial state, with the keys x, xdot, xi and duration.
         closed_form: Results that are known in closed form.
-        source: Publication of the problem.
+        source: Publication that describes the problem.
     """
 
     name: str
@@ -44,9 +44,9 @@ class ExampleRobot:
     """A robot of example-robot-data.
 
     Attributes:
-        urdf: Its URDF file.
-        rotors: SRDF file with its rotor inertias, if it has one.
-        build: Loader of the model, if the URDF alone is not enough; it reads meshes.
+        urdf: Path of its URDF file.
+        rotors: SRDF file with the rotor inertias, if the robot has one.
+        build: Loader of the model, if the URDF file alone is not enough; the loader reads meshes.
     """
 
     urdf: Path
@@ -78,7 +78,7 @@ def has_example_robots() -> bool:
 
 
 def example_robots() -> tuple[str, ...]:
-    """Return the names in example-robot-data, or none if it is not installed."""
+    """Return the names of the robots in example-robot-data; empty if it is not installed."""
     return tuple(sorted(_loaders())) if has_example_robots() else ()
 
 

@@ -1,4 +1,7 @@
-"""Points and velocities of Q = G × B, and their coordinates in Pinocchio's q and v."""
+"""Points and velocities of the configuration manifold Q = G × B (group × shape space).
+
+The module also converts their coordinates to Pinocchio's q and v.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ Indices: TypeAlias = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class InitialState:
-    """A generic initial state, with the time over which its motion is interesting.
+    """A generic initial state, with a duration that shows its typical motion.
 
     Attributes:
         x: Shape, (m,) [rad | m].
@@ -35,7 +38,7 @@ class InitialState:
 
 @dataclass(frozen=True)
 class Configuration:
-    """A point of Q = G × B.
+    """A point of the configuration manifold Q = G × B.
 
     Attributes:
         pose: Pose of the base, (..., size).
@@ -48,7 +51,7 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Velocity:
-    """A velocity on Q = G × B.
+    """A velocity on the configuration manifold Q = G × B.
 
     Attributes:
         xi: Body twist of the base [linear; angular], (..., r).
@@ -61,13 +64,13 @@ class Velocity:
 
 @dataclass(frozen=True, eq=False)
 class CoordinateMap:
-    """Positions of the coordinates y = (pose, x of all joints) in Pinocchio's q.
+    """Map between the coordinates y = (pose, x of all joints) and Pinocchio's q.
 
     Attributes:
-        plain: Coordinates that q holds unchanged, as indices in y.
-        plain_q: Their indices in q.
-        angle: Angles that q holds as cosine and sine, as indices in y.
-        angle_q: Indices of their cosines in q.  Each sine follows its cosine.
+        plain: Indices in y of the coordinates that q stores unchanged.
+        plain_q: Indices in q of the same coordinates.
+        angle: Indices in y of the angles that q stores as cosine and sine.
+        angle_q: Indices in q of the cosines of these angles.  Each sine follows its cosine.
     """
 
     plain: Indices
@@ -76,7 +79,7 @@ class CoordinateMap:
     angle_q: Indices
 
     def to_q(self, y: Array) -> Array:
-        """Return q (..., nq) for y."""
+        """Convert coordinates y to Pinocchio's q, (..., nq)."""
         q = np.empty((*y.shape[:-1], len(self.plain) + 2 * len(self.angle)))
         q[..., self.plain_q] = y[..., self.plain]
         q[..., self.angle_q] = np.cos(y[..., self.angle])
@@ -84,16 +87,16 @@ class CoordinateMap:
         return q
 
     def from_q(self, q: Array) -> Array:
-        """Return y for q (..., nq), with angles in (−π, π]."""
+        """Convert Pinocchio's q, (..., nq), to y, with angles in (−π, π]."""
         y = np.empty((*q.shape[:-1], len(self.plain) + len(self.angle)))
         y[..., self.plain] = q[..., self.plain_q]
-        # −0.0 + 0.0 is 0.0, so half a turn is π and not −π.
+        # Adding 0.0 turns −0.0 into 0.0, so that half a turn is π and not −π.
         y[..., self.angle] = np.arctan2(q[..., self.angle_q + 1] + 0.0, q[..., self.angle_q])
         return y
 
 
 def coordinate_map(model: pin.Model, group: Group) -> CoordinateMap:
-    """Return the positions of pose and joint values in q of a model on a root of `group`."""
+    """Return the map between pose and joint values and q, for a model with root `group`."""
     plain = [(k, k) for k in range(group.size)]  # pairs of indices in y and in q
     angle: list[tuple[int, int]] = []
     if model.joints[1].nq > group.size:
@@ -107,11 +110,11 @@ def coordinate_map(model: pin.Model, group: Group) -> CoordinateMap:
 
 @dataclass(frozen=True, eq=False)
 class JointOrder:
-    """Positions of the original q and v in those of a model with reordered joints.
+    """Indices that convert q and v between the original and the reordered joint order.
 
     Attributes:
-        q: Index in the new q of every entry of the original q, (nq,).
-        v: Index in the new v of every entry of the original v, (nv,).
+        q: Index in the reordered q of every entry of the original q, (nq,).
+        v: Index in the reordered v of every entry of the original v, (nv,).
     """
 
     q: Indices
@@ -119,7 +122,7 @@ class JointOrder:
 
 
 def reordered(model: pin.Model, order: list[int]) -> tuple[pin.Model, JointOrder]:
-    """Return a model with its joints in another order, and the positions of its q and v."""
+    """Return a copy of a model with reordered joints, and the indices that convert q and v."""
     new = rebuild(model, order=order)
     q: list[int] = []
     v: list[int] = []

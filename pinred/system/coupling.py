@@ -1,9 +1,9 @@
-"""Coupled joints, which follow others in proportion: x = G y + b.
+"""Coupled joints: follower joints whose values are affine in independent joints, x = G y + b.
 
-Every follower joint in a file, directly or through other followers, is ratio · y + offset with
-one independent joint y.  The shape consists of the independent joints y alone.  In them the mass
-matrix is GᵀHG and forces are Gᵀf, exactly.  Each row of G has one nonzero entry, so G is stored
-as the lists `of` and `ratio`.
+Every follower in a file equals ratio · y + offset for one independent joint y, perhaps through
+other followers.  The shape consists of the independent joints y alone.  In these coordinates the
+mass matrix is exactly GᵀHG and forces are Gᵀf.  Each row of G has one nonzero entry, so G is
+stored as the arrays `of` (column) and `ratio` (entry).
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from ..common.errors import InputError, ModelError
 from ..common.names import listed, quoted
 from .robot_file_contents import Coupling
 
-_SAME = 1e-9  # tolerance on the locked value of a follower against its leader's [rad | m]
+_SAME = 1e-9  # tolerance between a follower's locked value and the value of its coupling [rad | m]
 
 
 @dataclass(frozen=True, eq=False)
 class Coupled:
-    """All M joints of a tree as functions of the m independent ones.  Arrays are read-only.
+    """All M joints of a tree as functions of the m independent joints.  Arrays are read-only.
 
     Attributes:
-        leads: Numbers of the independent joints among all joints, (m,).
-        of: Independent joint that each joint follows, (M,), as an index in `leads`.  An
-            independent joint follows itself.
-        ratio: Ratios, (M,), in x = ratio · y[of] + offset.
-        offset: Offsets, (M,) [rad | m].
+        leads: Indices of the independent joints among all joints, (m,).
+        of: For each joint, the index in `leads` of the independent joint that it follows, (M,).
+            An independent joint follows itself.
+        ratio: Ratio of each joint, (M,), in x = ratio · y[of] + offset.
+        offset: Offset of each joint, (M,) [rad | m].
     """
 
     leads: NDArray[np.intp]
@@ -43,23 +43,23 @@ class Coupled:
         freeze(self)
 
     def values(self, y: Array) -> Array:
-        """Return the values (..., M) of all joints for those of the independent ones (..., m)."""
+        """Compute the values of all joints, (..., M), from independent joint values y, (..., m)."""
         return np.asarray(y[..., self.of] * self.ratio + self.offset)
 
     def rates(self, v: Array, r: int) -> Array:
-        """Return the velocity (..., r + M) of all joints for v (..., r + m)."""
+        """Compute velocities of root and all joints, (..., r + M), for v = (ξ, ẏ) (..., r + m)."""
         return np.concatenate([v[..., :r], v[..., r:][..., self.of] * self.ratio], axis=-1)
 
     def forces(self, f: Array, r: int) -> Array:
-        """Return Gᵀf, (..., r + m), for forces (..., r + M)."""
+        """Project forces f on all joints, (..., r + M), to Gᵀf, (..., r + m)."""
         return self._summed(f, r, self.ratio)
 
     def sizes(self, f: Array, r: int) -> Array:
-        """Return |G|ᵀ|f|, (..., r + m), the magnitude of the terms of Gᵀf, for |f| (..., r + M)."""
+        """Return |G|ᵀ|f|, (..., r + m): the size of the terms in Gᵀf, for |f|, (..., r + M)."""
         return self._summed(f, r, np.abs(self.ratio))
 
     def matrix(self, H: Array, r: int) -> Array:
-        """Return GᵀHG, (..., r + m, r + m), for a matrix (..., r + M, r + M)."""
+        """Project a matrix H over all joints, (..., r + M, r + M), to GᵀHG, (..., r + m, r + m)."""
         HG = self.forces(np.swapaxes(H, -1, -2), r)
         return self.forces(np.swapaxes(HG, -1, -2), r)
 
@@ -70,17 +70,17 @@ class Coupled:
 
 
 def coupled(joints: Sequence[str], couplings: Sequence[Coupling], root: str = "") -> Coupled | None:
-    """Return all joints as functions of the independent ones, or None without couplings.
+    """Return all joints as functions of the independent joints, or None without couplings.
 
     Args:
         joints: Names of all joints behind the root, (M,).
         couplings: Couplings in the file.
         root: Name of the root joint, whose motion is the symmetry.
     Returns:
-        The joints.
+        All joints as functions of the independent joints.
     Raises:
-        ModelError: A leader is unknown, followers form a circle, or a joint follows two others.
-            The message names the joints and the way out.
+        ModelError: A leader is unknown, followers form a cycle, or a joint follows two others.
+            The message names the joints and a remedy.
     """
     if not couplings:
         return None
@@ -99,16 +99,16 @@ def coupled(joints: Sequence[str], couplings: Sequence[Coupling], root: str = ""
 def resolved(
     couplings: Sequence[Coupling], joints: Sequence[str], root: str = ""
 ) -> dict[str, Coupling]:
-    """Return the coupling of each follower with an independent joint.
+    """Rewrite the coupling of each follower so that its leader is an independent joint.
 
     Args:
         couplings: Couplings in the file.
         joints: Names of all joints behind the root.
         root: Name of the root joint.
     Returns:
-        {follower: coupling}.
+        Couplings whose leaders are independent joints, {follower: coupling}.
     Raises:
-        ModelError: As of `coupled`.
+        ModelError: The couplings are not valid (see `coupled`).
     """
     direct: dict[str, Coupling] = {}
     for coupling in couplings:
@@ -124,7 +124,7 @@ def resolved(
 
 
 def _check(coupling: Coupling, joints: Sequence[str], root: str) -> None:
-    """Refuse a coupling of unknown joints, or with numbers that are not finite."""
+    """Refuse a coupling whose joints are unknown or whose numbers are not finite."""
     follower, leader = quoted(coupling.follower), quoted(coupling.leader)
     if coupling.follower == root:
         raise ModelError(
@@ -150,7 +150,7 @@ def _check(coupling: Coupling, joints: Sequence[str], root: str) -> None:
 
 
 def _with_independent(coupling: Coupling, direct: Mapping[str, Coupling]) -> Coupling:
-    """Return the coupling of a follower with an independent joint."""
+    """Replace the leader of a coupling by the independent joint that the leader follows."""
     ratio, offset, leader = coupling.ratio, coupling.offset, coupling.leader
     path = [coupling.follower]
     while leader in direct:
@@ -168,19 +168,20 @@ def _with_independent(coupling: Coupling, direct: Mapping[str, Coupling]) -> Cou
 def with_followers(
     lock: Mapping[str, float], couplings: Sequence[Coupling], joints: Sequence[str]
 ) -> tuple[dict[str, float], tuple[Coupling, ...]]:
-    """Return locks that include all followers of locked joints, and the remaining couplings.
+    """Add the followers of locked joints to the locks; return them and the remaining couplings.
 
-    A follower whose leader is unknown may be locked.
+    A follower whose leader is not a joint of the tree may be locked on its own.
 
     Args:
         lock: Values of locked joints [rad | m].
         couplings: Couplings in the file.
         joints: Names of all joints.
     Returns:
-        Values of all locked joints, and couplings of joints that move.
+        Values of all locked joints, {joint: value}, and the couplings of joints that move.
     Raises:
-        InputError: A follower is locked without its leader, or at another value than it follows.
-        ModelError: A leader is unknown, or followers form a circle.
+        InputError: A follower is locked without its leader, or at a value that violates its
+            coupling.
+        ModelError: A leader is unknown, or followers form a cycle.
     """
     values = dict(lock)
     active = [c for c in couplings if c.leader in joints or c.follower not in lock]
@@ -218,12 +219,14 @@ def with_followers(
 def locked_by(
     lock: Mapping[str, float], couplings: Sequence[Coupling], joints: Sequence[str]
 ) -> dict[str, Coupling]:
-    """Return the couplings of locked joints that follow a locked joint, by follower.
+    """Return the couplings between locked joints, {follower: coupling}.
 
     Args:
         lock: Values of locked joints [rad | m].
         couplings: Couplings in the file.
         joints: Names of all joints.
+    Returns:
+        Couplings whose follower and leader are both locked, by follower.
     """
     active = [c for c in couplings if c.leader in joints and c.follower in joints]
     if not any(c.leader in lock for c in active):
@@ -233,7 +236,7 @@ def locked_by(
 
 
 def following(name: str, couplings: Sequence[Coupling]) -> str:
-    """Return words on the joint that a joint follows; "" if it follows none."""
+    """Describe the coupling of a follower joint; return "" for an independent joint."""
     for coupling in couplings:
         if coupling.follower == name:
             return f"joint '{name}' follows '{coupling.leader}' ({coupling})"

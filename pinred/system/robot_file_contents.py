@@ -1,4 +1,4 @@
-"""The origin of a robot, and the contents of its file besides bodies and joints."""
+"""The source of a robot, and the contents of its file other than bodies and joints."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ class Origin:
 
     Attributes:
         source: Name of the robot, or absolute path of its file.
-        lock: Locked joints with their values [rad | m].
+        lock: Values of the locked joints, {joint: value} [rad | m].
         root: Body of an MJCF file that was chosen as the root, if any.
-        meshes: Folders in which meshes are looked for, besides those above the file.
+        meshes: Additional folders in which meshes are searched; the folders above the file are
+            always searched.
     """
 
     source: str
@@ -33,7 +34,7 @@ class Origin:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A named state in a file.  The arrays are read-only.
+    """A named state in a robot file.  The arrays are read-only.
 
     Attributes:
         pose: Pose of the base, (size,).
@@ -57,13 +58,13 @@ class Keyframe:
 class Coupling:
     """A joint that follows another: x_follower = ratio · x_leader + offset.
 
-    Coordinates are shape coordinates, not displacements from a reference position.
+    Both x are shape coordinates, not displacements from a reference position.
 
     Attributes:
-        follower: Name of the joint that follows.
-        leader: Name of the joint that it follows.
-        ratio: Ratio of the rates.
-        offset: Value of the follower where the leader is at zero [rad | m].
+        follower: Name of the follower joint.
+        leader: Name of the joint that the follower follows.
+        ratio: Ratio of the follower's rate to the leader's rate.
+        offset: Value of the follower when the leader is at zero [rad | m].
     """
 
     follower: str
@@ -78,7 +79,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Actions of one kind in a file that are not part of the reduction.
+    """Actions of one kind in a robot file that pinred does not simulate.
 
     Attributes:
         what: Kind of action, such as "actuators".
@@ -94,16 +95,17 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Contents:
-    """Contents of a file besides bodies and joints.
+    """Contents of a robot file other than bodies and joints.
 
     Attributes:
         left_out: Actions that are not simulated, by kind.
-        passive: Springs, dampers and dry friction at shape joints.  A scene switches them on.
+        passive: Springs, dampers and dry friction at shape joints.  They act only in
+            scenes with passive=True.
         keyframes: Named states.
-        couplings: Joints that follow others.
-        freed: Name of the body that the file fixes to the world and that floats here, or "".
-        visuals: Shapes to draw that were passed in along with the model.
-        locked: Joints that were locked, if any.
+        couplings: Couplings of follower joints to their leaders.
+        freed: Name of a body that the file fixes to the world but that floats in pinred, or "".
+        visuals: Shapes for playback that were passed to `load` together with the model.
+        locked: The locked joints; None if no joint was locked.
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -121,6 +123,6 @@ class Contents:
 
 
 def shortened(names: tuple[str, ...], most: int = 6) -> str:
-    """Return names in a list that ends after the first `most`, with the total count."""
+    """Return a list of names in words; after the first `most` names only the total count."""
     shown = ", ".join(map(plain, names[:most]))
     return shown if len(names) <= most else f"{shown}, … ({len(names)} in all)"
