@@ -1,5 +1,5 @@
-"""Machine code for one robot and structure: expressions, compilation, validation, cache.
+"""Kernels: the reduced equations of a robot as validated, cached machine code.
 
-A kernel depends on a Structure instead of a Scene.  This package imports `integrators`, `forces`
-and the packages below them.
+A kernel depends on a Structure, which many Scenes share, and not on a Scene.  This package imports
+`integrators`, `forces` and the packages below them.
 """

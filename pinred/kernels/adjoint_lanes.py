@@ -1,10 +1,11 @@
-"""The adjoint of a vector field with identical branches in SIMD lanes, by a backward sweep.
+"""Reverse-mode derivative of a vector field whose identical branches are in SIMD lanes.
 
-CasADi's reverse mode does not support the marks of lanes.  This sweep visits every instruction
-from the last to the first and propagates the adjoint of its value to its operands, in lanes where
-the instruction is in lanes.  Adjoints that a single number receives from lanes are summed over the
-lanes once, at its end.  A number extracted from a lane returns its adjoint to that lane, and a sum
-passes its adjoint to all lanes.
+CasADi's reverse mode does not support the symbols that represent lane operations (`Mark`).  This
+backward sweep visits every instruction from the last to the first, and propagates the adjoint of
+the result to the operands.  Instructions on values in lanes are propagated in lanes.  If lanes
+contribute to the adjoint of a scalar, their contributions are summed once, when the sweep reaches
+the scalar.  The adjoint of a number extracted from a lane is added to that lane, and the adjoint
+of a sum over lanes is added to all lanes.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ from ..reduction.tree.scalars import Scalar, add, mul
 
 @dataclass
 class _Node:
-    """A value of the instruction sequence, one number or several in lanes.
+    """A node of the computational graph: a scalar, or a value with one number per lane.
 
     Attributes:
-        value: Expression.
+        value: CasADi expression of the value.
         width: Number of lanes.
         parents: Operands, with the derivative of the value with respect to each.
-        mark: The mark that created the value, or None.
-        adjoint: Adjoint accumulated so far.
-        from_lanes: Adjoint of a single number that is still distributed over lanes.
+        mark: The lane operation that created the value, or None for an ordinary operation.
+        adjoint: Sum of the adjoint contributions received so far.
+        from_lanes: Adjoint contributions to a scalar that are not yet summed over the lanes.
         lanes: Number of lanes of `from_lanes`.
-        from_extracts: Adjoints of single lanes that were extracted from the value.
+        from_extracts: Adjoint of each number that was extracted from a lane of this value.
     """
 
     value: Scalar
@@ -44,15 +45,17 @@ class _Node:
 
 
 def adjoint_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: str) -> ca.Function:
-    """Build the adjoint of a vector field whose identical branches are in lanes.
+    """Build the reverse-mode derivative of a vector field with identical branches in lanes.
 
     Args:
-        rate: Vector field (y, parameters, symbols) → (operands, ẏ), built by other Lanes.
-        marks: Marks of `rate`.
-        lanes: Lanes that mark the adjoint.
-        name: Name of the adjoint.
+        rate: Vector field (y, parameters, symbols) → (operands, ẏ), built with another Lanes
+            object.
+        marks: Lane operations of `rate`, one per symbol.
+        lanes: Lanes object that receives the lane operations of the adjoint.
+        name: Name of the adjoint Function.
     Returns:
-        Function (y, parameters, λ) → derivatives of λᵀ ẏ with respect to y, then parameters.
+        Function (y, parameters, λ) → derivatives of λᵀ ẏ with respect to y, followed by those
+        with respect to the parameters.
     """
     y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))
     covector = ca.SX.sym("l", rate.numel_out(1))
@@ -69,11 +72,11 @@ def adjoint_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: s
 def _record(
     rate: ca.Function, marks: list[Mark], lanes: Lanes, y: ca.SX, p: ca.SX
 ) -> tuple[list[_Node], dict[tuple[int, int], _Node], dict[int, _Node]]:
-    """Return all nodes in order, the input nodes, and the output nodes by row."""
+    """Return all nodes in execution order, the input nodes, and the output nodes by row."""
     tape: list[_Node] = []
     inputs: dict[tuple[int, int], _Node] = {}
     outputs: dict[int, _Node] = {}
-    registers: dict[int, _Node] = {}  # contents at the current instruction
+    registers: dict[int, _Node] = {}  # node currently stored in each register
     marked: list[_Node] = []
     operands: list[_Node] = []
     for k in range(rate.n_instructions()):
@@ -115,7 +118,7 @@ def _operation_node(op: int, parents: list[_Node]) -> _Node:
 
 
 def _local_derivatives(op: int, values: list[ca.SX]) -> list[Scalar]:
-    """Return the derivatives of an operation by its operands, constants as floats."""
+    """Return the derivative of an operation with respect to each operand; constants are floats."""
     if op not in _RULES:
         symbols = [ca.SX.sym("a"), ca.SX.sym("b")][: len(values)]
         result = ca.SX.unary(op, *symbols) if len(values) == 1 else ca.SX.binary(op, *symbols)
@@ -126,7 +129,7 @@ def _local_derivatives(op: int, values: list[ca.SX]) -> list[Scalar]:
     return [float(entry) if entry.is_constant() else entry for entry in derivatives]
 
 
-_RULES: dict[int, ca.Function] = {}  # derivatives of each operation
+_RULES: dict[int, ca.Function] = {}  # by operation code: its partial derivatives
 
 
 def _mark_node(mark: Mark, operands: list[_Node], lanes: Lanes) -> _Node:

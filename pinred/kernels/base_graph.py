@@ -1,4 +1,4 @@
-"""The base in the reduced graph: symbols, momentum and rates (see base_parts.py)."""
+"""CasADi expressions for the base: its symbols, momentum and rates (see base_parts.py)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ..system.system import System
 
 @dataclass(frozen=True)
 class FullBase:
-    """The full state of the base, as in State.
+    """CasADi expressions for the base fields of State.
 
     Attributes:
-        pose: Pose.
-        xi: Body twist.
-        body_momentum: Body momentum.
-        spatial_momentum: Spatial momentum.
+        pose: Pose coordinates, (size,).
+        xi: Body twist, (r,).
+        body_momentum: Body momentum, (r,).
+        spatial_momentum: Spatial momentum, (r,).
         energy: Kinetic and potential energy of the centre-of-mass motion.
     """
 
@@ -31,15 +31,15 @@ class FullBase:
 
 
 class BaseGraph:
-    """The base of one system as expressions.
+    """CasADi expressions for the state and the rates of the base of one system.
 
     Attributes:
         parts: Numbers of integrated and constant entries (see BaseParts).
-        attitude: Angle or quaternion.
-        down: Direction of gravity in the body frame.
+        attitude: Angle or quaternion of the base.
+        down: Unit vector of gravity in the body frame.
         momentum: Angular momentum in the body frame, about the centre of mass.
         push: Displacement and momentum of the centre of mass caused by a wrench.
-        b: All integrated entries of the base, in this order.
+        b: All integrated entries of the base, in the order of the attributes above.
         spin: Constant angular momentum in the fixed frame.
     """
 
@@ -131,17 +131,17 @@ class BaseGraph:
         return rates
 
     def along(self, com: Vec) -> list[Scalar]:
-        """Return the components of the centre of mass along the group's translations, (k,)."""
+        """Return the components (k,) of the centre of mass along the group's translations."""
         axes = self._root.axes.T.tolist()
         return [dot(axis, com) for axis in axes]
 
     def about(self, com: Vec, wrench: list[Scalar]) -> list[Scalar]:
-        """Return the angular part about the centre of mass, N − c × F, of a wrench or momentum."""
+        """Return the angular part N − c × F of a wrench or momentum about the centre of mass c."""
         moment = self._moment(com, wrench[: self._k])
         return [sub(a, b) for a, b in zip(wrench[self._k :], moment, strict=True)]
 
     def turned_angular(self, v: list[Scalar]) -> list[Scalar]:
-        """Rotate an angular part to the fixed frame."""
+        """Rotate the angular part of a twist or momentum from the body to the fixed frame."""
         return rotated(self.attitude, v, 1.0) if len(v) == 3 else list(v)
 
     def full(
@@ -180,23 +180,23 @@ class BaseGraph:
         )
 
     def _in_space(self, v: list[Scalar]) -> Vec:
-        """Return a linear part, (k,), as a vector of three components."""
+        """Return the linear part (k,) of a twist or momentum as a vector in space, (3,)."""
         vector: Vec = [0.0, 0.0, 0.0]
         for axis, entry in zip(self._group.axes, v, strict=False):
             vector[axis] = entry
         return vector
 
     def _moment(self, c: Vec, P: list[Scalar]) -> list[Scalar]:
-        """Return the moment c × P about the group's axes, for c (3,) and P (k,)."""
+        """Return the components of c × P about the group's rotation axes; c is (3,), P is (k,)."""
         moment = cross(c, self._in_space(P))
         return [moment[axis - 3] for axis in self._group.axes[self._k :]]
 
     def _to_body(self, v: list[Scalar]) -> list[Scalar]:
-        """Rotate an angular part, or any (3,), to the body frame."""
+        """Rotate an angular part, or any vector (3,), from the fixed to the body frame."""
         return rotated(self.attitude, v, -1.0) if len(v) == 3 else list(v)
 
     def turned(self, v: list[Scalar]) -> list[Scalar]:
-        """Rotate a linear part to the fixed frame."""
+        """Rotate the linear part of a twist or momentum from the body to the fixed frame."""
         if self._group.plane:
             *normal, x, y = v
             c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])
@@ -204,7 +204,7 @@ class BaseGraph:
         return self.turned_angular(v) if self._group.turns == 3 else list(v)
 
     def _linear_to_body(self, v: list[Scalar]) -> list[Scalar]:
-        """Rotate a linear part to the body frame."""
+        """Rotate the linear part of a twist or momentum from the fixed to the body frame."""
         if self._group.plane:
             *normal, x, y = v
             c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])

@@ -1,4 +1,4 @@
-"""Construction of kernels: load from the cache by the digest of the model, or compile; validate."""
+"""Construction of kernels: load machine code from the cache or compile it, then validate it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
 
     Args:
         system: The system.
-        freed: Variable parameters; their values do not enter the digest.
+        freed: Variable parameters.  Their values are excluded from the digest, because they are
+            inputs of the kernel.
     Returns:
         The SHA-256 digest.
     """
@@ -43,7 +44,8 @@ def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
             digest.update(model.jointPlacements[i].homogeneous.tobytes())
         if i - 1 not in freed.inertias:
             digest.update(np.concatenate([[Y.mass], Y.lever, Y.inertia.ravel()]).tobytes())
-        digest.update(np.asarray(joint.createData().S).tobytes())  # axes of unaligned joints
+        # The motion axis of a joint that is not aligned with x, y or z is not part of its type.
+        digest.update(np.asarray(joint.createData().S).tobytes())
     digest.update(np.asarray(model.armature).tobytes())
     if system.coupled is not None:
         for numbers in (system.coupled.of, system.coupled.ratio, system.coupled.offset):
@@ -63,7 +65,7 @@ def build_kernel(
         system: The system.
         structure: Structure of the reduced equations.
         forces: Forces on the system, or None.
-        cache: Cache of machine code; by default that of the user.
+        cache: Cache of machine code; by default the user's cache on disk.
     Returns:
         The validated kernel.
     Raises:
@@ -95,7 +97,7 @@ def build_kernel(
     )
     with explain_ill_scaling(system):
         validate_kernel(kernel)
-        if structure.freed:  # validate with other parameter values, too
+        if structure.freed:  # also validate with other values of the variable parameters
             other = perturb_parameters(system, structure.freed, structure.cyclic)
             other_forces = None if forces is None else forces.on(other)
             validate_kernel(replace(kernel, system=other, forces=other_forces))

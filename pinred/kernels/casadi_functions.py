@@ -1,4 +1,4 @@
-"""CasADi Functions of the reduction, for optimal-control problems of users."""
+"""CasADi Functions of the reduced quantities, for use in optimal-control problems."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from .reduced_graph import ReducedGraph
 
 @dataclass(frozen=True)
 class CasadiFunctions:
-    """The reduction as CasADi Functions of the shape x, (m,).
+    """Reduced quantities as CasADi Functions of the shape x, (m,).
 
     Attributes:
         mass_matrix: Mass matrix H(x), (n, n).
         locked_inertia: Locked inertia I(x), (r, r).
         local_connection: Local connection A(x), (r, m).
         reduced_metric: Reduced metric M(x), (m, m).
-        curvature: Curvature, (r, m²); column α m + β is B_αβ.
-        vector_field: Reduced equations (y, parameters) → dy/dt, with momentum and without
-            forces.
+        curvature: Curvature B of the connection, (r, m²); column α m + β is B_αβ.
+        vector_field: Reduced equations (y, parameters) → dy/dt, with nonzero momentum and
+            without forces.
         vector_field_jacobian: Jacobian of the vector field with respect to y.
         layout: Layout of y and of the parameters.
     """

@@ -1,12 +1,14 @@
-"""Further machine code of a kernel: compiled on demand, cached on disk, and validated.
+"""Machine code derived from a kernel's vector field: its Jacobian, and several states at once.
 
-The derivative of the vector field along several directions serves Newton's method.  Its directions
-are in SIMD lanes: the Jacobian of a state of size n needs n/8 evaluations and is exact to
+The code is compiled on demand, cached on disk, and validated against the kernel.
+
+The derivative of the vector field along several directions serves Newton's method.  Each SIMD lane
+computes one direction: the Jacobian of a state of size n needs n/8 evaluations and is exact to
 round-off.
 
 The vector field at several states has one state per lane.  Methods with parallel stages use one
-parameter vector for all lanes; batches of runs use one per lane.  As states occupy the lanes,
-identical branches are not packed into lanes here.
+parameter vector for all lanes; batches of runs use one parameter vector per lane.  Because the
+states occupy the lanes, identical branches of the robot are not packed into lanes here.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ def derived_code(
     make: Callable[[ReducedGraph], bytes],
     judge: Callable[[NativeCode], None],
 ) -> NativeCode:
-    """Return further machine code of a kernel's equations, compiled and validated once.
+    """Return machine code derived from a kernel's equations, compiled and validated once.
 
     Args:
         kernel: The kernel, already validated against Pinocchio.
@@ -68,10 +70,10 @@ def derived_code(
     return once(kernel, (derived_code, json.dumps(kind)), load)
 
 
-_TRIALS, _REQUIRED = 40, 2  # random states, and comparisons that must succeed
-_STEP = 2e-3  # step of the differences, for states of size one
-_TOLERANCE = 1e-7  # relative to the largest entry of a column
-_NOISE = 1e-13  # round-off of rates, relative to the largest rate
+_TRIALS, _REQUIRED = 40, 2  # largest number of random states, and required comparisons
+_STEP = 2e-3  # step of the finite differences, for states of magnitude one
+_TOLERANCE = 1e-7  # tolerance relative to the largest entry of a Jacobian column
+_NOISE = 1e-13  # smallest assumed round-off of rates, relative to the largest rate
 _SAFETY = 10.0  # factor on the observed round-off of rates
 
 
@@ -130,7 +132,7 @@ def _evaluate_jacobian(native: NativeCode, y: Array, parameters: Array) -> Array
 
 
 def _validate_tangent(kernel: Kernel, native: NativeCode) -> None:
-    """Compare the derivative with differences of the rates, where these are accurate."""
+    """Compare the derivative with finite differences of the rates where these are accurate."""
     rng, size, compared = np.random.default_rng(0), kernel.layout.size, 0
     who = f"the derivative of the kernel of '{kernel.system.name}'"
     for trial in range(_TRIALS):
@@ -163,20 +165,20 @@ def _validate_tangent(kernel: Kernel, native: NativeCode) -> None:
 
 
 def _round_off(kernel: Kernel, y: Array, parameters: Array) -> float:
-    """Estimate the round-off of rates at y from states that differ in their last digits."""
+    """Estimate the round-off of rates at y, by evaluating states that differ in the last digits."""
     neighbours = y * (1.0 + np.finfo(float).eps * np.arange(-4.0, 5.0)[:, None])
     rates = evaluate(kernel.rate.address, parameters, neighbours, len(y))
     return _SAFETY * float(np.ptp(rates, axis=0).max(initial=0.0))
 
 
-_LANE_REQUIRED, _LANE_TRIALS = 3, 80  # successful comparisons per lane, and attempts
+_LANE_REQUIRED, _LANE_TRIALS = 3, 80  # required comparisons per lane, and largest number of trials
 
 
 def wide_rate(kernel: Kernel, lanes: int, *, own_parameters: bool = False) -> NativeCode:
     """Return machine code of a kernel's vector field at several states at once.
 
-    Entry i of state j has index i · lanes + j in y and dy/dt, and in the parameters with
-    own_parameters.
+    Entry i of state j has index i · lanes + j in y and dy/dt.  With own_parameters, the parameters
+    have the same layout.
 
     Args:
         kernel: The kernel, already validated against Pinocchio.
@@ -207,7 +209,7 @@ def _validate_wide_rate(
     who = f"the kernel of '{kernel.system.name}' at {lanes} states at once"
     compared = np.zeros(lanes)
     for trial in range(_LANE_TRIALS):
-        # Some forces, such as barriers, are not defined everywhere, so states become smaller.
+        # Some forces, such as barriers, are undefined far from zero, so later states are smaller.
         y = rng.normal(size=(lanes, size)) * 0.9 ** max(0, trial - _LANE_REQUIRED)
         values = evaluate(native.address, parameters.T.ravel(), y.T.reshape(1, -1), size * lanes)
         for lane in range(lanes):

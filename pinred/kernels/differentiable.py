@@ -1,7 +1,8 @@
-"""Functions of a kernel's equations with derivatives, as machine code.
+"""Machine code of functions derived from a kernel's equations, with first derivatives.
 
-A function takes two columns a and b.  Its tangent takes directions of both columns, SEEDS
-directions at once in SIMD lanes.  Its adjoint takes a covector λ of the result and returns
+A function takes two columns a and b.  Its tangent (forward mode) takes directions of both columns
+and evaluates SEEDS directions at once in SIMD lanes.  Its adjoint (reverse mode) takes a
+covector λ of the result and returns
 λᵀ∂/∂a and λᵀ∂/∂b.
 """
 
@@ -33,22 +34,22 @@ from .kernel import Kernel
 from .machine.native import NativeCode, compile_object
 from .reduced_graph import ReducedGraph
 
-_STEP = 1e-3  # step of the differences, for columns of size one
+_STEP = 1e-3  # step of the finite differences, for columns of magnitude one
 _TOLERANCE = 1e-7  # relative tolerance of directional derivatives
-_SMALLEST = 1e-3  # smallest magnitude of a direction's entries
-_TRIALS, _REQUIRED = 40, 2  # random points, and comparisons that must succeed
+_SMALLEST = 1e-3  # smallest scale of a test direction's entries
+_TRIALS, _REQUIRED = 40, 2  # largest number of random points, and required comparisons
 
 
 @dataclass(frozen=True)
 class Differentiable:
-    """A function (a, b) → result of a kernel's equations.
+    """A function (a, b) → result that is derived from a kernel's equations.
 
     Attributes:
         kernel: The kernel, already validated against Pinocchio.
         name: Name of the function and prefix of its machine code.
-        write: Builds the expressions from the graph, as a Function.
-        sample: Draws random columns (a, b) for the validation.
-        judge: Validates the machine code of the value.
+        write: Function that builds the CasADi Function (a, b) → result from the reduced graph.
+        sample: Function that draws random columns (a, b) for the validation.
+        judge: Function that validates the machine code of the value.
         limbs: Whether the adjoint computes identical branches in SIMD lanes.
     """
 
@@ -166,7 +167,7 @@ class Differentiable:
         )
 
     def _tangent_code(self, name: str, sizes: Array, wide_inputs: tuple[int, ...]) -> NativeCode:
-        """Return forward-mode code.  sizes: factor of the test direction in each lane."""
+        """Return forward-mode code; lane j is validated with direction j = sizes[j] · direction."""
         lanes = len(sizes)
 
         def compile_code(f: ca.Function) -> bytes:
@@ -189,7 +190,7 @@ class Differentiable:
     def _adjoint_code(
         self, name: str, lanes: int, compile_code: Callable[[ca.Function], bytes] | None = None
     ) -> NativeCode:
-        """Return reverse-mode code.  compile_code: replaces the default compilation."""
+        """Return reverse-mode code, compiled with compile_code instead of the default if set."""
 
         def compile_default(f: ca.Function) -> bytes:
             return compile_object(_adjoint(f), name, wide=lanes, wide_inputs=(0, 2))
@@ -214,19 +215,19 @@ class Differentiable:
         return compile_object(adjoint, name, adjoint_lanes.marks[name])
 
     def _validate_derivative(self, derivative: Callable[..., float]) -> None:
-        """Compare λᵀ(∂f/∂a δa + ∂f/∂b δb) with differences of λᵀf, where these are accurate.
+        """Compare λᵀ(∂f/∂a δa + ∂f/∂b δb) with finite differences of λᵀf.
 
         Args:
             derivative: Function of (a, b, δa, δb, λ).
         Raises:
             KernelMismatch: The derivatives differ.
-            InputError: The differences are inaccurate at most points.
+            InputError: The finite differences are inaccurate at most points.
         """
         rng, size, compared = np.random.default_rng(0), self._result_size(), 0
         address = (self.kernel.rate if self.name == "rate" else self.value).address
         for _ in range(_TRIALS):
             a, b = self.sample(rng)
-            # Steps relative to the entries keep small inertias positive.
+            # Use steps relative to the entries, so that small inertias stay positive.
             da, db = (rng.normal(size=len(v)) * np.clip(np.abs(v), _SMALLEST, 1.0) for v in (a, b))
             covector = rng.normal(size=size)
             with np.errstate(all="ignore"):
@@ -236,7 +237,7 @@ class Differentiable:
                 value = derivative(a, b, da, db, covector)
             bound = _TOLERANCE * max(1.0, abs(expected))
             if not (abs(rough - expected) <= bound and np.isfinite(value)):
-                continue  # differences are inaccurate where a force has a kink or is undefined
+                continue  # finite differences fail where a force has a kink
             if not abs(value - expected) <= 10.0 * bound:
                 raise KernelMismatch(
                     f"a derivative of '{self.name}' of '{self.kernel.system.name}' disagrees with "
@@ -269,7 +270,7 @@ def _difference(
 
 
 def _common_value(values: Array) -> float:
-    """Return the value of all lanes, or NaN if the lanes differ."""
+    """Return the common value of all lanes, or NaN if the lanes differ."""
     first = float(values[0])
     equal = np.abs(values - first).max() <= _TOLERANCE * max(1.0, abs(first))
     return first if equal else np.nan

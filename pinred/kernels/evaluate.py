@@ -16,15 +16,15 @@ def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
 
     Args:
         address: Address of the machine code.
-        parameters: Parameters, (p,), or those of each state, (T, p).
+        parameters: Parameters, (p,) for all states, or (T, p) for each state.
         y: States, (T, k).
-        size: Number of values at each state.
+        size: Number of outputs of the kernel.
     Returns:
         (T, size): the values.
     """
     values = np.empty((len(y), size))
     rows = np.ascontiguousarray(np.atleast_2d(parameters))
-    stride = 0 if parameters.ndim == 1 else 1  # between the parameters of successive states
+    stride = 0 if parameters.ndim == 1 else 1  # rows between the parameters of successive states
     _evaluate_all(address, rows, np.ascontiguousarray(y), values, stride)
     return values
 
@@ -53,20 +53,22 @@ def _evaluate_all(address: int, parameters: Array, y: Array, out: Array, stride:
         call(address, y[k], parameters[k * stride], out[k])
 
 
-WIDTH = SEEDS  # directions per call
-_ENTRIES = 2**15  # numbers evaluated at once: few enough that they stay in the CPU's cache
+WIDTH = SEEDS  # number of directions that one call evaluates
+_ENTRIES = 2**15  # numbers per block, few enough to fit into the CPU's cache
 
 
 def columns_at(address: int, x: Array, size: int) -> Iterator[tuple[slice, Array]]:
-    """Yield slices of the shapes x (N, m) with the outputs at all unit rates.
+    """Yield, block by block, the outputs at shapes x, (N, m), for all unit joint rates u.
 
     Args:
-        address: Machine code of (x, none, u) → outputs (size,), compiled for WIDTH directions.
+        address: Address of machine code (x, none, u) → outputs (size,), compiled for WIDTH
+            directions.
         x: Shapes, (N, m) [rad | m].
         size: Number of outputs.
     Yields:
-        The slice of N, and outputs (count, max(m, 1), size): entry k belongs to unit rate of
-        joint k.  Without joints, there is one entry, at u = ().
+        The slice of x in this block, and its outputs, (count, max(m, 1), size).  Row k of the
+        second axis belongs to the unit rate of joint k.  Without joints, its only row belongs
+        to the empty rate u = ().
     """
     N, m = x.shape
     columns = max(m, 1)

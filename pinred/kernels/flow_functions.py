@@ -1,9 +1,9 @@
-"""Functions of a flow with derivatives: initial conditions, rate, and outcome.
+"""Functions that a flow map is composed of, with derivatives: initial conditions, rate, outcome.
 
 The initial conditions map an initial state to the reduced state and to the constants of the
 motion.  The outcome maps a reduced state to rows of the full state.  The row "pose" contains body
-coordinates relative to a reference pose, which is an input.  At the reference their values are
-zero, and their derivatives are those of the pose.
+coordinates relative to a reference pose, which is an input.  At the reference pose, these
+coordinates are zero, and their derivatives are the body-frame derivatives of the pose.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .machine.native import NativeCode
 from .reduced_graph import ReducedGraph
 from .validation import require_agreement
 
-# For functions of the pose coordinates themselves, "pose_numbers" replaces the tangent "pose".
+# "pose" is a tangent vector at a reference pose, "pose_numbers" the pose coordinates themselves.
 Row = Outcome | Literal["pose_numbers"]
 
 
@@ -51,8 +51,8 @@ def initial_conditions_of(kernel: Kernel, given: TwistOrMomentum) -> Differentia
     """Return the map from an initial state to the reduced initial conditions.
 
     The map takes ((pose, x, ẋ, ξ or μ), constants) to (y₀, spin and cyclic momenta, c₀, v₀).  The
-    constants are the parameters from gravity on.  Positions and rates of prescribed joints are
-    replaced by their prescribed values at time zero.
+    constants are the kernel's parameters without spin and cyclic momenta (see ReducedGraph).
+    Positions and rates of prescribed joints are replaced by their prescribed values at time zero.
 
     Args:
         kernel: The kernel.
@@ -72,8 +72,8 @@ def initial_conditions_of(kernel: Kernel, given: TwistOrMomentum) -> Differentia
 def outcome_of(kernel: Kernel, rows: tuple[Row, ...]) -> Differentiable:
     """Return the map from a reduced state to rows of the full state.
 
-    The map takes ((y, t, pose), (parameters, c₀, v₀, g)) to the rows.  Its input t is always
-    present; if y ends with the time, that entry is used instead.
+    The map takes ((y, t, pose), (parameters, c₀, v₀, g)) to the rows.  The input t always
+    exists, but it is ignored if y ends with the time.
 
     Args:
         kernel: The kernel.
@@ -169,7 +169,7 @@ def _outcome_graph(graph: ReducedGraph, rows: tuple[Row, ...]) -> ca.Function:
 
 
 def _tangent_coordinates(graph: ReducedGraph, reference: ca.SX, pose: ca.SX) -> ca.SX:
-    """Return body coordinates, (r,), of a pose near a reference, to first order."""
+    """Return first-order body coordinates, (r,), of a pose relative to a nearby reference."""
     group, k = graph.system.group, graph.system.group.linear
     ref, now = _entries(reference), _entries(pose)
     shift = [a - b for a, b in zip(now[:k], ref[:k], strict=True)]
@@ -213,7 +213,7 @@ def _sample_outcome(kernel: Kernel, rng: np.random.Generator) -> tuple[Array, Ar
 def _validate_initial_conditions(
     kernel: Kernel, given: TwistOrMomentum, native: NativeCode
 ) -> None:
-    """Compare with the kernel of initial conditions, already validated against Pinocchio."""
+    """Compare with the InitialConditionsKernel, which is validated against Pinocchio."""
     system, layout, forces = kernel.system, kernel.layout, kernel.forces
     group, m, k = system.group, system.m, system.group.linear
     state, constants = _sample_initial_state(kernel, np.random.default_rng(0))

@@ -1,8 +1,9 @@
 """The map from initial states to reduced initial conditions, as machine code for one robot.
 
 An initial state consists of pose, shape, shape rate, and body twist or momentum.  The result
-contains canonical momenta π in the frame of the centre of mass, the angular momentum about the
-centre of mass in the body frame and in the fixed frame, and the initial centre-of-mass path.
+contains the canonical momenta π in the frame of the centre of mass, and the angular momentum about
+the centre of mass in the body frame and in the fixed frame.  It also contains the initial position
+and velocity of the centre of mass.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class InitialConditions:
         about: Angular momenta about the centre of mass in the body frame, (N, a) [kg·m²/s].
         fixed: The same angular momenta in the fixed frame, (N, a) [kg·m²/s].
         c0: Centres of mass in the root joint's fixed frame, (N, k) [m].
-        v0: Their velocities, (N, k) [m/s].
+        v0: Velocities of the centres of mass in the same frame, (N, k) [m/s].
     """
 
     pi: Array
@@ -63,7 +64,7 @@ class InitialConditionsKernel:
     """Machine code that maps initial states to reduced initial conditions.
 
     Attributes:
-        system: The system; its parameters are used unless others are passed.
+        system: The system; its own body parameters are used unless a call passes other values.
         freed: Variable body parameters.
         code: The machine code.
     """
@@ -82,7 +83,8 @@ class InitialConditionsKernel:
             x: Shapes, (N, m) [rad | m].
             xdot: Shape rates, (N, m).
             motion: Body twists or body momenta, (N, r).
-            numbers: Values of the variable body parameters, (freed.size,) or (N, freed.size).
+            numbers: Values of the variable body parameters, (freed.size,) or (N, freed.size); by
+                default those of the system.
         Returns:
             The initial conditions.
         """
@@ -127,7 +129,7 @@ def initial_conditions_kernel(
         kernel = InitialConditionsKernel(system, freed, load_object(code, _NAME))
         with explain_ill_scaling(system):
             _validate(kernel, given)
-            if freed:  # validate with other parameter values, too
+            if freed:  # also validate with other values of the variable parameters
                 _validate(replace(kernel, system=perturb_parameters(system, freed)), given)
         return kernel
 
@@ -214,7 +216,7 @@ def _validate(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
     root = system.model.jointPlacements[1]
     c = translations(system).T @ root.actInv(pin.centerOfMass(system.model, data, q))
     angular_momentum = H[k:r] @ v
-    # A given momentum has the round-off of its terms, which also affects the twist.
+    # A momentum input has the round-off of its summands, which propagates to the twist.
     velocity = np.abs(np.concatenate([xi, xdot]))
     terms = np.abs(H) @ velocity
     velocity[:r] += np.abs(np.linalg.inv(H[:r, :r])) @ np.full(r, terms[:r].max())

@@ -1,4 +1,4 @@
-"""A compiled kernel, its structure, and the layout of its state, parameters and outputs."""
+"""The compiled kernel, its structure, and the layout of its state, parameters and outputs."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from .machine.native import NativeCode
 
 @dataclass(frozen=True)
 class Structure:
-    """The structure of a kernel, which decides with the forces which terms exist.
+    """The structure of a kernel; together with the forces, it determines which terms exist.
 
-    With `lifted`, a quaternion q of any norm represents the angular momentum, μ = q̄ J q, which
-    grows with the square of the norm.  Under this map of Cayley and Klein from ℝ⁴ to so(3)*, the
-    canonical bracket becomes the Lie–Poisson bracket.  A symplectic method for (x, π, q) is then
-    a Poisson map of (x, π, μ).
+    With `lifted`, a quaternion q of any norm represents the angular momentum: μ = q̄ J q for the
+    constant angular momentum J in the fixed frame, so μ is quadratic in q.  Under this map of
+    Cayley and Klein from ℝ⁴ to so(3)*, the canonical bracket becomes the Lie–Poisson bracket.
+    A symplectic method for (x, π, q) is then a Poisson map of (x, π, μ).
 
     Attributes:
         zero_momentum: Whether the momentum of the base is exactly zero.
         cyclic: Indices of the cyclic joints.
-        gravity: Axes of the root joint's fixed frame along which gravity acts on the shape or
-            rotates a pivoted base.
-        base: Whether the state of the base is requested.
+        gravity: Indices of the axes of the root joint's fixed frame along which gravity acts on the
+            shape or rotates a pivoted base.
+        base: Whether the outputs contain the state of the base.
         lifted: Whether a quaternion of any norm represents the angular momentum.
         freed: Variable body parameters: inertias, joint placements and link placements.
     """
@@ -58,10 +58,10 @@ class Layout:
         base_requested: Whether the outputs contain the state of the base.
         gravity_on_base: Whether gravity rotates a pivoted base.
         clock: 1 if the time is the last entry of y, else 0.
-        gravity: Axes along which gravity is a parameter.
+        gravity: Indices of the axes along which the gravity component is a parameter.
         freed: Variable body parameters.
-        com_path: Number of parameters for the centre-of-mass path: 3k if forces depend on it,
-            else 0.
+        com_path: Number of parameters for the centre-of-mass path: 3k if forces depend on the
+            path, else 0.
         numbers: Number of force parameters.
     """
 
@@ -114,7 +114,7 @@ class Layout:
 
     @property
     def canonical(self) -> tuple[int, int]:
-        """Number of positions with conjugate momenta, and of constant angular momenta."""
+        """Number of positions with conjugate momenta, and number of constant angular momenta."""
         return len(self.active), self.base.spin
 
 
@@ -127,10 +127,10 @@ class Outputs:
         xdot: Shape rate, (m,).
         com: Centre of mass in the frame of the root body, (3,).
         mu: Body momentum about the centre of mass, (r,).
-        weight: Gravity force that turns a pivoted base, in its frame, (3,) or empty.
+        weight: Gravity force that rotates a pivoted base, in the body frame, (3,) or empty.
         driven_x: Positions of the prescribed joints, (k,).
         driven_pi: Canonical momenta of the prescribed joints, (k,).
-        fields: The fields of State, or of ShapeState without the base, except the time.
+        fields: All fields of State except the time; of ShapeState if the base is not requested.
         size: Number of outputs.
     """
 
@@ -145,14 +145,14 @@ class Outputs:
     size: int
 
     def read_field(self, name: str, outputs: Array, system: System) -> Array:
-        """Return a field of a state, with joints in the order of the robot's own model.
+        """Extract a field of State, with joints in the order of the robot's original model.
 
         Args:
-            name: Name of the field, not "t".
+            name: Name of the field, except "t".
             outputs: Outputs of the kernel, (…, size).
             system: The system of the kernel.
         Returns:
-            (…,) or (…, length of the field's axis).
+            The field: (…,) for scalars, else (…, length of the field's axis).
         """
         values = outputs[..., self.fields[name]]
         match FIELDS[name].axis:
@@ -167,9 +167,10 @@ class Outputs:
 
 
 def separate_fields(*, base: bool) -> list[str]:
-    """Return the fields of State that have entries of their own among the outputs, in order.
+    """Return the fields of State that have separate entries in the outputs, in order.
 
-    The shape rate is an output in any case, and the body twist is the first part of v.
+    The shape rate is always an output, and the body twist is the first part of the field v, so
+    neither is among the separate fields.
     """
     shared = ("t", "xdot", "xi")
     return [f.name for f in FIELDS.values() if f.name not in shared and (base or not f.needs_base)]
@@ -270,8 +271,7 @@ class Kernel:
         Args:
             rng: Random number generator.
         Returns:
-            (p,): spin, gravity and force parameters are random; body parameters are those of the
-            robot.
+            (p,): random spin, gravity and force parameters, with the body parameters of the robot.
         """
         layout = self.layout
         parameters = rng.normal(size=layout.parameters)
@@ -308,7 +308,7 @@ class Kernel:
 
     @cached_property
     def where(self) -> Outputs:
-        """Slices of the outputs."""
+        """Slices of the kernel's outputs."""
         return outputs_of(self.system, self.layout)
 
     @staticmethod

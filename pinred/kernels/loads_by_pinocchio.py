@@ -1,6 +1,6 @@
-"""Wrenches on links, by Jacobians of Pinocchio's frames, for validation.
+"""Generalised forces of wrenches on links, computed with Pinocchio's frame Jacobians.
 
-The generalised forces τ = Jᵀ (F, N) share no formula with forces/link_wrenches.py.
+The result τ = Jᵀ (F, N) validates forces/link_wrenches.py, with which it shares no formula.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ class LoadsByPinocchio:
         Args:
             system: The system.
             axes: Motion axes of the root joint in its fixed frame, (6, r).
-            places: Link and axes ("world" or link) of each wrench; the link is None for the base.
+            places: For each wrench, the name of the link (None for the base) and the frame of its
+                components ("world" or "body").
         """
         self._model, self._data = system.model, system.model.createData()
         self._axes, self._places = axes, tuple(places)
@@ -33,7 +34,7 @@ class LoadsByPinocchio:
         self._frames = [None if link is None else self._frame(link) for link, _ in places]
 
     def _frame(self, link: str) -> int:
-        """Return the frame of a body with this name, or else of any element."""
+        """Return the index of the body with this name, or else of the frame with this name."""
         model = self._model
         if model.existBodyName(link):
             return int(model.getBodyId(link))

@@ -1,10 +1,10 @@
-"""Compiled objects on disk, so that each robot is compiled once.
+"""Disk cache of compiled object code, so that each robot is compiled only once.
 
 The cached machine code runs with the rights of the user who loads it.  Therefore the cache reads
 no folder or file that another user could have written, and follows no links.  An entry is valid
-only if its header and key agree and the user's signing key has signed all of it.  Foreign
-entries are compiled again and never run.  A fault of the cache causes a CacheWarning and a
-recompilation, never an error.
+only if its header and key agree and its signature was made with the user's signing key.  Code of
+an invalid entry is never run; it is compiled again.  A fault of the cache causes a CacheWarning
+and a recompilation, never an error.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from ..common.version import __version__
 from .signing_key import signing_key
 
 LIMIT = 256 * 2**20  # default maximum size of all entries [bytes]
-_WRITERS = 8  # processes that may write at once without exceeding the limit
+_WRITERS = 8  # number of processes that may write at once without exceeding the limit
 
 _VERSION = 2
 _MAGIC = b"pinred\x00\n"
@@ -42,17 +42,18 @@ _KEY = re.compile(r"[0-9a-f]{64}")
 _ENTRY = re.compile(r"([0-9a-f]{64})\.o")
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
-_warned: set[tuple[str, str]] = set()  # folders and kinds of warnings already issued
-_room: dict[tuple[Path, int], int] = {}  # by folder and limit: bytes until the next listing
+_warned: set[tuple[str, str]] = set()  # (folder, kind) of past warnings
+# Number of bytes that may be written before the folder is listed again, by folder and limit.
+_room: dict[tuple[Path, int], int] = {}
 
 
 class CacheEntry(NamedTuple):
-    """One object on disk.
+    """Size and time of last use of one object on disk.
 
     Attributes:
         key: Key of the object.
-        size: Size of its file [bytes].
-        last_use: Time of its last use [s] since the epoch.
+        size: Size of the object's file [bytes].
+        last_use: Time of the last use of the object, in seconds since the Unix epoch.
     """
 
     key: str
@@ -71,7 +72,7 @@ def cache_key(*parts: bytes | str) -> str:
     versions of pinred, CasADi and llvmlite, and the CPU.
 
     Args:
-        parts: Values that the object depends on.
+        parts: Values that identify the object.
     Returns:
         64 hexadecimal digits.
     """
@@ -103,17 +104,17 @@ def _environment() -> tuple[str | bytes, ...]:
 class ObjectCache:
     """A cache of objects in one folder, with a limit on the total size.
 
-    The least recently used objects are removed first.  Any number of threads and processes may use
-    a folder at once.
+    If the limit is exceeded, the least recently used objects are removed.  Any number of threads
+    and processes may use the same folder at once.
 
     Attributes:
-        folder: The folder: by default the environment variable PINRED_CACHE_DIR, else the cache
-            folder of the user.  It is created at the first write.
+        folder: The folder; by default the value of the environment variable PINRED_CACHE_DIR, or
+            the user's cache folder if the variable is not set.  It is created at the first write.
         limit: Maximum total size of all entries [bytes].
     """
 
     def __init__(self, folder: Path | None = None, limit: int = LIMIT) -> None:
-        """Set the folder and the limit without any access to the disk.
+        """Set the folder and the limit without accessing the disk.
 
         Args:
             folder: The folder, or None for the default.
@@ -154,8 +155,8 @@ class ObjectCache:
     def put(self, key: str, code: bytes) -> None:
         """Write an object.
 
-        Readers see the previous entry or the new one, never a fraction.  An object larger than the
-        limit is not written.  A failure causes one CacheWarning and no error.
+        Writing is atomic: readers see either the previous entry or the complete new entry.  An
+        object larger than the limit is not written.  A failure causes a CacheWarning, no error.
 
         Args:
             key: Key of the object.
@@ -203,14 +204,14 @@ class ObjectCache:
             return sum(_remove(folder, f"{entry.key}.o") for entry in _entries(folder))
 
     def _trim(self, folder: int, written: int) -> None:
-        """Remove entries above the limit; list the folder only when the limit may be exceeded."""
+        """Remove old entries above the limit; list the folder only if the limit may be exceeded."""
         folder_limit = (self.folder, self.limit)
         _room[folder_limit] = _room.get(folder_limit, 0) - written
         if _room[folder_limit] >= 0:
             return
         entries = _entries(folder)
         total = sum(entry.size for entry in entries)
-        # Remove more than necessary, so that a full folder is not listed at every put.
+        # Remove more than necessary, because listing a full folder at every put would be slow.
         target = self.limit if total <= self.limit else self.limit - self.limit // 16
         for entry in entries:
             if total <= target:
@@ -221,7 +222,7 @@ class ObjectCache:
 
     @contextmanager
     def _open(self, *, make: bool) -> Iterator[int | None]:
-        """Open the folder, so that the checked folder is also the used one.
+        """Open and check the folder; all later accesses use its descriptor.
 
         Args:
             make: Whether to create a missing folder.
@@ -263,7 +264,7 @@ class ObjectCache:
 
 
 def _warn(text: str) -> None:
-    """Issue a CacheWarning at the caller of the cache."""
+    """Issue a CacheWarning that refers to the line which called the cache."""
     warnings.warn(text, CacheWarning, stacklevel=4)
 
 
@@ -274,7 +275,7 @@ def _file_name(key: str) -> str:
 
 
 def _distrust(status: os.stat_result) -> str:
-    """Return why others could have written a file or folder, or an empty text."""
+    """Return why another user could have written a file or folder, or "" if none could."""
     if status.st_uid != os.geteuid():
         return f"belongs to user {status.st_uid}"
     if status.st_mode & _OTHERS:
@@ -283,9 +284,9 @@ def _distrust(status: os.stat_result) -> str:
 
 
 def _find_open_parent(folder: Path) -> str:
-    """Return a warning about a parent folder that others can replace, or an empty text.
+    """Return a warning about a parent folder that other users can replace, or "" without one.
 
-    In a sticky folder such as /tmp, users cannot move the files of others.
+    A folder with the sticky bit, such as /tmp, is safe: there, users cannot move files of others.
     """
     for above in folder.absolute().parents:
         with suppress(OSError):
@@ -375,7 +376,7 @@ def _remove(folder: int, name: str) -> bool:
 
 
 def _files(folder: int, pattern: re.Pattern[str]) -> Iterator[tuple[str, os.stat_result]]:
-    """Yield name and status of the files that match; skip files that vanish."""
+    """Yield name and status of the files that match; skip files deleted in the meantime."""
     with os.scandir(folder) as items:
         names = [item.name for item in items if pattern.fullmatch(item.name)]
     for name in names:

@@ -1,13 +1,13 @@
-"""The reduced vector field of a robot and a structure, as CasADi expressions.
+"""CasADi expressions of the reduced vector field, for one robot and one structure.
 
 The graph omits all terms that a scene does not need.  The reduced state is
 
     y = (x, π) of the active joints, x of the cyclic joints, the integrated entries of the base,
         and the time, if any term depends on it.
 
-The parameters are, in this order: the angular momentum of the base where it is constant, the
-momenta of the cyclic joints, gravity where it acts [m/s²], the variable body parameters, the
-centre-of-mass path where forces depend on it, and the force parameters.  A joint is cyclic if no
+The parameters are, in this order: the angular momentum of the base if it is constant, the momenta
+of the cyclic joints, the gravity components that act [m/s²], the variable body parameters, the
+centre-of-mass path if forces depend on it, and the force parameters.  A joint is cyclic if no
 term depends on its angle and no force acts on it; then its momentum is constant.
 """
 
@@ -33,7 +33,7 @@ from .kernel import Structure, layout_of, separate_fields
 
 
 class ReducedGraph:
-    """The expressions of one system with one structure and its forces.
+    """CasADi expressions of the reduced equations of a system, for one structure and its forces.
 
     Attributes:
         system: The system.
@@ -54,14 +54,14 @@ class ReducedGraph:
         forces: ForceModel | None = None,
         lanes: Lanes | None = None,
     ) -> None:
-        """Build the articulated-body sweep.
+        """Build the expressions with an articulated-body sweep.
 
         Args:
             system: The system.
             structure: Structure of the reduced equations.
             forces: Forces on the system, or None.
-            lanes: If given, identical branches are computed in SIMD lanes.  The Functions then
-                need `compile_object` with the marks of `lanes`.
+            lanes: If not None, identical branches are computed in SIMD lanes.  The Functions must
+                then be compiled by `compile_object` with the marks of `lanes`.
         """
         self.system, self.forces, self._lanes = system, forces, lanes
         self._freed = structure.freed
@@ -82,12 +82,12 @@ class ReducedGraph:
         prescribed = self.layout.prescribed
         self._com_path = [ca.SX.sym(f"line{k}") for k in range(self.layout.com_path)]
         self._numbers = [ca.SX.sym(f"p{k}") for k in range(self.layout.numbers)]
-        self._angles = ca.vertcat(ca.SX(0, 1), *self.x)  # variables for the derivatives of energies
+        self._angles = ca.vertcat(ca.SX(0, 1), *self.x)  # variables of differentiation of energies
         motion = self._prescribed()
         for k, position in zip(prescribed, motion, strict=False):
             self.x[k] = position
         self._mu = mu = self.base.body_momentum()
-        armature = float(system.model.armature[0])  # nonzero for single-axis roots alone
+        armature = float(system.model.armature[0])  # nonzero only for single-axis roots
         # No term depends on the angle of a cyclic joint, so set it to zero.
         angles: list[Scalar] = [0.0 if k in structure.cyclic else self.x[k] for k in range(m)]
         rates = dict(zip(prescribed, motion[len(prescribed) :], strict=True))
@@ -169,7 +169,7 @@ class ReducedGraph:
         return self._function("outputs", _column(*blocks), inputs)
 
     def _potential(self, com: Vec) -> Scalar:
-        """Return V(x) plus the gravitational energy of a pivoted body."""
+        """Return the potential V(x) plus the gravitational energy of a pivoted body."""
         energy: Scalar = 0.0
         if self.forces is not None:
             value = self.forces.potential_function(_column(self.x), _column(self._numbers))
@@ -213,7 +213,7 @@ class ReducedGraph:
         return _scalars(x) + _scalars(xdot)
 
     def _forces(self, mu: list[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
-        """Return the torques (m,) and the base wrench, (r,) or empty, of the forces."""
+        """Evaluate the forces; return the torques, (m,), and the base wrench, (r,) or empty."""
         if self.forces is None:
             return [0.0] * self.system.m, []
         base, robot = self._observed_base(mu), self._robot_parameters(self.forces)
@@ -223,7 +223,7 @@ class ReducedGraph:
         return _scalars(torque), _scalars(wrench) if self.forces.has_wrench else []
 
     def _robot_parameters(self, forces: ForceModel) -> list[Scalar]:
-        """Return the robot parameters of the forces; constants stay numbers."""
+        """Return the robot parameters that the forces depend on; constants remain floats."""
         links = {
             frame: self._body_numbers[self._freed.of_link(frame)] for frame in self._freed.links
         }
@@ -233,7 +233,10 @@ class ReducedGraph:
         return [*numbers_in(self._bodies, self.system, forces.freed, links), *gravity]
 
     def _observed_base(self, mu: list[Scalar]) -> list[list[Scalar]]:
-        """Return pose, body twist, and both momenta, or zeros if no force depends on them."""
+        """Return the base state that forces depend on, or zeros if no force depends on it.
+
+        The entries are the pose, the body twist, the body momentum and the spatial momentum.
+        """
         group, forces = self.system.group, self.forces
         if forces is None or not (forces.sees_attitude or forces.sees_place):
             return [[0.0] * group.size, *([0.0] * group.dim for _ in range(3))]
@@ -242,15 +245,16 @@ class ReducedGraph:
         return [full.pose, full.xi, full.body_momentum, full.spatial_momentum]
 
     def _add_shape_loads(self, pidot: list[Scalar], wrench: list[Scalar]) -> list[Scalar]:
-        """Add the generalised forces −∂(F·c)/∂x of gravity and base wrench, in the body frame."""
-        # Gravity acts at the centre of mass.  A force on the base accelerates the frame of the
-        # centre of mass, which exerts the opposite force on the shape.
+        """Return π̇ plus the generalised forces of gravity and of the base wrench on the shape."""
+        # With F and the centre of mass c in the body frame, gravity contributes ∂(F·c)/∂x, and a
+        # force on the base contributes −∂(F·c)/∂x, because it accelerates the frame of the
+        # centre of mass, in which the shape then feels the opposite force.
         m = self.system.m
         angles = joint_values(self.system, ca.vertsplit(self._angles) if m else [])
         com = centre_of_mass(self._bodies, angles)
         loads: list[tuple[Scalar, Scalar]] = []  # symbol and value for each coordinate of c
         energy: Scalar = 0.0
-        pairs = list(zip(wrench, self.base.along(com), strict=False))  # linear part alone
+        pairs = list(zip(wrench, self.base.along(com), strict=False))  # only the linear part
         weight = self.base.body_weight()
         if weight is None:
             weight = self._weight
@@ -275,6 +279,6 @@ def _column(*blocks: list[Scalar]) -> ca.SX:
 
 
 def _scalars(column: ca.SX) -> list[Scalar]:
-    """Return the entries of a column, constants as floats, so that zeros simplify."""
+    """Return the entries of a column, constants as floats, so that products with 0 vanish."""
     entries = [column[k] for k in range(column.numel())]
     return [float(entry) if entry.is_constant() else entry for entry in entries]

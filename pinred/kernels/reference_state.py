@@ -1,4 +1,4 @@
-"""Random states for the validation of kernels, with Pinocchio's reference values."""
+"""Random states for the validation of kernels, and reference values computed with Pinocchio."""
 
 from __future__ import annotations
 
@@ -29,11 +29,12 @@ _GRAVITY_FACTOR = 1.3  # factor on gravity in perturbed systems
 
 @dataclass(frozen=True)
 class ReferenceState:
-    """A random state, the kernel's arguments there, and Pinocchio's reference values.
+    """A random state with the corresponding arguments of the kernel and reference values.
 
     Attributes:
         system: System of the kernel.
-        model: Its model, with the gravity that acts on shape and base but without free fall.
+        model: Pinocchio model of the system; its gravity includes only the part that acts on
+            shape and base, not the free fall of the whole system.
         data: Pinocchio's work space of the system; other functions overwrite it.
         gravity: Gravity of `model` in the root joint's fixed frame, (3,) [m/s²].
         gravity_strength: Norm of the system's full gravity [m/s²].
@@ -41,9 +42,9 @@ class ReferenceState:
         pose: Pose of the base, (size,).
         q: Pinocchio's configuration, (nq,).
         x: Shape, (m,) [rad | m].
-        v: Body twist relative to the centre of mass and shape rate, (n,).  Momenta that the
-            kernel assumes to vanish are zero.
-        accelerations: Accelerations of the prescribed joints.
+        v: Body twist relative to the centre of mass, then shape rate, (n,).  They are chosen so
+            that momenta which the kernel assumes to be zero are zero.
+        accelerations: Accelerations of the prescribed joints, (k,).
         force_parameters: Parameters of the forces, (p,).
         down: Direction of gravity in the body frame, (3,), or empty.
         push: Displacement and momentum of the centre of mass caused by a wrench, (2k,), or
@@ -53,8 +54,8 @@ class ReferenceState:
         com: Centre of mass in the body frame, (3,) [m].
         mu: Body momentum, (r,).
         pi: Canonical momenta, (m,).
-        y: Reduced state.
-        parameters: Parameters of the kernel.
+        y: Reduced state, (size,).
+        parameters: Parameters of the kernel, (p,).
         prescribed: Indices of the prescribed joints.
     """
 
@@ -95,10 +96,11 @@ class ReferenceState:
 
     @cached_property
     def momentum_terms(self) -> Array:
-        """Magnitude of the terms of the momenta, |H| |v|, (n,).
+        """Return |H| |v|, (n,), the magnitude of the terms that sum to the momenta H v.
 
-        Base momenta are rotated between frames, which mixes their components, so all three
-        components get the largest magnitude.
+        The round-off of the momenta is proportional to it.  Base momenta are rotated between
+        frames, which mixes their components, so each component is assigned the largest of their
+        magnitudes.
         """
         terms = np.abs(self.H) @ np.abs(self.v)
         linear = len(self.com_path) // 3
@@ -108,14 +110,14 @@ class ReferenceState:
 
     @cached_property
     def velocity_terms(self) -> Array:
-        """Magnitude of the terms of velocities that solve H v = (μ, π), (n,)."""
+        """Return the magnitude, (n,), of terms that sum to the solution v of H v = (μ, π)."""
         return self.solved_terms(self.momentum_terms) + np.abs(self.v)
 
     def solved_terms(self, terms: Array) -> Array:
-        """Compute the magnitude of the terms of solutions a of H a = b.
+        """Compute the magnitude of the terms that sum to the solution a of H a = b.
 
         Args:
-            terms: Magnitude of the terms of b, (n,).
+            terms: Magnitude of the terms that sum to b, (n,).
         Returns:
             (n,): the magnitude, zero for prescribed joints.
         """
@@ -125,10 +127,10 @@ class ReferenceState:
 
     @cached_property
     def force_terms(self) -> Array:
-        """Magnitude of the inertial forces, (n,), before forces of several bodies cancel.
+        """Return the magnitude, (n,), of inertial forces before forces of bodies cancel.
 
-        They are sums of products of angular rates with momenta, and of products of two speeds
-        with masses.
+        Inertial forces are sums of products of angular rates with momenta, and of products of
+        masses with two speeds.
         """
         angular, mass = self._moved_masses
         v = np.abs(self.system.joint_rates(self.v))
@@ -139,19 +141,19 @@ class ReferenceState:
 
     @cached_property
     def gravity_terms(self) -> Array:
-        """Magnitude of the gravity forces, (n,), before components across an axis cancel."""
+        """Return the magnitude, (n,), of gravity forces before components across an axis cancel."""
         angular, mass = self._moved_masses
         force = mass * self.gravity_strength * np.where(angular, self.reach, 1.0)
         return np.asarray(self.system.sizes_on_shape(force))
 
     @cached_property
     def _moved_masses(self) -> tuple[NDArray[np.bool_], Array]:
-        """Which velocities of the model are angular, (nv,), and their moved masses, (nv,) [kg]."""
+        """Return whether each velocity is angular, (nv,), and its moved mass, (nv,) [kg]."""
         return moved_masses(self.model, self.data, self.q)
 
     @cached_property
     def reach(self) -> float:
-        """Largest distance of a joint from the root joint, plus the size of its body [m]."""
+        """Return the largest distance of a joint from the root joint, plus its body's size [m]."""
         model, data = self.model, self.data
         pin.forwardKinematics(model, data, self.q)
         root = data.oMi[1].translation
@@ -193,7 +195,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     x, v = x * reach, v * reach
     if forces is not None:
         force_parameters = forces.random_numbers(rng)
-        force_parameters[forces.within] = time  # a table is undefined far outside its piece
+        force_parameters[forces.within] = time  # a table is undefined far outside its interval
     if forces is not None and prescribed:
         motion = forces.prescribed(time, force_parameters)
         x[prescribed], v[[r + j for j in prescribed]] = motion.x, motion.xdot
@@ -248,9 +250,9 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
 
 
 def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = ()) -> System:
-    """Return a system with random physical values of its variable parameters, and more gravity.
+    """Return a system with random, physical values of its variable parameters and more gravity.
 
-    Inertias carried by a cyclic joint are scaled and otherwise unchanged, so that the joint stays
+    Inertias of the bodies that a cyclic joint moves are only scaled, so that the joint stays
     cyclic.
 
     Args:
@@ -288,7 +290,7 @@ def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = (
 
 
 def _perturb_placement(placement: pin.SE3, rng: np.random.Generator) -> pin.SE3:
-    """Return a random placement of a link near its placement on the body."""
+    """Return a random placement near a link's placement on its body."""
     size = 0.1 + float(np.linalg.norm(placement.translation))
     return placement * pin.SE3(pin.exp3(rng.uniform(0.1, 0.4, 3)), size * rng.uniform(0.1, 0.5, 3))
 
@@ -303,13 +305,14 @@ def _base_in_space(
     H: Array,
     v: Array,
 ) -> BaseInSpace:
-    """Compute the base state in the fixed frame, by Pinocchio's mass matrix and group rotations.
+    """Compute the base state in the fixed frame from Pinocchio's mass matrix.
 
     Args:
         system: The system.
-        pose: Pose; its position is ignored, because it follows from the centre of mass.
+        pose: Pose, (size,).  Its position is ignored, because the position follows from the
+            centre of mass.
         com_path: Centre-of-mass path, (3k,).
-        push: Displacement and momentum caused by a wrench, (2k,), or empty.
+        push: Displacement and momentum of the centre of mass caused by a wrench, (2k,), or empty.
         time: Time [s].
         com: Centre of mass in the body frame, (3,).
         H: Mass matrix, (n, n).
@@ -330,7 +333,7 @@ def _base_in_space(
 
 
 def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Array]:
-    """Return a velocity without momenta that the kernel lacks, and its body momentum."""
+    """Return v without the momenta that the kernel assumes to be zero, and its body momentum."""
     system, counts = kernel.system, kernel.layout.base
     r, k, v = system.r, system.group.linear, v.copy()
     if not (counts.spin or counts.momentum):

@@ -1,7 +1,7 @@
 """The user's signing key for entries of the kernel cache.
 
-A user who can write into the cache can forge a checksum but not a signature.  The key is stored
-in the user's data folder, which no other user can read.
+Another user who can write into the cache can forge a checksum, but not a signature.  The key is
+stored in the user's data folder, which no other user can read.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..common.files import temporary
 
 _NAME = "cache_key"
 _LOCK = Lock()
-_SIZE = 32  # bytes of the key
+_SIZE = 32  # length of the key [bytes]
 _NOT_OWNERS = stat.S_IRWXG | stat.S_IRWXO
 
 
@@ -30,7 +30,7 @@ def signing_key() -> bytes:
     """Return the user's signing key, created at the first use.
 
     A key file that others can read or write is replaced with a CacheWarning.  If no key can be
-    stored, this process uses a temporary key, with a CacheWarning.
+    stored, a CacheWarning is issued and this process uses a temporary key.
     """
     with _LOCK:
         return _load_key(user_data_path("pinred"))
@@ -54,7 +54,7 @@ def _load_key(path: Path) -> bytes:
 
 
 def _read_key(folder: int) -> bytes | None:
-    """Return the key in a folder; None if there is no private one."""
+    """Return the key stored in a folder, or None if there is no private key file."""
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         descriptor = os.open(_NAME, flags, dir_fd=folder)
@@ -73,14 +73,14 @@ def _read_key(folder: int) -> bytes | None:
 
 
 def _create_key(folder: int, path: Path) -> bytes:
-    """Create a key in a folder; return the key of another process that was faster."""
+    """Create a key in a folder; if another process was faster, return its key instead."""
     if os.access(_NAME, os.F_OK, dir_fd=folder, follow_symlinks=False):
         _warn(f"'{path / _NAME}' was not private: it is replaced, and kernels are compiled again")
         os.unlink(_NAME, dir_fd=folder)
     with temporary(folder, 0o600) as file:
         os.write(file.descriptor, secrets.token_bytes(_SIZE))
         os.fsync(file.descriptor)
-        with suppress(FileExistsError):  # of two processes, the first one's key is used by both
+        with suppress(FileExistsError):  # another process was faster, and its key is used
             os.link(file.name, _NAME, src_dir_fd=folder, dst_dir_fd=folder)
     key = _read_key(folder)
     if key is None:

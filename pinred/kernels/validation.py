@@ -1,7 +1,7 @@
-"""Validation of kernels: each is compared with Pinocchio at random states before its first use.
+"""Validation of kernels: before its first use, each kernel is compared with Pinocchio.
 
-Each comparison allows the round-off of the terms that a value is a sum of, because large terms
-may cancel.  The magnitudes of these terms are computed by ReferenceState.
+The states are random.  A compared value may be a sum of large terms that cancel, so each
+comparison allows the round-off of these terms.  ReferenceState computes their magnitudes.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ if TYPE_CHECKING:
     from ..system.system import System
     from .kernel import Kernel
 
-_STATES = 3  # number of compared states
-_TRIALS = 80  # number of random states drawn at most
-_TOLERANCE = 1e-10  # relative to the largest entry
-ROUND_OFF = 1e-13  # round-off of a full sweep, relative to the summed terms
+_STATES = 3  # number of states at which a kernel is compared
+_TRIALS = 80  # largest number of random states drawn
+_TOLERANCE = 1e-10  # tolerance relative to the largest entry
+ROUND_OFF = 1e-13  # round-off of a full sweep, relative to the magnitude of the summed terms
 
 
 def validate_kernel(kernel: Kernel) -> None:
     """Compare a kernel with Pinocchio at random states.
 
-    Velocities are compared with H v = (μ, π), accelerations with those of RNEA.
+    Velocities are compared with H v = (μ, π), accelerations with
+    Pinocchio's RNEA.
 
     Args:
         kernel: The kernel.
@@ -46,7 +47,7 @@ def validate_kernel(kernel: Kernel) -> None:
     """
     rng, compared = np.random.default_rng(0), 0
     for trial in range(_TRIALS):
-        # Some forces, such as barriers, are not defined everywhere, so states become smaller.
+        # Some forces, such as barriers, are undefined far from zero, so later states are smaller.
         at = random_state(kernel, rng, 0.9 ** max(0, trial - _STATES))
         if at is not None:
             _validate_at(kernel, at)
@@ -154,7 +155,7 @@ def _validate_base(
     r, k, H = system.r, system.group.linear, at.H
     omega = v[k:r]
     omega_terms = float(at.velocity_terms[k:r].sum())
-    # The moment of all forces about the centre of mass, or about the pivot, by Pinocchio.
+    # Compute with Pinocchio the moment of all forces about the centre of mass, or the pivot.
     lever = H[:k, k:r] / system.mass  # (H_lin,ang / m)ᵀ F = c × F for F at the base's origin
     moment = wrench[k:] - lever.T @ wrench[:k]
     terms = np.abs(wrench[k:]) + np.abs(lever).T @ np.abs(wrench[:k])
@@ -189,7 +190,8 @@ def _validate_acceleration(
     pidot = np.zeros(system.m)
     pidot[active] = rate[a : 2 * a]
     pidot += H[:k, r:].T @ wrench[:k] / system.mass
-    # Pinocchio's Coriolis matrix has round-off that grows with the distance from the origin.
+    # Centre the model, because the round-off of Pinocchio's Coriolis matrix grows with the
+    # distance from the origin.
     centred = model.copy()
     centred.jointPlacements[1] = pin.SE3.Identity()
     full = system.joint_rates(v)
@@ -208,7 +210,7 @@ def _validate_acceleration(
     coupling = H[np.ix_(free, prescribed)] @ at.accelerations
     rates = np.concatenate([mudot, pidot]) - (C + C.T) @ v
     acceleration = np.linalg.solve(inertia, rates[free] - coupling)
-    # ABA would lose digits at a light base, whose inverse inertia amplifies round-off.
+    # Use RNEA: ABA loses digits at a light base, whose inverse inertia amplifies round-off.
     bias = system.on_shape(pin.nonLinearEffects(model, data, q, full))
     expected = np.linalg.solve(inertia, (tau - bias)[free] - coupling)
     terms = at.force_terms + np.abs(tau) + at.gravity_terms
@@ -218,10 +220,11 @@ def _validate_acceleration(
 
 
 def _velocity_of_rate(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
-    """Return the velocity (n,) contained in a rate.
+    """Return the velocity, (n,), that a rate of the reduced state contains.
 
-    π̇ is compared at the velocity of the same evaluation, whose round-off is no error of π̇.  The
-    linear velocity is not part of the rate and follows from the momentum.
+    The reference for π̇ is computed at this velocity, so that round-off of the velocity does not
+    count as an error of π̇.  The linear velocity is not part of the rate; it follows from the
+    momentum.
     """
     layout, r, k = kernel.layout, kernel.system.r, kernel.system.group.linear
     a, v = len(layout.active), at.v.copy()
@@ -254,7 +257,7 @@ def _validate_inverse_dynamics(kernel: Kernel, at: ReferenceState, v: Array) -> 
 
 
 def _forces_at(kernel: Kernel, at: ReferenceState, v: Array) -> tuple[Array, Array]:
-    """Return torques (m,) and the base wrench (r,); wrenches on links by Pinocchio."""
+    """Return torques, (m,), and the base wrench, (r,), with link wrenches mapped by Pinocchio."""
     system, forces = kernel.system, kernel.forces
     if forces is None:
         return np.zeros(system.m), np.zeros(system.r)
@@ -275,7 +278,7 @@ def force_inputs(at: ReferenceState, v: Array) -> ForceInputs:
 
 
 def _gravity_moment(kernel: Kernel, at: ReferenceState) -> Array:
-    """Return the moment of gravity about the pivot, (r,), by Pinocchio."""
+    """Return the moment of gravity about the pivot, (r,), computed with Pinocchio."""
     gravity = pin.computeGeneralizedGravity(at.model, kernel.system.data, at.q)
     return -np.asarray(gravity[: kernel.system.r])
 
@@ -287,7 +290,7 @@ def _attitude_jacobian(kernel: Kernel, at: ReferenceState) -> Array:
 
 
 def _base_rates(kernel: Kernel, rate: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the rates of attitude, down, momentum and push (see BaseParts)."""
+    """Split dy/dt of the base into attitude, gravity direction, momentum and push (BaseParts)."""
     first, counts = kernel.layout.base_at, kernel.layout.base
     return counts.split(rate[first : first + counts.size])
 
@@ -311,7 +314,7 @@ def explain_ill_scaling(system: System) -> Iterator[None]:
 
 
 def _checker(kernel: Kernel) -> partial[None]:
-    """Return `require_agreement` with the name of a kernel."""
+    """Return `require_agreement` with the kernel's name as its first argument."""
     return partial(require_agreement, f"the kernel of '{kernel.system.name}'")
 
 
@@ -325,8 +328,8 @@ def require_agreement(
 ) -> None:
     """Check that two arrays agree.
 
-    They may differ by `tolerance` times the largest expected entry, and by the round-off of the
-    terms they are sums of.
+    Entries may differ by `tolerance` times the largest expected entry, plus the round-off of the
+    terms that sum to them.
 
     Args:
         who: Name of the compared code, for messages.

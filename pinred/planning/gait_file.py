@@ -1,4 +1,4 @@
-"""Gait files: their keys, which the JSON Schema and the docs share, and their reader."""
+"""Gait files: the table of keys, from which schema and docs are generated, and the reader."""
 
 from __future__ import annotations
 
@@ -274,8 +274,8 @@ class GaitFile:
         connection: The connection.
         gait: The gait, or None.
         momentum: Initial body momentum, (r,).
-        optimise: Options of `optimise_gait` in the file, by name.
-        reorient: Options of `reorient` in the file, by name.
+        optimise: Options in the file for `optimise_gait`, by name.
+        reorient: Options in the file for `reorient`, by name.
     """
 
     system: System
@@ -296,7 +296,7 @@ class GaitFile:
 
 
 def load_gait(path: str | Path) -> GaitFile:
-    """Read robot, connection, gait and objectives from a TOML file (see docs/phases.md).
+    """Read a gait file: robot, connection, gait and objectives in TOML (see docs/phases.md).
 
     Args:
         path: Name of the file.

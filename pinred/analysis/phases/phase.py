@@ -42,7 +42,8 @@ class Phase:
         pose: Group element g of the cycle, (size,); the base starts at the identity.
         error: Error estimate, the difference to half as many samples: rotation [rad] and
             translation [m].
-        geometric: Horizontal lift, (size,), which is g at zero momentum.
+        geometric: Geometric phase, the end of the horizontal lift, (size,); equal to g at zero
+            momentum.
         momentum: Body momentum at the start of the cycle, (r,).
         times: Times of the path, (P + 1,) [s].
         path: Poses during the cycle, (P + 1, size).
@@ -68,7 +69,7 @@ class Phase:
     def dynamic(self) -> Array:
         """Dynamic factor of the pose, (size,), with g = dynamic · geometric.
 
-        The identity at zero momentum.
+        The factor is the identity at zero momentum.
         """
         return self.group.compose(self.pose, self.group.inverse(self.geometric))
 

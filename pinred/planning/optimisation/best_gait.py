@@ -20,22 +20,23 @@ from ...system.system import System
 from .objective import ABOUT, DEGREES, AxisAim, TargetAim
 from .transcription import Task
 
-SAME = 1e-5  # relative difference of merits below which optima count as equal
+SAME = 1e-5  # relative difference of merits below which two optima are considered equal
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """A loop that no small change within the limits improves.
+    """A local optimum: a loop that no small change within the limits improves.
 
     Attributes:
         gait: The loop.
-        phase: Phase of one cycle, sampled independently of the optimiser.
-        value: Objective of one cycle [rad | m]; for a target, the deviation from it.
-        cost: Cost of one cycle, in the unit of the cost; NaN without a cost.
-        merit: The maximised quantity.
+        phase: Geometric phase of one cycle, computed on samples independent of the optimiser's.
+        value: Objective of one cycle [rad | m]; for a target, the deviation from
+            the target.
+        cost: Cost of one cycle, in the unit of the selected cost; NaN if no cost is selected.
+        merit: The maximised quantity; see `Task.merit`.
         residual: Residual of the Karush–Kuhn–Tucker conditions, relative to the merit.
-        margins: Smallest distance to the limits of each kind.
-        winding: Winding number in the plane of two joints; None with more joints.
+        margins: Smallest distance to the limits of each kind; see `limits.margins`.
+        winding: Winding number of the loop in the plane of two joints; None for more joints.
         found: Number of starts that converged to this optimum.
     """
 
@@ -72,7 +73,7 @@ class BestGait:
         task: The optimisation task.
         optima: Local optima, best first.
         starts: Number of initial loops.
-        lost: Reasons why other starts failed.
+        lost: For each start that failed, the reason.
     """
 
     task: Task = field(repr=False)
@@ -87,17 +88,17 @@ class BestGait:
 
     @property
     def phase(self) -> Phase:
-        """Phase of one cycle of the best loop."""
+        """Geometric phase of one cycle of the best loop."""
         return self.optima[0].phase
 
     @property
     def value(self) -> float:
-        """Objective of one cycle [rad | m]; for a target, the deviation from it."""
+        """Objective of one cycle [rad | m]; for a target, the deviation from the target."""
         return self.optima[0].value
 
     @property
     def cost(self) -> float:
-        """Cost of one cycle; NaN without a cost."""
+        """Cost of one cycle; NaN if no cost is selected."""
         return self.optima[0].cost
 
     @property
@@ -107,7 +108,7 @@ class BestGait:
 
     @property
     def winding(self) -> float | None:
-        """Winding number of the loop of two joints; None with more joints."""
+        """Winding number of the loop in the plane of two joints; None for more joints."""
         return self.optima[0].winding
 
     @cached_property
@@ -128,9 +129,9 @@ class BestGait:
 
     @property
     def flow_error(self) -> PoseError:
-        """Distance between the simulated final pose and the phase [rad, m].
+        """Distance between the simulated final pose and the geometric phase [rad, m].
 
-        Under gravity, the displacement of the free fall is subtracted.
+        Under gravity, the displacement by free fall is subtracted first.
         """
         system, group, end = self._system(), self.task.connection.group, self.trajectory.pose[-1]
         fall = 0.5 * system.gravity[: group.linear] * self.gait.period**2

@@ -13,10 +13,10 @@ from .ipopt import Minimum, minimum
 from .limits import tighten_limits, violation_times
 from .transcription import Path, Task, fourier_path, problem_of
 
-_PIECES = 2  # quadrature pieces of order 16, times (harmonics + 3)
-_CHECKS = 4  # times at which limits are imposed, times (harmonics + 1)
-_ROUNDS = 6  # repetitions that enforce limits between these times
-_EXCHANGED = 2  # first repetitions, which impose limits at additional times
+_PIECES = 2  # number of quadrature segments of order 16, divided by (harmonics + 3)
+_CHECKS = 4  # number of times at which limits are imposed, divided by (harmonics + 1)
+_ROUNDS = 6  # largest number of repetitions that enforce limits between these times
+_EXCHANGED = 2  # number of first repetitions that add times instead of tightening limits
 
 
 class StartFailed(Exception):  # noqa: N818
@@ -25,11 +25,11 @@ class StartFailed(Exception):  # noqa: N818
 
 @dataclass(frozen=True)
 class Search:
-    """A task for one family of paths.
+    """An optimisation task, restricted to one family of paths.
 
     Attributes:
         task: The task.
-        path: The paths.
+        path: The family of paths over which the task is optimised.
     """
 
     task: Task
@@ -42,18 +42,18 @@ class Search:
             gait: A gait with at most as many harmonics as the paths.
             most: Maximum number of iterations.
         Returns:
-            The final point of IPOPT.
+            The result of IPOPT.
         """
         y = self.path.unknowns(coefficients_of(gait, (len(self.path.shift) - 1) // 2))
         z = np.append(y, gait.period) if self.task.period_is_free else y
         return minimum(problem_of(self.task, self.path), z, most=most)
 
     def coefficients(self, z: Array) -> Array:
-        """Return the coefficients, (K, m), at unknowns z."""
+        """Return the path coefficients, (K, m), for the unknowns z of the optimisation."""
         return self.path.coefficients(z[: self.path.size])
 
     def gait(self, z: Array) -> Gait:
-        """Return the Fourier gait at unknowns z."""
+        """Return the Fourier gait for the unknowns z of the optimisation."""
         c = self.coefficients(z)
         h = (len(c) - 1) // 2
         T = float(z[-1]) if self.task.period_is_free else self.task.period
@@ -63,15 +63,15 @@ class Search:
 def fourier_path_of(
     task: Task, harmonics: int, more: Array | None = None, start: Array | None = None
 ) -> Path:
-    """Return Fourier paths for a task, with limits imposed at sample times.
+    """Return the family of Fourier paths for a task; limits are imposed at sample times.
 
     Args:
         task: The task.
         harmonics: Number of harmonics.
-        more: Additional s, (C,), at which limits are imposed.
+        more: Additional times s = t/T in [0, 1], (C,), at which limits are imposed.
         start: Common initial shape of all paths, (m,), or None.
     Returns:
-        The paths.
+        The family of paths.
     """
     count = _CHECKS * (harmonics + 1)
     even = np.arange(count) / count

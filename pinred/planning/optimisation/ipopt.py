@@ -1,4 +1,4 @@
-"""IPOPT from CasADi's wheel, for NumPy functions with exact derivatives."""
+"""Solver for NumPy functions with exact derivatives: the IPOPT in CasADi's wheel."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.interrupts import held_interrupt
 
-# Function z (n,) → objective and constraints, (1 + k,), and their derivatives, (1 + k, n).
+# Function from the unknowns z, (n,), to the values of the objective and of k constraints,
+# (1 + k,), and to their derivatives, (1 + k, n).
 Evaluate: TypeAlias = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Minimise f(z) subject to lower ≤ (g(z), R z) ≤ upper.
+    """An optimisation problem: minimise f(z) subject to lower ≤ (g(z), R z) ≤ upper.
 
     Attributes:
         size: Number of unknowns n.
-        evaluate: Function z → f and g, (1 + k,), with derivatives, (1 + k, n).
+        evaluate: Function of z that returns (f, g), (1 + k,), and its derivatives, (1 + k, n).
         rows: Matrix R of the linear constraints, (l, n).
-        lower: Lower bounds, (k + l,).
-        upper: Upper bounds, (k + l,).
+        lower: Lower bounds of g and R z, (k + l,).
+        upper: Upper bounds of g and R z, (k + l,).
     """
 
     size: int
@@ -36,19 +37,19 @@ class Problem:
 
     @property
     def constraints(self) -> int:
-        """Number of entries of g."""
+        """Number k of nonlinear constraints g."""
         return len(self.lower) - len(self.rows)
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """The final point of IPOPT.
+    """Result of an IPOPT solve.
 
     Attributes:
-        z: Unknowns, (n,).
+        z: Unknowns at the final iterate, (n,).
         status: Return status of IPOPT.
         iterations: Number of iterations.
-        residual: See `kkt_residual`.
+        residual: Residual of the optimality conditions at z; see `kkt_residual`.
     """
 
     z: Array
@@ -60,8 +61,8 @@ class Minimum:
 def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: int = 500) -> Minimum:
     """Find a local minimum near an initial point.
 
-    The Hessian is approximated by L-BFGS.  A failure raises no error; the residual tells whether
-    the point is a minimum.
+    The Hessian is approximated by L-BFGS.  A failure raises no error; check the residual to see
+    whether the final iterate is a minimum.
 
     Args:
         problem: The problem.
@@ -69,7 +70,7 @@ def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: in
         tolerance: IPOPT's tolerance.
         most: Maximum number of iterations.
     Returns:
-        The final point.
+        The result at the final iterate.
     """
     with held_interrupt() as pressed:
         function = _Function(problem, pressed)
@@ -109,13 +110,13 @@ def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
     """Compute the residual of the Karush–Kuhn–Tucker conditions, relative to f.
 
     The residual is min |∇f + Σ λᵢ ∇cᵢ| / |f| over the multipliers of active constraints, with λ ≥ 0
-    at upper bounds and λ ≤ 0 at lower bounds, by bounded least squares.  It uses no information
-    of the optimiser.
+    at upper bounds and λ ≤ 0 at lower bounds.  It is computed by bounded least squares and does
+    not use IPOPT's multipliers, so that it checks IPOPT independently.
 
     Args:
         problem: The problem.
         z: Unknowns, (n,).
-        active: Distance to a bound below which a constraint is active, relative to its size.
+        active: Relative distance to a bound below which a constraint is considered active.
     Returns:
         The residual; inf if a value is not finite or f is zero.
     """

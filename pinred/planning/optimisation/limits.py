@@ -1,4 +1,4 @@
-"""Limits of joints, speeds and torques, and the margins that a gait keeps to them."""
+"""Limits of joints, speeds and torques, and the margins between a gait and these limits."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from ...common.errors import InputError, ShapeError
 from ...common.names import joint_index
 from .objective import torque_order, torques
 
-# A number r for [−r, r], or a pair, for all joints or by joint; speeds and torques accept r alone.
+# Limits: r for [−r, r] or a pair (low, high), for all joints or for each joint.  Limits of speed
+# and torque are symmetric, so that they accept only r.
 LimitsLike: TypeAlias = float | ArrayLike | Mapping[str, ArrayLike]
-WHOLE_TURN = 2.0 * np.pi  # default limit of rotational joints, either way [rad]
+WHOLE_TURN = 2.0 * np.pi  # default limit of rotational joints in either direction [rad]
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Limits of the joints; infinite entries are no limits.
+    """Limits of the joints; an infinite entry means that there is no limit.
 
     Attributes:
         shape: Lower and upper bound, (m, 2) [rad | m].
@@ -61,13 +62,14 @@ def limits_of(
 
     Args:
         connection: The connection.
-        shape: Limits of the joints; None for the robot file, or a full turn either way.
+        shape: Limits of the joints; if None, those of the robot file, or a full turn in
+            either direction for rotational joints without a range.
         speed: Limits of the speeds, or None.
         torque: Limits of the torques, or None.
     Returns:
         The limits.
     Raises:
-        InputError: A limit is invalid, or leaves no range.
+        InputError: A limit is invalid, or the allowed range is empty.
         ShapeError: The number of limits is wrong.
     """
     m = connection.m
@@ -85,7 +87,7 @@ def limits_of(
 
 
 def _file_limits(connection: Connection) -> Array:
-    """Return the ranges in the robot file, (m, 2); a full turn for rotations without range."""
+    """Return the joint ranges, (m, 2), in the robot file, or a full turn in either direction."""
     ranges = np.full((connection.m, 2), np.nan)
     for k, unit in enumerate(connection.form.units):
         if unit == "rad":
@@ -110,7 +112,7 @@ def _by_joint(connection: Connection, limits: LimitsLike, what: str, defaults: A
         for name, value in limits.items():
             ranges[joint_index(name, list(connection.joints), what)] = _pair(value, what)
         return ranges
-    if isinstance(limits, (list, tuple)) and len(limits) == m:  # may mix numbers and pairs
+    if isinstance(limits, (list, tuple)) and len(limits) == m:  # each a number or a pair
         return np.stack([_pair(entry, what) for entry in limits])
     array = as_floats(limits, what)
     if array.ndim == 0:
@@ -132,13 +134,13 @@ def _pair(value: ArrayLike, what: str) -> Array:
     return np.array([-float(array), float(array)])
 
 
-_TOPS = 4  # largest samples of each function that are refined
-_POINTS = 9  # points of the local grid
-_ROUNDS = 10  # refinements, each four times finer
+_TOPS = 4  # number of largest samples of each function that are refined
+_POINTS = 9  # number of points of the local grid
+_ROUNDS = 10  # number of refinements; each refines the grid by a factor of four
 
 
 def find_extremes(values: Callable[[Array], Array], s: Array) -> tuple[Array, Array]:
-    """Find the largest absolute values of m functions, also between samples.
+    """Find the maxima of the absolute values of m functions, including between samples.
 
     Args:
         values: Vectorised functions: s (N,) → (N, m).  They must be defined one sample interval
@@ -170,12 +172,12 @@ def find_extremes(values: Callable[[Array], Array], s: Array) -> tuple[Array, Ar
 
 
 _TIMES = 1024  # smallest number of torque samples in a cycle
-_PER_HARMONIC = 64  # torque samples of each harmonic
+_PER_HARMONIC = 64  # number of torque samples per harmonic
 _OVERCORRECTION = 1.1  # factor on violations by which limits are tightened
 
 
 def violation_times(connection: Connection, gait: Gait, limits: Limits) -> Array:
-    """Find the s = t/T at which a Fourier gait exceeds limits most.
+    """Find the times s = t/T at which a Fourier gait exceeds each limit most.
 
     Args:
         connection: The connection.
@@ -199,16 +201,23 @@ def violation_times(connection: Connection, gait: Gait, limits: Limits) -> Array
 
 
 def _worst_violations(s: Array, beyond: Array) -> list[float]:
-    """Return for each joint the s of its largest violation among (N, m)."""
+    """Return, for each joint that exceeds its limit, the time s of its largest violation.
+
+    Args:
+        s: Times, (N,).
+        beyond: Excess over the limits, (N, m).
+    Returns:
+        The times, at most m.
+    """
     worst = beyond.argmax(axis=0)
     return [float(s[k]) for k, joint in zip(worst, beyond.T, strict=True) if joint[k] > 0.0]
 
 
 def tighten_limits(imposed: Limits, connection: Connection, gait: Gait, limits: Limits) -> Limits:
-    """Tighten imposed limits by the violations of a gait.
+    """Tighten the limits imposed on the optimiser by the violations of its last gait.
 
     Args:
-        imposed: Limits imposed so far.
+        imposed: Limits imposed in the last optimisation.
         connection: The connection.
         gait: The gait.
         limits: Limits that the gait must satisfy.
@@ -260,7 +269,7 @@ def peak_speeds(gait: Gait) -> Array:
 
 
 def _rate_gait(gait: Gait) -> Gait:
-    """Return ẋ of a Fourier gait as a path."""
+    """Return the joint rates ẋ(t) of a Fourier gait as another Fourier gait."""
     (arc,) = gait.arcs
     if not isinstance(arc, FourierArc):
         raise InputError("gait: expected one Fourier series; create it with Gait.fourier")
@@ -274,10 +283,10 @@ def peak_torques(connection: Connection, gait: Gait) -> tuple[Array, Array]:
     """Compute the largest torque of each joint of a Fourier gait.
 
     Args:
-        connection: The connection: at zero momentum, or with drag.
+        connection: The connection, defined by zero momentum or by drag.
         gait: The gait.
     Returns:
-        The positions s = t/T, (m,), and the torques, (m,) [N·m | N].
+        The times s = t/T of the maxima, (m,), and the torques, (m,) [N·m | N].
     Raises:
         InputError: The gait is not one Fourier series.
     """
