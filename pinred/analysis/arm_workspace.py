@@ -2,8 +2,9 @@
 
 At zero momentum the centre of mass is at rest, and the distance of the hand from it depends on the
 shape alone. A distance is path-dependent if some shape with that distance is dynamically singular:
-whether the hand can pass it depends on its path. Source: E. Papadopoulos, S. Dubowsky, "Dynamic
-singularities in free-floating space manipulators", J. Dyn. Sys., Meas., Control 115 (1993).
+whether the hand can cross this distance depends on the path that the hand takes. Source: E.
+Papadopoulos, S. Dubowsky, "Dynamic singularities in free-floating space manipulators", J. Dyn.
+Sys., Meas., Control 115 (1993).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from ..common.arrays import Array, freeze
 
 _SHAPES_PER_LINE = 41
 _DESCENTS = 6  # number of samples from which each extreme distance is minimised
-_GAP = 4.0  # largest hole within one range, in mean distances between samples
+_GAP = 4.0  # largest gap within one range, in mean distances between samples
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Workspace:
     """Distances of the hand from the centre of mass at zero momentum. Arrays are read-only.
 
     Attributes:
-        reach: Least and greatest distance, (2,) [m].
+        reach: Least and greatest distance that the hand reaches, (2,) [m].
         dependent: Path-dependent ranges, (K, 2) [m], which contain singular shapes.
         independent: Path-independent ranges, (L, 2) [m].
     """
@@ -82,7 +83,7 @@ def workspace_of(
 
 
 def _grid(bounds: Array, samples: int) -> Array:
-    """Return the lines of a grid as paths, (P, samples, m)."""
+    """Return the grid lines along every joint as P sampled paths, (P, samples, m)."""
     axes = [np.linspace(low, high, samples) for low, high in bounds]
     shapes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     return shapes[None] if len(bounds) == 1 else np.concatenate([shapes, np.swapaxes(shapes, 0, 1)])
@@ -109,8 +110,8 @@ def _extreme(
     Args:
         sign: 1 for the least distance, −1 for the greatest.
         starts: Initial shapes, (k, m).
-        radius: Distances at shapes.
-        slope: Derivative of the distance at a shape.
+        radius: Function that returns the distances (k,) [m] at shapes (k, m).
+        slope: Function that returns the derivative (m,) of the distance at a shape.
         bounds: Joint limits, (m, 2).
     Returns:
         The extreme distance [m].
@@ -128,7 +129,7 @@ def _extreme(
 
 
 def _ranges(values: Array, gap: float) -> Array:
-    """Return the ranges (K, 2) of sorted values without holes larger than a gap."""
+    """Split sorted values into ranges (K, 2) wherever neighbours differ by more than `gap`."""
     if not len(values):
         return np.zeros((0, 2))
     cuts = np.flatnonzero(np.diff(values) > gap)

@@ -27,7 +27,7 @@ from .full_reduction import Reduction
 
 Axes = Literal["local", "world"]
 _FRAMES = {"local": pin.LOCAL, "world": pin.LOCAL_WORLD_ALIGNED}
-_NO_REACTION = 1e-10  # relative to the largest singular value of A; smaller ones count as zero
+_NO_REACTION = 1e-10  # singular values of A below this fraction of the largest are zero
 _ROOT_SAMPLES = 721  # number of samples of a path that bracket the roots
 
 
@@ -38,7 +38,7 @@ class Singularity:
     Attributes:
         values: Singular values of the task rows of J_g, (k,), largest first.
         determinant: Determinant of these rows if they are square, else the product of the values.
-        lost: Unit twist that the joints can move least, (k,), in the task rows.
+        lost: Unit twist in the task rows that needs the largest joint rates, (k,).
         joints: Unit joint rates that move the hand least, (m,).
     """
 
@@ -106,7 +106,7 @@ class FloatingArm:
         Args:
             x: Shape, (m,) [rad | m].
             axes: "local" or "world".
-            pose: Pose of the base; None: the identity. It matters for world axes only.
+            pose: Pose of the base; None: the identity. Only world axes depend on it.
         Returns:
             (6, m): twist of the hand per unit joint rate, at zero momentum.
         """
@@ -177,7 +177,7 @@ class FloatingArm:
         return pin.SE3(data.oMf[self._id])
 
     def singularity(self, x: ArrayLike) -> Singularity:
-        """Compute the singular values of the task rows of J_g, and the twist that is lost first.
+        """Compute the singular values of the task rows of J_g, and the twist with the least value.
 
         Args:
             x: Shape, (m,) [rad | m].
@@ -230,7 +230,7 @@ class FloatingArm:
         Returns:
             (K,) values of the joint [rad | m].
         Raises:
-            InputError: There is no such joint, or the limits are not in order.
+            InputError: The joint is unknown, or the limits are not in order.
         """
         system = self.system
         k = joint_index(joint, system.shape_names, "singular_values_of")
@@ -269,7 +269,7 @@ class FloatingArm:
         Returns:
             (m, k): orthonormal joint rates, one per column.
         Raises:
-            InputError: Another value of `of`.
+            InputError: `of` is neither "base" nor "attitude".
         """
         if of not in ("base", "attitude"):
             raise InputError(f"of must be base or attitude, got {of!r}")
@@ -333,7 +333,7 @@ class FloatingArm:
         return distances.reshape(shapes.shape[:-1])
 
     def _radius_gradient(self, x: Array) -> Array:
-        """Return the derivative (m,) of that distance by the joints, for a base at rest."""
+        """Return the derivative (m,) of this distance with respect to the joints, base at rest."""
         system, model, data = self.system, self.system.model, self.system.data
         q = system.model_q(system.group.identity(), x)
         com_jacobian = pin.jacobianCenterOfMass(model, data, q)
@@ -364,13 +364,13 @@ class FloatingArm:
         return np.array(sorted(roots))
 
     def _at(self, x: ArrayLike, pose: ArrayLike | None) -> tuple[Array, Array]:
-        """Return the validated shape and pose."""
+        """Validate a shape and a pose."""
         system = self.system
         shape = vector(x, system.m, "x", system.shape_names)
         return shape, system.group.identity() if pose is None else system.group.pose(pose)
 
     def _jacobian(self, x: Array, g: Array, axes: str) -> Array:
-        """Return (J_b, J_s), (6, n), at a shape x and pose g."""
+        """Return the Jacobian (J_b, J_s) of the hand, (6, n), at a shape x and pose g."""
         if axes not in _FRAMES:
             raise InputError(f"axes must be {' or '.join(_FRAMES)}, got {axes!r}")
         model, data = self.system.model, self.system.data

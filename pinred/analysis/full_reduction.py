@@ -1,4 +1,4 @@
-"""The reduction of a system, at one shape by Pinocchio and over many shapes by compiled code.
+"""The reduction of a system, computed at one shape by Pinocchio, at many by compiled code.
 
 Levi-Civita connections are those of the reduced metric and of a left-invariant metric. For the
 reduced metric M(x) on shape space, with dM[a, b, c] = ∂_c M_ab:
@@ -57,10 +57,10 @@ class SplitVelocity:
 class Reduction(PointwiseReduction):
     """The reduction of one system, at any shape or over many shapes.
 
-    Every method computes anew from its arguments. It raises ShapeError if a shape x (m,) [rad | m]
+    Methods cache nothing between calls. A method raises ShapeError if a shape x (m,) [rad | m]
     has the wrong length or is not finite. It raises SingularInertiaError if the mass matrix is
-    numerically singular there. For several quantities at one shape, call `at`, which computes them
-    together. An instance owns Pinocchio work space, so use one per thread.
+    numerically singular at this shape. For several quantities at one shape, call `at`, which
+    computes them together. An instance owns Pinocchio work space, so use one per thread.
 
     Args:
         system: System to reduce.
@@ -265,7 +265,7 @@ class Reduction(PointwiseReduction):
         return left_invariant_derivative(self.group, self.locked_inertia(x), xi, eta)
 
     def grid(self, shapes: ArrayLike) -> ShapeField:
-        """Return the same quantities at many shapes, as a field over the leading axes.
+        """Return the quantities of the reduction at many shapes, as a field over the leading axes.
 
             a = np.linspace(-1.0, 1.0, 41)
             field = red.grid(np.stack(np.meshgrid(a, a, indexing="ij"), axis=-1))
@@ -287,7 +287,7 @@ class Reduction(PointwiseReduction):
         return ShapeField(self.system, x, self._potential, moves)
 
     def _metric_derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return M and its first and second derivatives."""
+        """Return the reduced metric M and its first and second derivatives."""
         shape = self.split(x).x  # raises SingularInertiaError
         d = inertia_derivatives(self.system, shape[None])
         return reduced_metric_derivatives(d, self.system.r)
@@ -303,8 +303,8 @@ def riemann_tensor(M: Array, dM: Array, d2M: Array) -> Array:
 
     Args:
         M: Metric, (m, m).
-        dM: Its derivative, (m, m, m), derivative index last.
-        d2M: Its second derivative, (m, m, m, m), derivative indices last.
+        dM: Derivative of the metric, (m, m, m), derivative index last.
+        d2M: Second derivative of the metric, (m, m, m, m), derivative indices last.
     Returns:
         R_abcd, (m, m, m, m).
     """
@@ -348,7 +348,7 @@ def reduced_metric_derivatives(d: InertiaDerivatives, r: int) -> tuple[Array, Ar
     H, dH, d2H = d.H[0], d.dH[0], d.d2H[0]
     I, Hbs, dI, dHbs = H[:r, :r], H[:r, r:], dH[:r, :r], dH[:r, r:]
     A = np.linalg.solve(I, Hbs)
-    # W = I ∂A = ∂(IA) − ∂I A.
+    # The matrices W = I ∂A follow from the product rule: W = ∂(IA) − ∂I A, with I A = H_bs.
     W = dHbs - np.einsum("ijc,jb->ibc", dI, A)
     dA = np.linalg.solve(I, W.reshape(r, -1)).reshape(W.shape)
     dM = dH[r:, r:] - np.einsum("iac,ib->abc", dHbs, A)
@@ -378,6 +378,6 @@ def left_invariant_derivative(group: Group, inertia: Array, xi: Array, eta: Arra
 
 
 def _lowered(dM: Array) -> Array:
-    """Return Γ_{d,ab}, d first."""
+    """Return the Christoffel symbols of the first kind Γ_{d,ab}, d first, from ∂M."""
     by_a = np.swapaxes(dM, 1, 2)  # [d, a, b]: ∂_a M_db
     return 0.5 * (by_a + dM - np.moveaxis(dM, 2, 0))

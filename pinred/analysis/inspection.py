@@ -1,4 +1,4 @@
-"""inspect(): the structure of a robot at one shape, and the quantities that pinred skips."""
+"""inspect(): report a robot's structure at one shape, and the quantities that pinred skips."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ..simulation.plan import plan_of
 from ..system.system import System, checked_system
 
 _SHAPES = 3  # number of random shapes at which the curvature is tested
-_ZERO_CURVATURE = 1e-11  # relative to the terms of the curvature
+_ZERO_CURVATURE = 1e-11  # largest curvature of a flat connection, relative to its terms
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """A system at one shape.
+    """The structure of a system at one shape.
 
     Attributes:
         system: The system.
@@ -35,8 +35,8 @@ class Inspection:
             zero momentum.
         casimirs: Casimirs of the body momentum, as formulas.
         cyclic: Joints on which neither inertia nor potential depends.
-        symmetries: Conserved quantities, in words.
-        skipped: Quantities that a simulation does not integrate, in words.
+        symmetries: Descriptions of the conserved quantities.
+        skipped: Descriptions of the quantities that a simulation does not integrate.
         full_size: Number of variables that a full simulation integrates.
         reduced_size: Number of variables that pinred integrates; None if gravity breaks the
             symmetry.
@@ -125,7 +125,7 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     names = system.shape_names
     cyclic = tuple(names[k] for k in cyclic_joints(red))
     size: int | None
-    # A generic motion has momentum, so zero momentum must not simplify the plan.
+    # A generic motion has momentum, so do not use a plan that is simplified for zero momentum.
     generic = Scene(system=system, x0=at.x, xi0=np.ones(system.r))
     try:
         plan = plan_of(generic)

@@ -218,7 +218,7 @@ def _add_accuracy_options(sub: argparse.ArgumentParser) -> None:
 
 
 def _run_accuracy(arguments: argparse.Namespace, folder: Path | None) -> int:
-    """Measure the results that the folder does not have yet, print and write them.  Returns 0."""
+    """Measure the results that the folder lacks; print and write all of them.  Returns 0."""
     from ..laboratory.bench.accuracy import DEFAULT, FULL, QUICK
     from ..laboratory.bench.scenes import SCENES, problems_named
     from ..laboratory.bench.solvers import ALL_SOLVERS, SOLVERS, solvers_named

@@ -64,13 +64,13 @@ def add_options(sub: argparse.ArgumentParser, keys: Mapping[str, Key]) -> None:
 
 
 def options_in(arguments: argparse.Namespace, keys: Mapping[str, Key]) -> dict[str, Any]:
-    """Return the values that the arguments state.
+    """Return the values of the options that the user passed.
 
     Args:
         arguments: Parsed arguments of a command.
         keys: {name: description}, as for add_options.
     Returns:
-        {name: value} of the stated options, as Python accepts them.
+        {name: value} of the options passed, in the form that the Python functions accept.
     Raises:
         InputError: a text does not have the format of its option.
     """
@@ -107,7 +107,7 @@ def add_repeated(sub: argparse.ArgumentParser, usage: str, text: str) -> None:
 
 
 def parameters_in(entries: Sequence[str]) -> dict[str, Any]:
-    """Return {name: number or numbers} of texts NAME=VALUE.  Raises InputError."""
+    """Parse texts NAME=VALUE into {name: number or numbers}.  Raises InputError."""
     parameters: dict[str, Any] = {}
     for entry in entries:
         name, _, text = entry.partition("=")
@@ -121,7 +121,7 @@ def parameters_in(entries: Sequence[str]) -> dict[str, Any]:
 
 
 def refuse_of_robots(arguments: argparse.Namespace, source: str, *names: str) -> None:
-    """Raise InputError for options that apply to robots only, if the source is a file."""
+    """Reject options that apply to robots only, if the source is a file.  Raises InputError."""
     for name in names:
         if getattr(arguments, name) not in (None, []):
             raise InputError(f"--{name} is for robots; {quoted(source)} says itself")
@@ -193,7 +193,7 @@ def scene_with(system: System, seed: int | None, **options: Any) -> Scene:
 
 
 def numbers_in(text: str | None, option: str) -> list[float] | None:
-    """Return the numbers in a text V1,V2,…; None if it is None.  Raises InputError."""
+    """Parse the numbers in a text V1,V2,…; None stays None.  Raises InputError."""
     if text is None:
         return None
     try:
@@ -205,7 +205,7 @@ def numbers_in(text: str | None, option: str) -> list[float] | None:
 
 
 def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
-    """Return numbers in joint order, or {joint: number} of a text J1=V1,….  Raises InputError."""
+    """Parse V1,V2,… into numbers, or J1=V1,… into {joint: number}.  Raises InputError."""
     if "=" not in text:
         return numbers_in(text, option) or []
     values: dict[str, float] = {}
@@ -223,7 +223,7 @@ def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
 
 
 def springs_in(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return {joint: (stiffness, rest)} of texts JOINT=STIFFNESS,REST.  Raises InputError."""
+    """Parse texts JOINT=STIFFNESS,REST into {joint: (stiffness, rest)}.  Raises InputError."""
     springs = {}
     for entry in entries:
         name, _, text = entry.partition("=")
@@ -237,7 +237,7 @@ def springs_in(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 
 def prescribed_in(entries: Sequence[str]) -> dict[str, float | str]:
-    """Return {joint: number or formula} of texts JOINT=PLAN.  Raises InputError."""
+    """Parse texts JOINT=PLAN into {joint: number or formula}.  Raises InputError."""
     plans: dict[str, float | str] = {}
     for entry in entries:
         name, _, text = entry.partition("=")
@@ -255,7 +255,7 @@ def prescribed_in(entries: Sequence[str]) -> dict[str, float | str]:
 
 
 def _lock_in(text: str, _: str) -> dict[str, float]:
-    """Return {joint: value} of a text J1,J2=VALUE,…, with zero for joints without a value."""
+    """Parse a text J1,J2=VALUE,… into {joint: value}, with zero for joints without a value."""
     lock: dict[str, float] = {}
     for entry in text.split(",") if text else ():
         name, _, value = entry.partition("=")
@@ -271,7 +271,7 @@ def _limits_in(text: str, option: str) -> float | list[float] | dict[str, float]
 
 
 _LIMITS = "R, R1,R2,… or J1=R1,…"
-# Parsers of option texts, by the value format that a key states in `command`.
+# Parsers of option values. Each key is the value format with which `command` declares an option.
 _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "V1,V2,…": numbers_in,
     "V1,V2,… or J1=V1,…": by_joint_in,

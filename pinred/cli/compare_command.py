@@ -1,4 +1,4 @@
-"""`pinred compare`: simulate the reduced equations and compare with the full simulation by ABA."""
+"""`pinred compare`: simulate the reduced equations and compare the motion with full ABA."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Try all descriptions and print a table.  Returns 1 for a failed comparison, else 0."""
+    """Process all descriptions and print a table.  Returns 1 for a failed comparison, else 0."""
     from ..common.files import check_path
     from ..laboratory.corpus.run_corpus import corpus
 

@@ -21,7 +21,7 @@ def main() -> int:
                 raise
         if code == CODE:
             end()
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # The work is done.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # The command has finished, so ignore Ctrl-C.
     except KeyboardInterrupt:  # Ctrl-C before the imports finished
         os.write(2, b"pinred: interrupted\n")
         os._exit(130)

@@ -1,4 +1,4 @@
-"""Symbols for the arguments of forces, their terms, and columns of torques, wrenches and loads."""
+"""Symbols for the arguments of forces; their terms as columns of torques, wrenches and loads."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from .named_arrays import Column
 
 
 def symbols_of(system: System, within: ca.SX | None) -> tuple[Symbols, tuple[ca.SX, ...]]:
-    """Create the variables of forces, and the symbols of the base in space among them.
+    """Create the CasADi variables that forces may use, including symbols of the base in space.
 
-    What forces see of the base is expressed by symbols of the base in space only where the frame of
-    the centre of mass does not determine it.
+    The variables of the base are computed in the frame of the centre of mass where possible.
+    Symbols of the base in space appear only in quantities that this frame does not determine.
 
     Args:
         system: The robot.
-        within: Time that selects the piece of tables, None without tables.
+        within: Time that selects the segment of tabulated signals, None without tables.
     Returns:
         The variables, and the symbols of pose, body twist, body momentum and spatial momentum.
     """
@@ -55,14 +55,14 @@ def symbols_of(system: System, within: ca.SX | None) -> tuple[Symbols, tuple[ca.
 
 
 def seen_of_base(system: System, everything: ca.SX, base: tuple[ca.SX, ...]) -> tuple[bool, bool]:
-    """Return whether expressions depend on the attitude, and on position or velocity of the base.
+    """Return whether expressions depend on the base's attitude, and on its position or velocity.
 
     Args:
         system: The robot.
-        everything: Expressions.
+        everything: Expressions of all forces.
         base: Symbols of the base in space, as `symbols_of` returns them.
     Returns:
-        Two flags.
+        Whether they depend on the attitude, and whether they depend on position or velocity.
     """
     k, (pose, *motion) = system.group.linear, base
     coordinates = ca.vertsplit(pose)
@@ -131,12 +131,12 @@ _INSTEAD = (
 
 
 def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-    """Return the terms of a force.
+    """Return the terms of a force, with errors of user functions turned into InputError.
 
     Args:
         force: The force.
         s: Variables of the forces.
-        number: Converts a number to a symbol.
+        number: Function that replaces a number by a symbol.
     Returns:
         The terms.
     Raises:

@@ -20,7 +20,7 @@ from .force import Limit, Named, Symbols, Terms, checked, limited, takes_state
 class Command:
     """Torques and a wrench for one period of a controller.
 
-    With a width, a thruster fires for a part of each period.
+    A width shorter than the period models a thruster that fires during a part of each period.
 
     Attributes:
         torque: Torques [N·m | N], as {joint: torque} or one for each of the controller's joints;
@@ -49,8 +49,8 @@ class Held:
     """The zero-order hold of a command.
 
     Attributes:
-        values: Torques of the joints, then the wrench.
-        width: Duration [s], or None for the whole period.
+        values: Torques on the controller's joints, then the entries of the wrench.
+        width: Duration for which the command acts [s], or None for the whole period.
     """
 
     values: Array
@@ -69,10 +69,12 @@ class Controller(Named):
             It returns {joint: torque}, one torque per joint, or a Command. x["hinge"] equals x[0]
             for the first joint "hinge".
         period: Sampling interval [s].
-        joints: Joints whose torques it sets. None: all joints, or none if it sets a wrench.
+        joints: Joints on which the controller acts. None stands for all joints, or for no joint if
+            the controller sets a wrench.
         limit: Bounds on the torques, or None.
         name: Name in messages and results.
-        wrench: Whether its Commands have wrenches on the base. Momentum is then integrated.
+        wrench: Whether the controller's Commands have wrenches on the base. If so, the momentum is
+            integrated.
         state0: Initial state of a controller with memory, any object that can be copied. The
             function is then update(t, state, measurement) → (action, state) with a SeenState as
             measurement. Every simulation starts with a copy of state0.
@@ -113,26 +115,26 @@ class Controller(Named):
 
     @property
     def keeps_state(self) -> bool:
-        """Whether the controller has a state."""
+        """Whether the controller has a memory (see `state0`)."""
         return not isinstance(self.state0, _Stateless)
 
     @property
     def sees_base(self) -> bool:
-        """Whether the function takes the pose of the base."""
+        """Whether the function takes a SeenState, which contains the pose of the base."""
         return self.keeps_state or takes_state(self.function, self.name)
 
     def driven(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the joints whose torques it sets.
+        """Return the joints on which the controller acts.
 
         Args:
             names: All shape joints.
         Returns:
-            Names.
+            Names of the joints.
         """
         return names if self.joints is None else self.joints
 
     def count(self, names: tuple[str, ...], r: int) -> int:
-        """Return the number of values in a command.
+        """Return the number of floats in a command.
 
         Args:
             names: All shape joints.
@@ -143,11 +145,11 @@ class Controller(Named):
         return len(self.driven(names)) + (r if self.wrench else 0)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return torques and wrench as numbers that each sample sets.
+        """Return torques and wrench as symbols whose values every sample sets.
 
         Args:
             s: Variables of the forces.
-            number: Converts a number to a symbol.
+            number: Function that replaces a number by a symbol.
         Returns:
             The terms.
         """
@@ -159,13 +161,13 @@ class Controller(Named):
         """Call the function at one time.
 
         Args:
-            seen: State, as numbers.
+            seen: Numeric state that the function receives.
             about: Momentum μ about the centre of mass for functions of four arguments, (r,).
-            state: State of the controller.
+            state: Memory of the controller.
         Returns:
-            Its command, and its new state.
+            The function's command, and the new memory of the controller.
         Raises:
-            InputError: A controller with a state does not return (action, state).
+            InputError: The function of a controller with memory does not return (action, state).
         """
         if self.keeps_state:
             result = self.function(seen.t, state, seen)
@@ -180,15 +182,15 @@ class Controller(Named):
         return self.function(seen.t, seen.x, seen.xdot, about.copy()), state
 
     def held(self, given: Any, names: tuple[str, ...], r: int, t: float) -> Held:
-        """Convert a command to numbers.
+        """Validate a command and convert it to floats.
 
         Args:
-            given: The function's result.
+            given: Return value of the function.
             names: All shape joints.
             r: Dimension of the symmetry group.
             t: Time of the sample [s].
         Returns:
-            The numbers and their duration.
+            The floats of the command, and the duration for which they act.
         Raises:
             InputError: The result is not a valid command.
         """

@@ -1,4 +1,4 @@
-"""Base classes and helpers for forces, which are functions or expressions of the state."""
+"""Base class and helpers of forces, which are functions or expressions of the state."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class Limit:
     """Bounds on torques.
 
     Attributes:
-        most: Largest absolute torque [N·m | N], one for all joints or by name.
-        smooth: Whether the bound is a tanh instead of a kink.
+        most: Largest absolute torque [N·m | N]: one value for all joints, or values by joint name.
+        smooth: Whether the torque saturates smoothly (tanh) instead of being clipped with a kink.
     """
 
     most: PerJoint
@@ -51,12 +51,12 @@ class Limit:
     def apply(
         self, s: Symbols, torque: dict[int, Any], number: Callable[[Any], Any], what: str
     ) -> dict[int, Any]:
-        """Return the bounded torques.
+        """Return the torques with the bounds applied.
 
         Args:
             s: Variables of the forces.
             torque: Torques by joint index.
-            number: Converts a number to a symbol.
+            number: Function that replaces a number by a symbol.
             what: Name of the force in messages.
         Returns:
             Torques by joint index.
@@ -82,7 +82,7 @@ def motions(
     Args:
         reference: Signal or number by joint name.
         s: Variables of the forces.
-        number: Converts a number to a symbol.
+        number: Function that replaces a number by a symbol.
         what: Name of the force in messages.
     Returns:
         Position, rate and acceleration, (x_d, ẋ_d, ẍ_d), by joint index.
@@ -98,12 +98,12 @@ def motions(
 
 
 def of_time(value: Any, s: Symbols, number: Callable[[Any], Any], what: str) -> Any:
-    """Return a Signal or a number as an expression.
+    """Return a Signal or a number as a CasADi expression of time.
 
     Args:
-        value: The value.
+        value: The value to convert or check.
         s: Variables of the forces.
-        number: Converts a number to a symbol.
+        number: Function that replaces a number by a symbol.
         what: Name of the value in messages.
     Returns:
         The expression.
@@ -114,7 +114,7 @@ def of_time(value: Any, s: Symbols, number: Callable[[Any], Any], what: str) -> 
 
 
 def signals_in(values: Iterable[Any]) -> list[Signal]:
-    """Return the Signals among values."""
+    """Return those of the values that are Signals."""
     return [value for value in values if isinstance(value, Signal)]
 
 
@@ -124,7 +124,7 @@ def checked(what: str, wanted: str, value: Any, *kinds: type) -> None:
     Args:
         what: Name of the value in messages.
         wanted: Description of valid values.
-        value: The value.
+        value: The value to convert or check.
         *kinds: Valid types.
     Raises:
         InputError: The value is invalid.
@@ -152,7 +152,7 @@ def limited(
         limit: The limit, or None.
         s: Variables of the forces.
         torque: Torques by joint index.
-        number: Converts a number to a symbol.
+        number: Function that replaces a number by a symbol.
         what: Name of the force in messages.
     Returns:
         Torques by joint index.
@@ -173,7 +173,7 @@ def per_joint(
 
     Args:
         values: One value, or values by joint name.
-        joints: Indices of the joints.
+        joints: Indices of the joints that need a value.
         s: Variables of the forces.
         what: Name of the values in messages.
     Returns:
@@ -192,15 +192,15 @@ def per_joint(
 
 
 def scalar(value: Any, what: str) -> Any:
-    """Return one value as an SX expression.
+    """Return a scalar value as an SX expression.
 
     Args:
-        value: The value.
-        what: Its name in messages.
+        value: The value to convert or check.
+        what: Name of the function or value in messages.
     Returns:
         The expression.
     Raises:
-        InputError: It is not one finite number or SX expression.
+        InputError: The value is neither a finite number nor a scalar SX expression.
     """
     import casadi as ca
 
@@ -220,7 +220,7 @@ def scalar(value: Any, what: str) -> Any:
 
 Action: TypeAlias = Callable[..., Any]
 
-_MANY = 1_000_000  # number of arguments that *args accept
+_MANY = 1_000_000  # number that stands for the unlimited arguments of a function with *args
 _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 FORMS = "(t, x, xdot, mu), or one state s with s.t, s.x, s.xdot, s.pose, s.xi, s.mu and s.J"
 
@@ -230,11 +230,11 @@ def takes_state(function: Callable[..., Any], what: str) -> bool:
 
     Args:
         function: The function.
-        what: Its name in messages.
+        what: Name of the function or value in messages.
     Returns:
         True for one argument, False for four.
     Raises:
-        InputError: It accepts neither number of arguments, or both.
+        InputError: The function accepts neither one nor four arguments, or accepts both.
     """
     least, most = _counts(function, what)
     if least > 4 or most < 1 or (least > 1 and most < 4):
@@ -253,7 +253,7 @@ def takes_state(function: Callable[..., Any], what: str) -> bool:
 
 def _counts(function: Callable[..., Any], what: str) -> tuple[int, int]:
     """Return the smallest and the largest number of positional arguments of a function."""
-    if hasattr(function, "n_in"):  # a Function of CasADi
+    if hasattr(function, "n_in"):  # a CasADi Function
         return function.n_in(), function.n_in()
     try:
         parameters = inspect.signature(function).parameters.values()
@@ -274,7 +274,7 @@ def _counts(function: Callable[..., Any], what: str) -> tuple[int, int]:
 
 
 class SymbolFunction:
-    """A function that is called with all `Symbols`, in place of the arguments of user functions."""
+    """A function that is called with the whole `Symbols`, unlike user functions."""
 
     def __call__(self, s: Symbols) -> Any:
         """Return the expression."""
@@ -289,7 +289,7 @@ def called(function: Callable[..., Any], s: Symbols, what: str) -> Any:
         s: Variables of the forces.
         what: Name of the function in messages.
     Returns:
-        Its result.
+        The return value of the function.
     """
     if isinstance(function, SymbolFunction):
         return function(s)
@@ -302,9 +302,9 @@ def acting_value(value: Any, s: Symbols, number: Callable[[Any], Any], what: str
     """Return a Signal, a number or a function of the state as an expression.
 
     Args:
-        value: The value.
+        value: The value to convert or check.
         s: Variables of the forces.
-        number: Converts a number to a symbol.
+        number: Function that replaces a number by a symbol.
         what: Name of the value in messages.
     Returns:
         A scalar expression.

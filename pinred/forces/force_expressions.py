@@ -20,23 +20,24 @@ from .signals import Signal
 
 
 class ForceExpressions:
-    """Sums and lists of the terms of all forces.
+    """Sums and lists of the terms of all forces in a scene.
 
     Attributes:
         symbols: Variables of the forces.
         base: Symbols of pose, twist, body momentum and spatial momentum of the base in space.
         joints: Indices of the prescribed joints.
-        motion: Their positions, rates and accelerations.
+        motion: Positions, rates and accelerations of the prescribed joints.
         potential: Sum of the potentials.
         torques: Torques on the shape, (m, F), one column per force that does work.
         wrenches: Wrenches on the base, (r, F).
-        direct: The same without loads on links, (m + r,) each.
+        direct: Torques and wrenches without the loads on links, (m + r,) for each force.
         loads: Wrenches on links, or along fixed axes.
-        inverse: Accelerations (m,) that forces request, and the torques for them.
-        held: Controllers, with the slice of numbers that they set.
+        inverse: Accelerations (m,) that forces request, and the torques that inverse dynamics gives
+            for them.
+        held: Controllers, each with the slice of the numbers that its commands set.
         labels: Labels of the forces that do work.
         acting_on_base: Labels of the forces that act on the base.
-        acted: Joints that forces act on.
+        acted: Indices of the joints that forces act on.
     """
 
     def __init__(
@@ -55,10 +56,10 @@ class ForceExpressions:
             forces: Forces and controllers.
             prescribed: Motions of joints by name.
             robot: Symbols of the robot parameters.
-            numbers: Symbols of the numbers of forces, which grow.
-            within: Time that selects the segment of tables, None without tables.
+            numbers: Symbols of the numbers in forces; this constructor adds symbols.
+            within: Time that selects the segment of tabulated signals, None without tables.
         Raises:
-            InputError: A force does not suit the system.
+            InputError: A force or a prescribed motion does not fit the system.
         """
         self._system, self._robot, self._numbers = system, robot, numbers
         self.symbols, self.base = symbols_of(system, within)
@@ -97,7 +98,7 @@ class ForceExpressions:
         return joints
 
     def _prepare_last(self) -> None:
-        """Let the last force know the sum of the others, and inverse dynamics."""
+        """Give the last force access to the sum of the other forces and to inverse dynamics."""
         s = self.symbols
         accelerations = zip(self.joints, ca.vertsplit(self.motion[2]), strict=True)
         self.symbols = replace(
@@ -108,8 +109,8 @@ class ForceExpressions:
         )
 
     def _required_torque(self, accelerations: Mapping[int, ca.SX]) -> ca.SX:
-        """Return the torques (m,) that give the joints accelerations, and store both."""
-        from .inverse_dynamics import required_torque  # heavy to import
+        """Return the torques (m,) that produce joint accelerations, and store both."""
+        from .inverse_dynamics import required_torque  # imported here because its imports take long
 
         requested = ca.vertcat(*(accelerations[k] for k in range(self._system.m)))
         torque = required_torque(self._system, self._robot, self.symbols, requested)
@@ -143,7 +144,7 @@ class ForceExpressions:
         self.acted |= {through(system, k)[0] for k in terms.torque}
 
     def _check_symbols(self, terms: Terms, label: str) -> None:
-        """Raise InputError if a force contains a symbol that it was not given."""
+        """Raise InputError if a force contains a symbol that is not among its arguments."""
         s = self.symbols
         seen = (s.seen.pose, s.seen.xi, s.seen.mu, s.seen.J)
         allowed = ca.vertcat(
@@ -163,7 +164,7 @@ class ForceExpressions:
 
     @property
     def variables(self) -> list[ca.SX]:
-        """Arguments of all functions: see ForceInputs, then the robot parameters."""
+        """Arguments of all compiled functions: those of ForceInputs, then the robot parameters."""
         s = self.symbols
         p = ca.vertcat(*self._numbers.symbols)
         return [s.t, s.x, s.xdot, s.xi, s.mu, p, *self.base, self._robot.column]

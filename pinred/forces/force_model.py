@@ -1,4 +1,4 @@
-"""ForceModel: all forces and prescribed joints of a scene, compiled, and their numbers."""
+"""ForceModel: the compiled forces and prescribed joints of a scene, with their numbers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Numeric:
         self._local = local()
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Evaluate the Function; return new arrays, (rows, columns) each."""
+        """Evaluate the Function; return a new array (rows, columns) for each output."""
         if not hasattr(self._local, "run"):
             self._prepare()
         for array, argument in zip(self._local.inputs, arguments, strict=True):
@@ -42,7 +42,7 @@ class Numeric:
         return [array.copy() for array in self._local.outputs]
 
     def _prepare(self) -> None:
-        """Allocate work arrays of this thread, which CasADi reads and writes in place."""
+        """Allocate this thread's work arrays, which CasADi reads and writes in place."""
         f, work = self._function, self._local
         buffer: Any
         buffer, run = f.buffer()
@@ -69,31 +69,33 @@ class ForceModel:
     """The forces and prescribed joints of a scene.
 
     Attributes:
-        numbers: Values in the forces that may change without another kernel, (p,).
-        parameters: Parameters among them.
+        numbers: Values of the numbers in the forces, which may change without compiling another
+            kernel, (p,).
+        parameters: Parameters that the numbers depend on.
         slopes: ∂numbers/∂parameters, (p, parameters), which is constant.
         held: Controllers, each with the slice of numbers that contains its zero-order hold.
-        key: Digest of the expressions.
-        within: Slice of the number that is the time that selects the piece of tables.
+        key: Digest of the expressions, equal for models that can share a kernel.
+        within: Slice of the number that contains the time by which segments of tables are selected.
         joints: Indices of the prescribed joints.
-        signals: Their motions.
-        references: Functions of time in the forces.
+        signals: Motions of the prescribed joints.
+        references: Signals that the forces contain.
         touched: Joints that forces act on, or whose positions forces depend on.
         labels: Labels of the forces that do work.
-        acting_on_base: Labels of those that act on the base, whose momentum is then integrated.
+        acting_on_base: Labels of the forces that act on the base. If there are any, the momentum is
+            integrated.
         sees_momentum: Whether forces depend on twist or momentum of the base, as in Symbols.
         sees_attitude: Whether forces depend on the base's attitude.
         sees_place: Whether forces depend on position or velocity of the base's centre of mass.
         sees_base_momenta: Whether forces depend on twist or momenta of the base in space.
         loads: Link and axes of each wrench that does not act on the base in its own axes.
-        freed: Robot parameters in the expressions, link frames included.
-        weighed: Whether gravity enters, as in inverse dynamics.
+        freed: Variable robot parameters in the expressions, link frames included.
+        weighed: Whether the expressions contain gravity, as inverse dynamics does.
         acting_function: (t, x, ẋ, ξ, μ, numbers, pose, twist, μ and J of the base in space, robot
             parameters) → (torque, wrench).
         prescribed_function: (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.
         has_potential: Whether any force has a potential.
         potential_function: (x, numbers) → V, zero without a potential.
-        needs_time: Whether anything depends on time or on the place of the base.
+        needs_time: Whether any force or motion depends on time or on the base's position.
     """
 
     def __init__(
@@ -145,7 +147,8 @@ class ForceModel:
         self.loads = tuple((load.link, load.frame) for load in terms.loads)
         direct = ca.sum2(ca.horzcat(ca.SX(m + r, 0), *terms.direct))
         direct += ca.vertcat(forward, ca.SX(r, 1))
-        columns = ca.vertsplit(direct, [0, m, m + r])  # direct[:0] would not be a column
+        # For m = 0 a slice direct[:0] would not be a column, so vertsplit is used.
+        columns = ca.vertsplit(direct, [0, m, m + r])
         columns.append(ca.horzcat(ca.SX(9, 0), *map(load_column, terms.loads)))
         self._apart = Numeric(_function("apart", state, columns))
         velocities = ca.vertcat(s.xi, s.mu)
@@ -164,11 +167,11 @@ class ForceModel:
         self.key = hashlib.sha256(f"{self.joints}{text}".encode()).hexdigest()
 
     def on(self, system: System) -> ForceModel:
-        """Return this model for the same robot with other parameters; the rest is shared."""
+        """Return this model for the robot with other parameters; compiled functions are shared."""
         return self._changed(("_once", "robot"), _system=system)
 
     def with_values(self, values: Mapping[str, Any]) -> ForceModel:
-        """Return this model with other values of parameters, {name: value}; the rest is shared."""
+        """Return this model with other Parameter values {name: value}; functions are shared."""
         changes = np.array(
             [values.get(parameter.name, parameter.value) for parameter in self.parameters]
         )
@@ -178,7 +181,7 @@ class ForceModel:
         return self._changed(("_once",), numbers=read_only(self.numbers + self.slopes @ changes))
 
     def _changed(self, cached: tuple[str, ...], **changes: Any) -> ForceModel:
-        """Return a copy with some attributes changed, without the cached values of others."""
+        """Return a copy with changed attributes and without the cached properties `cached`."""
         other = copy(self)
         for name in cached:
             vars(other).pop(name, None)
@@ -213,12 +216,14 @@ class ForceModel:
     def acting_apart(self, at: ForceInputs) -> tuple[Acting, Array]:
         """Return torque and wrench without loads on links, and these loads, (9, L).
 
-        The loads are not mapped to the coordinates, so that a caller can do this by other means.
+        The loads are not mapped to the coordinates, so that a caller can map them with an
+        independent implementation.
 
         Args:
             at: State and numbers.
         Returns:
-            Torque and wrench, and per load six entries and the point (3,) it acts at [m].
+            Torque and wrench, and a column for each load: six entries, and the point at which it
+            acts, (3,) [m].
         Raises:
             InputError: The forces depend on the base, and at.base is None.
         """
@@ -226,7 +231,7 @@ class ForceModel:
         return Acting(torque[:, 0], wrench[:, 0]), loads
 
     def required(self, at: ForceInputs) -> list[tuple[Array, Array]]:
-        """Return accelerations (m,) that forces request, with their torques by inverse dynamics.
+        """Return accelerations (m,) that forces request, with the torques from inverse dynamics.
 
         Raises:
             InputError: The forces depend on the base, and at.base is None.
@@ -266,7 +271,7 @@ class ForceModel:
 
     @cached_property
     def has_kinks(self) -> bool:
-        """Whether forces are defined by pieces: limits, signs, conditions."""
+        """Whether forces are only piecewise smooth because of limits, signs or conditions."""
         functions = (self.acting_function, self.prescribed_function)
         return any(
             f.instruction_id(k) in _KINKS for f in functions for k in range(f.n_instructions())
@@ -279,7 +284,7 @@ class ForceModel:
         return np.asarray(breaks[(breaks > 0.0) & (breaks < end)])
 
     def numbers_from(self, t: float, end: float) -> Array:
-        """Return the numbers (p,) for the segment that starts at t, with controllers at zero."""
+        """Return the numbers (p,) for the segment of time that starts at t, with zero commands."""
         numbers = self.numbers.copy()
         later = [*(stop for stop in self.breaks(end).tolist() if stop > t), end]
         numbers[self.within] = 0.5 * (t + later[0])

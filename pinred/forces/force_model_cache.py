@@ -1,4 +1,4 @@
-"""A cache of force models, for scenes that differ in numbers only."""
+"""A cache of force models, shared by scenes that differ only in numbers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .force_model import ForceModel
 from .kinds import Damper, Friction, Spring
 from .signals import Constant, Expression, Signal
 
-_REMEMBERED = 16  # cached models per system
+_REMEMBERED = 16  # largest number of cached models per system
 
 
 def cached_force_model(
@@ -72,7 +72,7 @@ def cached_force_model(
 
 
 def _key_of(signal: Signal) -> Hashable:
-    """Return a key that is equal for signals that act the same."""
+    """Return a key that is equal for signals that define the same function of time."""
     simple = isinstance(signal, Expression) or (
         isinstance(signal, Constant) and not isinstance(vars(signal)["_given"], Parameter)
     )
@@ -80,7 +80,7 @@ def _key_of(signal: Signal) -> Hashable:
 
 
 def _spring(name: str, pair: Any) -> Spring:
-    """Return the spring of (stiffness, rest); each may be a Parameter."""
+    """Return the spring with (stiffness, rest position); each may be a Parameter."""
     numbers = values_of(list(pair) if isinstance(pair, (list, tuple)) else pair)
     stiffness, rest = spring_pair(name, numbers).tolist()
     for k, parameter in parameters_in(pair):

@@ -1,7 +1,8 @@
-"""Numbers of forces and robot parameters as symbols.
+"""Symbols for the numbers in forces and for robot parameters.
 
-Kernels then need no new compilation when the values change.  A wrench on a link depends on link
-frames, inverse dynamics on all inertias and on gravity.
+Kernels take these symbols as inputs, so they need not be compiled again when the values change.
+Robot parameters are needed because a wrench on a link depends on link frames, and inverse dynamics
+depends on all inertias and on gravity.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from ..reduction.tree.free_bodies import (
 from ..reduction.tree.scalars import Scalar, Vec
 from ..system.system import System
 
-_NEAR = 1e-2  # relative variation of the numbers of formulas when kernels are tested
+# Relative variation of numbers in formulas when kernels are tested with random numbers.
+_NEAR = 1e-2
 
 
 class ForceNumbers:
@@ -43,7 +45,7 @@ class ForceNumbers:
     """
 
     def __init__(self) -> None:
-        """Start without numbers."""
+        """Create an empty list of numbers."""
         self.symbols: list[ca.SX] = []
         self._values: list[float] = []
         self._slopes: list[tuple[int, Parameter, float]] = []
@@ -54,7 +56,7 @@ class ForceNumbers:
         return len(self._values)
 
     def symbol(self, value: Any) -> ca.SX:
-        """Return the symbol of a number, of a Parameter, or of an Affine function of some."""
+        """Return the symbol of a number, a Parameter, or an Affine function of Parameters."""
         slot = len(self._values)
         if isinstance(value, Parameter):
             if value not in self._slot_of:
@@ -87,7 +89,7 @@ class ForceNumbers:
         """Return the Parameters among the numbers.
 
         Raises:
-            InputError: Two of them have the same name.
+            InputError: Two Parameters have the same name.
         """
         parameters = list(dict.fromkeys(parameter for _, parameter, _ in self._slopes))
         names = [parameter.name for parameter in parameters]
@@ -108,11 +110,11 @@ class ForceNumbers:
 
 
 def random_numbers(values: Array, in_formulas: list[int], rng: np.random.Generator) -> Array:
-    """Return random numbers to test kernels with; those of formulas are near their values.
+    """Return random numbers for tests of kernels; numbers in formulas stay near their values.
 
     Args:
         values: Values of the numbers, (p,).
-        in_formulas: Indices of the numbers of formulas.
+        in_formulas: Indices of the numbers that belong to formulas or tables.
         rng: Random generator.
     Returns:
         Numbers, (p,).
@@ -162,7 +164,7 @@ class RobotSymbols:
         return total_mass(self.bodies) if self.freed.inertias else self._system.mass
 
     def place(self, frame: int) -> tuple[list[Vec], Vec]:
-        """Return the axes of a link in its body's frame, by rows, and its origin.
+        """Return a link's axes as rows, and its origin, both in the frame of its body.
 
         Args:
             frame: Index of the link's frame.
@@ -183,12 +185,14 @@ class RobotSymbols:
 
     @property
     def column(self) -> ca.SX:
-        """All symbols, (freed.size + 3,): of `freed`, then gravity."""
+        """All symbols, (freed.size + 3,): those of `freed`, then gravity."""
         return ca.vertcat(*self._symbols, *self._gravity)
 
 
 def numbers_of(system: System, freed: Freed, *, weighed: bool) -> Array:
-    """Return the values of a system for the symbols; gravity is zero unless it is used.
+    """Return the values of a system's parameters in the order of `RobotSymbols.column`.
+
+    Gravity is zero unless it is used.
 
     Args:
         system: The robot.
@@ -206,13 +210,13 @@ def numbers_of(system: System, freed: Freed, *, weighed: bool) -> Array:
 def numbers_in(
     bodies: Sequence[Body], system: System, freed: Freed, links: Mapping[int, Sequence[Scalar]]
 ) -> list[Scalar]:
-    """Return the values of other bodies for the symbols of `freed`, as numbers or symbols.
+    """Return the parameters `freed` of given bodies, as numbers or symbols.
 
     Args:
         bodies: The bodies.
         system: The robot.
         freed: Parameters with symbols.
-        links: Frames of links that vary; other link frames are those of the system.
+        links: Frames of links that vary, by index; all other link frames are taken from the system.
     Returns:
         Values, (freed.size,).
     """

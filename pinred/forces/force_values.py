@@ -1,4 +1,4 @@
-"""Arguments and values of forces at one state, as numbers."""
+"""Numeric arguments of compiled forces at one state, and the resulting torques and wrenches."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from ..common.arrays import Array, freeze
 
 @dataclass(frozen=True)
 class BaseInSpace:
-    """The base relative to the root joint's fixed frame: see SeenState.
+    """Pose, twist and momenta of the base in space, i.e. relative to the root joint's fixed frame.
+
+    See SeenState for their definitions.
 
     Attributes:
         pose: Pose, (size,).
@@ -26,7 +28,7 @@ class BaseInSpace:
 
 @dataclass(frozen=True)
 class ForceInputs:
-    """The state that forces depend on, and their numbers: see Symbols.
+    """The state that forces depend on, and the numbers in the forces: see Symbols.
 
     Attributes:
         t: Time [s].
@@ -34,8 +36,8 @@ class ForceInputs:
         xdot: Shape rate, (m,).
         xi: Body twist relative to the centre of mass, (r,).
         mu: Body momentum about the centre of mass, (r,).
-        numbers: Numbers of the forces, (p,).
-        base: The base in space; needed if forces depend on it.
+        numbers: Values of the numbers in the forces (see ForceModel.numbers), (p,).
+        base: The base in space; required if forces depend on its pose or motion.
     """
 
     t: float

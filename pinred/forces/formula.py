@@ -1,4 +1,4 @@
-"""Formulas of the state as text, and the expressions of events."""
+"""Formulas of the state as text, and compiled expressions for events."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class Formula(SymbolFunction):
 
     Attributes:
         text: The formula, see signals/expressions.py.
-        others: Further names, {name: SX}.
+        others: Further names that the formula may use, {name: SX}.
     """
 
     text: str
     others: Mapping[str, Any] = field(default_factory=dict)
 
     def __call__(self, s: Symbols) -> ca.SX:
-        """Return the expression for given variables.
+        """Return the CasADi expression of the formula in the variables of forces.
 
         Args:
             s: Variables of the forces.
@@ -47,7 +47,7 @@ class Formula(SymbolFunction):
 
 
 def formula_names(s: Symbols) -> dict[str, Any]:
-    """Return the names that formulas may use of the state, {name: symbols}."""
+    """Return the variables of the state that formulas may use, {name: symbols}."""
     seen = s.seen
     lists = {"mu": s.mu, "pose": seen.pose, "xi": seen.xi, "J": seen.J}
     return {
@@ -59,7 +59,7 @@ def formula_names(s: Symbols) -> dict[str, Any]:
 
 
 class _Expression:
-    """An expression in the form of a force, so that `terms_of` reports its errors."""
+    """An expression wrapped as a force, so that `terms_of` reports its errors."""
 
     def __init__(self, expression: Callable[..., Any] | str, label: str) -> None:
         self._expression, self.label = expression, label
@@ -72,12 +72,12 @@ class _Expression:
 
 
 class Watched:
-    """Expressions of the state of one system.
+    """Compiled expressions of the state of one system, e.g. event functions.
 
     Attributes:
         parameters: Parameters in the expressions.
-        sees_base: Whether any depends on the base in space.
-        sees_momentum: Whether any depends on ξ or μ relative to the centre of mass.
+        sees_base: Whether any expression depends on the base in space.
+        sees_momentum: Whether any expression depends on ξ or μ relative to the centre of mass.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Watched:
         Args:
             system: The robot.
             expressions: Functions of the state, or formulas as text.
-            labels: Their names in messages.
+            labels: Names of the expressions in messages.
         Raises:
             InputError: An expression is invalid.
         """
@@ -120,11 +120,11 @@ class Watched:
 
         Args:
             columns: t (1, T), then x, xdot, ξ and μ relative to the centre of mass, and pose,
-                twist, μ and J of the base in space, (…, T) each; zeros if no expression depends on
-                them.
+                twist, μ and J of the base in space, (…, T) each; zeros for arguments that no
+                expression depends on.
             values: Values of parameters by name.
         Returns:
-            Values of E expressions, (E, T).
+            Values of the E expressions at the T times, (E, T).
         """
         numbers = np.array([values.get(p.name, p.value) for p in self.parameters])
         repeated = np.repeat(numbers[:, None], columns[0].shape[1], axis=1)

@@ -1,4 +1,4 @@
-"""Inverse dynamics on the reduced system, as expressions: torques for requested accelerations."""
+"""Inverse dynamics of the reduced system as CasADi expressions: torques for given accelerations."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .force_numbers import RobotSymbols
 
 
 def required_torque(system: System, robot: RobotSymbols, s: Symbols, accelerations: ca.SX) -> ca.SX:
-    """Return the torques that give the joints requested accelerations, with a free base.
+    """Return the torques that produce requested joint accelerations while the base moves freely.
 
-    With p = H v, the base acceleration follows from μ̇ = ad*_ξ μ, and then τ = d/dt π − ∂T/∂x +
-    ∂V/∂x. Gravity must have no moment on the base.
+    The momenta are (μ, π) = H v with v = (ξ, ẋ). The base acceleration follows from μ̇ = ad*_ξ μ,
+    and then τ = dπ/dt − ∂T/∂x + ∂V/∂x. Gravity must have no moment on the base.
 
     Args:
         system: The robot.
-        robot: Symbols of its parameters.
+        robot: Symbols of the robot parameters.
         s: Variables of the forces.
         accelerations: Joint accelerations, (m,) [rad/s² | m/s²].
     Returns:
@@ -40,7 +40,7 @@ def required_torque(system: System, robot: RobotSymbols, s: Symbols, acceleratio
     xidot = ca.solve(I, coadjoint - transport[:r] - from_accelerations[:r])
     pidot = momenta_of(ca.vertcat(xidot, accelerations))[r:] + transport[r:]
     torque = pidot - ca.gradient(0.5 * ca.dot(v, p), s.x)
-    if not system.group.is_pivot:  # a pivot is at the centre of mass
+    if not system.group.is_pivot:  # a pivot is at the centre of mass, so gravity has no potential
         com = centre_of_mass(robot.bodies, joint_values(system, ca.vertsplit(s.x)))
         work = robot.mass * dot(gravity, com)
         torque -= ca.gradient(ca.SX(work), s.x)

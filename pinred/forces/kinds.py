@@ -64,7 +64,8 @@ class PotentialEnergy(Named):
     """A potential V(x) [J].
 
     Attributes:
-        function: x → V, called once with a CasADi column (m,) whose entries have joint names, too.
+        function: x → V, called once with a CasADi column (m,) that can also be indexed by joint
+            name.
         name: Name in messages and results.
     """
 
@@ -79,7 +80,7 @@ class PotentialEnergy(Named):
 
         Args:
             s: Variables of the forces.
-            number: Converts a number to a symbol.
+            number: Function that replaces a number by a symbol.
         Returns:
             The terms.
         """
@@ -90,13 +91,13 @@ class PotentialEnergy(Named):
 class Torque(Named):
     """Torques at the joints, τ(t, x, ẋ, μ) or τ(s) of the whole state [N·m | N].
 
-    Momentum stays constant, also if the torques depend on the base.
+    Torques at the joints leave the momentum constant, even if they depend on the base.
 
     Attributes:
         function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with symbols;
-            or one SeenState → the same, with pose, twist and momenta of the base (see
-            force.py); or {joint: Signal, number or (t, x, xdot, mu) → expression}. x["hinge"]
-            equals x[0] for the first joint "hinge".
+            or a function of one SeenState, which also has pose, twist and momenta of the base (see
+            force.py), with the same results; or {joint: Signal, number or (t, x, xdot, mu) →
+            expression}. x["hinge"] equals x[0] for the first joint "hinge".
         limit: Bounds on the torques, or None.
         name: Name in messages and results.
     """
@@ -111,7 +112,7 @@ class Torque(Named):
 
     @property
     def signals(self) -> Iterable[Signal]:
-        """Functions of time in the torques."""
+        """Signals in the torques."""
         return signals_in(self.function.values()) if isinstance(self.function, Mapping) else ()
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
@@ -119,7 +120,7 @@ class Torque(Named):
 
         Args:
             s: Variables of the forces.
-            number: Converts a number to a symbol.
+            number: Function that replaces a number by a symbol.
         Returns:
             The terms.
         """
@@ -138,7 +139,7 @@ class Torque(Named):
 
 @dataclass(frozen=True)
 class _Tracking(Named):
-    """A controller that follows a reference, with feedback of the error."""
+    """Base class of forces that track a reference with feedback of the error."""
 
     reference: Reference
     kp: PerJoint
@@ -150,7 +151,7 @@ class _Tracking(Named):
 
     @property
     def signals(self) -> Iterable[Signal]:
-        """Functions of time in the reference."""
+        """Signals in the reference."""
         return signals_in(self.reference.values())
 
     def _feedback(
@@ -171,8 +172,9 @@ class PD(_Tracking):
 
     Attributes:
         reference: Signal or number by joint [rad | m].
-        kp: Stiffness [N·m/rad | N/m], for all these joints or by name.
-        kd: Damping [N·m·s/rad | N·s/m], for all these joints or by name.
+        kp: Stiffness [N·m/rad | N/m]: one value for all joints of the reference, or values by name.
+        kd: Damping [N·m·s/rad | N·s/m]: one value for all joints of the reference, or values by
+            name.
         limit: Bounds on the torques, or None.
         name: Name in messages and results.
     """
@@ -184,7 +186,7 @@ class PD(_Tracking):
 
         Args:
             s: Variables of the forces.
-            number: Converts a number to a symbol.
+            number: Function that replaces a number by a symbol.
         Returns:
             The terms.
         """
@@ -195,18 +197,18 @@ class PD(_Tracking):
 
 @dataclass(frozen=True)
 class ComputedTorque(_Tracking):
-    """Torques that make every joint follow its reference, by inverse dynamics.
+    """Torques computed with inverse dynamics that make every joint follow its reference.
 
     ẍ = ẍ_d + kd (ẋ_d − ẋ) + kp (x_d − x) on the reduced system, with all other torques compensated.
     Wrenches on the base are not compensated.
 
     Attributes:
         reference: Signal or number by joint, for every joint that is not prescribed [rad | m].
-        kp: Stiffness [1/s²], for all joints or by name.
-        kd: Damping [1/s], for all joints or by name.
+        kp: Stiffness [1/s²]: one value for all joints, or values by name.
+        kd: Damping [1/s]: one value for all joints, or values by name.
         limit: Bounds on the torques, or None.
         name: Name in messages and results.
-        last: Whether the force is evaluated after all others.
+        last: Whether the force is evaluated after all others, whose sum it needs.
     """
 
     name: str = "computed torque"
@@ -217,7 +219,7 @@ class ComputedTorque(_Tracking):
 
         Args:
             s: Variables of the forces.
-            number: Converts a number to a symbol.
+            number: Function that replaces a number by a symbol.
         Returns:
             The terms.
         Raises:

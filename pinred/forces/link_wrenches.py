@@ -29,7 +29,7 @@ from .force_numbers import RobotSymbols
 
 @dataclass(frozen=True)
 class OnCoordinates:
-    """A load on the coordinates.
+    """A load expressed in the coordinates: torques on the shape and a wrench on the base.
 
     Attributes:
         torque: Torques on the shape, (m,).
@@ -50,7 +50,7 @@ def link_frame(system: System, name: str, what: str) -> int:
     Returns:
         The index.
     Raises:
-        InputError: There is no such link, or several.
+        InputError: No link, or more than one, has this name.
     """
     model = system.model
     moving = [k for k, f in enumerate(model.frames) if f.parentJoint > 0]
@@ -75,9 +75,9 @@ def of_load(
 
     Args:
         system: The robot.
-        robot: Symbols of its parameters.
+        robot: Symbols of the robot parameters.
         s: Variables of the forces.
-        load: The load.
+        load: Wrench on a link, or along fixed axes.
         what: Name of the force in messages.
     Returns:
         Torques and wrench.
@@ -117,7 +117,7 @@ def of_load(
 
 
 def _base_wrench(system: System, s: Symbols, entries: list[Scalar]) -> list[Scalar]:
-    """Convert a wrench (r,) on the base along the fixed axes to one along the base's axes."""
+    """Convert a wrench (r,) on the base from the fixed axes to the base's axes."""
     lin, ang = _on_axes(system, entries)
     rotated = [*_rotate_back(system, s.seen.pose, lin), *_rotate_back(system, s.seen.pose, ang)]
     return [rotated[axis] for axis in system.group.axes]
@@ -138,7 +138,7 @@ def _into_root(system: System, pose: ca.SX, v: Vec) -> Vec:
 
 
 def _rotate_back(system: System, pose: ca.SX, v: Vec) -> Vec:
-    """Return Rᵀ v, with the attitude of a pose whose quaternion has length one."""
+    """Return Rᵀ v for the attitude R of a pose; its quaternion must have length one."""
     group = system.group
     if group.turns == 0:
         return list(v)

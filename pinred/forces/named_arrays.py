@@ -1,7 +1,8 @@
-"""Shape and rate as forces and controllers see them: x["hinge"] is an entry, as x[0].
+"""Shape and rate with joint names, for forces and controllers: x["hinge"] is an entry, like x[0].
 
-Both behave as a CasADi column or a NumPy vector. Results computed from them have no names: names
-are looked up only while an expression is built, or in a Python controller.
+A Column behaves like a CasADi column, a Vector like a NumPy vector. Arrays computed from them have
+no names and are indexed by number. Names are resolved while an expression is built, so they cost
+nothing in the compiled kernel. A Python controller resolves them at each call.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from ..common.names import joint_index
 class Column(ca.SX):
     """A CasADi column (m,) with an entry for each joint of the shape.
 
-    Follower joints have entries too, by name and by indices from m on. These are not part of the
-    column itself.
+    Follower joints have entries, too, which are indexed by name or by numbers from m on. These
+    entries are not part of the column itself.
     """
 
     def __init__(
         self, entries: ca.SX, joints: tuple[str, ...], what: str, followers: Sequence[ca.SX] = ()
     ) -> None:
-        """Take the entries.
+        """Store the entries and their names.
 
         Args:
             entries: Entries of the shape joints, (m,).
@@ -39,7 +40,7 @@ class Column(ca.SX):
         self._joints, self._what, self._followers = joints, what, tuple(followers)
 
     def __getitem__(self, key: Any) -> Any:
-        """Return entries by name, or as CasADi does.
+        """Return an entry by joint name, or any selection that CasADi supports.
 
         Args:
             key: Name, index or slice.
@@ -57,14 +58,14 @@ class Column(ca.SX):
 
 
 class Vector(np.ndarray[tuple[int], np.dtype[np.float64]]):
-    """Numbers (m,) with an entry for each joint; results computed from them have no names."""
+    """A NumPy vector (m,) with an entry for each joint; arrays computed from it have no names."""
 
     _joints: tuple[str, ...] | None = None
     _what = ""
 
     @classmethod
     def of(cls, numbers: Array, joints: tuple[str, ...], what: str) -> Vector:
-        """Return a copy of numbers with names.
+        """Return a copy of an array whose entries have joint names.
 
         Args:
             numbers: Values, (m,).
@@ -78,14 +79,15 @@ class Vector(np.ndarray[tuple[int], np.dtype[np.float64]]):
         return vector
 
     def __getitem__(self, key: Any) -> Any:
-        """Return entries by name, or as NumPy does.
+        """Return an entry by joint name, or any selection that NumPy supports.
 
         Args:
             key: Name, index or slice.
         Returns:
             The entry or entries.
         Raises:
-            InputError: The name is unknown, or this is a result without names.
+            InputError: The name is unknown, or this array was computed from others and has no
+                names.
         """
         if isinstance(key, str):
             if self._joints is None:
@@ -100,11 +102,11 @@ class Vector(np.ndarray[tuple[int], np.dtype[np.float64]]):
         """Return results of NumPy functions as plain arrays or numbers.
 
         Args:
-            array: Result.
-            context: Unused.
+            array: Result of the NumPy function.
+            context: Unused; part of NumPy's interface.
             return_scalar: Whether NumPy expects a scalar.
         Returns:
-            The plain result.
+            The result as a plain array or number.
         """
         if array is self:  # as in x += 1
             return self

@@ -33,20 +33,21 @@ AXES: tuple[Axes, ...] = ("body", "world")
 
 @dataclass(frozen=True)
 class Wrench(Named):
-    """A wrench [linear; angular], such as a thruster, drag, or a pulled hand.
+    """A wrench [linear; angular], such as thrust, drag, or a pull at a hand.
 
     Without a link it acts on the base: r entries along the group's axes, at the base's origin. On a
     link it has 3 entries, a force [N], or 6, a force and a moment [N; N·m].
 
     Attributes:
-        function: (t, x, xdot, mu) → entries, called once with symbols, or the same of one
-            SeenState; or a list of entries, each a Signal, a number or such a function of one
-            entry.
+        function: (t, x, xdot, mu) → entries, called once with symbols; or a function of one
+            SeenState with the same result; or a list of entries, each a Signal, a number, or such a
+            function that returns one entry.
         name: Name in messages and results.
         link: Name of a link, or None for the base.
         at: Point of the link at which the wrench acts, in the link's frame, (3,) [m].
-        frame: Axes of the entries: "body", those of the base or link, or "world", those of the root
-            joint's fixed frame, in which pose and spatial momentum are given.
+        frame: Axes along which the entries are measured. "body": the axes of the base or link;
+            "world": those of the root joint's fixed frame, which is also the frame of pose and
+            spatial momentum.
     """
 
     function: Action | Sequence[Action | Signal | float | Parameter]
@@ -76,7 +77,7 @@ class Wrench(Named):
 
     @property
     def signals(self) -> Iterable[Signal]:
-        """Functions of time in the wrench."""
+        """Signals in the wrench."""
         return () if callable(self.function) else signals_in(self.function)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
@@ -84,7 +85,7 @@ class Wrench(Named):
 
         Args:
             s: Variables of the forces.
-            number: Converts a number to a symbol.
+            number: Function that replaces a number by a symbol.
         Returns:
             The terms.
         """
@@ -98,7 +99,7 @@ class Wrench(Named):
         return Terms(loads=[Load(self.link, point, self.frame, padded)])
 
     def _entries(self, s: Symbols, number: Callable[[Any], Any], r: int) -> list[Any]:
-        """Return the entries as expressions; InputError if their number is wrong."""
+        """Return the entries as expressions; raise InputError if their number is wrong."""
         function = self.function
         value = called(function, s, self.name) if callable(function) else function
         if self.link is None:

@@ -1,4 +1,4 @@
-"""integrate(): one run of a method from checked arguments."""
+"""integrate(): validate the arguments, and run one integration."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Progress = Callable[[float], None]
 Tangent = Callable[[], int]
 Canonical = tuple[int, int]
 
-_FIRST_KNOTS = 128  # initial size of the arrays of step ends
+_FIRST_KNOTS = 128  # initial number of entries in the arrays of step ends
 # Largest size of a solution with stored stage derivatives [bytes].
 MOST_STAGE_BYTES = 1 << 25
 
@@ -73,15 +73,16 @@ def integrate(
         progress: Called repeatedly with the finished fraction of the time, 0 to 1.
         tangent: Function that returns the address of the kernel of ∂f/∂y (see call_tangent). It is
             called at most once, when the method needs it.
-        canonical: Number of positions in y, which as many momenta follow, and number of parameters
-            that are the constant momentum J with q̄ J q in the equations; for Variational.
+        canonical: Used by Variational only. Number of positions in y, which are followed by as many
+            momenta; and number of parameters that are components of the constant spatial momentum
+            J, which enters the equations as q̄ J q.
     Returns:
         The run.
     Raises:
         InputError: An argument is invalid.
         StepSizeUnderflow: The tolerance requires steps below round-off.
         NonFiniteState: A rate or a state is not finite.
-        NoConvergence: An implicit step was not solved.
+        NoConvergence: The equations of an implicit step did not converge.
         TooManySteps: The run exceeds the limit on trial steps.
     """
     end = positive(t_end, "t_end")
@@ -110,7 +111,7 @@ class Integration:
         canonical: Canonical = (0, 0),
         tangent: Tangent | None = None,
     ) -> None:
-        """Prepare what all runs share; the arguments are not checked.
+        """Prepare the data that all runs share; the arguments are not validated.
 
         Args:
             method: Integrator.
@@ -206,7 +207,10 @@ def begun_by(
     canonical: Canonical,
     keep: int = NOTHING_KEPT,
 ) -> Runs:
-    """Return the registers of a run to `end` [s] before its first step; keep: stored data."""
+    """Return the registers of a run before its first step.
+
+    The run ends at `end` [s]; `keep` is the code of the data that it stores at step ends.
+    """
     pairs, spin = canonical
     return new_run(
         address=address,
@@ -224,11 +228,11 @@ def failure(status: int, run: Runs, state: Array) -> IntegrationError:
     """Return the error for a status of `advance`.
 
     Args:
-        status: The status.
+        status: Return value of `advance`.
         run: Registers of the run.
         state: State at the last time reached, (n,).
     Returns:
-        The error.
+        The exception to raise.
     """
     end = run[0]
     time, entry = end["t"].item(), end["entry"].item()
@@ -264,14 +268,14 @@ def check_kernel(address: int) -> None:
 
 
 def give_tangent(tangent: Tangent | None, method: Method, run: Runs) -> None:
-    """Set the derivative kernel of a run; without one, the run uses fixed-point iteration.
+    """Set the tangent kernel of a run; without it, the run uses fixed-point iteration.
 
     Args:
-        tangent: Function that returns its address, or None.
+        tangent: Function that returns the address of the tangent kernel, or None.
         method: Method of the run.
         run: Registers, changed in place.
     Raises:
-        InputError: The method needs the derivative and there is none.
+        InputError: The method needs the derivative, and `tangent` is None.
     """
     if tangent is not None:
         address = tangent()

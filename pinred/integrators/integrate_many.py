@@ -1,4 +1,4 @@
-"""integrate_many(): one kernel from many initial states, on several threads."""
+"""integrate_many(): integrate one kernel from many initial states, on several threads."""
 
 from __future__ import annotations
 
@@ -36,12 +36,13 @@ STATUS = {
     TOO_MANY: "too many steps",
 }
 _LOOK = 0.1  # interval of progress reports [s]
-_SHARES_PER_THREAD = 8  # several, so that threads with short runs can do more of them
+# More than one share per thread, so that threads with short runs can take further shares.
+_SHARES_PER_THREAD = 8
 
 
 @dataclass(frozen=True)
 class Solutions:
-    """A batch of runs, member first.
+    """Results of a batch of runs; all arrays have the member as first axis.
 
     Attributes:
         method: Method of the runs.
@@ -49,7 +50,7 @@ class Solutions:
         y: States, (N, T, n); NaN at times that a run did not reach.
         status: Outcome of each run, (N,): 0 or the key in STATUS of the reason it stopped.
         end: Last time reached, (N,) [s].
-        entry: Entry that was not finite, (N,); −1 if none.
+        entry: Index of the entry that was not finite, (N,); −1 if all entries were finite.
         steps: Accepted steps, (N,).
         rejected: Rejected steps, (N,).
         evaluations: Evaluations of the kernel, (N,).
@@ -90,7 +91,7 @@ def integrate_many(
     """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, each as `integrate` does.
 
     A failing run reports a status and does not affect the others. params and y0 must not be changed
-    meanwhile.
+    during the call.
 
     Args:
         method: Method with its options.
@@ -100,7 +101,7 @@ def integrate_many(
         t_end: End time [s].
         times: Sorted report times within [0, t_end], (T,) [s].
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
-        threads: Number of threads, None for all processors. Results do not depend on it.
+        threads: Number of threads, None for all processors. Results do not depend on this number.
         tangent: As for `integrate`.
         canonical: As for `integrate`.
         progress: Called with the finished fraction of the members.
@@ -207,8 +208,8 @@ def over_threads(
     """Run shares of the work on several threads, and report progress.
 
     Args:
-        shares: Functions that do a share of the work.
-        asked: The request.
+        shares: Functions that each compute one share of the work.
+        asked: The validated request.
         progress: Called with the finished fraction of the members, or None.
     """
     batch = asked.batch

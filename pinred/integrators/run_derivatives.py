@@ -1,7 +1,8 @@
 """Derivatives of a run with its steps fixed: forward tangents and a backward adjoint pass.
 
-The lengths of the steps are constants here. The results are therefore the derivatives of the
-computed numbers, to round-off, and not those of the exact flow, to the tolerance.
+The step lengths are treated as constants. The results are therefore the derivatives of the computed
+states, exact to round-off. They approximate the derivatives of the exact flow only to the tolerance
+of the run.
 """
 
 from __future__ import annotations
@@ -26,14 +27,15 @@ from .stepping.kernel_call import SEEDS, from_lanes, to_lanes
 
 @dataclass(frozen=True)
 class Slopes:
-    """Addresses of the derivative kernels of a kernel, each compiled when first requested.
+    """Addresses of a kernel's derivative kernels, each compiled when first requested.
 
     Attributes:
         tangent: Address of the kernel of (y, params, δy, δparams), with SEEDS directions at once.
         adjoint: Address of the kernel of (y, params, λ).
-        tangents: From a number of lanes, the address of the tangent kernel at so many states at
-            once, with one direction each.
-        adjoints: The same for the adjoint kernel.
+        tangents: Function of the number of lanes that returns the address of the tangent kernel for
+            as many states at once, with one direction for each state.
+        adjoints: Function of the number of lanes that returns the address of the adjoint kernel for
+            as many states at once.
     """
 
     tangent: Callable[[], int]
@@ -44,13 +46,13 @@ class Slopes:
 
 @dataclass(frozen=True)
 class Along:
-    """A run and its tangents.
+    """States of a run, and their derivatives along tangent directions.
 
     Attributes:
         y: States at the report times, (T, n).
-        slopes: Their derivatives along N directions, (T, n, N).
+        slopes: Derivatives of these states along N directions, (T, n, N).
         end: State at the end, (n,).
-        end_slopes: Its derivatives, (n, N).
+        end_slopes: Derivatives of the state at the end, (n, N).
     """
 
     y: Array
@@ -64,8 +66,8 @@ class Back:
     """Cotangents of the inputs of a run.
 
     Attributes:
-        by_state: Derivative by the initial state, (n,).
-        by_parameters: Derivative by the parameters, (p,).
+        by_state: Derivative with respect to the initial state, (n,).
+        by_parameters: Derivative with respect to the parameters, (p,).
     """
 
     by_state: Array
@@ -73,12 +75,12 @@ class Back:
 
 
 def refuse_without_derivatives(method: Method) -> None:
-    """Check that the steps of a method have derivatives here.
+    """Check that derivatives are implemented for the steps of a method.
 
     Args:
         method: The method.
     Raises:
-        InputError: They have none.
+        InputError: Derivatives are not implemented for this method.
     """
     if not isinstance(method, (Explicit, Gauss, AdaptiveGauss)):
         raise InputError(
@@ -100,15 +102,15 @@ def run_along(
     along_params: Array,
     states: Array | None = None,
 ) -> Along:
-    """Repeat given steps from y0 and propagate tangent directions with them.
+    """Repeat the steps of a run from y0, and propagate tangent directions with them.
 
-    If y0 or the parameters differ from those of the original run, the result is the run with the
-    original step lengths.
+    If y0 or the parameters differ from those of the original run, the original step lengths are
+    still used.
 
     Args:
         method: Explicit or Gauss method.
         address: Address of the kernel.
-        slopes: Addresses of its derivatives.
+        slopes: Addresses of the kernel's derivative kernels.
         params: Parameters, (p,).
         y0: Initial state, (n,).
         knots: Times of the step ends, (K,) [s].
@@ -116,8 +118,9 @@ def run_along(
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
         along: Directions of the initial state, (n, N).
         along_params: Directions of the parameters, (p, N).
-        states: States at the step ends, (K, n), from which implicit steps start, so that leftovers
-            of the iteration do not accumulate. If None, each step starts at the end of the last.
+        states: States at the step ends, (K, n), from which implicit steps restart, so that
+            iteration errors do not accumulate. If None, each step starts from the computed end of
+            the previous step.
     Returns:
         States and tangents.
     Raises:
@@ -155,12 +158,12 @@ def run_back(
     covector: Array,
     at_times: Array,
 ) -> Back:
-    """Propagate covectors of a run's end and of its reported states back to its inputs.
+    """Propagate covectors of a run's final and reported states back to its inputs.
 
     Args:
         method: Explicit or Gauss method.
         address: Address of the kernel.
-        slopes: Addresses of its derivatives.
+        slopes: Addresses of the kernel's derivative kernels.
         params: Parameters, (p,).
         run: Stored steps of the run.
         times: Sorted report times, (T,) [s].
@@ -168,7 +171,7 @@ def run_back(
         covector: Covector of the state at the end, (n,).
         at_times: Covectors of the states at the report times, (T, n).
     Returns:
-        Derivatives by initial state and parameters.
+        Derivatives with respect to the initial state and the parameters.
     Raises:
         NoConvergence: The adjoint equations of an implicit step were not solved.
     """

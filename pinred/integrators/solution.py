@@ -22,8 +22,8 @@ class Solution:
     Attributes:
         method: Integrator.
         times: Report times, (T,) sorted [s].
-        y: States at these times, (T, n); read-only.
-        complete: Whether the integration reached its end, and was not stopped by a watcher.
+        y: States at the report times, (T, n); read-only.
+        complete: Whether the integration reached its end time, and was not stopped by `watch`.
         params: Parameters of the kernel, (p,).
     """
 
@@ -60,7 +60,8 @@ class Solution:
     def states(self) -> Array:
         """States at the step ends, (K, n).
 
-        A quaternion in them has the length that the step has left; `at` gives it length one.
+        A quaternion in these states is not normalised after the step; `at` returns unit
+        quaternions.
         """
         return read_only(self._rows[: self.steps + 1, : self.y.shape[1]])
 
@@ -70,7 +71,7 @@ class Solution:
         return read_only(self._rows[: self.steps + 1])
 
     def at(self, times: ArrayLike) -> Array:
-        """Return the states at given times, equal to those reported by the run.
+        """Return the states at given times; at report times they equal the reported states.
 
         Only the steps that contain these times are recomputed.
 
@@ -80,7 +81,7 @@ class Solution:
             States, (T, n).
         Raises:
             InputError: A time is outside of the run.
-            NoConvergence: An implicit step to one of the times was not solved.
+            NoConvergence: The equations of an implicit step to one of the times did not converge.
         """
         asked = checked_times(times, float(self.knots[-1]), ordered=False)
         order = np.argsort(asked, kind="stable")
@@ -116,11 +117,11 @@ def checked_times(times: ArrayLike, t_end: float, *, ordered: bool) -> Array:
     Args:
         times: Times [s].
         t_end: End time [s].
-        ordered: Whether they must be sorted.
+        ordered: Whether the times must be sorted.
     Returns:
         The times.
     Raises:
-        ShapeError: There is not exactly one axis.
+        ShapeError: The array does not have exactly one axis.
         InputError: Times are outside of the run or not sorted.
     """
     checked = np.array(as_floats(times, "times"))

@@ -1,4 +1,4 @@
-"""Drift of energy and momentum of a trajectory, and consistency of its fields, by Pinocchio.
+"""Check a trajectory with Pinocchio: drift of energy and momentum, consistency of its fields.
 
 The measurements that controllers received are checked in the same way.
 """
@@ -17,12 +17,18 @@ from ..system.state_fields import State
 from .reference_solution import FullState
 from .step_defects import full_states
 
-_ENERGY_ROUND_OFF = 1e-14  # relative to the kinetic and potential energies, which may cancel
-_HEIGHT_ROUND_OFF = 5e-14  # relative to the potential energy of a distant base
-_SLOPE_STEP = 1e-6  # in error units of joints; step of the difference quotients of the potential
-_LEAST = 1e-290  # [J]; energies below it are too close to the smallest floating-point numbers
+_ENERGY_ROUND_OFF = 1e-14  # round-off of the energy relative to its kinetic and potential parts
+_HEIGHT_ROUND_OFF = (
+    5e-14  # round-off of the energy relative to the potential energy of a distant base
+)
+_SLOPE_STEP = (
+    1e-6  # step of the difference quotients of the potential, in error units of the joints
+)
+_LEAST = (
+    1e-290  # smallest energy unit [J]; smaller ones are near the smallest floating-point numbers
+)
 
-_MOST_CALLS = 100  # controller calls that are checked, evenly spaced
+_MOST_CALLS = 100  # largest number of controller calls that are checked, evenly spaced
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,7 @@ def audit_trajectory(traj: Trajectory, states: State) -> Audit:
 
 
 def audit_states(full: FullState, states: State, work: Array, impulse: Array | None) -> Audit:
-    """Audit states by Pinocchio's functions.
+    """Audit states with energies, momenta and kinematics computed by Pinocchio.
 
     Args:
         full: Full simulation of the scene.
@@ -135,7 +141,10 @@ def audit_states(full: FullState, states: State, work: Array, impulse: Array | N
 
 
 def _potential_unit(full: FullState, q: Array, x: Array, units: Array) -> float:
-    """Return the work of moving all joints by their units and the pivot by 1 rad, by slopes [J]."""
+    """Return the work [J] of moving all joints by their units and the pivot by 1 rad.
+
+    The work is estimated from the first derivatives of the potential energy.
+    """
     r, shape_units = full.system.r, full.couplings.shape(units)
     slopes = full.totals.gravity_slopes(q)
     unit = float(slopes[r:] @ units + slopes[full.root.linear : r].sum())
@@ -146,7 +155,7 @@ def _potential_unit(full: FullState, q: Array, x: Array, units: Array) -> float:
 
 
 def relative_difference(a: Array, b: Array, least: float) -> float:
-    """Return the largest |a − b| over the largest |b|, or over `least` if larger; NaN stays."""
+    """Return max |a − b| / max(max |b|, least); NaN if an entry is NaN."""
     if not b.size:
         return 0.0
     difference, scale = float(np.abs(a - b).max()), max(least, float(np.abs(b).max()))
@@ -154,9 +163,10 @@ def relative_difference(a: Array, b: Array, least: float) -> float:
 
 
 def measurement_error(traj: Trajectory, full: FullState) -> float:
-    """Return the largest relative error of the numbers that controllers measured; 0 without any.
+    """Return the largest relative error of the controllers' measurements; 0 without controllers.
 
-    Momenta may cancel. Their unit is at least the whole mass moving at the largest rate.
+    Contributions to a momentum may cancel, so the unit of momenta is at least that of the whole
+    mass moving at the largest rate.
     """
     calls = traj.actions
     if not calls:

@@ -1,4 +1,4 @@
-"""compare(): validation of a reduced trajectory by Pinocchio's ABA on the full state.
+"""compare(): validate a reduced trajectory with Pinocchio's ABA on the full state.
 
 The full simulation (reference_solution.py) shares no dynamics with the reduced one. It runs at a
 tolerance 100 times tighter, with two methods of order 8 and 5. The difference between the two
@@ -34,25 +34,25 @@ from .reference_solution import FINEST, PERTURBATION, FullState
 from .step_defects import Defects, compute_defects
 from .verdict import Report
 
-TIGHTER = 100.0  # ratio of the scene's tolerance to the reference's
+TIGHTER = 100.0  # ratio of the scene's tolerance to the tolerance of the reference solution
 SAMPLES = 101  # evenly spaced times of the comparison, in addition to the report times
 
-INFORMATIVE = 0.1  # rad, or fraction of the motion's size; larger bounds carry no information
-_REST = 1e-12  # rad, or fraction of the robot's size; a motion below it tests nothing
+INFORMATIVE = 0.1  # largest informative error bound [rad, or fraction of the motion's size]
+_REST = 1e-12  # motion below which nothing is tested [rad, or fraction of robot size]
 
-EQUATION_BOUND = 1e-12  # relative; round-off between two ways to the same accelerations
-DEFECT_BOUND = 3.0  # tolerances; defect of a step, as in the stress suite
-DENSE_BOUND = 50.0  # tolerances; defect of a subinterval: step control does not see dense output
-DRIFT_BOUND = 100.0  # tolerances, at least; accumulated effect of many steps on energy
-REFERENCE_BOUND = 100.0  # tolerances per growth; the reference is unreliable above it
-FIELD_BOUND = 1e-9  # relative; pose, twist, momenta and energy are functions of q and v
-RESOLUTION = 1e-13  # relative; accuracy of the reference solution and its energies
-_SAFETY = 10.0  # growth is measured by one perturbation, and defects on a sample of steps
-_ROUND_OFF = 1e-15  # relative; of one step
+EQUATION_BOUND = 1e-12  # relative difference of accelerations that round-off can explain
+DEFECT_BOUND = 3.0  # largest defect of a step in tolerances, as in the stress suite
+DENSE_BOUND = 50.0  # largest subinterval defect in tolerances; step control ignores dense output
+DRIFT_BOUND = 100.0  # smallest bound of the energy and momentum drift, in tolerances
+REFERENCE_BOUND = 100.0  # largest reference error in tolerances times growth; above: unreliable
+FIELD_BOUND = 1e-9  # largest relative error of fields; all are explicit functions of q and v
+RESOLUTION = 1e-13  # relative accuracy of the reference solution and of its energies
+_SAFETY = 10.0  # margin: growth is that of one perturbation, and defects of sampled steps
+_ROUND_OFF = 1e-15  # relative round-off of one step
 
 
 def compare(traj: Trajectory, *, progress: Progress | bool | None = None) -> Report:
-    """Compare a trajectory with the full simulation of the same scene by Pinocchio's ABA.
+    """Compare a trajectory with the full simulation of its scene, which uses Pinocchio's ABA.
 
     Args:
         traj: Trajectory returned by `simulate`.
@@ -163,7 +163,7 @@ def count_informative_times(bounds: Array, growth: Array) -> int:
 def explain_uninformative_times(
     times: Array, count: int, bounds: Array, growth: Array
 ) -> tuple[str, ...]:
-    """Return the reason why only the first times can be judged; empty if all can.
+    """Return the reason why only the first times can be judged; empty if all times can be judged.
 
     Args:
         times: Times of the comparison, (T,) [s].
@@ -171,7 +171,7 @@ def explain_uninformative_times(
         bounds: Bounds on relative errors over time, (T,).
         growth: Factors by which a small perturbation has grown, (T,).
     Returns:
-        One sentence, or none.
+        One sentence, or an empty text.
     """
     if count == len(times):
         return ()
@@ -187,7 +187,7 @@ def explain_uninformative_times(
 
 
 def explain_rest(reference: FullMotion, size: Size) -> tuple[str, ...]:
-    """Return the reason why a system at rest cannot be judged; empty if it moves."""
+    """Return the reason why a system at rest cannot be judged; empty if the system moves."""
     configurations = np.abs(reference.q - reference.q[0]).max(initial=0.0)
     joints = (np.abs(reference.x - reference.x[0]) / size.joints).max(initial=0.0)
     if max(float(configurations) / max(size.position, 1.0), float(joints)) > _REST:
@@ -202,7 +202,7 @@ class ErrorBounds:
     Attributes:
         relative: Bounds in units of the motion's size, (T,).
         distance: The same bounds in the units of each error, (T, …).
-        mean_defect: Mean defect of a step, limited to the largest that passes.
+        mean_defect: Mean defect of a step, limited to the largest defect that passes.
     """
 
     relative: Array

@@ -3,7 +3,7 @@
 This is independent of the reduction, which eliminates follower (mimic) joints. In the full system
 all joints move. Multipliers keep each follower coupled to its leader, a_f − k a_l = 0:
 
-    a = a₀ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J a₀,   a₀ and M⁻¹Jᵀ by Pinocchio's ABA.
+    a = a₀ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J a₀,   a₀ and M⁻¹Jᵀ computed with Pinocchio's ABA.
 
 One linear system for accelerations and multipliers is solved instead if the mass matrix of the
 uncoupled tree is singular, or if accelerations are prescribed. Without couplings ABA is used alone.
@@ -36,7 +36,7 @@ class CouplingConstraints:
         at = {str(model.names[i]): i - 2 for i in range(2, model.njoints)}
         pending, placed = list(system.couplings), {*system.shape_names}
         self._couplings: list[tuple[int, int, float, float]] = []
-        while pending:  # leaders before their followers
+        while pending:  # process each leader before its followers
             coupling = next(c for c in pending if c.leader in placed)
             pending.remove(coupling)
             placed.add(coupling.follower)
@@ -92,8 +92,8 @@ class CouplingConstraints:
             q: Pinocchio's configuration, (nq,).
             v: Pinocchio's velocity, (nv,).
             tau: Generalised forces, (nv,) [N | N·m].
-            driven: Indices among all M joints of those with prescribed acceleration.
-            prescribed: Their accelerations [rad/s² | m/s²].
+            driven: Indices, among all M joints, of the joints with prescribed acceleration.
+            prescribed: Accelerations of these joints [rad/s² | m/s²].
             axes: Frames in which ABA is evaluated. Comparing two choices measures its round-off.
         Returns:
             (nv,) acceleration.

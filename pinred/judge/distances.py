@@ -30,7 +30,7 @@ class Size:
         joints: Largest |x| of each joint, (M,); at least 1 rad, or the radius of gyration for
             prismatic joints [rad | m].
         position: Distance travelled by the base; at least the radius of gyration, and at least
-            a small fraction of `away`, because round-off grows with it [m].
+            a small fraction of `away`, because round-off grows with that distance [m].
         away: Largest distance of the base from the origin [m].
     """
 
@@ -46,7 +46,7 @@ class Distance:
     Attributes:
         joints: |Δx| of each joint, (T, M) [rad | m].
         rotation: Norm of the rotational part of log(g⁻¹ĝ) of the base, (T,) [rad].
-        position: Norm of its translational part, (T,) [m].
+        position: Norm of the translational part of log(g⁻¹ĝ), (T,) [m].
     """
 
     joints: Array
@@ -61,11 +61,11 @@ class Distance:
     def relative(self, size: Size) -> Array:
         """Return the largest distance of all kinds over time, (T,), in units of `size`.
 
-        A NaN in any of them stays NaN.
+        The result is NaN at times at which any distance is NaN.
         """
         shape = (self.joints / size.joints).max(axis=1, initial=0.0)
         return np.asarray(np.max([shape, self.rotation, self.position / size.position], axis=0))
 
     def worst(self, size: Size) -> float:
-        """Return the largest distance at any time in units of `size`; NaN if one is NaN."""
+        """Return the largest distance at any time in units of `size`; NaN if one of them is NaN."""
         return float(self.relative(size).max())

@@ -1,14 +1,14 @@
-"""Errors of the equations of motion: a route's accelerations against ABA at the same states.
+"""Errors of the equations of motion: an engine's accelerations against ABA at equal states.
 
 Both sides are evaluated at the states of the trajectory. Neither chaos nor the tolerance matters.
 
 The error of row i is the force H Δa of the acceleration difference. Its unit is the sum of the
 magnitudes of the terms in that row's equation. So a light joint counts by its own size, and a badly
 conditioned H does not amplify errors. For a body that is small about its joint, terms of
-mass · acceleration · robot size cancel, so a small fraction of these is added to the unit.
+mass · acceleration · robot size cancel, so a small fraction of these terms is added to the unit.
 
-Round-off is measured and subtracted. On the route's side it is the difference between two finite
-differences of its velocity. On the other side it is the difference of ABA in the world's axes from
+Round-off is measured and subtracted. For the engine it is the difference between two finite
+differences of its velocity. For ABA it is the difference of ABA in the world's axes from
 ABA in body axes, which is large where the mass matrix is almost singular.
 
 Accelerations of the trajectory follow from the equations of the engine that computed it. At time t
@@ -43,7 +43,7 @@ _LEAST = 1e-290  # smallest unit; below it, floating-point numbers lose digits
 
 # Weights of v(t + k h) − v(t − k h), k = 1, …, 4, in the central difference times h.
 _WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
-# Motion of the fastest joint or of the base within h [rad, or fraction of the robot's size].
+# Step h: motion of the fastest joint or of the base within h [rad, or fraction of robot size].
 _STEP = 0.005
 _SHORTER = 0.7  # Factor of h in the second estimate, which shows the round-off.
 # Largest h in integrator steps if prescribed joints depend on time.
@@ -55,7 +55,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
 
     Args:
         traj: The trajectory.
-        full: Full simulation of the system whose equations it should satisfy.
+        full: Full simulation of the system whose equations the trajectory should satisfy.
         times: Times, (T,) [s].
     Returns:
         (T, n) relative errors of base and shape rows.
@@ -75,7 +75,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
         changes = np.abs(a) + route.pace[k] * np.abs(route.v[k])
         units[k] = np.abs(H) @ changes + loads
         units[k] += _CANCELLED * _inertial_forces(full.system, full.q(y), changes, size)
-        # Differences below the spread of the route's own derivatives cannot be resolved.
+        # Differences below the spread of the engine's own derivatives cannot be resolved.
         difference = np.abs(route.a[k] - a)
         errors[k] = np.abs(H @ (route.a[k] - a)) - SPREAD_MARGIN * np.abs(H) @ route.spread[k]
         # A drive applies whatever force its plan needs, so only its acceleration is compared.
@@ -97,7 +97,7 @@ def _acceleration(full: FullState, t: float, y: Array, axes: pin.Convention) -> 
 
 
 def _mass_matrix_and_loads(system: System, q: Array) -> tuple[Array, Array]:
-    """Return the mass matrix (n, n) and the magnitudes of gravity loads (n,), by Pinocchio."""
+    """Return Pinocchio's mass matrix (n, n) and the magnitudes of the gravity loads (n,)."""
     model, data = system.model, system.data
     H = system.coupled_matrix(symmetric(pin.crba(model, data, q)))
     return H, system.sizes_on_shape(gravity_load_sizes(model, data, q))
@@ -106,7 +106,7 @@ def _mass_matrix_and_loads(system: System, q: Array) -> tuple[Array, Array]:
 def _inertial_forces(system: System, q: Array, changes: Array, size: float) -> Array:
     """Return the largest possible inertial forces on the bodies that each joint moves, (n,).
 
-    changes: (n,) accelerations.  size: of the robot [m]; moments are forces times it.
+    changes: Accelerations, (n,).  size: Size of the robot [m], used as lever arm of moments.
     """
     angular, mass = moved_masses(system.model, system.data, q)
     rotates = (
@@ -125,7 +125,7 @@ class Accelerations:
     Attributes:
         states: States at the times (T,).
         v: Body twist and shape rate, (T, n).
-        a: Their derivatives, (T, n).
+        a: Time derivatives of v, (T, n).
         spread: Difference between the accelerations for two lengths h, (T, n); it measures the
             round-off of v.
         pace: Rate at which shape and attitude change, slides in units of the robot's size, (T,)

@@ -63,7 +63,7 @@ class RootMotion:
         ]
         if not slide:
             return np.array(quaternion_rate)
-        a, b, c = slide  # rotated by the matrix 1 + 2 (w ω̂ + ω̂²) / |q|²
+        a, b, c = slide  # body translation, to be rotated by the matrix 1 + 2 (w ω̂ + ω̂²) / |q|²
         two = 2.0 / (i * i + j * j + k * k + w * w)
         l, m, n = two * (j * c - k * b), two * (k * a - i * c), two * (i * b - j * a)
         return np.array(

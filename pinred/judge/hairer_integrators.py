@@ -4,9 +4,9 @@ SciPy's compiled loop swallows exceptions of its callbacks, Ctrl-C included, and
 undefined values, possibly forever. So callbacks raise nothing here. An exception is stored, the
 loop is asked to stop after its step, and the exception is raised afterwards.
 
-The loop restarts at each requested time. Its guess of the first step is about ten times too short,
-which doubles the number of evaluations where times are close. So the length of earlier accepted
-steps is passed on as the first step.
+The loop restarts at each requested time. The loop's guess of the first step is about ten times too
+short, which doubles the number of evaluations where times are close. So the length of earlier
+accepted steps is passed on as the first step.
 """
 
 from __future__ import annotations
@@ -22,8 +22,11 @@ from ..common.interrupts import held_interrupt
 
 _CONTINUE, _STOP = 1, -1  # return values of the callback after each step
 _MOST_STEPS = 10_000_000
-_EVALUATIONS = {"dop853": 12, "dopri5": 6}  # evaluations of an accepted step
-_CALM = 8  # spans without a rejected step, after which longer first steps are tried
+_EVALUATIONS = {
+    "dop853": 12,
+    "dopri5": 6,
+}  # number of evaluations of the vector field per accepted step
+_CALM = 8  # number of spans without a rejected step before longer first steps are tried
 # Hairer's error estimate squares changes: smaller ones over a run would give 0/0.
 _LEAST = 1e-120
 
@@ -50,7 +53,7 @@ class Hairer:
             t: Initial time [s].
             rtol: Relative tolerance.
             atol: Absolute tolerance.
-            end: Last requested time [s]. Rates that change nothing until then count as zero.
+            end: Last requested time [s]. Rates too small to change y until then count as zero.
         """
         self._rate = rate
         self._least = _LEAST / max(end - t, 1.0)
@@ -59,7 +62,7 @@ class Hairer:
         self._method, self._options = method, {"rtol": rtol, "atol": atol, "nsteps": _MOST_STEPS}
         self._solver = ode(self._safe_rate).set_integrator(method, **self._options)
         self._solver.set_initial_value(y, t)
-        self._first_step, self._calm_spans = 0.0, 0  # length of accepted steps; spans since reject
+        self._first_step, self._calm_spans = 0.0, 0  # accepted step [s]; spans since a rejection
         self._patience = 0  # spans before a longer first step is tried: none until that once fails
         self._evaluations, self._step_ends = 0, [t]
 
@@ -93,7 +96,7 @@ class Hairer:
         self._evaluations, self._step_ends = 0, []
 
     def _update_first_step(self) -> None:
-        """Learn the first step of the next span from the steps of this one."""
+        """Set the first step of the next span from the accepted steps of this span."""
         lengths = np.diff(self._step_ends)
         if not len(lengths):
             return
@@ -109,7 +112,7 @@ class Hairer:
             self._calm_spans = 0
 
     def _safe_rate(self, t: float, y: Array) -> Array:
-        """Return dy/dt, or zero, with which every step is accepted, once the run shall stop."""
+        """Return dy/dt, or zero after a stop request, so that the loop accepts its step."""
         rate = np.zeros_like(y)
         if self._raised is None and not self._is_interrupted():
             self._evaluations += 1

@@ -1,7 +1,7 @@
 """The reference solution: Pinocchio's ABA on the full state (q, v), integrated by Hairer's codes.
 
 It shares no dynamics with the reduction: its root kinematics, its integrators, and its momenta and
-energies (by Pinocchio's functions) are independent. Only the expressions of forces are common.
+energies (computed by Pinocchio) are independent. Only the force expressions are shared.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from .hairer_integrators import Hairer
 from .system_totals import SystemTotals
 
 FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy
-OFFSET = 1e-5  # fraction of the distance from the origin that counts as a length unit (round-off)
-SPREAD_MARGIN = 10.0  # round-off, in units of the difference between two ways to one number
+OFFSET = 1e-5  # least length unit, as fraction of the distance from the origin (round-off)
+SPREAD_MARGIN = 10.0  # assumed round-off over the difference of two evaluations of one quantity
 PERTURBATION = 1e-6  # relative size of the perturbation whose growth is measured
 
 
@@ -37,8 +37,8 @@ class FullState:
     """Pinocchio's forward dynamics of one scene, as an initial value problem.
 
     The state is y = (root, x, v): root coordinates (position; angle or quaternion), unwrapped
-    values of all M joints, Pinocchio's velocity. The inputs of forces are computed from y by
-    Pinocchio. Prescribed joints follow their plan. Follower joints obey multipliers, see
+    values of all M joints, and Pinocchio's velocity. Pinocchio computes the inputs of forces
+    from y. Prescribed joints follow their plan. Follower joints obey multipliers, see
     coupling_constraints.py.
 
     Attributes:
@@ -106,7 +106,7 @@ class FullState:
         return self.state(pose, shape(x), xi, shape(xdot))
 
     def perturb(self, y0: Array, time: float, fraction: float) -> Array:
-        """Change each entry of an initial state by a small fraction of it, with random sign.
+        """Change each entry of an initial state by a small fraction of its value, with random sign.
 
         Args:
             y0: Initial state, (n,).
@@ -162,7 +162,7 @@ class FullState:
             IntegrationError: A time cannot be reached at this tolerance.
         """
         end, y, t = float(times[-1]), y0, 0.0
-        round_off = 1e-12 * end  # closer times count as reached
+        round_off = 1e-12 * end  # times closer than this count as reached [s]
         actions = self._replay or Control(self._scene)
         states = {0.0: y0}
         while t < end:
@@ -188,7 +188,7 @@ class FullState:
         )
 
     def sample(self, y: Array) -> Sample:
-        """Compute the inputs of forces at y by Pinocchio, except the gravity force (set to 0)."""
+        """Compute the inputs of forces at y with Pinocchio; the gravity force is set to 0."""
         size, m, r = self._size, self._m, self._r
         x, v = y[size : size + m], y[size + m :]
         q, shape = self.q(y), self.couplings.shape
@@ -199,13 +199,13 @@ class FullState:
     def base_in_space(
         self, q: Array, root: Array, v: Array, *, momenta: bool = True
     ) -> BaseInSpace:
-        """Compute pose, twist and momenta of the base by Pinocchio.
+        """Compute pose, twist and momenta of the base with Pinocchio.
 
         Args:
             q: Pinocchio's configuration, (nq,).
             root: Root coordinates, (size,).
             v: Pinocchio's velocity, (nv,).
-            momenta: Whether momenta are needed; else they are NaN.
+            momenta: Whether momenta are needed; otherwise the momenta are NaN.
         Returns:
             The base as seen from the world.
         """
@@ -220,7 +220,7 @@ class FullState:
         return BaseInSpace(pose, v[:r].copy(), mu, J)
 
     def rate(self, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL) -> Array:
-        """Compute dy/dt by Pinocchio's ABA.
+        """Compute dy/dt with Pinocchio's ABA.
 
         Args:
             t: Time [s].
@@ -270,7 +270,10 @@ class FullState:
         return self._configuration(y[:size], y[size : size + self._m])
 
     def _q_for(self, q: Array, axes: pin.Convention) -> Array:
-        """Return q; in the world's axes with the base at the origin, to keep round-off small."""
+        """Return q for ABA in the given axes.
+
+        In the world's axes, the base is moved to the origin to keep round-off small.
+        """
         return self.totals.at_origin(q) if axes == pin.Convention.WORLD else q
 
     def distance(self, a: FullMotion, b: FullMotion) -> Distance:

@@ -3,7 +3,8 @@
 The defect of a step from a to b is y(b) − y(a) − ∫ f(t, y(t)) dt. Here y is the full state that the
 trajectory reports and f is Pinocchio's ABA. The integral is Gauss's with 8 nodes on each half. A
 trajectory with small defects solves a slightly perturbed system exactly (backward error). An
-integrator can promise that even where nearby motions diverge, and it needs no reference solution.
+integrator can keep defects small even where nearby motions diverge. No reference solution is
+needed.
 """
 
 from __future__ import annotations
@@ -25,21 +26,22 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 # Weights of the mean over a subinterval of ∫ f from its start: ½ ∫ (1 − s) f ds.
 _MEAN_WEIGHTS = 0.5 * _WEIGHTS * (1.0 - _NODES)
 _MOST_STEPS = 200  # longer trajectories are judged by a random sample of this many steps
-_SLOPE_STEP = 1e-6  # relative to the sizes of states; step of directional difference quotients
-_KINK = 10.0  # median defects; a larger defect indicates a kink of a force within the step
+_SLOPE_STEP = 1e-6  # step of directional difference quotients, relative to the sizes of states
+# Defects above this multiple of the median defect indicate a kink of a force within the step.
+_KINK = 10.0
 
 
 @dataclass(frozen=True)
 class Defects:
     """Relative defects of steps (S,) and of their subintervals (P,).
 
-    The unit of each kind of number is its largest size. For rates it is at least atol/rtol,
-    because the tolerance is defined that way. The `motion_*` fields use the motion's actual rates
-    instead, in which the growth of perturbations is measured.
+    The unit of each kind of number is the largest value of that kind. For rates the unit is at
+    least atol/rtol, because the tolerance is defined that way. The `motion_*` fields use the
+    motion's actual rates instead, because the growth of perturbations is measured in these units.
 
     Attributes:
         steps: Defects of steps, (S,).
-        subintervals: Defects of subintervals, (P,); these test the dense output too.
+        subintervals: Defects of subintervals, (P,); these also test the dense output.
         smooth: Whether the equations are smooth within the step, (S,). No method keeps its order
             across a kink of a force.
         motion_steps: Defects of steps in units of the motion, (S,). Residuals inside a step count
@@ -57,7 +59,7 @@ class Defects:
 
     @property
     def worst(self) -> float:
-        """Largest defect of a smooth step; NaN if one is NaN."""
+        """Largest defect of a smooth step; NaN if any such defect is NaN."""
         return float(self.steps[self.smooth].max(initial=0.0))
 
 
@@ -65,9 +67,14 @@ class Defects:
 class _Quadrature:
     """Evaluations of ABA on P subintervals with 8 nodes each.
 
-    nodes: (8 P,) times.  parameters: of forces at the nodes.  y, rates: (8 P, n) at the nodes.
-    defects: (P, n) over each subinterval.  mean_defects: (P, n) mean of the defect from its start.
-    lengths: (P,) [s].
+    Attributes:
+        nodes: Times of the nodes, (8 P,) [s].
+        parameters: Force parameters at the nodes.
+        y: Full states at the nodes, (8 P, n).
+        rates: Rates of y by ABA, (8 P, n).
+        defects: Defect over each subinterval, (P, n).
+        mean_defects: Mean over the subinterval of the defect accumulated from its start, (P, n).
+        lengths: Lengths of the subintervals, (P,) [s].
     """
 
     nodes: Array
@@ -87,7 +94,7 @@ def largest_defect(
     Args:
         traj: The trajectory.
         system: System whose equations the trajectory should satisfy.
-        max_steps: Largest number of steps to evaluate; a random sample of more.
+        max_steps: Largest number of steps to evaluate; longer trajectories are sampled randomly.
         subintervals: Return the largest defect of a subinterval instead, which also tests the
             dense output.
     Returns:
@@ -102,12 +109,12 @@ def largest_defect(
 def compute_defects(
     traj: Trajectory, full: FullState, *, max_steps: int = _MOST_STEPS, propagate: bool = True
 ) -> Defects:
-    """Compute the defects of a trajectory by ABA.
+    """Compute the defects of a trajectory with ABA.
 
     Args:
         traj: The trajectory.
         full: Full simulation of its scene.
-        max_steps: Largest number of steps to evaluate; a random sample of more.
+        max_steps: Largest number of steps to evaluate; longer trajectories are sampled randomly.
         propagate: Propagate residuals inside a step to its end. Without it, motion_steps omits
             residuals that cancel in the integral.
     Returns:
@@ -170,10 +177,10 @@ def _defects_of_steps(
 def _propagate(full: FullState, quadrature: _Quadrature, first: Indices, sizes: Array) -> Array:
     """Propagate residuals inside steps to the step ends.
 
-    For linear equations, residuals inside a step can cancel in the integral although the step end
-    is wrong; interpolants are built that way. So the defect D accumulated until a time is
-    propagated with the linearised ABA dynamics: e = D + z, where z' = J (D + z). J is taken from
-    the middle of each subinterval.
+    The integral of the residual over a step can vanish although the step end is wrong: for linear
+    equations, the dense-output interpolants have this property. The accumulated defect D(t) is
+    therefore propagated through the linearised ABA dynamics: e = D + z, where z' = J (D + z). The
+    Jacobian J is evaluated in the middle of each subinterval.
 
     Returns:
         Errors at the step ends, (S, n).
@@ -191,7 +198,7 @@ def _propagate(full: FullState, quadrature: _Quadrature, first: Indices, sizes: 
 def _growth_over(
     full: FullState, quadrature: _Quadrature, interval: int, error: Array, sizes: Array
 ) -> Array:
-    """Return J · error (n,) times the length of a subinterval, by a difference quotient of ABA."""
+    """Return J · error (n,) times the subinterval's length; J · error is a difference quotient."""
     unit = float(np.abs(error / sizes).max()) / _SLOPE_STEP
     if not 0.0 < unit < np.inf:
         return np.zeros_like(error)

@@ -1,4 +1,4 @@
-"""Energies, momenta, gravity loads and radius of gyration of the whole system, by Pinocchio."""
+"""Energies, momenta, gravity loads and size of the whole system, computed with Pinocchio."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ class SystemTotals:
             q: Pinocchio's configuration, (nq,).
             v: Pinocchio's velocity, (nv,).
             fall: Linear momentum gained in free fall, subtracted, (3,) [N·s].
-            about_pivot: Take angular momentum about the frame's origin, else about the centre of
-                mass.
+            about_pivot: Whether angular momentum is taken about the frame's origin; otherwise about
+                the centre of mass.
         Returns:
             (r,) linear, then angular momentum [N·s; N·m·s].
         """
@@ -108,7 +108,7 @@ class SystemTotals:
         return xi, mu
 
     def gravity_slopes(self, q: Array) -> Array:
-        """Return the magnitudes of the generalised gravity forces, (nv,), except of free fall."""
+        """Return the magnitudes of the generalised gravity forces, (nv,), without free fall."""
         if not self._pivot_gravity.gravity.linear.any():
             return np.zeros(self._model.nv)
         return np.asarray(np.abs(pin.computeGeneralizedGravity(self._pivot_gravity, self._data, q)))

@@ -36,12 +36,12 @@ class Report:
         t: Times of the comparison, (T,) [s].
         shape_errors: |Δx| of each joint of the file, (T, M) [rad | m].
         rotation_errors: Norm of the rotational part of log(g⁻¹ĝ), (T,) [rad].
-        position_errors: Norm of its translational part, (T,) [m].
+        position_errors: Norm of the translational part of log(g⁻¹ĝ), (T,) [m].
         shape_bounds: Largest shape errors that pass, (T, M) [rad | m].
         rotation_bounds: Largest rotation errors that pass, (T,) [rad].
         position_bounds: Largest position errors that pass, (T,) [m].
-        equations: Largest relative error of the equations of motion by ABA.
-        defect: Largest relative defect of a step by ABA.
+        equations: Largest relative error of the equations of motion, evaluated with ABA.
+        defect: Largest relative defect of a step, evaluated with ABA.
         energy_drift: Largest |E − E₀ − work| relative to the kinetic energy.
         momentum_drift: Largest change of conserved momentum relative to √(2mT), times the radius
             of gyration for angular momentum, which is taken about the centre of mass.
@@ -134,7 +134,7 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
-        """FAILED if a value exceeds its bound or is NaN; CANNOT TELL if there are reasons."""
+        """FAILED if a value exceeds its bound or is NaN; CANNOT TELL if there are `reasons`."""
         if not all(value <= bound for value, bound in self.checks.values()):
             return Verdict.FAILED
         return Verdict.CANNOT_TELL if self.reasons else Verdict.PASSED
@@ -205,7 +205,7 @@ class Report:
 
 
 def _closest(errors: Array, bounds: Array) -> tuple[float, float]:
-    """Return the error that is closest to its bound, and that bound; zeros if there is none."""
+    """Return the error that is closest to its bound, and that bound; zeros without errors."""
     if not errors.size:
         return 0.0, 0.0
     k = _worst(errors, bounds)

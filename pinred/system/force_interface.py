@@ -27,11 +27,11 @@ def _unknown_dynamics(_: Mapping[int, ca.SX]) -> ca.SX:
 
 @dataclass(frozen=True)
 class SeenState:
-    """The state passed to a force, controller or event of one argument.
+    """The state that is passed to a force, controller or event function of one argument.
 
-    Forces get CasADi symbols, controllers numbers.  Here μ is the body momentum about the
-    origin of the base.  Functions of (t, x, xdot, mu) get μ about the centre of mass, with zero
-    linear momentum.  Twists and momenta are [linear; angular].
+    Forces receive CasADi symbols and controllers receive numbers.  Here μ is the body momentum
+    about the origin of the base.  Functions of (t, x, xdot, mu) receive μ about the centre of
+    mass, with zero linear momentum.  Twists and momenta are [linear; angular].
 
     Attributes:
         t: Time [s].
@@ -85,22 +85,22 @@ class Load:
 class Symbols:
     """The variables on which forces depend.
 
-    Forces with `last` also get `others`, `accelerations` and `required_torque`.
+    Only forces with `last` receive `others`, `accelerations` and `required_torque`.
 
     Attributes:
         names: Names of the shape joints, (m,).
         t: Time [s].
         x: Shape, (m,) [rad | m], by number or by joint name.
         xdot: Shape rate, (m,) [rad/s | m/s], by number or by joint name.
-        xi: Body twist of the base, seen from the centre of mass, (r,).
+        xi: Body twist of the base, relative to the motion of the centre of mass, (r,).
         mu: Body momentum about the centre of mass, (r,), with zero linear part; for SO2 and SO3
             about the axis or pivot.
         seen: State with the base in space, for functions of one argument.
         within: Time that selects the segment of a table [s].
         others: Torques of all other forces, (m,) [N·m | N].
-        accelerations: Accelerations of prescribed joints, by joint.
+        accelerations: Accelerations of prescribed joints, {joint index: expression}.
         required_torque: Map from the accelerations of all joints to the torques, (m,), that
-            cause them.
+            cause these accelerations.
         followers: Names of follower joints, each with a description of its coupling.
     """
 
@@ -125,8 +125,8 @@ class Symbols:
     def joint(self, name: str, what: str) -> int:
         """Return the index of a joint.
 
-        Follower joints come after the shape joints.  A force on a follower acts through it on
-        the joint that it follows.
+        Follower joints come after the shape joints.  A force on a follower acts, through the
+        coupling, on its independent joint.
 
         Args:
             name: Name of the joint.
@@ -139,13 +139,13 @@ class Symbols:
         return joint_index(name, self.every_name, what)
 
     def refuse_follower(self, joint: int, what: str) -> None:
-        """Refuse a joint that follows another and is therefore no coordinate.
+        """Refuse a follower joint, which is not a shape coordinate.
 
         Args:
             joint: Index of the joint in `every_name`.
             what: Beginning of the error message.
         Raises:
-            InputError: The joint follows another.
+            InputError: The joint is a follower.
         """
         if words := self.followers.get(self.every_name[joint]):
             raise InputError(f"{what}: {words}; take the joint that it follows")
@@ -208,8 +208,8 @@ class Force(ABC):
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may differ between scenes without another
-                kernel, or is a Parameter.
+            number: Function that converts a value to a CasADi symbol if it is a kernel input
+                (a Parameter, or a value that may differ between scenes).
         Returns:
             Terms of the force.
         Raises:
@@ -218,7 +218,7 @@ class Force(ABC):
 
     @property
     def signals(self) -> Iterable[Any]:
-        """The functions of time in the force, as Signals."""
+        """The Signals (functions of time) in the force."""
         return ()
 
 
@@ -232,7 +232,7 @@ def finite(value: Any, what: str, wanted: str = "a number") -> Any:
     Returns:
         The value as a float, or the Parameter.
     Raises:
-        InputError: The value is neither.
+        InputError: The value is neither a finite number nor a Parameter.
     """
     if isinstance(value, Parameter):
         return value
@@ -248,7 +248,7 @@ def finite(value: Any, what: str, wanted: str = "a number") -> Any:
 
 
 def settle(force: Any, *names: str) -> None:
-    """Convert fields of a force to finite floats or Parameters.  Raises InputError."""
+    """Convert the named fields of a force to finite floats or Parameters.  Raises InputError."""
     for name in names:
         object.__setattr__(force, name, finite(getattr(force, name), f"{name} of a {force.label}"))
 

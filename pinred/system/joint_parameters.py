@@ -1,7 +1,7 @@
-"""Placements of joints and values of locked joints by name, such as "elbow.placement".
+"""Joint parameters by name, such as "elbow.placement": placements, and values of locked joints.
 
-A placement is that of the joint on the body that carries it: origin x, y, z [m], then roll,
-pitch and yaw [rad], as in a URDF file, in the frame of the carrier's joint.
+A placement describes the joint on its carrier, the body to which the joint is attached: origin x,
+y, z [m], then roll, pitch, yaw [rad], as in a URDF file, in the frame of the carrier's joint.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .locked_joints import LockedJoints, moments_of
 from .system import System
 
 SIZES = {"placement": 6, "translation": 3, "lock": 1}
-PLACED = ("placement", "translation")  # kinds that every joint but the root has
+PLACED = ("placement", "translation")  # kinds of parameters that every joint except the root has
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class JointParameter:
     Attributes:
         name: Name of the parameter.
         joint: Name of the joint.
-        kind: One of SIZES.
+        kind: Kind of parameter, a key of SIZES.
     """
 
     name: str
@@ -43,10 +43,10 @@ class JointParameter:
 
 
 def joint_parameter(system: System, name: str) -> JointParameter | None:
-    """Return the joint parameter with a name, or None if the name has another form.
+    """Return the joint parameter that a name denotes, or None if the name has another form.
 
     Raises:
-        InputError: The joint is unknown, or the root, whose placement has no effect.
+        InputError: The joint is unknown, or is the root, whose placement has no effect.
     """
     word, _, kind = name.rpartition(".") if isinstance(name, str) else ("", "", "")
     if kind not in SIZES or not word:
@@ -75,31 +75,32 @@ def joint_parameter(system: System, name: str) -> JointParameter | None:
 
 
 class Joints:
-    """The placements of joints, and inertias behind locked ones, as functions of parameters.
+    """Joint placements, and inertias behind locked joints, as functions of joint parameters.
 
     Attributes:
         parameters: Joint parameters, in the order of their names.
-        placed: Indices of the bodies, 0 for the root, whose joints they place, sorted.
-        turned: Bodies among `placed` whose joint axes they rotate.
-        free: Bodies whose inertias they change.
-        links: Frames of links that they move on their bodies.
+        placed: Indices of the bodies whose joint placements depend on the parameters, sorted;
+            0 is the root.
+        turned: Bodies among `placed` whose joint axes the parameters rotate.
+        free: Indices of the bodies whose inertias the parameters change.
+        links: Link frames whose placements on their bodies depend on the parameters.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Find the joint parameters among names.
+        """Select the joint parameters from a list of names.
 
         Args:
             system: Robot.
             names: Names of parameters of all kinds.
         Raises:
-            InputError: Two of them describe the same placement.
+            InputError: Two parameters set the same placement.
         """
         self._system = system
         parameters = [joint_parameter(system, name) for name in names]
         self.parameters = tuple(entry for entry in parameters if entry is not None)
         self._by_body: dict[int, JointParameter] = {}
         self._locks = {e.joint: e.name for e in self.parameters if e.kind == "lock"}
-        behind: set[int] = set()  # bodies whose joints the locked joints place
+        behind: set[int] = set()  # bodies whose joint placements depend on locked joints
         free: set[int] = set()
         if self._locks:
             for joint, (_, twists) in self._placements({}).items():
@@ -133,7 +134,7 @@ class Joints:
         self.links = tuple(sorted(self._frames))
 
     def own(self) -> dict[str, Array]:
-        """Return the values of the system, {name: (size,)}."""
+        """Return the present values of the parameters in the system, {name: (size,)}."""
         values = {}
         for parameter in self.parameters:
             if parameter.kind == "lock":
@@ -153,14 +154,15 @@ class Joints:
     def placements(
         self, values: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[int, pin.SE3, dict[str, Array]]]:
-        """Yield bodies, placements of their joints, and twists (6, size) per value.
+        """Yield body index, joint placement, and its derivatives as twists, {name: (6, size)}.
 
-        Twists are in the carrier's frame, at its origin.
+        Derivatives are with respect to the parameters.  Twists are in the carrier's frame, at its
+        origin.
 
         Args:
             values: Values of all parameters, {name: (size,)}.
-            changed: Parameters whose bodies are yielded.  One locked joint stands for all bodies
-                behind locked joints.
+            changed: Parameters that changed; only their bodies are yielded.  If one is the value of
+                a locked joint, all bodies behind locked joints are yielded.
         """
         has_locks = any(name in changed for name in self._locks.values())
         behind = self._placements(values) if has_locks else {}
@@ -176,16 +178,16 @@ class Joints:
     def inertias(
         self, values: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Yield bodies, their moments (10,) about the joint's origin, and derivatives (10, size).
+        """Yield body index, moments (10,) about the joint's origin, and derivatives (10, size).
 
         Args:
             values: Values of all parameters, {name: (size,)}.
-            changed: Parameters that changed.  Without a locked joint among them, nothing is
-                yielded.
+            changed: Parameters that changed.  Nothing is yielded unless one of them is the value of
+                a locked joint.
         """
         if not any(name in changed for name in self._locks.values()):
             return
-        # An added root is no joint of the raw model.
+        # A root that `load` added is not a joint of the raw model.
         added_root = not self._locked.raw.existJointName(self._system.root_name)
         lock_values = self._lock_values(values)
         for i in self.free:
@@ -195,9 +197,9 @@ class Joints:
             yield i, moments_of(J), self._by_parameter(moments)
 
     def places(self, values: Mapping[str, Array]) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
-        """Return the placements of `links` on their bodies, and twists (6, 1) per value.
+        """Return the placements of `links` on their bodies, and their derivatives, {name: (6, 1)}.
 
-        Twists are in the body's frame, at its origin.
+        Derivatives with respect to the parameters are twists in the body's frame, at its origin.
         """
         if not self._frames:
             return {}
@@ -216,7 +218,7 @@ class Joints:
         return locked
 
     def _by_parameter(self, columns: Mapping[str, Array]) -> dict[str, Array]:
-        """Return columns (k, 1) by parameter for vectors (k,) by locked joint."""
+        """Convert vectors {locked joint: (k,)} to columns {parameter name: (k, 1)}."""
         return {
             name: columns[joint][:, None] for joint, name in self._locks.items() if joint in columns
         }
@@ -240,7 +242,7 @@ class Joints:
 def _placement(
     nominal: pin.SE3, parameter: JointParameter, value: Array
 ) -> tuple[pin.SE3, dict[str, Array]]:
-    """Return a placement and its twists per value of a parameter."""
+    """Return a placement for a parameter value, and its derivatives as twists, (6, size)."""
     p = value[:3]
     twists = np.zeros((6, parameter.size))
     twists[:3, :3] = np.eye(3)
@@ -255,6 +257,7 @@ def _placement(
         [0.0, 0.0, 1.0],
     ])  # fmt: skip
     twists[3:, 3:] = axes
-    # Angles rotate the joint's frame about its own origin, so the linear part cancels ω × p.
+    # Roll, pitch and yaw rotate the joint's frame about its own origin p.  The linear part at the
+    # carrier's origin is therefore −ω × p.
     twists[:3, 3:] = -np.cross(axes.T, p).T
     return pin.SE3(R, p), {parameter.name: twists}

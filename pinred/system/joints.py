@@ -1,7 +1,7 @@
-"""Pinocchio's joints as root joints of a group, or as joints of the shape.
+"""Classify Pinocchio joints: root joints that move in a group, and shape joints.
 
-Consecutive joints at the root can together be one joint of a group. Examples are a planar joint and
-a slide along its normal, two slides and a hinge normal to them, or three slides and three hinges.
+Consecutive joints at the root can form one joint of a group.  Examples are a planar joint and a
+slide along its normal, two slides and a hinge normal to them, or three slides and three hinges.
 The links between them are massless, so only the motion of the last link matters.
 """
 
@@ -16,12 +16,12 @@ from ..common.arrays import Array
 from ..lie.group import Group
 from ..lie.groups import GROUPS, SE3
 
-_ALONG = 1e-9  # deviation of a unit twist from an axis of the group that counts as round-off
-_INDEPENDENT = 1e-6  # least singular value of six twists that move a body in all directions
+_ALONG = 1e-9  # largest round-off in the direction of a unit twist along a group axis
+_INDEPENDENT = 1e-6  # smallest singular value of six linearly independent unit twists
 
 
 def joint_kind(joint: pin.JointModel) -> str:
-    """Return Pinocchio's name of a joint; for a composite joint, its components joined by "+"."""
+    """Return Pinocchio's name of a joint type; join the components of a composite with "+"."""
     kind = str(joint.shortname()).removeprefix("JointModel")
     if kind != "Composite":
         return kind
@@ -31,13 +31,13 @@ def joint_kind(joint: pin.JointModel) -> str:
 
 
 def motion_group(joint: pin.JointModel) -> Group | None:
-    """Return the group in which a joint moves its body, or None if it is no known group."""
+    """Return the symmetry group of a joint's motion, or None if the motion is no such group."""
     kind = joint_kind(joint)
     return next((group for group in GROUPS.values() if kind in group.joints), None)
 
 
 def is_shape_joint(joint: pin.JointModel) -> bool:
-    """Return whether a joint can be a shape coordinate: revolute or prismatic."""
+    """Return whether a joint is revolute or prismatic, and so can be a shape coordinate."""
     group = motion_group(joint)
     return group is not None and group.dim == 1
 
@@ -49,8 +49,8 @@ def is_prismatic(joint: pin.JointModel) -> bool:
 
 
 def axes_of(joint: pin.JointModel) -> Array:
-    """Return the twists, (6, nv), by which a joint moves its body, in the body's frame."""
-    if joint.shortname() == "JointModelComposite":  # Its axes are known only after it has moved.
+    """Return the unit twists of a joint's degrees of freedom, (6, nv), in the body's frame."""
+    if joint.shortname() == "JointModelComposite":  # Pinocchio computes its axes with its motion.
         model = pin.Model()
         model.addJoint(0, joint, pin.SE3.Identity(), "joint")
         data = model.createData()
@@ -60,7 +60,7 @@ def axes_of(joint: pin.JointModel) -> Array:
 
 
 def joint_configuration(joint: pin.JointModel, value: float) -> list[float]:
-    """Return Pinocchio's coordinates of a joint with one degree of freedom at a value."""
+    """Convert the value of a joint with one degree of freedom to Pinocchio's coordinates."""
     return [value] if joint.nq == 1 else [float(np.cos(value)), float(np.sin(value))]
 
 
@@ -72,8 +72,8 @@ def joint_units(model: pin.Model) -> tuple[str, ...]:
 def root_joint(group: Group) -> pin.JointModel:
     """Return the joint that makes a body float in `group`.
 
-    On the axes of the root link, ℝ is a slide along x and SO(2) a rotation about z.  SE(2) moves
-    in the xy plane, and ℝ × SE(2) along z as well.
+    In the axes of the root link, ℝ slides along x and SO(2) rotates about z.  SE(2) moves in the
+    xy plane, and ℝ × SE(2) also moves along z.
     """
     kinds = [getattr(pin, f"JointModel{kind}")() for kind in group.joints[0].split("+")]
     if len(kinds) == 1:
@@ -86,12 +86,12 @@ def root_joint(group: Group) -> pin.JointModel:
 
 @dataclass(frozen=True)
 class RootChain:
-    """Joints at the root that move the bodies behind them in a group.
+    """Consecutive joints at the root that together move in a group.
 
     Attributes:
         group: Group of the motion.
-        last: Index of the last joint; the first is joint 1.
-        at: Placement of the group's root joint in the world.
+        last: Index of the chain's last joint; the chain starts at joint 1.
+        at: Placement of the equivalent root joint in the world.
         armature: Armature along the axes of the group, (r,) [kg m² | kg].
     """
 
@@ -102,7 +102,7 @@ class RootChain:
 
 
 def root_chain(raw: pin.Model) -> RootChain | None:
-    """Return the chain at the root of a model, or None if its joints are not one joint."""
+    """Return the chain at the root of a model, or None if its joints do not form a group."""
     last = _end_of_chain(raw)
     if last < 2 or any(motion_group(raw.joints[i]) is None for i in range(1, last + 1)):
         return None
@@ -124,7 +124,7 @@ def root_chain(raw: pin.Model) -> RootChain | None:
 
 
 def places_on_root(raw: pin.Model, chain: RootChain) -> dict[str, pin.SE3]:
-    """Return the placements of a chain's bodies on the group's root joint, by joint."""
+    """Return {joint: placement of its body on the equivalent root joint} of a chain."""
     places, at = {}, pin.SE3.Identity()
     for i in range(1, chain.last + 1):
         at = at * raw.jointPlacements[i]
@@ -133,7 +133,7 @@ def places_on_root(raw: pin.Model, chain: RootChain) -> dict[str, pin.SE3]:
 
 
 def _end_of_chain(raw: pin.Model) -> int:
-    """Return the last joint such that each massless link ahead of it carries only one joint."""
+    """Return the last joint before which every link is massless and carries only one joint."""
     last, parents = 0, list(raw.parents)[1:]
     children: dict[int, list[int]] = {}
     for i, parent in enumerate(parents, start=1):
@@ -144,7 +144,7 @@ def _end_of_chain(raw: pin.Model) -> int:
 
 
 def _is_permutation(matrix: Array) -> bool:
-    """Return whether each column is one axis, and no axis occurs twice."""
+    """Return whether each column is a coordinate axis and no axis occurs twice."""
     rounded = np.rint(matrix)
     once = (rounded.sum(axis=0) == 1.0).all() and (rounded.sum(axis=1) <= 1.0).all()
     return bool(once and np.abs(matrix - rounded).max() <= _ALONG)

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
-_HUGE = 1e100  # gravity whose products overflow [m/s²]
+_HUGE = 1e100  # largest accepted gravity, because products of larger numbers overflow [m/s²]
 
 
 @dataclass(frozen=True)
@@ -85,35 +85,36 @@ def load(
 ) -> System:
     """Load a robot as symmetry group times shape.
 
-    Emits a LeftOutWarning for actions in a file that are not part of the reduction
+    Emits a LeftOutWarning for actions in the file that pinred does not simulate
     (System.left_out), and a ModelWarning for doubtful inertias.
 
     Args:
         source: Name of a bundled robot or of one in example-robot-data; path of a URDF or MJCF
             file; pin.Model, which is copied; pin.RobotWrapper or pair (model, visual_model),
-            whose shapes playback shows; or mujoco's MjModel or MjSpec.
-        group: Symmetry: "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, the root in the
-            file decides: its free, planar or spherical root joint, with the link above as the
-            ground; or its first moving joint, if the link above is massless and carries all
-            other links.  Otherwise SE3: a root link with mass floats on a new root joint.
-            Consecutive joints at the root count as one joint if they move in a group.
+            whose shapes playback shows; mujoco.MjModel; or mujoco.MjSpec.
+        group: Symmetry group: "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, it follows
+            from the file.  A free, planar or spherical root joint sets the group, and the link
+            above it is the ground.  So does any first moving joint whose link above is massless
+            and carries all other links.  Otherwise the group is SE3: the root link floats on a new
+            root joint.  Consecutive joints at the root count as one joint if they move in a group.
         lock: Joints to freeze at zero, or mapping from joint to its fixed value [rad | m].
             Followers of a locked joint are locked with it.
         gravity: Gravity in the world frame, (3,) [m/s²].  If None, the robot's gravity
             (Pinocchio's 9.81 along −z for a URDF).
         root: For MJCF, the body of the world that carries the robot, if several can move.
-        strict: Whether to refuse robots with doubtful inertias instead of warning: moments that
-            no distribution of mass has, and mass matrices that are singular at single shapes.
+        strict: Whether to refuse robots with doubtful inertias instead of emitting a warning.
+            Doubtful are moments that no mass distribution has, and mass matrices that are singular
+            at isolated shapes.
         meshes: Folder, or folders, in which playback looks for the meshes of a URDF file, besides
             those above the file.
-        parameters: Robot parameters {name: value} that differ from the file, such as masses and
-            placements; for names see `Scene`.
+        parameters: Robot parameters {name: value} that replace values of the file, such as masses
+            and placements; `Scene` lists the names.
     Returns:
         System of the robot.
     Raises:
-        LoadError: There is nothing to read.
+        LoadError: The source does not exist or cannot be read.
         ModelError: pinred cannot reduce the model.
-        InputError: A group, joint, root or another argument is not valid.
+        InputError: The group, a joint, the root or another argument is not valid.
         MissingPackageError: The source is MJCF and mujoco is not installed.
     """
     requested = group_named(group) if isinstance(group, str) else group
@@ -161,7 +162,7 @@ def load(
 
 
 def _mjcf_kind(source: object) -> str:
-    """Return "MjModel", "MjSpec", or "path" for the path of an MJCF file; else ""."""
+    """Return "MjModel", "MjSpec", "path" (the path of an MJCF file), or "" for other sources."""
     for kind in ("MjModel", "MjSpec"):
         if is_mujoco(source, kind):
             return kind
@@ -179,7 +180,7 @@ def _load_mujoco(
     gravity: Array | None,
     root: str | None,
 ) -> System:
-    """Return the system of an MJCF file, an MjModel or an MjSpec (`kind`); else as `load`."""
+    """Load a MuJoCo source of a `kind` (see `_mjcf_kind`); other arguments: see `load`."""
     robot = read_mujoco(source, root=root, lock=locked, gravity=gravity)
     model, name, origin = _on_root(robot.model, group, None), robot.name, None
     if kind == "path":
@@ -197,7 +198,7 @@ def _read(
     locked: Mapping[str, float],
     folders: tuple[str, ...],
 ) -> _Robot:
-    """Return the robot of a name, a URDF file or a model; arguments as of `load`."""
+    """Read a robot from a name, a URDF file or a model; the arguments are those of `load`."""
     if isinstance(source, pin.Model):
         return _Robot(*without_mimics(source), source.name, None, group)
     name = str(source)
@@ -221,7 +222,7 @@ def _read(
 def _load_model(
     robot: _Robot, lock: Mapping[str, float], gravity: Array | None, visuals: Visuals | None
 ) -> System:
-    """Return the system of a robot with joints locked, on its root."""
+    """Lock joints of a robot, choose its root joint, and return its system."""
     raw, names = robot.raw, list(robot.raw.names)
     locked, couplings = with_followers(lock, robot.couplings, names)
     bare = rebuild(raw, frozen=frozen_configurations(raw, locked))
@@ -261,12 +262,12 @@ def is_path(name: str) -> bool:
         return True
     try:
         return Path(name).is_file()
-    except OSError:  # The system accepts no such name.
+    except OSError:  # The operating system rejects the name.
         return False
 
 
 def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return a robot of example-robot-data, with armature from its rotors, and its couplings."""
+    """Return the model of a robot in example-robot-data, with rotor armature, and its couplings."""
     names = catalogue.example_robots()
     if name not in names:
         near = difflib.get_close_matches(name[:200], [*catalogue.bundled_robots(), *names], n=3)
@@ -290,12 +291,12 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
 
 
 def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pin.Model:
-    """Return the model on the root joint of a group: its present root, or a new one.
+    """Return the model with a root joint of the requested group: its present root, or a new one.
 
     Args:
         raw: Model.
         group: Requested group, or None for the group of the present root.
-        chain: Joints at the root that are one joint together, if any.
+        chain: Consecutive joints at the root that form one joint, if any.
     Raises:
         ChoiceError: It is unclear whether the root link is fixed or floats.
         ModelError: The present root moves in another group.
@@ -319,7 +320,7 @@ def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pi
 
 
 def _unclear_root(raw: pin.Model) -> str:
-    """Return a question: is the massless root link of a model fixed, or does it float?"""
+    """Return the error message that asks whether a massless root link is fixed or floats."""
     links = [f.name for f in raw.frames if f.parentJoint == 0 and f.type == pin.FrameType.BODY]
     carried = [raw.names[i] for i in range(1, raw.njoints) if raw.parents[i] == 0]
     link = f"the root link {quoted(links[0])}" if links else "the root"

@@ -1,8 +1,8 @@
-"""Joints that `load(lock=…)` froze: the robot at other values of them, and its derivatives.
+"""Joints locked by `load(lock=…)`: the robot as a function of their values, with derivatives.
 
-Followers of locked joints are locked with them, and move as these vary.  A locked joint is
-carried by the next moving joint inward, its carrier, which also carries its inertia and the
-joints behind it.
+Followers of locked joints are locked too, and their values vary with those of their leaders.  The
+carrier of a locked joint is the next moving joint toward the root.  Inertias and joints behind
+the locked joint are attached to the carrier.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .joints import joint_configuration
 
 
 def lock_values(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
-    """Return the joints to freeze with their values, zero by default.  Raises InputError."""
+    """Return {joint to lock: value}, where values are zero by default.  Raises InputError."""
     if isinstance(lock, str):
         raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
     names = list(lock) if isinstance(lock, Mapping) else entries_of(lock)
@@ -41,10 +41,11 @@ def lock_values(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
 
 
 def frozen_configurations(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
-    """Return Pinocchio's configurations, (nq of the joint,), of joints to freeze, by joint.
+    """Return Pinocchio's configurations of the joints to lock, {joint index: (nq,)}.
 
     Raises:
-        InputError: A joint is unknown, or freezes at zero only.
+        InputError: A joint is unknown, or has several degrees of freedom and a value other than
+            zero.
     """
     configurations: dict[int, Array] = {}
     neutral = pin.neutral(raw)
@@ -71,9 +72,10 @@ class Carried:
 
     Attributes:
         joint: Name of the carrier in the reduced model; "" for the world or a new base.
-        at: Placement on the carrier before the joint moves.
-        moved: Placement after it moved.
-        twists: Twist per unit of each locked joint, (6,), in the carrier's frame at its origin.
+        at: Placement of the joint on the carrier at joint value zero.
+        moved: Placement of the joint's body on the carrier, at the joint's value.
+        twists: Derivatives of the placement with respect to the values of locked joints, as
+            twists in the carrier's frame at its origin, {locked joint: (6,)}.
     """
 
     joint: str
@@ -84,12 +86,12 @@ class Carried:
 
 @dataclass(frozen=True)
 class Tie:
-    """A locked joint that follows another locked one: x = Σ coefficients[k] (x_leader − at)ᵏ.
+    """A locked joint that follows another locked joint: x = Σ coefficients[k] (x_leader − at)ᵏ.
 
     Attributes:
-        leader: Name of the other joint.
+        leader: Name of the leader.
         coefficients: Coefficients of the polynomial.
-        at: Value of the leader from which it counts [rad | m].
+        at: Reference value of the leader [rad | m].
     """
 
     leader: str
@@ -97,7 +99,7 @@ class Tie:
     at: float = 0.0
 
     def follow(self, leader: float) -> tuple[float, float]:
-        """Return the value at a value of the leader, and its derivative."""
+        """Return the follower's value for a value of the leader, and its derivative."""
         law = np.polynomial.Polynomial(self.coefficients)
         return float(law(leader - self.at)), float(law.deriv()(leader - self.at))
 
@@ -107,14 +109,14 @@ class LockedJoints:
     """The joints that were locked.
 
     Attributes:
-        raw: Model with all joints whose value may vary, and perhaps others.
+        raw: Model that contains all joints whose value may vary, before they are locked.
         frozen: Values of all locked joints [rad | m].
-        ties: Locked joints that follow others.
-        root: Joints of the raw model that the root replaced, with the placements of their bodies
-            on it.  Empty if the root was added, or is a joint of the raw model.
+        ties: Ties of locked joints to their leaders, {follower: tie}.
+        root: Joints of the raw model that the root joint replaces, {joint: placement of its body
+            on the root joint}.  Empty if the root was added, or is a joint of the raw model.
         root_name: Name of the root joint.
-        several: Joints with several degrees of freedom, which freeze at zero.
-        names: Joints whose value may vary.
+        several: Locked joints with several degrees of freedom, whose coordinates are fixed at zero.
+        names: Locked joints whose values may vary as parameters.
     """
 
     raw: pin.Model
@@ -149,7 +151,7 @@ class LockedJoints:
         return any(joint in list(raw.supports[raw.getJointId(name)])[1:] for name in roots)
 
     def value(self, name: str, values: Mapping[str, float]) -> tuple[float, str, float]:
-        """Return the value of a locked joint, the joint that decides it, and the derivative.
+        """Return the value of a locked joint, its independent leader, and dvalue/dleader.
 
         Args:
             name: Name of the joint.
@@ -163,7 +165,11 @@ class LockedJoints:
         return value, leader, ratio * slope
 
     def carried(self, values: Mapping[str, float]) -> dict[int, Carried]:
-        """Return all joints of the raw model on their carriers, at values of locked joints."""
+        """Return the placements of all joints of the raw model on their carriers, by joint index.
+
+        Args:
+            values: Values of locked joints that differ from the frozen ones [rad | m].
+        """
         raw, q, identity = self.raw, pin.neutral(self.raw), pin.SE3.Identity()
         places = {0: Carried("", identity, identity, {})}
         for i in range(1, raw.njoints):
@@ -189,7 +195,9 @@ class LockedJoints:
         return places
 
     def inertia(self, joint: str, values: Mapping[str, float]) -> tuple[Array, dict[str, Array]]:
-        """Return the pseudo-inertia (4, 4) of all bodies on a carrier, and its derivatives.
+        """Return the pseudo-inertia of all bodies on a carrier, (4, 4), and its derivatives.
+
+        Derivatives are with respect to the values of locked joints, {locked joint: (4, 4)}.
 
         Args:
             joint: Name of the carrier; "" for a root that was added.
@@ -210,7 +218,10 @@ class LockedJoints:
     def placements(
         self, values: Mapping[str, float]
     ) -> dict[str, tuple[pin.SE3, Mapping[str, Array]]]:
-        """Return the placements of all moving joints, and their twists per locked joint."""
+        """Return the placement of each moving joint on its carrier, and its derivatives.
+
+        Derivatives are twists, (6,), with respect to the value of each locked joint.
+        """
         placements, places = {}, self.carried(values)
         for i, place in places.items():
             if i and place.joint == str(self.raw.names[i]):
@@ -219,14 +230,14 @@ class LockedJoints:
         return placements
 
     def frames(self, model: pin.Model, locked: Collection[str]) -> dict[int, int]:
-        """Return the frames of the reduced model that locked joints move on a body.
+        """Return the frames whose placement on their body depends on the value of a locked joint.
 
         Args:
             model: Reduced model.
             locked: Names of locked joints.
         Returns:
-            {frame of the reduced model: frame of the raw model}.  Frames that share name and type
-            are matched in order.
+            {frame in the reduced model: same frame in the raw model}.  Frames with the same name
+            and type are matched in order.
         """
         moved = {i for i, place in self.carried({}).items() if place.twists.keys() & set(locked)}
         raw: dict[tuple[str, pin.FrameType], list[int]] = {}
@@ -241,9 +252,10 @@ class LockedJoints:
 
 
 def moments_of(J: Array) -> Array:
-    """Return mass, first and second moments (10,) of a pseudo-inertia (4, 4) or its derivative.
+    """Return the moments, (10,), of a pseudo-inertia or of its derivative, (4, 4).
 
-    They are m, m c, then the inertia about the origin, xx, xy, xz, yy, yz, zz.
+    The moments are mass m, first moment m c, and the moments of inertia about the origin, xx, xy,
+    xz, yy, yz, zz.
     """
     I = np.trace(J[:3, :3]) * np.eye(3) - J[:3, :3]
     return np.concatenate([[J[3, 3]], J[:3, 3], I[0], I[1, 1:], I[2, 2:]])

@@ -1,1 +1,1 @@
-"""Branches of relative equilibria over the momentum, through folds and pitchforks."""
+"""Branches of relative equilibria as the momentum varies, followed through folds and pitchforks."""

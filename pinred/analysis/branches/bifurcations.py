@@ -1,8 +1,9 @@
-"""Bifurcations of relative equilibria: points of a curve where a curvature vanishes.
+"""Bifurcations of relative equilibria: points of a curve where a Hessian eigenvalue vanishes.
 
-There ∂F/∂z has a null vector v. If v·∂F/∂J ≠ 0, the curve turns back: the point is a fold.
-Otherwise a second curve crosses it. The crossing is a pitchfork if the third derivative along v
-vanishes, as a mirror symmetry implies. A fold must solve the extended system
+F(z, J) = 0 is the equation of the curve, see `curve`; "curvatures" are the eigenvalues of ∂F/∂z.
+At a bifurcation, ∂F/∂z has a null vector v. If v·∂F/∂J ≠ 0, the curve turns back: the point is a
+fold. Otherwise a second curve crosses it. The crossing is a pitchfork if the third derivative along
+v vanishes, as a mirror symmetry implies. A fold must solve the extended system
 
     F(z, J) = 0,   ∂F/∂z v = 0,   |v| = 1
 
@@ -21,20 +22,20 @@ from ...common.arrays import Array
 from ..equilibria.amended_energy import Energies, Points
 from .curve import Curve, CurvePoint
 
-_FOLD = 1e-6  # least v·∂F/∂J of a fold, relative to |∂F/∂J|
+_FOLD = 1e-6  # least |v·∂F/∂J| that counts as a fold, relative to |∂F/∂J|
 _EVEN = 1e-4  # largest third derivative of a pitchfork, relative to the curvatures
 _SAME_FOLD = 1e-7  # largest relative change of a fold's momentum with half the step
-_STEP = 1e-3  # rad, step of the differences along the null vector
+_STEP = 1e-3  # rad, step of the finite differences along the null vector
 
 
 @dataclass(frozen=True)
 class Bifurcation:
-    """A point of a curve where a curvature is zero.
+    """A point of a curve where a curvature (an eigenvalue of the Hessian) is zero.
 
     Attributes:
         kind: "fold", "pitchfork" or "crossing".
         at: Point of the curve.
-        null: Null vector v, (u,).
+        null: Null vector v of ∂F/∂z, (u,).
         residual: Relative residual of F = 0 and ∂F/∂z v = 0.
     """
 
@@ -51,7 +52,7 @@ def bifurcations_between(curve: Curve, a: CurvePoint, b: CurvePoint, h: float) -
         curve: The curve.
         a: Point before the step.
         b: Point after the step.
-        h: Step [rad].
+        h: Length of the step [rad].
     Returns:
         Bifurcations, sorted by distance from a.
     """
@@ -74,7 +75,7 @@ def locate_zero(curve: Curve, a: CurvePoint, h: float, k: int) -> CurvePoint | N
     Args:
         curve: The curve.
         a: Point before the step.
-        h: Step [rad].
+        h: Length of the step [rad].
         k: Index of the curvature.
     Returns:
         The point, or None if the curvature does not change sign or the curve cannot be followed.
@@ -86,7 +87,7 @@ def locate_zero(curve: Curve, a: CurvePoint, h: float, k: int) -> CurvePoint | N
     f_low, f_high = float(a.values[k]), float(end.values[k])
     best = end if abs(f_high) < abs(f_low) else a
     for n in range(80):
-        # Secant steps, with a bisection every third time.
+        # Take secant steps, with a bisection at every third iteration so that the bracket shrinks.
         s = 0.5 * (low + high) if n % 3 == 2 else (low * f_high - high * f_low) / (f_high - f_low)
         if not low < s < high:
             s = 0.5 * (low + high)
@@ -130,12 +131,12 @@ def classify(curve: Curve, at: CurvePoint) -> Bifurcation | None:
 
 
 def _size(e: Energies) -> float:
-    """Return the scale against which a single curvature counts as zero."""
+    """Return the size of the curvatures, to which tolerances for a zero curvature are relative."""
     return max(float(np.abs(e.hessian).max()), float(e.scale[0]), 1e-300)
 
 
 def _transported(curve: Curve, at: CurvePoint, there: Points, v: Array) -> Array:
-    """Return a direction (u,) in the tangent coordinates at another point.
+    """Convert a direction (u,) to the tangent coordinates at another point.
 
     Args:
         curve: The curve.
@@ -143,7 +144,7 @@ def _transported(curve: Curve, at: CurvePoint, there: Points, v: Array) -> Array
         there: The other point.
         v: Direction, (u,).
     Returns:
-        (u,).
+        The same direction in the tangent coordinates at the other point, (u,).
     """
     ambient = curve.ambient(at, v)
     return curve.local(there.n, ambient)[:-1]
@@ -155,7 +156,7 @@ def _is_confirmed(curve: Curve, a: CurvePoint, h: float, k: int, fold: CurvePoin
     Args:
         curve: The curve.
         a: Point before the step that contains the fold.
-        h: Step [rad].
+        h: Length of the step [rad].
         k: Index of the curvature that vanishes.
         fold: The fold.
     Returns:

@@ -1,11 +1,11 @@
-"""The curve of critical points over the momentum, by pseudo-arclength continuation.
+"""The curve of critical points over the momentum, computed by pseudo-arclength continuation.
 
 With F = ∂U/∂z at z = (x, n) and momentum J, a point of the curve and its unit tangent t solve
 
     F(z, J) = 0,     [∂F/∂z, ∂F/∂J] t = 0.
 
-The next point is the intersection of the curve with the plane normal to t at distance h, by
-Newton's method. Lengths are in radians; one unit of momentum counts as one radian.
+Newton's method computes the next point: the intersection of the curve with the plane normal to t
+at distance h. Lengths are in radians; one unit of momentum counts as one radian.
 Source: H. B. Keller, "Numerical solution of bifurcation and nonlinear eigenvalue problems", 1977.
 """
 
@@ -20,9 +20,9 @@ from ..equilibria.amended_energy import AmendedEnergy, Energies, Points, tangent
 from ..equilibria.search import residuals
 from ..stability.second_variation import weights
 
-FLAT = 1e-7  # relative to the largest curvature; below it a direction is flat
+FLAT = 1e-7  # curvature below which a direction is flat, relative to the largest curvature
 _MAX_ITERATIONS = 8  # largest number of Newton iterations
-_CONVERGED = 1e-7  # Newton step whose square is round-off
+_CONVERGED = 1e-7  # largest Newton step at convergence; its square is below round-off
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,11 @@ class CurvePoint:
 
 
 class Curve:
-    """The curves of critical points of one problem.
+    """Continuation of the curves of critical points of one problem.
 
     Attributes:
-        energy: Amended potential.
-        unit: Momentum that counts as 1 rad.
+        energy: Amended potential U as a function of z = (x, n) and J.
+        unit: Momentum that counts as 1 rad in arc lengths [N s | N m s].
     """
 
     def __init__(self, energy: AmendedEnergy, unit: float) -> None:
@@ -123,7 +123,7 @@ class Curve:
         return self._point(point, float(J), energies, direction)
 
     def slope_by_momentum(self, here: CurvePoint) -> Array:
-        """Return ∂F/∂J, (u,)."""
+        """Return the derivative of the gradient F with respect to the momentum, ∂F/∂J, (u,)."""
         return np.asarray(self.energy(here.points, here.J).by_momentum[0])
 
     def null_vector(self, here: CurvePoint) -> Array:
@@ -163,7 +163,7 @@ class Curve:
         values = np.linalg.eigvalsh(W @ e.hessian[0] @ W)
         direction = self.local(point.n, along)
         _, _, vectors = np.linalg.svd(self._derivative(e))
-        # In a family or at a crossing there are several null directions; keep the previous one.
+        # In a family or at a crossing there are several null directions; keep the previous tangent.
         rank = len(vectors) - 1
         singular = np.linalg.svd(self._derivative(e), compute_uv=False)
         if singular.size:
@@ -180,7 +180,7 @@ class Curve:
         )
 
     def _derivative(self, e: Energies) -> Array:
-        """Return [∂F/∂z, ∂F/∂J], (u, u + 1)."""
+        """Return the Jacobian [∂F/∂z, ∂F/∂J] of the curve's equations, (u, u + 1)."""
         return np.hstack([e.hessian[0], self.unit * e.by_momentum[0][:, None]])
 
     def local(self, n: Array, along: Array) -> Array:
@@ -196,9 +196,9 @@ class Curve:
         Args:
             here: Curve point.
             point: Other point, a Points of length one.
-            J: Its momentum.
+            J: Momentum of the other point.
         Returns:
-            (k,) [rad].
+            Difference in (x, n, J), with J in the curve's unit, (k,) [rad].
         """
         return np.concatenate(
             [point.x[0] - here.x, point.n[0] - here.n, [(J - here.J) / self.unit]]

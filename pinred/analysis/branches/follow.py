@@ -1,4 +1,4 @@
-"""branches(): relative equilibria followed over the momentum, through folds and pitchforks."""
+"""branches(): follow relative equilibria as the momentum varies, through folds and pitchforks."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class Branches:
         Returns:
             The points.
         Raises:
-            InputError: There is no such branch.
+            InputError: k is not the index of a branch.
         """
         if not 0 <= k < self.count:
             raise InputError(f"there are {self.count} branches, counted from 0; got {k}")
@@ -198,7 +198,7 @@ def branches(
 
 
 class _Follower:
-    """Computed curves, and the points from which others start."""
+    """The curves computed so far, and the queue of points from which further curves start."""
 
     def __init__(self, problem: Problem, low: float, high: float, step: float) -> None:
         self._problem, self._low, self._high, self._step = problem, low, high, step
@@ -219,7 +219,7 @@ class _Follower:
         self._starts.append((point, J, along))
 
     def follow_all(self) -> None:
-        """Follow the queued curves and those that branch off."""
+        """Follow the queued curves and the curves that branch off them."""
         while self._starts and len(self._curves) < _MAX_CURVES:
             point, J, along = self._starts.pop(0)
             if self._is_on_curve(point, J):
@@ -292,7 +292,9 @@ class _Follower:
                     self._record(bifurcation, number)
                 pitchforks = [item for item in bifurcations if item.kind == "pitchfork"]
                 if pitchforks and point.tangent[-1] * next_point.tangent[-1] < 0.0:
-                    points.append(pitchforks[0].at)  # The mirror image of the curve follows.
+                    points.append(
+                        pitchforks[0].at
+                    )  # Beyond the pitchfork the curve repeats mirrored.
                     break
             points.append(next_point)
             if len(points) > 3 and self._is_close(first, next_point, 1.2 * h) and sign > 0.0:
@@ -318,7 +320,7 @@ class _Follower:
         return self._curve.start(point, J, here.tangent)
 
     def _record(self, bifurcation: Bifurcation, number: int) -> None:
-        """Record a bifurcation unless it is known, and queue the curves that branch off."""
+        """Record a new bifurcation, and queue the curves that branch off there."""
         unit = self._curve.unit
         for _, other in self._bifurcations:
             has_same_momentum = abs(other.at.J - bifurcation.at.J) < 1e-5 * unit

@@ -1,1 +1,1 @@
-"""Local connections of every kind: mechanics, drag, fluid, wheels; seen from other frames."""
+"""Local connections from momentum, drag, perfect fluids or wheels, and their changes of frame."""

@@ -1,4 +1,4 @@
-"""Connection: the rule by which a motion of the shape moves the body, from any physics."""
+"""Connection: the linear map from shape rates to the body twist, whatever the physics behind it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ConnectionField:
     """A connection at many shapes, with the leading axes of x first in every array.
 
     Each array is computed at first use, cached, and read-only.  It raises SingularInertiaError
-    if A is not defined at a shape.
+    if A is not defined at one of the shapes.
 
     Attributes:
         connection: The connection.
@@ -94,8 +94,8 @@ class Connection:
     metric M on shape space.  Machine code computes the values, validated against Pinocchio.
 
     Attributes:
-        form: Form of velocities that vanishes on horizontal motions.
-        code: Its machine code.
+        form: Linear form of the velocities (ξ, ẋ) that vanishes on horizontal motions.
+        code: Compiled code that evaluates the form.
         system: The system, if the connection was built from one.
         is_mechanical: Whether it is the mechanical connection.
         turned_by_gravity: Reason why gravity changes the momenta; empty if it does not.
@@ -148,7 +148,7 @@ class Connection:
     def fluid(
         cls, system: System, density: float, bodies: Mapping[str, Ellipsoid | Ellipse | ArrayLike]
     ) -> Connection:
-        """Return the connection in a perfect fluid, by added masses of each body alone.
+        """Return the connection in a perfect fluid; the added masses ignore other bodies.
 
         Args:
             system: The system.
@@ -240,7 +240,7 @@ class Connection:
         return read_only(self.locals_at(self._one(x))[0][0])
 
     def locked(self, x: ArrayLike) -> Array:
-        """Compute P_b(x): locked inertia, drag of the frozen shape, or rows of the wheels.
+        """Compute P_b(x): locked inertia, drag of the locked robot, or wheel constraints W_b.
 
         Args:
             x: Shape, (m,) [rad | m].
@@ -313,7 +313,7 @@ class Connection:
         return values.xi, values.square
 
     def horizontal_slopes(self, x: Array, xdot: Array) -> Array:
-        """Compute the exact derivatives of (ξ, ẋᵀ M ẋ) by (x, ẋ).
+        """Compute the exact derivatives of (ξ, ẋᵀ M ẋ) with respect to (x, ẋ).
 
         Args:
             x: Shapes, (N, m) [rad | m].
@@ -372,7 +372,7 @@ class Connection:
             )
 
     def refuse_crossing(self, health: Array) -> None:
-        """Reject paths that cross singular shapes, where the health of other forms changes sign.
+        """Reject paths across singular shapes, where non-symmetric forms change health sign.
 
         Args:
             health: Health of P_b along the path, (N,).

@@ -1,4 +1,4 @@
-"""The connections of a robot in a fluid.
+"""The connections of a robot in a viscous or a perfect fluid.
 
 In a viscous fluid, at low Reynolds number, the total drag on the robot vanishes. In a perfect
 fluid, the momentum of robot and fluid vanishes.
@@ -25,7 +25,7 @@ from .links import summed, tensors_by_body
 
 @dataclass(frozen=True)
 class Rod:
-    """A slender rod in a viscous fluid, by resistive-force theory.
+    """A slender rod in a viscous fluid, modelled with resistive-force theory.
 
     Its drag is diag(c_t L, c_n L, c_n L) on translation and c_n L³/12 on rotation across its axis.
     It does not resist rotation about its axis.
@@ -35,7 +35,7 @@ class Rod:
         across: Drag coefficient c_n per length [N s/m²].
         along: Drag coefficient c_t per length [N s/m²].
         centre: Centre in its link's frame, (3,) [m].
-        axis: Direction in its link's frame, (3,).
+        axis: Direction of the rod in its link's frame, (3,).
         tensor: Drag tensor, (6, 6), in its link's frame about the origin.
     """
 
@@ -76,7 +76,7 @@ def in_link_frame(tensor: Array, centre: ArrayLike, axis: ArrayLike) -> Array:
 
 
 def viscous_form(system: System, drag: Mapping[str, Rod | ArrayLike]) -> ConnectionForm:
-    """Return the symmetric form of drag forces, Σ JᵀDJ; drag: see `Connection.viscous`."""
+    """Return the symmetric form Σ JᵀDJ of the drag forces; for `drag` see `Connection.viscous`."""
     system = checked_system(system, "Connection.viscous")
     if not isinstance(drag, Mapping) or not drag:
         raise InputError("drag must be {link: Rod or tensor (6, 6)}, of at least one link")
@@ -91,7 +91,7 @@ def viscous_form(system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connect
 
 
 def tensor_form(system: System, tensors: list[Array], what: str, *, rotors: bool) -> ConnectionForm:
-    """Return the symmetric form of tensors of all bodies.
+    """Return the symmetric form Σ JᵀDJ that the tensors D of all bodies define.
 
     Args:
         system: The system.
@@ -119,14 +119,14 @@ def tensor_form(system: System, tensors: list[Array], what: str, *, rotors: bool
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """An ellipsoid in a perfect fluid, by Lamb's Hydrodynamics, §114 and §373.
+    """An ellipsoid in a perfect fluid, with the formulas of Lamb, Hydrodynamics, §114 and §373.
 
     With the volume V, its added mass per density along a is V α/(2 − α), and its added moment of
     inertia about a is (V/5) (b² − c²)² (γ − β) / (2 (b² − c²) + (b² + c²) (β − γ)); the others
     follow by cyclic permutation.
 
     Attributes:
-        semi_axes: a, b, c, (3,) [m].
+        semi_axes: Semi-axes a, b, c, (3,) [m].
         centre: Centre in its link's frame, (3,) [m].
         axis: Direction of a in its link's frame, (3,).
         tensor: Added inertia per density, (6, 6), in its link's frame about the origin.
@@ -153,11 +153,11 @@ class Ellipse:
 
     Attributes:
         a: Semi-axis along `axis` [m].
-        b: Semi-axis across it [m].
+        b: Semi-axis perpendicular to `axis` [m].
         centre: Centre in its link's frame, (3,) [m].
         axis: Direction of a in its link's frame, (3,).
         convention: Added moment of inertia per density: "textbook", π/8 (a² − b²)² (Lamb, §71;
-            Kelly and Murray), or "sysplotter", (a² − b²)², as in that program.
+            Kelly and Murray), or "sysplotter", (a² − b²)², as in the program of that name.
         tensor: Added inertia per density, (6, 6), in its link's frame about the origin.
     """
 

@@ -1,4 +1,4 @@
-"""Links of a robot by name, and their Jacobians by Pinocchio."""
+"""Look up the links of a robot by name; compute their Jacobians with Pinocchio."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Link:
     """A link, or any other frame of the model.
 
     Attributes:
-        joint: Index in the model of the joint that moves it; 1 is the root joint.
+        joint: Index in the model of the joint that moves the link; 1 is the root joint.
         placement: Placement in the frame of that joint.
     """
 
@@ -33,11 +33,11 @@ def link_named(system: System, name: str, what: str) -> Link:
     Args:
         system: The system.
         name: Name of the link, or of another frame.
-        what: Argument that the message names.
+        what: Name of the argument, for error messages.
     Returns:
         The link.
     Raises:
-        InputError: There is no such link that moves; the message lists the links.
+        InputError: No moving link has this name; the message lists the moving links.
     """
     model = system.model
     moving = {
@@ -64,11 +64,11 @@ def tensors_by_body(system: System, by_link: Mapping[str, Array], what: str) -> 
     Args:
         system: The system.
         by_link: Symmetric tensors (6, 6), each in its link's frame.
-        what: Argument that messages name.
+        what: Name of the argument, for error messages.
     Returns:
         Tensors (6, 6) of all bodies in their joint frames, root first.
     Raises:
-        InputError: There is no such link, or a tensor is not symmetric.
+        InputError: A link is unknown, or a tensor is not symmetric.
     """
     tensors = [np.zeros((6, 6)) for _ in range(1, system.model.njoints)]
     for name, tensor in by_link.items():
@@ -82,7 +82,7 @@ def tensors_by_body(system: System, by_link: Mapping[str, Array], what: str) -> 
 
 
 def summed(system: System, tensors: Sequence[Array], x: Array) -> Array:
-    """Compute Σ JᵀDJ by Pinocchio's Jacobians.
+    """Compute Σ JᵀDJ over all bodies with the Jacobians J of Pinocchio.
 
     Args:
         system: The system.

@@ -1,4 +1,4 @@
-"""The mechanical connection: horizontal motion has no momentum."""
+"""The mechanical connection: horizontal motions are those with zero momentum."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ...system.system import System, checked_system
 
 
 def mechanical_form(system: System) -> ConnectionForm:
-    """Return the symmetric form of a system's momenta, H(x) (ξ, ẋ) = (μ, π)."""
+    """Return the symmetric form H(x) that maps velocities (ξ, ẋ) to the momenta (μ, π)."""
     system = checked_system(system, "Connection.mechanical")
 
     def values(x: ca.SX, v: ca.SX) -> ca.SX:
@@ -37,7 +37,7 @@ def mechanical_form(system: System) -> ConnectionForm:
 
 
 def mechanical_code(system: System) -> ConnectionCode:
-    """Return the compiled mechanical connection of a system, which is made once."""
+    """Return the compiled mechanical connection of a system; it is cached."""
     system = checked_system(system, "Connection.mechanical")
     return once(system, mechanical_code, lambda: ConnectionCode(mechanical_form(system)))
 

@@ -1,13 +1,14 @@
-"""The mixed connection: wheels constrain some motions of the body, momentum moves the others.
+"""The mixed connection: wheels constrain some body motions, momentum determines the others.
 
 With fewer wheels than the group has dimensions, W_b ξ + W_s ẋ = 0 leaves some body motions free.
-The columns of S(x) span the kernel of W_b.  Along them there is a momentum p = Sᵀ μ, and
+The columns of S(x) span the kernel of W_b.  The momentum along these free motions is p = Sᵀ μ, and
 
     ξ = −A ẋ + Γ p,   [W_b; SᵀI] (A, Γ) = ([W_s; SᵀI_a], [0; 1]),
     ṗ = Sᵀ ad*_ξ μ + (∂S ẋ)ᵀ μ,   −Aᵀ (μ̇ − ad*_ξ μ) + π̇ − ½ ∂ₓ(vᵀHv) = τ,
 
-μ = I ξ + I_a ẋ.  Source: A. Bloch, P. Krishnaprasad, J. Marsden, R. Murray, "Nonholonomic
-mechanical systems with symmetry", Arch. Rational Mech. Anal. 136 (1996).
+with the momentum μ = I ξ + I_a ẋ of the robot without wheels.  Source: A. Bloch, P. Krishnaprasad,
+J. Marsden, R. Murray, "Nonholonomic mechanical systems with symmetry", Arch. Rational Mech. Anal.
+136 (1996).
 """
 
 from __future__ import annotations
@@ -125,16 +126,16 @@ class MixedConnection:
 
     @cached_property
     def equations(self) -> NativeCode:
-        """Machine code (x, ẋ, p), τ → health of P_b, ξ, ṗ, ẍ, energy; τ: torques (m,) [N m | N]."""
+        """Compiled map from (x, ẋ, p) and torques τ (m,) to health of P_b, ξ, ṗ, ẍ and energy."""
         return load_object(compile_object(self._graph(), _NAME), _NAME)
 
     @cached_property
     def driven(self) -> NativeCode:
-        """Machine code (x, ẋ, p) → health of P_b, ξ, ṗ, for joints with a prescribed motion."""
+        """Compiled map from (x, ẋ, p) to health of P_b, ξ and ṗ, for prescribed joint motions."""
         return load_object(compile_object(self._driven_graph(), "driven"), "driven")
 
     def _motion_terms(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return x, ẋ, p, and ξ, ṗ, A as expressions."""
+        """Return the symbols x, ẋ, p and the CasADi expressions of ξ, ṗ and A."""
         system, r, k = self.system, self.system.r, len(self.slips)
         x, xdot = ca.SX.sym("x", system.m), ca.SX.sym("xdot", system.m)
         p = ca.SX.sym("p", self.size)
@@ -149,7 +150,7 @@ class MixedConnection:
         return x, xdot, p, xi, S.T @ self._coadjoint(xi, mu) + Sdot.T @ mu, A
 
     def _coadjoint(self, xi: ca.SX, mu: ca.SX) -> ca.SX:
-        """Return ad*_ξ μ."""
+        """Return the coadjoint action ad*_ξ μ as a CasADi expression."""
         eta = ca.SX.sym("eta", self.system.r)
         return ca.gradient(ca.dot(mu, bracket(self.system.group, xi, eta)), eta)
 
@@ -166,7 +167,7 @@ class MixedConnection:
         tau = ca.SX.sym("tau", system.m)
         momentum = momenta(system, x, ca.vertcat(xi, xdot))
         mu, pi = momentum[:r], momentum[r:]
-        # The rate of the momentum is `without_xddot` + `by_xddot` ẍ.
+        # The rate of the momentum is affine in ẍ: `without_xddot` + `by_xddot` ẍ.
         without_xddot = ca.jtimes(momentum, x, xdot) + ca.jtimes(momentum, p, pdot)
         by_xddot = ca.jacobian(momentum, xdot)
         v = ca.SX.sym("v", system.n)
@@ -197,7 +198,8 @@ def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> Mixed
     Returns:
         The connection and the momentum equation.
     Raises:
-        InputError: There are no wheels, or too many (see Connection.kinematic).
+        InputError: There are no wheels, or at least as many as the group has dimensions (see
+            Connection.kinematic).
     """
     system = checked_system(system, "Connection.mixed")
     slips = tuple(slips_of(system, list(wheels)))
@@ -251,7 +253,7 @@ def kernel_graph(system: System, slips: Sequence[Slip], free: Array, x: ca.SX) -
 
 
 def _kernel(W: Array, free: Array) -> Array:
-    """Return S, (r, r − k), from W_b (k, r)."""
+    """Return S, (r, r − k), a basis of the kernel of W_b (k, r); `free`: see `MixedConnection`."""
     if not len(free):
         return np.asarray(np.cross(W[0], W[1])[:, None])
     return np.asarray(free - W.T @ np.linalg.solve(W @ W.T, W @ free))

@@ -1,4 +1,4 @@
-"""Motions on wheels with momentum: joints are driven by torques, or follow a gait."""
+"""Motions of the mixed connection: the joints are driven by torques, or follow a gait."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .mixed import MixedConnection
 
 _RTOL, _ATOL = 5e-14, 1e-15
 _LEAST_HEALTH = 1e-3  # least admissible health of P_b; ±1 is best
-_SHAPES = 4096  # shapes of a path that are checked
+_SHAPES = 4096  # number of shapes of a path at which P_b is checked
 
 
 @dataclass(frozen=True)
 class MixedMotion:
-    """A motion on wheels, time first.
+    """A motion on wheels; the first axis of every array is time.
 
     Attributes:
         t: Times, (T,) [s].
@@ -59,11 +59,11 @@ def simulate_mixed(
         x0: Initial shape, (m,) [rad | m].
         xdot0: Initial shape rate, (m,) [rad/s | m/s].
         p0: Initial generalised momentum, (r − k,).
-        times: Increasing times, (T,) [s]; the first is that of the initial state.
+        times: Increasing times, (T,) [s]; the first is the time of the initial state.
         torques: Function of time that returns the joint torques, (m,) [N m | N]; zero if None.
     Returns:
-        The motion.  Raises SingularInertiaError if it passes a singular shape, IntegrationError if
-        it stops at one.
+        The motion.  Raises SingularInertiaError if the motion crosses a singular shape,
+        IntegrationError if it stops at a singular shape.
     """
     system, names = mixed.system, mixed.system.shape_names
     m, r, k = system.m, system.r, mixed.size
@@ -85,7 +85,7 @@ def simulate_mixed(
 
     y, dense = _integrate(rate, np.concatenate([*initial, system.group.identity()]), t)
     fine = np.linspace(t[0], t[-1], _SHAPES)
-    # A step may have jumped over a singular shape.
+    # A step may have jumped over a singular shape, so check the path between the steps too.
     _require_regular_path(mixed, np.asarray(dense(fine)).T[:, :m])
     return _motion(mixed, t, y[:, :m], y[:, m : 2 * m], y[:, 2 * m : 2 * m + k], y[:, 2 * m + k :])
 
@@ -99,7 +99,7 @@ def follow_mixed(
         mixed: The mixed connection.
         gait: The gait.
         p0: Initial generalised momentum, (r − k,); 0 for zero momentum.
-        times: Increasing times, (T,) [s]; the first is that of the initial state.
+        times: Increasing times, (T,) [s]; the first is the time of the initial state.
     Returns:
         The motion; errors as in `simulate_mixed`.
     """
@@ -140,7 +140,7 @@ def _require_regular_path(mixed: MixedConnection, x: Array) -> None:
 
 
 def _require_regular(mixed: MixedConnection, time: float, health: float) -> None:
-    """Raise IntegrationError if the health of P_b, with its initial sign, is nearly lost."""
+    """Raise IntegrationError if P_b is nearly singular; `health` has its initial sign."""
     if not health > _LEAST_HEALTH:
         raise IntegrationError(
             f"at {time:g} s {mixed.connection.form.what} come to a shape at which they leave a "
@@ -149,7 +149,7 @@ def _require_regular(mixed: MixedConnection, time: float, health: float) -> None
 
 
 def _times(times: ArrayLike) -> Array:
-    """Return increasing times.  Raises InputError for others."""
+    """Validate report times.  Raises InputError if they do not increase."""
     t = np.asarray(times, dtype=float)
     t = vector(t, t.size, "times")
     positive(float(np.diff(t).min(initial=np.inf)) if len(t) > 1 else 0.0, "the step of times")
@@ -180,7 +180,7 @@ def _integrate(
 def _motion(
     mixed: MixedConnection, t: Array, x: Array, xdot: Array, p: Array, pose: Array
 ) -> MixedMotion:
-    """Return the motion with its energies."""
+    """Compute the energies and return the motion."""
     m, r, k = mixed.system.m, mixed.system.r, mixed.size
     states = np.hstack([x, xdot, p])
     energy = evaluate(mixed.equations.address, np.zeros(m), states, r + k + m + 2)[:, -1]

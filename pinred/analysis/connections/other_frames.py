@@ -24,13 +24,13 @@ from ...system.system import System
 from .links import link_jacobian, link_named
 
 Twist = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
-_STEP = 5e-3  # of differences of order 6
-_OUTSIDE = 1e-9  # tolerance for motions outside the group, relative to the Jacobian
-_SAMPLES = 5  # random shapes at which motions are checked
+_STEP = 5e-3  # rad | m, step of the finite differences of order 6
+_OUTSIDE = 1e-9  # largest motion outside the group, relative to the Jacobian
+_SAMPLES = 5  # number of random shapes at which motions are checked
 
 
 def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm:
-    """Return the form in terms of the twist of a link, instead of the root's.
+    """Express a form in terms of the twist of a link instead of the twist of the root.
 
     Args:
         form: The form.
@@ -39,13 +39,13 @@ def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm
     Returns:
         The new form.
     Raises:
-        InputError: There is no such link, or its motions are not in the group.
+        InputError: The link is unknown, or its motions are not in the group.
     """
     link, group = link_named(system, name, "the base"), system.group
     axes = list(group.axes)
 
     def entries(x: Array) -> Array:
-        """Return the matrix of ξ′ by (ξ, ẋ), (r, n)."""
+        """Return the matrix that maps (ξ, ẋ) to ξ′, (r, n)."""
         J = link_jacobian(system, link, x)
         outside = [k for k in range(6) if k not in axes]
         if np.abs(J[outside]).max(initial=0.0) > _OUTSIDE * np.abs(J).max():
@@ -66,7 +66,7 @@ def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm
 
 
 def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> ConnectionForm:
-    """Return the form in terms of the twist of a frame h(x), instead of the root's.
+    """Express a form in terms of the twist of a frame h(x) instead of the twist of the root.
 
     Args:
         form: The form.
@@ -112,12 +112,12 @@ def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> Connecti
 def _transformed(
     form: ConnectionForm, old: Twist, entries: Callable[[Array], Array], what: str
 ) -> ConnectionForm:
-    """Return the form in terms of (ξ′, ẋ).
+    """Express a form in terms of the velocities (ξ′, ẋ) of the new frame.
 
     Args:
         form: The form in terms of (ξ, ẋ).
         old: Returns ξ from x, ξ′ and ẋ, as CasADi expressions.
-        entries: Returns the matrix of ξ′ by (ξ, ẋ), (r, n), at a shape.
+        entries: Returns the matrix that maps (ξ, ẋ) to ξ′, (r, n), at a shape.
         what: Short description for messages.
     Returns:
         The new form.

@@ -19,7 +19,8 @@ from ...reduction.section import Moves
 from ...system.system import System
 from .mechanical_connection import centres_of_mass, mechanical_code
 
-# A pivot of the mass matrix below this multiple of n ε times its diagonal entry is examined.
+# Pivots of the mass matrix below this multiple of n ε times the diagonal entry (ε: machine
+# precision) need the accurate test for singularity.
 _SUSPICIOUS = 16.0
 
 
@@ -29,7 +30,7 @@ class ShapeField:
 
     Each array is computed at first use, cached, and read-only.  The names are those of
     `ReducedShape`.  Every array that needs the inertia raises SingularInertiaError, naming the
-    shape, if the mass matrix is numerically singular at any of them.
+    shape, if the mass matrix is numerically singular at one of the shapes.
 
     Attributes:
         system: The system.
@@ -115,14 +116,14 @@ class ShapeField:
 
     @cached_property
     def _locals(self) -> Locals:
-        """H, A and M in the section of the robot's file."""
+        """H, A and M with respect to the base frame of the robot file."""
         terms = mechanical_code(self.system).locals(self._shapes)
         _refuse_singular(self.system, self._shapes, terms.matrix)
         return terms
 
     @cached_property
     def _com(self) -> Array:
-        """The centre of mass in the frame of the robot's file, (N, 3)."""
+        """The centre of mass in the base frame of the robot file, (N, 3) [m]."""
         return centres_of_mass(self.system, self._shapes)
 
     @property

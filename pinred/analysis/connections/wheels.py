@@ -21,10 +21,10 @@ from .links import Link, link_jacobian, link_named
 
 @dataclass(frozen=True)
 class Wheel:
-    """A wheel, or a pair on one axle, that does not slip along its axle.
+    """A wheel, or a pair of wheels on one axle, that does not slip along the axle.
 
     Attributes:
-        link: Name of the link that carries it.
+        link: Name of the link that carries the wheel.
         at: Contact point in the link's frame, (3,) [m].
         axle: Direction of the axle in the link's frame, (3,).
     """
@@ -59,7 +59,7 @@ class Slip:
 
     Attributes:
         link: The link.
-        direction: Direction of the speed, (3,), in the joint frame of the link's body.
+        direction: Direction of the measured speed, (3,), in the joint frame of the link's body.
         point: The point, (3,) [m], in the same frame.
         coordinate: Index of the shape coordinate, −1 for none.
         radius: Radius [m].
@@ -102,7 +102,7 @@ def slips_of(system: System, wheels: Sequence[Wheel | Rolling]) -> list[Slip]:
 
 
 def slip_rows(system: System, slips: Sequence[Slip], x: ca.SX, v: ca.SX) -> ca.SX:
-    """Return the slips of all wheels, (k,), which vanish if no wheel slips.
+    """Return the slip speeds of all wheels, (k,), as CasADi expressions; zero without slip.
 
     Args:
         system: The system.
@@ -110,7 +110,7 @@ def slip_rows(system: System, slips: Sequence[Slip], x: ca.SX, v: ca.SX) -> ca.S
         x: Shape symbols, (m,).
         v: Velocity symbols (ξ, ẋ), (n,).
     Returns:
-        The slips [m/s].
+        Slip speeds, (k,) [m/s].
     """
     bodies, twists = bodies_of(system), twists_at(system, x, v)
     rows = []
@@ -125,7 +125,7 @@ def slip_rows(system: System, slips: Sequence[Slip], x: ca.SX, v: ca.SX) -> ca.S
 
 
 def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
-    """Return W = (W_b, W_s), (k, n), at shape x (m,), by Pinocchio's Jacobians."""
+    """Compute the constraint matrix (W_b, W_s), (k, n), at x (m,) with Pinocchio's Jacobians."""
     rows = []
     for slip in slips:
         body = Link(slip.link.joint, slip.link.placement.Identity())
@@ -138,7 +138,7 @@ def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
 
 
 def kinematic_form(system: System, wheels: Sequence[Wheel | Rolling]) -> ConnectionForm:
-    """Return the form of slips; there must be as many wheels as the group has dimensions."""
+    """Return the form of slip speeds, for as many wheels as the group has dimensions."""
     system = checked_system(system, "Connection.kinematic")
     slips = slips_of(system, list(wheels))
     if len(slips) != system.r:

@@ -1,1 +1,1 @@
-"""Relative equilibria: steady motions of a shape that does not change, found and identified."""
+"""Relative equilibria: search for steady motions with a constant shape, and compare them."""

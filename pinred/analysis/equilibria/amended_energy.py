@@ -1,7 +1,7 @@
 """The amended potential as a function of active joints and direction, with exact derivatives.
 
-K is the inertia of base and cyclic joints at a frozen shape, H_d its coupling to the joints driven
-at rates ν, and s = (μ, π_cyclic) the momenta. Then
+K is the inertia matrix of the base and the cyclic joints. H_d couples it to the driven joints,
+which move at rates ν and have the inertia matrix H_dd. The momenta are s = (μ, π_cyclic). Then
 
     U = V + ½ σᵀ K⁻¹ σ − ½ νᵀ H_dd ν,     σ = s − H_d ν,
 
@@ -10,7 +10,7 @@ frame of the centre of mass, and a direction n in the body. If gravity turns a p
 the angular momentum J about the vertical is conserved. The base then rotates about the upward
 direction e in the body, K and σ refer to that rotation (E = [e]), and V = m |g| e·c.
 
-Derivatives by θ = (x, n), with η = K⁻¹ σ and ρ_θ = ∂σ − ∂K η, so that ∂η = K⁻¹ρ:
+Derivatives with respect to θ = (x, n), with η = K⁻¹ σ and ρ_θ = ∂σ − ∂K η, so that ∂η = K⁻¹ρ:
 
     ∂U = ηᵀ∂σ − ½ ηᵀ∂K η + ∂V,     ∂∂U = ρᵀK⁻¹ρ + ηᵀ∂∂σ − ½ ηᵀ∂∂K η + ∂∂V.
 
@@ -77,12 +77,12 @@ class Energies:
 
     Attributes:
         U: Amended potential, (N,) [J].
-        gradient: Derivative with respect to the u unknowns, on the sphere, (N, u).
+        gradient: Derivative with respect to the u unknowns (x, tangent of the sphere), (N, u).
         hessian: Second derivative, (N, u, u).
-        rates: η, (N, k): twist of the base (or its rate about the vertical) and rates of the cyclic
-            joints.
+        rates: Rates η, (N, k): twist of the base (or its rate about the vertical), then the rates
+            of the cyclic joints.
         by_momentum: Derivative of the gradient with respect to J, (N, u).
-        scale: Size of the energies in U, (N,) [J].
+        scale: Sum of the magnitudes of the terms of U, (N,) [J], the scale of round-off.
     """
 
     U: Array
@@ -127,7 +127,8 @@ class AmendedEnergy:
         problem, N = self.problem, len(points)
         J = np.broadcast_to(np.asarray(J, dtype=float), (N,))
         x = problem.shapes(points.x)
-        # Only the blocks of base, cyclic and driven joints are differentiated.
+        # U depends only on the blocks of base, cyclic and driven joints, so differentiate only
+        # these.
         d = inertia_derivatives(problem.system, x, of={*problem.cyclic, *problem.driven})
         K, K1, K2, s, s1, s2, sJ, sJ1 = self._terms(d, points, J)
         # A point mass on its joint axis makes the mass matrix singular.
@@ -148,7 +149,7 @@ class AmendedEnergy:
         return self._on_sphere(points, Energies(U, g, Hs, eta, gJ, scale))
 
     def _terms(self, d: InertiaDerivatives, points: Points, J: Array) -> tuple[Array, ...]:
-        """Return K and σ with their derivatives by θ, and ∂σ/∂J with its derivative."""
+        """Return K, σ and ∂σ/∂J, with their derivatives with respect to θ."""
         problem, N, a, rows = self.problem, len(points), self._active, self._rows
         ma, r, size = len(a), problem.system.r, len(rows)
         T = ma + 3 * problem.directional
@@ -204,7 +205,7 @@ class AmendedEnergy:
         return Et @ full @ E, K1, K2, s, s1, s2, sJ, np.zeros((N, T, k))
 
     def _add_driven(self, d: InertiaDerivatives, U: Array, g: Array, Hs: Array) -> None:
-        """Subtract ½ νᵀ H_dd ν."""
+        """Subtract the energy ½ νᵀ H_dd ν of the driven joints from U, g and Hs in place."""
         if not self._driven:
             return
         block = np.ix_(range(len(U)), self._driven, self._driven)
@@ -217,7 +218,7 @@ class AmendedEnergy:
     def _add_potential(
         self, d: InertiaDerivatives, x: Array, points: Points, U: Array, g: Array, Hs: Array
     ) -> Array:
-        """Add V to U and its derivatives. Return the size of its terms, (N,)."""
+        """Add the potential V to U and its derivatives; return the magnitude of its terms, (N,)."""
         a, ma = self._active, len(self._active)
         scale = np.zeros(len(U))
         weight = self._gravity
@@ -246,7 +247,7 @@ class AmendedEnergy:
 
     @cached_property
     def _springs(self) -> ca.Function:
-        """V of the forces, its gradient and Hessian, as a CasADi function."""
+        """CasADi function of the forces' potential, its gradient and its Hessian."""
         forces = self.problem.forces
         assert forces is not None
         x = ca.SX.sym("x", self.problem.system.m)
@@ -275,5 +276,5 @@ def _symmetric(matrix: Array) -> Array:
 
 
 def _both(Et: Array, matrix: Array, E: Array) -> Array:
-    """Return Eᵀ M E, with two derivative axes in between."""
+    """Return Eᵀ M E for an array M with two additional derivative axes."""
     return np.asarray(Et[:, None, None] @ matrix @ E[:, None, None])

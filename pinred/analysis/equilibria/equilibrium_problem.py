@@ -1,9 +1,9 @@
-"""The problem of relative equilibria: which joints are unknown, and which momentum is conserved.
+"""The problem of relative equilibria: its unknown joints and its conserved momentum.
 
 In a relative equilibrium, the robot rotates or slides steadily with its joints at rest. It is a
 critical point of the amended potential over the shape x of the active joints and, in space, over
-the direction of the momentum in the body. Cyclic joints rotate steadily at given momenta.
-Prescribed joints are constant, or, if they are cyclic, move at given rates.
+the direction of the momentum in the body. Cyclic joints rotate steadily with prescribed
+momenta. Prescribed joints are constant, or, if they are cyclic, move at constant rates.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class Problem:
     Attributes:
         system: The system.
         scene: Scene with the forces and prescribed joints.
-        kind: "axis": the momentum has one axis, or none (ℝ, SO(2), SE(2), ℝ × SE(2)). "free": its
-            direction in the body is unknown (SO(3), SE(3)). "heavy": gravity turns a pivoted base,
-            and the upward vertical in the body is unknown.
+        kind: "axis": the momentum has a fixed axis, or none (ℝ, SO(2), SE(2), ℝ × SE(2)). "free":
+            its direction in the body is unknown (SO(3), SE(3)). "heavy": gravity turns a pivoted
+            base, and the upward vertical in the body is unknown.
         active: Indices of the unknown joints.
         cyclic: Indices of the cyclic joints.
         driven: Indices of the prescribed joints.
@@ -80,19 +80,19 @@ class Problem:
 
     @property
     def forces(self) -> ForceModel | None:
-        """Springs and other potentials, and the prescribed joints."""
+        """Model of the springs, other potentials and prescribed joints."""
         return self.scene.force_model
 
     @property
     def axis(self) -> Array:
-        """Axis of rotation in the frame of the base, (3,); zero if there is none or several."""
+        """Axis of rotation in the base frame, (3,); zero if there is no axis or more than one."""
         if self.system.group.turns != 1:
             return np.zeros(3)
         return axes_of(self.system.model.joints[1])[3:, -1]
 
     @property
     def reversible(self) -> bool:
-        """Whether the opposite direction is the same motion in reverse."""
+        """Whether reversing the direction gives the same motion backwards in time."""
         moving = self.cyclic_momenta.any() or self.driven_rate.any()
         return self.kind == "free" and not moving
 
@@ -111,7 +111,7 @@ class Problem:
         return xdot
 
     def at_rest(self) -> Problem:
-        """Return the problem at zero momentum, where a free body has no direction."""
+        """Return the problem at zero momentum, where the direction of the momentum is undefined."""
         if self.kind != "free":
             return self
         return replace(self, kind="axis")
@@ -212,12 +212,12 @@ def finite(value: float, what: str) -> float:
     """Convert a value to a finite float.
 
     Args:
-        value: Any number.
-        what: Name of the argument in messages.
+        value: Value to convert.
+        what: Name of the argument, for error messages.
     Returns:
         The number.
     Raises:
-        InputError: It is not a finite number.
+        InputError: The value is not a finite number.
     """
     try:
         number = float(value)

@@ -1,4 +1,4 @@
-"""relative_equilibria(): the steady motions of a robot at a momentum, with their stability."""
+"""relative_equilibria(): search the steady motions of a robot at one momentum, with stability."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .relative_equilibrium import Equilibria, RelativeEquilibrium, pose_of
 from .same_shape import Place, place_of
 from .search import critical_points, minima, polished, residuals, starting_points
 
-MANY_JOINTS = 6  # number of active joints from which only the minimum is promised
+MANY_JOINTS = 6  # number of active joints from which only the minimum is guaranteed
 _STARTS = {True: 100, False: 1000}  # number of starts, with many and with few joints
 _MINIMISATIONS = 24  # number of starts that are also minimised
 _ROUND_OFF = 1e-14  # angles [rad] and direction components below this are set to zero
@@ -47,7 +47,7 @@ def relative_equilibria(
 
     Shapes that differ only in their coordinates count once, and so does a family of equilibria. The
     search starts from random and symmetric points and can miss equilibria. With six or more moving
-    joints, only the minimum and the residuals are promised.
+    joints, only the minimum and the residuals are guaranteed.
 
     Args:
         system: The system.
@@ -84,7 +84,7 @@ def relative_equilibria(
 
 
 def checked_starts(starts: int) -> int:
-    """Validate a number of starts: a whole number from 1."""
+    """Validate a number of starts, which must be a positive integer."""
     if isinstance(starts, bool) or not (isinstance(starts, (int, np.integer)) and starts > 0):
         raise InputError(f"starts must be a whole number from 1, got {starts!r}")
     return int(starts)
@@ -96,7 +96,7 @@ def search_points(problem: Problem, J: float, count: int, seed: int) -> tuple[Po
     Args:
         problem: The problem.
         J: Momentum.
-        count: Number of starts.
+        count: Number of starts of Newton's method.
         seed: Seed of the starts.
     Returns:
         The distinct critical points, the number of converged starts, and the number of starts.
@@ -195,7 +195,7 @@ def flow_at(problem: Problem, point: Points, xdot: Array, xi: Array) -> Compiled
 
 
 def _tidy(problem: Problem, points: Points) -> Points:
-    """Wrap angles to (−π, π] where only the inertia depends on them."""
+    """Wrap angles to (−π, π] if only the inertia depends on them, not a spring or force."""
     touched = problem.forces.touched if problem.forces is not None else set()
     x = points.x.copy()
     for i, k in enumerate(problem.active):
@@ -207,7 +207,7 @@ def _tidy(problem: Problem, points: Points) -> Points:
 
 
 def _periodic(problem: Problem, k: int) -> bool:
-    """Return whether a full rotation of a joint restores all bodies, its followers included."""
+    """Return whether a full turn of a joint and its followers restores all body poses."""
     coupled = problem.system.coupled
     if coupled is None:
         return True
@@ -224,7 +224,7 @@ def _distinct(problem: Problem, points: Points, e: Energies) -> list[int]:
     coordinates = np.round(np.concatenate([points.x, points.n], axis=1)[order], 6)
     _, first = np.unique(
         coordinates, axis=0, return_index=True
-    )  # most equal shapes also have equal coordinates
+    )  # equal shapes usually have equal coordinates
     places: list[tuple[float, Place]] = []
     distinct: list[int] = []
     for k in order[np.sort(first)].tolist():
@@ -241,7 +241,7 @@ def _distinct(problem: Problem, points: Points, e: Energies) -> list[int]:
 
 
 def _without_copies(entries: tuple[RelativeEquilibrium, ...]) -> tuple[RelativeEquilibrium, ...]:
-    """Keep one equilibrium per family: members of a family have equal energy and index."""
+    """Keep one equilibrium per family; members of a family have equal energy and index."""
     unique: list[RelativeEquilibrium] = []
     for entry in entries:
         if entry.dimension and any(_one_family(entry, other) for other in unique):

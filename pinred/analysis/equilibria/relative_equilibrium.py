@@ -1,4 +1,4 @@
-"""RelativeEquilibrium: a steady motion, its stability, and scenes that start there."""
+"""RelativeEquilibrium: a steady motion, its stability, and scenes that start in this motion."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RelativeEquilibrium:
         mu: Body momentum, (r,).
         direction: Direction of the momentum in the body, (3,), or the upward vertical where gravity
             turns a pivoted base; (0,) where there is only one axis.
-        momentum: J.
+        momentum: Momentum J [N s | N m s], see `relative_equilibria`.
         amended_potential: Amended potential [J], with heights from the world origin.
         energy: Energy [J].
         residual: Largest remaining derivative, relative to the size of the energies.
@@ -81,7 +81,7 @@ class RelativeEquilibrium:
 
     @property
     def damped_growth(self) -> Mapping[str, float]:
-        """Growth per damping coefficient of a damper at each joint, if undecided."""
+        """Growth rate per damping coefficient of each joint, if the verdict is "undecided"."""
         return self.stability.damped_growth
 
     def scene(
@@ -102,7 +102,7 @@ class RelativeEquilibrium:
         Returns:
             The scene.
         Raises:
-            InputError: There is no such mode.
+            InputError: `mode` is not the index of a mode.
         """
         change = self._change(mode, amplitude)
         system, problem = self.system, self.problem
@@ -120,7 +120,7 @@ class RelativeEquilibrium:
         )  # fmt: skip
 
     def _change(self, mode: int | None, amplitude: float) -> Array:
-        """Return the perturbation of x, π (m each) and of the base entries."""
+        """Return the perturbation of x (m,), joint momenta π (m,), and the base entries."""
         if mode is None:
             return np.zeros(2 * self.system.m + 6)
         if not 0 <= mode < len(self.modes):
@@ -148,7 +148,7 @@ class RelativeEquilibrium:
         return momentum[r:] + change[m : 2 * m], mu
 
     def _velocity(self, x: Array, pi: Array, mu: Array) -> tuple[Array, Array]:
-        """Return (ẋ, ξ) for momenta; the rates of driven joints are given."""
+        """Compute (ẋ, ξ) from the momenta; driven joints keep their prescribed rates."""
         system, problem = self.system, self.problem
         H = PointwiseReduction(system).mass_matrix(x)
         driven = system.r + np.array(problem.driven, dtype=np.intp)
@@ -182,7 +182,7 @@ class Equilibria(Sequence[RelativeEquilibrium]):
 
     Attributes:
         system: The system.
-        momentum: J.
+        momentum: Momentum J [N s | N m s] of the search.
         starts: Number of starts of the search.
         arrived: Number of converged starts.
         entries: The equilibria.
@@ -254,7 +254,7 @@ def _row(equilibrium: RelativeEquilibrium) -> list[str]:
 
 
 def _damped(equilibrium: RelativeEquilibrium) -> str:
-    """Format the effect of dampers on an undecided equilibrium."""
+    """Describe how dampers affect an equilibrium whose undamped stability test is undecided."""
     growths = [f"{joint} {growth:+.5g}" for joint, growth in equilibrium.damped_growth.items()]
     return f"grows by {', '.join(growths)} 1/s per N·m·s/rad | N·s/m"
 
@@ -266,13 +266,13 @@ def _growth(stability: Stability) -> str:
 
 
 def pose_of(problem: Problem, up: Array) -> Array:
-    """Return a pose of the base; for a heavy problem, with a given body direction upward.
+    """Return a pose of the base; for a heavy problem, the body direction `up` points upward.
 
     Args:
         problem: The problem.
         up: Direction in the body, (3,).
     Returns:
-        (size,).
+        Pose coordinates, (size,).
     """
     group = problem.system.group
     if problem.kind != "heavy":

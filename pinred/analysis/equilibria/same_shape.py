@@ -14,16 +14,16 @@ import pinocchio as pin
 from ...common.arrays import Array
 from .equilibrium_problem import Problem
 
-_SAME = 1e-5  # relative to the size of the robot, the accuracy at degenerate equilibria
+_SAME = 1e-5  # largest difference of equal invariants, relative to the robot's size
 
 
 @dataclass(frozen=True)
 class Place:
-    """Invariants of a shape and its axis.
+    """Invariants of the mass distribution at a shape about the axis of the motion.
 
     Attributes:
-        even: Invariants that do not change if the axis is reversed.
-        odd: Invariants that change sign.
+        even: Invariants that do not change when the axis is reversed.
+        odd: Invariants that change sign when the axis is reversed.
     """
 
     even: Array

@@ -18,15 +18,15 @@ from ...reduction.tree.second_derivatives import inertia_derivatives
 from .amended_energy import AmendedEnergy, Energies, Points, Which
 from .equilibrium_problem import Problem
 
-NEWTON, DESCENT = 60, 200  # largest number of steps
+NEWTON, DESCENT = 60, 200  # largest number of Newton and of descent steps
 FOUND = 1e-9  # largest residual of a critical point
 _LONGEST = 0.5  # longest step [rad | m]
-_FLAT = 1e-9  # curvatures below this part of the largest count as zero
+_FLAT = 1e-9  # curvatures below this fraction of the largest count as zero
 _SLIDE = 1.0  # range of a prismatic joint without limits [m]
 
 
 def residuals(e: Energies) -> Array:
-    """Return the largest gradient relative to the energies, (N,); infinite where it is NaN."""
+    """Return the largest gradient entry relative to the energies, (N,); NaN becomes infinity."""
     size = np.where(e.scale > 0.0, e.scale, 1.0)
     largest = np.abs(e.gradient).max(axis=1, initial=0.0) / size
     return np.where(np.isfinite(e.hessian).all(axis=(1, 2)), largest, np.inf)
@@ -71,7 +71,7 @@ def starting_points(problem: Problem, count: int, rng: np.random.Generator) -> P
 
 
 def _quarters(turns: int, most: int, rng: np.random.Generator) -> NDArray[np.int_]:
-    """Return quarter turns (k, turns) from 0 to 3: all combinations, or a random selection."""
+    """Return quarter turns 0 to 3 of each angle, (k, turns): all combinations or a selection."""
     if 4**turns <= most:
         return np.array(list(product(range(4), repeat=turns)), dtype=int).reshape(4**turns, turns)
     return rng.integers(4, size=(most, turns))
@@ -85,7 +85,7 @@ def critical_points(energy: AmendedEnergy, points: Points, J: float) -> tuple[Po
         points: Starting points.
         J: Momentum.
     Returns:
-        The critical points that were reached, and their energies.
+        The points that converged to critical points, and their energies.
     """
     current = Points(points.x.copy(), points.n.copy())
     running = np.arange(len(points))
@@ -110,7 +110,7 @@ def minima(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Ene
         points: Starting points.
         J: Momentum.
     Returns:
-        The minima that were reached, and their energies.
+        The minima to which the descent converged, and their energies.
     """
     current = Points(points.x.copy(), points.n.copy())
     running, radius = np.arange(len(points)), np.full(len(points), _LONGEST)
@@ -165,7 +165,7 @@ def _converged(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points,
 
 
 def _solved(e: Energies, *, absolute: bool) -> Array:
-    """Return H⁻¹ g, (N, u), or |H|⁻¹ g, without the directions in which H vanishes."""
+    """Return H⁻¹ g, or |H|⁻¹ g if absolute, (N, u); directions of zero curvature are left out."""
     if not e.gradient.shape[1]:
         return e.gradient
     values, vectors = np.linalg.eigh(e.hessian)
@@ -190,7 +190,7 @@ def _some(e: Energies, which: Which) -> Energies:
 
 
 def _chosen(which: NDArray[np.bool_], one: Energies, other: Energies) -> Energies:
-    """Return the entries of `one` where `which` is true, else those of `other`."""
+    """Return the entries of `one` where `which` is true, else the entries of `other`."""
     fields = {}
     for name in one.__dataclass_fields__:
         a, b = getattr(one, name), getattr(other, name)

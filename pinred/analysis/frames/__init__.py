@@ -1,1 +1,1 @@
-"""Frames on the body: minimum-perturbation coordinates, surface integrals, flatness."""
+"""Frames on the body: minimum-perturbation coordinates, surface integrals, flatness tests."""

@@ -1,7 +1,7 @@
 """Flatness of a connection: whether the base pose is a function of the shape.
 
-A frame on the body whose twist is a given velocity, such as the average angular velocity, exists
-exactly where the curvature of the connection vanishes. The horizontal distribution is then
+A frame on the body whose twist equals a chosen velocity, such as the average angular velocity,
+exists exactly where the curvature of the connection vanishes. The horizontal distribution is then
 integrable (Frobenius).
 """
 
@@ -19,9 +19,9 @@ from ..gaits.arcs import line
 from ..phases.lift import STAGES, PathSegments, in_space, lift, nodes
 
 _FLAT = 1e-10  # largest curvature of a flat connection, relative to its terms
-_SAMPLES = {1: 101, 2: 31, 3: 13}  # grid points per joint, by number of joints
-_RANDOM = 2000  # random shapes, for more joints
-_SEGMENTS = 32  # segments of a lift
+_SAMPLES = {1: 101, 2: 31, 3: 13}  # number of grid points per joint, for 1, 2 or 3 joints
+_RANDOM = 2000  # number of random shapes, for more than three joints
+_SEGMENTS = 32  # number of segments of a lifted path
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Flatness:
 
     Attributes:
         curvature: Largest |B_αβ| of the rotations [rad/…], and of all components.
-        relative: The same, relative to the terms of the curvature.
+        relative: The same maxima, relative to the terms of the curvature.
         attitude_is_flat: Whether the attitude of some frame is a function of the shape.
         is_flat: Whether the pose of some frame is a function of the shape.
         worst: Shape with the largest |B|, (m,).
@@ -65,14 +65,14 @@ class Flatness:
         )
 
     def coordinates(self, x: ArrayLike) -> Array:
-        """Return the pose h(x) of the frame that does not move, h = 1 in the middle of the box.
+        """Return the pose h(x) of the frame that does not move; it is 1 in the middle of the box.
 
         If only the attitude is flat, only the attitude of h is meaningful.
 
         Args:
             x: Shape, (m,).
         Returns:
-            (size,).
+            Pose coordinates of h, (size,).
         Raises:
             InputError: Neither attitude nor pose is flat.
         """

@@ -4,12 +4,11 @@ In a frame h(x) the connection is A′ = Ad_{h⁻¹}A − h⁻¹∂h. With h = (
 
     A′_ω = Rᵀ (A_ω − (∂R Rᵀ)^∨),   A′_v = Rᵀ (A_v + A_ω × p − ∂p),
 
-so the best R does not depend on p, and the best p not on R. Both minimise ∫|A′|² over a patch among
-polynomials of its parameters. R solves Poisson's equation (once in the plane; in space repeatedly,
-with R ← R exp φ), and p is a linear least-squares solution. Source: R. Hatton, H. Choset,
-"Geometric motion
-planning: the local connection, Stokes' theorem, and the importance of coordinate choice", Int. J.
-Robotics Research 30 (2011); for SO(3), Faraji et al.
+so the best R does not depend on p, and the best p does not depend on R. Both minimise ∫|A′|² over a
+patch among polynomials of its parameters. R solves Poisson's equation (once in the plane; in space
+repeatedly, with R ← R exp φ), and p is a linear least-squares solution. Source: R. Hatton, H.
+Choset, "Geometric motion planning: the local connection, Stokes' theorem, and the importance of
+coordinate choice", Int. J. Robotics Research 30 (2011); for SO(3), Faraji et al.
 
 `corrected_integral` compares surface integrals of the curvature in such a frame with the phase. If
 the group were commutative, Stokes' theorem would give the phase exp(−∬B). For other groups, the
@@ -36,7 +35,7 @@ from .patches import Basis, Disc, Patch, box_of
 
 _DEGREES = {1: 20, 2: 14, 3: 6}  # polynomial degree by number of joints
 _MORE_NODES = 6  # quadrature nodes per parameter beyond the polynomial degree
-_ITERATIONS = 60  # of the attitude
+_ITERATIONS = 60  # largest number of iterations of the attitude R
 _STILL = 1e-10  # relative change of ∫|A′_ω|² at which the iteration stops
 
 _TRUSTED = 0.05  # relative error below which the integral is trusted
@@ -52,9 +51,9 @@ class OptimalFrame:
         angular: Root mean square of the rotations of A′ over the patch [rad per parameter]; the
             parameters range over ±1.
         linear: Root mean square of the translations of A′ [m per parameter].
-        angular_before: The same for the rotations of A.
-        linear_before: The same for the translations of A.
-        iterations: Iterations of the attitude.
+        angular_before: Root mean square of the rotations of A, in the same unit.
+        linear_before: Root mean square of the translations of A, in the same unit.
+        iterations: Number of iterations of the attitude R.
     """
 
     connection: Connection
@@ -108,7 +107,7 @@ class OptimalFrame:
         return read_only(self.local_at(u).reshape(*x.shape[:-1], connection.r, self.patch.k))
 
     def local_at(self, u: Array) -> Array:
-        """Return A′ with respect to the parameters of the patch, at parameters.
+        """Return A′ with respect to the parameters of the patch, at parameter values.
 
         Args:
             u: Parameters, (N, k).
@@ -190,17 +189,17 @@ def optimal_frame(
 
 
 def with_one(values: Array) -> Array:
-    """Append the constant to a basis: (N, K + 1)."""
+    """Append the constant function 1 to basis values (N, K): (N, K + 1)."""
     return np.hstack([values, np.ones((len(values), 1))])
 
 
 def _slope_of(slopes: Array, shift: Array) -> Array:
-    """Return ∂p, (N, linear, k), for coefficients (K + 1, linear)."""
+    """Return ∂p/∂u, (N, linear, k), for coefficients of p (K + 1, linear)."""
     return np.swapaxes(slopes @ shift[:-1], 1, 2)
 
 
 def pulled_back(connection: Connection, patch: Patch, u: Array) -> Array:
-    """Return A ∂x/∂u, (N, r, k), at parameters (N, k)."""
+    """Pull the connection back to the patch: A ∂x/∂u, (N, r, k), at parameters u (N, k)."""
     A, _, _ = connection.locals_at(patch.shapes(u))
     return np.asarray(A @ patch.slopes(u))
 
@@ -213,9 +212,9 @@ def _best_turns(
     Args:
         group: Symmetry group.
         A: Rotational rows of the connection at the nodes, (N, turns, k).
-        values: Basis at the nodes, (N, K).
-        slopes: Its derivatives, (N, k, K).
-        w: Square roots of the normalised weights, (N,).
+        values: Basis functions at the nodes, (N, K).
+        slopes: Derivatives of the basis functions, (N, k, K).
+        w: Square roots of the normalised quadrature weights, (N,).
     Returns:
         The coefficients of each φ, A′_ω at the nodes, and the number of iterations.
     Raises:
@@ -249,9 +248,9 @@ def _best_shift(group: Group, A: Array, values: Array, slopes: Array, w: Array) 
     Args:
         group: Symmetry group.
         A: Connection at the nodes, (N, r, k).
-        values: Basis at the nodes, (N, K).
-        slopes: Its derivatives, (N, k, K).
-        w: Square roots of the normalised weights, (N,).
+        values: Basis functions at the nodes, (N, K).
+        slopes: Derivatives of the basis functions, (N, k, K).
+        w: Square roots of the normalised quadrature weights, (N,).
     Returns:
         Coefficients of p, (K + 1, linear), the constant last.
     """
@@ -272,7 +271,7 @@ def _best_shift(group: Group, A: Array, values: Array, slopes: Array, w: Array) 
     system *= w[:, None, None, None, None]
     right = w[:, None, None] * np.swapaxes(A[:, :n], 1, 2)
     matrix = system.reshape(count * k * n, (K + 1) * n)
-    # Use QR with pivoting, because the constant is free where A_ω vanishes.
+    # Use QR with pivoting, because the constant of p is undetermined if A_ω vanishes.
     solution = lstsq(matrix, right.ravel(), cond=1e-13, lapack_driver="gelsy", check_finite=False)[
         0
     ]

@@ -21,7 +21,7 @@ from ...common.errors import InputError
 from ..gaits.arcs import FourierArc
 from ..gaits.gait import Gait
 
-_RINGS, _SPOKES = 24, 64  # radial and angular nodes of a disc
+_RINGS, _SPOKES = 24, 64  # number of radial and of angular quadrature nodes of a disc
 
 
 class Patch(ABC):
@@ -54,9 +54,9 @@ class Box(Patch):
 
     Attributes:
         joints: Indices of the joints that vary, (k,).
-        limits: (low, high) of each, (k, 2).
+        limits: Limits (low, high) of each varying joint, (k, 2) [rad | m].
         at: Shape that gives the values of the other joints, (m,).
-        count: Gauss nodes per parameter.
+        count: Number of Gauss nodes per parameter.
         nodes: Quadrature nodes, (N, k).
         weights: Quadrature weights, (N,).
     """
@@ -84,19 +84,19 @@ class Box(Patch):
         return np.asarray(0.5 * (self.limits[:, 1] - self.limits[:, 0]))
 
     def shapes(self, u: Array) -> Array:
-        """Return shapes (see Patch.shapes)."""
+        """Return the shapes at parameters (see Patch.shapes)."""
         x = np.tile(self.at, (len(u), 1))
         x[:, list(self.joints)] = self.limits.mean(axis=1) + self._half * u
         return x
 
     def slopes(self, u: Array) -> Array:
-        """Return ∂x/∂u (see Patch.slopes)."""
+        """Return the derivatives ∂x/∂u at parameters (see Patch.slopes)."""
         slopes = np.zeros((len(self.at), len(self.joints)))
         slopes[list(self.joints), np.arange(len(self.joints))] = self._half
         return np.broadcast_to(slopes, (len(u), *slopes.shape))
 
     def parameters(self, x: Array) -> Array:
-        """Return parameters (see Patch.parameters)."""
+        """Return the parameters of shapes (see Patch.parameters)."""
         return np.asarray((x[:, list(self.joints)] - self.limits.mean(axis=1)) / self._half)
 
 
@@ -135,7 +135,7 @@ class Disc(Patch):
         assert isinstance(arc, FourierArc)
         k = np.arange(1, len(arc.cos) + 1)[:, None]
         sense = 1.0 if arc.end > arc.start else -1.0
-        # With φ = start + sense ψ, z = e^{iψ}.
+        # On the edge of the disc z = e^{iψ}, and the phase of the gait is φ = start + sense · ψ.
         return np.asarray((arc.cos - 1j * sense * arc.sin) * np.exp(1j * sense * k * arc.start))
 
     def _powers(self, u: Array) -> Array:
@@ -143,19 +143,19 @@ class Disc(Patch):
         return np.power.outer(z, np.arange(len(self._series) + 1))
 
     def shapes(self, u: Array) -> Array:
-        """Return shapes (see Patch.shapes)."""
+        """Return the shapes at parameters (see Patch.shapes)."""
         arc = self.gait.arcs[0]
         assert isinstance(arc, FourierArc)
         return np.asarray(arc.mean + (self._powers(u)[:, 1:] @ self._series).real)
 
     def slopes(self, u: Array) -> Array:
-        """Return ∂x/∂u (see Patch.slopes)."""
+        """Return the derivatives ∂x/∂u at parameters (see Patch.slopes)."""
         k = np.arange(1, len(self._series) + 1)[:, None]
         by_z = self._powers(u)[:, :-1] @ (k * self._series)
         return np.stack([by_z.real, -by_z.imag], axis=2)
 
     def parameters(self, x: Array) -> Array:
-        """Return parameters (see Patch.parameters), for a gait with one harmonic."""
+        """Return the parameters of shapes (see Patch.parameters), for a gait with one harmonic."""
         arc = self.gait.arcs[0]
         assert isinstance(arc, FourierArc)
         if len(self._series) > 1 and self._series[1:].any():
@@ -176,7 +176,7 @@ def box_of(
         limits: (low, high) of each joint that varies, (k, 2).
         joints: Indices of these joints; by default the first ones.
         at: Values of the other joints, (m,); zero by default.
-        count: Gauss nodes per parameter.
+        count: Number of Gauss nodes per parameter.
     Returns:
         The box.
     Raises:
@@ -196,7 +196,7 @@ def box_of(
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Products of Chebyshev polynomials of bounded total degree, without the constant.
+    """Products of Chebyshev polynomials up to a total degree, without the constant.
 
     Attributes:
         powers: Degree per parameter of each product, K tuples.
@@ -216,7 +216,7 @@ class Basis:
         return self._products(tables)
 
     def slopes(self, u: Array) -> Array:
-        """Return their derivatives at parameters u (N, k), (N, k, K)."""
+        """Return the derivatives of the polynomials at parameters u (N, k), (N, k, K)."""
         tables, slopes = self._tables(u)
         derivatives = []
         for axis in range(u.shape[1]):

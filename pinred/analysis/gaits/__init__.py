@@ -1,1 +1,1 @@
-"""Gaits: closed paths in shape space as values."""
+"""Gaits: closed paths in shape space, as immutable objects."""

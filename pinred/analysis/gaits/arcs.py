@@ -49,7 +49,7 @@ class Arc(ABC):
 
     @abstractmethod
     def mapped(self, factor: Array, shift: Array) -> Arc:
-        """Return the arc of factor x + shift.
+        """Return the arc whose shapes are factor · x + shift.
 
         Args:
             factor: Factor of each joint, (m,).
@@ -70,7 +70,7 @@ class Arc(ABC):
 
     @abstractmethod
     def extremes(self) -> Array:
-        """Return parameters s (K,) that contain the extremes of every joint."""
+        """Return parameters s (K,) among which every joint takes its extreme values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ class FourierArc(Arc):
         )
 
     def mapped(self, factor: Array, shift: Array) -> FourierArc:
-        """Return factor x + shift (see Arc.mapped)."""
+        """Return the arc of shapes factor · x + shift (see Arc.mapped)."""
         return FourierArc(
             self.time, factor * self.mean + shift, factor * self.cos, factor * self.sin,
             self.start, self.end,
@@ -135,7 +135,7 @@ class FourierArc(Arc):
         for c, s in zip(self.cos.T, self.sin.T, strict=True):
             half = (
                 0.5 * k * (s + 1j * c)
-            )  # coefficient of e^{ikφ} in the derivative; that of e^{−ikφ} is its conjugate
+            )  # coefficients of e^{ikφ} in the derivative; those of e^{−ikφ} are conjugate
             roots = np.roots(np.concatenate([half[::-1], [0.0], half.conj()]))
             on_circle = roots[np.abs(np.abs(roots) - 1.0) < 1e-6]
             candidates = (np.angle(on_circle) - self.start) / (self.end - self.start)
@@ -153,7 +153,7 @@ class PolynomialArc(Arc):
 
     Attributes:
         time: Duration [s].
-        coefficients: (degree + 1, m).
+        coefficients: Coefficients of s^0, s^1, …, (degree + 1, m).
     """
 
     coefficients: Array
@@ -178,7 +178,7 @@ class PolynomialArc(Arc):
         return PolynomialArc(abs(step) * self.time, coefficients)
 
     def mapped(self, factor: Array, shift: Array) -> PolynomialArc:
-        """Return factor x + shift (see Arc.mapped)."""
+        """Return the arc of shapes factor · x + shift (see Arc.mapped)."""
         c = factor * self.coefficients
         c[0] += shift
         return PolynomialArc(self.time, c)
@@ -188,7 +188,7 @@ class PolynomialArc(Arc):
         return PolynomialArc(time, self.coefficients)
 
     def extremes(self) -> Array:
-        """Return the ends and the zeros of each joint's derivative."""
+        """Return both ends, 0 and 1, and the zeros of each joint's derivative."""
         parameters = [0.0, 1.0]
         for c in self.coefficients.T:
             roots = np.roots((np.arange(len(c)) * c)[:0:-1])

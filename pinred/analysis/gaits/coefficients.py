@@ -18,9 +18,10 @@ def coefficients_of(gait: Gait, harmonics: int | None = None) -> Array:
 
     Args:
         gait: Gait that is one Fourier series.
-        harmonics: Number of harmonics to return, padded with zeros; by default that of the gait.
+        harmonics: Number of harmonics to return, padded with zeros; by default the number of the
+            gait.
     Returns:
-        (1 + 2 harmonics, m).
+        Mean, cosine and sine coefficients, (1 + 2 harmonics, m).
     Raises:
         InputError: The gait is not one Fourier series.
     """

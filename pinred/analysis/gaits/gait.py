@@ -1,4 +1,4 @@
-"""Gait: a closed path in shape space, as a value."""
+"""Gait: a closed path in shape space, as an immutable object."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...forces.signals import Fourier
 from .arcs import TAU, Arc, FourierArc, PolynomialArc, line
 
 _CLOSED = 1e-9  # largest gap between arcs, relative to the size of the path
-_TURNS = 0.05  # largest angle between two samples seen from the centre, in turns
+_TURNS = 0.05  # turns, largest angle between two samples seen from the centre
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Gait:
             mean: Constant term, (m,) [rad | m].
             cos: Cosine coefficients, (harmonics, m), for k = 1, 2, ….
             sin: Sine coefficients, (harmonics, m).
-            period: T [s].
+            period: Duration T of one cycle [s].
         Returns:
             The gait.
         Raises:
@@ -176,7 +176,7 @@ class Gait:
 
         Args:
             path: A .csv or .npz file (see `recorded.py` for its content).
-            period: Duration of one cycle [s]; by default that of the data.
+            period: Duration of one cycle [s]; by default the duration of the data.
         Returns:
             The gait.
         Raises:
@@ -213,7 +213,7 @@ class Gait:
         return read_only(np.concatenate([[0.0], np.cumsum([arc.time for arc in self.arcs])]))
 
     def at(self, t: ArrayLike) -> tuple[Array, Array]:
-        """Return shapes and rates at times of any cycle.
+        """Return shapes and shape rates at any times; the gait is periodic.
 
         Args:
             t: Times, (...,) [s].
@@ -257,7 +257,7 @@ class Gait:
         k = np.arange(1, len(arc.cos) + 1)[:, None]
         sense = 1.0 if arc.end > arc.start else -1.0
         cosine, sine = np.cos(k * arc.start), np.sin(k * arc.start)
-        # φ = start ± 2πt/T.
+        # The phase angle of the arc is φ = start ± 2πt/T.
         cos = arc.cos * cosine + arc.sin * sine
         sin = sense * (arc.sin * cosine - arc.cos * sine)
         return {
@@ -362,7 +362,7 @@ class Gait:
 
         Args:
             joints: Indices of the two joints.
-            centre: Centre, (2,); by default that of the path.
+            centre: Centre, (2,); by default the centre of the path.
         Returns:
             The winding number, positive from the axis of the first joint to that of the second.
         Raises:

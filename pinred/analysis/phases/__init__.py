@@ -1,1 +1,1 @@
-"""Phases: the motion of the base over one cycle of a gait, or of a free rigid body."""
+"""Phases: the displacement of the base over a cycle of a gait or of a free rigid-body motion."""

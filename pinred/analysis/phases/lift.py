@@ -1,11 +1,11 @@
-"""The lift of a path in shape space to the group, by Gauss's method of order 16.
+"""The lift of a path in shape space to the group, computed with Gauss's method of order 16.
 
 Body twists are given at the eight Gauss nodes of every segment, as spatial twists (v, ω), because
 every group is a subgroup of SE(3). The unit quaternion q and the position p obey
 
     q̇ = ½ q ω,   ṗ = R(q) v,   (v, ω) = a + L μ,   μ = Ad_gᵀ J,
 
-with a = −A ẋ, and L = P_b⁻¹ if there is a spatial momentum J. Fixed-point iteration solves the
+with a = −A ẋ. If there is a spatial momentum J, then L = P_b⁻¹. Fixed-point iteration solves the
 collocation equations of a segment, and q is normalised at its end.
 """
 
@@ -23,18 +23,19 @@ from ...integrators.stepping.compiling import compiled
 from ...lie.group import Group
 
 STAGES = 8
-_MAX_ITERATIONS = 80  # per segment
+_MAX_ITERATIONS = 80  # largest number of fixed-point iterations per segment
 _ROUND_OFF = 4e-16
 
 
 @dataclass(frozen=True)
 class PathSegments:
-    """A path as segments, with its body twists at their Gauss nodes.
+    """A path divided into segments, with body twists at the Gauss nodes of every segment.
 
     Attributes:
         h: Duration of each segment, (P,) [s].
         a: Twists −A ẋ, (P, 8, 6).
-        L: Twist per momentum P_b⁻¹, (P, 8, 6, 6), or (0, 8, 6, 6) at zero momentum.
+        L: Body twist per unit of body momentum, P_b⁻¹, (P, 8, 6, 6), or (0, 8, 6, 6) at zero
+            momentum.
     """
 
     h: Array
@@ -82,7 +83,7 @@ def lift(group: Group, segments: PathSegments, J: Array) -> Array:
         segments: Body twists along the path.
         J: Spatial momentum, (r,).
     Returns:
-        (P + 1, size).
+        Pose coordinates at the segment ends, (P + 1, size).
     """
     return lifted(group, segments, J).path
 
@@ -152,7 +153,7 @@ def _lift(
     h: Array, a: Array, L: Array, J: Array, A: Array, b: Array, out: Array, angle: Array,
     inner: Array, work: Array,
 ) -> int:  # fmt: skip
-    """Fill poses and angles. Return −1, or the index of the segment that did not converge."""
+    """Write poses and angles to `out` and `angle`; return a failing segment's index, or −1."""
     stages = len(b)
     F, W = work[0], work[1]  # rates of (p, q); twists
     moving = len(L) > 0
@@ -211,7 +212,8 @@ def _lift(
                     Y[i, k] = new
             if not change < 1e300:
                 return segment
-            # The rates lag behind the values by one iteration, which contracts once more.
+            # The rates are one iteration behind the values, so evaluating them contracts the error
+            # again.
             if change <= _ROUND_OFF * size:
                 done = True
                 break

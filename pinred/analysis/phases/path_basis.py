@@ -1,4 +1,4 @@
-"""Paths that are linear in coefficients, and the derivatives of their lift.
+"""Paths that depend linearly on coefficients, and the derivatives of their lift.
 
 x(s) = Σ_k Φ_k(s) c_k for s in [0, 1]. A variation of ġ = g ξ gives, at the end,
 g⁻¹δg = Ad_{g⁻¹} ∫ Ad_{g(s)} δξ ds. Compiled code computes δξ = (∂ξ/∂x) δx + (∂ξ/∂x′) δx′.
@@ -26,12 +26,12 @@ from ..gaits.arcs import FourierArc
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lifted, nodes
 
-_PER_HARMONIC = 8  # segments
+_PER_HARMONIC = 8  # default number of segments per harmonic
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """The drift I⁻¹μ of a free system with constant spatial momentum.
+    """The drift twist I⁻¹μ of a free system with constant spatial momentum.
 
     Attributes:
         system: System without external wrench.
@@ -82,7 +82,7 @@ class Drift:
             (N, r, r).
         """
         count, r, table = len(h), self.system.r, tables(STAGES)
-        co = np.swapaxes(group.ad(np.eye(r)), 1, 2) @ self.momentum  # rows ad_eᵀ J
+        co = np.swapaxes(group.ad(np.eye(r)), 1, 2) @ self.momentum  # row e: ad_eᵀ J
         coadjoints = np.swapaxes(adjoints, 1, 2)
         K = (adjoints @ inverse @ coadjoints @ co.T).reshape(count, STAGES, r, r)
         # Integrate from the end of a segment: Y_iᵀ = 1 + h Σ_j (b_j − a_ij) K_jᵀ Y_jᵀ.
@@ -201,7 +201,7 @@ def fourier_rows(
 
 
 def polygon_basis(corners: int, per_edge: int) -> PathBasis:
-    """Evaluate the basis of a closed polygon, in which every edge takes the same part of s.
+    """Evaluate the basis of a closed polygon, in which every edge spans an equal interval of s.
 
     Args:
         corners: Number of corners, K.
@@ -229,11 +229,11 @@ class PathLift(NamedTuple):
     """The lift of a path and its derivatives.
 
     Attributes:
-        x: Shapes, (N, m).
+        x: Shapes at the Gauss nodes, (N, m).
         slope: Derivatives x′, (N, m).
         pose: Final pose, (size,).
-        twist: g⁻¹∂g with respect to the coefficients, (r, K, m).
-        square: x′ᵀ M x′, (N,).
+        twist: Derivative of the pose with respect to the coefficients, g⁻¹∂g, (r, K, m).
+        square: Squared speed x′ᵀ M x′ in the metric M, (N,).
         square_slopes: Derivatives of the square with respect to (x, x′), (N, 2m).
     """
 
@@ -254,7 +254,7 @@ def path_lift(
         connection: Connection that lifts the path.
         basis: Basis functions at the Gauss nodes.
         coefficients: Coefficients of the path, (K, m).
-        drift: Drift of a non-zero momentum.
+        drift: Drift of a system with non-zero momentum; None at zero momentum.
     Returns:
         The lift with its derivatives.
     Raises:
@@ -286,7 +286,7 @@ def path_lift(
 
 
 def by_coefficients(basis: PathBasis, *rows: Array) -> Array:
-    """Sum derivatives over the nodes, to derivatives with respect to the coefficients.
+    """Convert derivatives at the nodes to derivatives with respect to the coefficients.
 
     Args:
         basis: Basis functions at the N nodes.
@@ -320,10 +320,10 @@ class PhaseSlopes:
 
     Attributes:
         pose: Pose after one cycle, (size,).
-        twist: g⁻¹∂g, (r, 1 + 2 harmonics, m).
-        length: ∫√(ẋᵀMẋ) dt; NaN if the connection has no metric.
+        twist: Derivative of the pose, g⁻¹∂g, (r, 1 + 2 harmonics, m).
+        length: Length of the path, ∫√(ẋᵀMẋ) dt; NaN if the connection has no metric.
         length_slope: Derivative of the length, (1 + 2 harmonics, m).
-        action: ∫ẋᵀMẋ dt; NaN if the connection has no metric.
+        action: Action of the gait, ∫ẋᵀMẋ dt; NaN if the connection has no metric.
         action_slope: Derivative of the action, (1 + 2 harmonics, m).
     """
 
@@ -371,6 +371,6 @@ def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = Non
 
 
 def _sum_over_nodes(basis: PathBasis, derivatives: Array) -> Array:
-    """Sum derivatives (N, 2m) with respect to (x, x′) over the nodes, to (K, m)."""
+    """Convert derivatives (N, 2m) with respect to (x, x′) to derivatives (K, m) by coefficients."""
     by_x, by_slope = np.split(derivatives[:, None], 2, axis=2)
     return np.asarray(by_coefficients(basis, by_x, by_slope)[0])

@@ -32,8 +32,8 @@ def compiled(function: _Function) -> _Function:
     """Compile a function at its first call, without the GIL, and cache it on disk."""
     dispatcher: Any = numba.njit(cache=True, **_OPTIONS)(function)
     # numba reuses cached machine code as long as the file of the function is unchanged, although
-    # it contains code inlined from other files. The stamp makes it stale when any file changes.
-    # numba offers no public way to set it.
+    # it contains code inlined from other files. The stamp makes the cached code stale when any file
+    # changes. numba offers no public way to set the stamp.
     vars(attrgetter("_cache._cache_file")(dispatcher))["_source_stamp"] = SOURCES
     typed: _Function = dispatcher
     return typed
@@ -74,23 +74,23 @@ def bind_globals(function: _Function, name: str, **values: Any) -> _Function:
 
 
 def unbound(*arguments: Any) -> Any:
-    """Stand for a function that `bind_globals` replaces.
+    """Placeholder for a function that `bind_globals` replaces.
 
     Raises:
-        NotImplementedError: always, as only bound copies can be called.
+        NotImplementedError: Always, because only bound copies can be called.
     """
     raise NotImplementedError
 
 
 class Bindings:
-    """Global names of one method, and compiled copies of functions that use them.
+    """Values of global names for one method, and compiled copies of functions bound to them.
 
     Attributes:
         values: Values of the global names, including the copies that `add` has made.
     """
 
     def __init__(self, prefix: str, **values: Any) -> None:
-        """Start with values of some names; prefix: unique start of the names of the copies."""
+        """Start with values of some names; `prefix` is the unique start of the copies' names."""
         self._prefix, self.values = prefix, values
 
     def add(
@@ -112,6 +112,6 @@ class Bindings:
 
 
 def make_intrinsic(generator: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function that compiled code can call and whose instructions `generator` emits."""
+    """Return a function for compiled code whose LLVM instructions `generator` emits."""
     function: Callable[..., Any] = intrinsic(generator)
     return function

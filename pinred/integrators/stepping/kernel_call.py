@@ -14,12 +14,12 @@ from numba.core import types
 from ...common.arrays import Array
 from .compiling import compiled, make_intrinsic
 
-SEEDS = 8  # directions per call of a tangent kernel
+SEEDS = 8  # number of tangent directions per call of a tangent kernel
 
 
 @make_intrinsic
 def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:
-    """Fill dydt with the rates at y by the kernel at `address` (int64); all arrays are float64."""
+    """Fill dydt with the rates at y, computed by the kernel at `address`; arrays are float64."""
     return _calling(y, params, dydt)
 
 
@@ -44,7 +44,7 @@ def call_adjoint(typing: Any, address: Any, y: Any, params: Any, covector: Any, 
 
 
 def _calling(*arrays: Any) -> Any:
-    """Return the signature and the instructions of a kernel call with the data of arrays."""
+    """Return signature and code generator of a kernel call with the data pointers of arrays."""
     check_contiguous(*arrays)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -59,7 +59,7 @@ def _calling(*arrays: Any) -> Any:
 
 
 def check_contiguous(*arrays: Any) -> None:
-    """Check that numba's array types are contiguous arrays of float64, as kernels take them."""
+    """Check that numba's array types are contiguous arrays of float64, which kernels require."""
     for array in arrays:
         if not (isinstance(array, types.Array) and array.layout == "C"):
             raise TypeError("a kernel takes contiguous arrays")
@@ -81,7 +81,7 @@ def emit_call(builder: Any, address: Any, pointers: list[Any]) -> None:
 
 @compiled
 def to_lanes(along: Array, out: Array) -> None:
-    """Arrange directions (n, N) as tangent kernels take them: out (B, n SEEDS)."""
+    """Arrange directions (n, N) in the layout of tangent kernels: `out`, (B, n SEEDS)."""
     for k in range(along.shape[0]):
         for j in range(along.shape[1]):
             out[j // SEEDS, k * SEEDS + j % SEEDS] = along[k, j]
@@ -89,7 +89,7 @@ def to_lanes(along: Array, out: Array) -> None:
 
 @compiled
 def from_lanes(lanes: Array, out: Array) -> None:
-    """Undo `to_lanes`: fill out (n, N) with the directions."""
+    """Inverse of `to_lanes`: write the directions to `out`, (n, N)."""
     for k in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[k, j] = lanes[j // SEEDS, k * SEEDS + j % SEEDS]

@@ -1,7 +1,7 @@
 """The Jacobian of a kernel and small linear systems, for Newton's method.
 
-A matrix occupies consecutive rows of an array. LAPACK is not used: for matrices of this size its
-threads spend more time on synchronisation than on the solution.
+A matrix occupies consecutive rows of an array. LAPACK is not used, because for matrices of this
+size its threads spend more time on synchronisation than on the solution.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def jacobian(
         slopes: Contiguous workspace for n SEEDS numbers.
         matrix: Array of the rows. A row has at least n numbers, rounded up to a multiple of SEEDS.
         first: First row to fill.
-        n: Entries of the state.
+        n: Number of entries of the state.
     """
     directions, derivatives = seeds.reshape(-1), slopes.reshape(-1)
     for start in range(0, n, SEEDS):
@@ -49,7 +49,7 @@ def jacobian(
 
 @compiled
 def factor(matrix: Array, first: int, n: int, pivots: Array) -> bool:
-    """Replace n rows by their factors, by Gauss's elimination with row pivots.
+    """Factorise a matrix in place by Gaussian elimination with row pivoting.
 
     Args:
         matrix: Array of the rows.
@@ -90,7 +90,7 @@ def solve(matrix: Array, first: int, n: int, pivots: Array, b: Array) -> None:
         matrix: Array of the rows.
         first: First row of the factors.
         n: Size of the matrix.
-        pivots: Its pivots.
+        pivots: Pivots of the factorisation, (n,).
         b: Right-hand side, changed in place.
     """
     for k in range(n):
@@ -111,7 +111,7 @@ def solve(matrix: Array, first: int, n: int, pivots: Array, b: Array) -> None:
 
 @compiled
 def factor_complex(matrix: Array, real: int, imag: int, n: int, pivots: Array) -> bool:
-    """Replace a complex matrix by its factors, as `factor`.
+    """Factorise a complex matrix in place, like `factor`.
 
     Args:
         matrix: Array of the rows.
@@ -161,9 +161,9 @@ def solve_complex(
         real: First row of the real part.
         imag: First row of the imaginary part.
         n: Size of the matrix.
-        pivots: Its pivots.
+        pivots: Pivots of the factorisation, (n,).
         b: Real part of the right-hand side, changed in place.
-        c: Imaginary part, changed in place.
+        c: Imaginary part of the right-hand side, changed in place.
     """
     for k in range(n):
         best = int(pivots[k])

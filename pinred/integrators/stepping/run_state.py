@@ -1,4 +1,4 @@
-"""The state of a run: its registers, status codes, and the work rows that contain its states.
+"""The state of a run: registers, status codes, and the work rows that contain the states.
 
 Compiled code uses a `Run` and its fields by name. Python stores it in an array (1,) of LAYOUT, from
 which an interrupted run continues.
@@ -16,68 +16,70 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from .compiling import compiled, inlined
 
-# Return values of `advance`. WANTED: it needs the derivative of the kernel.
+# Return values of `advance`. WANTED: the run needs the derivative of the kernel to continue.
 DONE, PAUSED, FULL, WANTED, UNDERFLOW, NOT_FINITE, TOO_MANY, DIVERGED = range(8)
 AGAIN = 8  # return value of an attempted step that was rejected
 
 # Solvers of implicit steps.
 AUTO, FIXED_POINT, NEWTON = 1, 2, 3
 
-# Contents of the work rows: the ends of a step, its stages, or also the terms of its dense output.
+# Contents of the work rows: the states at the ends of a step, also its stages, or also the terms of
+# its dense output.
 ENDS, STEP, DENSE = range(3)
 
-# Stored data of steps: nothing, their ends, or also the rates of their stages.
+# Stored data of steps: nothing, the states at step ends, or also the stage rates.
 NOTHING_KEPT, ENDS_KEPT, STAGES_KEPT = range(3)
 
-# This many evaluations take at most some milliseconds, so Ctrl-C and progress stay responsive.
+# Number of kernel evaluations between pauses. They take at most some milliseconds, so Ctrl-C and
+# progress reports stay responsive.
 EVALUATIONS_BETWEEN_PAUSES = 4096
 
 
 class Run:
-    """The registers of a run."""
+    """The registers of a run: all scalars that the step loop needs to continue."""
 
     t: float  # time [s]
-    h: float  # next step [s]
+    h: float  # length of the next step [s]
     t_end: float
     max_step: float
     rtol: float
     atol: float
-    before: float  # previous step [s], 0 if there is none to extrapolate from
-    error: float  # error of a step, in units of the tolerance
-    error_before: float  # error of the previous step
+    before: float  # length of the previous step [s], 0 if no step can be extrapolated
+    error: float  # estimated error of the current step, in units of the tolerance
+    error_before: float  # estimated error of the previous step, in units of the tolerance
     growth: float  # factor by which the next step may be longer
     quotient: float  # factor by which the next step must be shorter
-    factored: float  # length of the step for which Newton's method has factors [s]
+    factored: float  # step length of the current factorisation in Newton's method [s]
     contraction: float  # ratio of successive changes in Newton's method
     convergence: float  # ratio of the remaining error to the last change
     cut: float  # factor by which a failed step is shortened
 
     address: int  # address of the kernel
-    tangent: int  # address of the kernel of the derivative, or 0
-    n: int  # entries of the state
+    tangent: int  # address of the tangent kernel, or 0
+    n: int  # number of entries of the state
     quaternion: int  # index of the first of the quaternion's four entries, or −1
-    pairs: int  # number of positions, which as many momenta follow
-    spin: int  # number of parameters that are a constant momentum
-    stages: int  # stages per evaluation
-    lanes: int  # SIMD lanes, including idle ones
-    solver: int  # solver of implicit steps
-    total: int  # number of steps, if steps are equal
-    max_steps: int  # limit on trial steps
-    budget: int  # evaluations between pauses
-    keep: int  # stored data of steps
+    pairs: int  # number of positions in y, followed by as many momenta
+    spin: int  # number of parameters that are components of a constant momentum
+    stages: int  # number of stages per evaluation
+    lanes: int  # number of SIMD lanes, idle lanes included
+    solver: int  # code of the solver of implicit steps
+    total: int  # number of steps of a method with equal steps
+    max_steps: int  # limit on the number of trial steps
+    budget: int  # number of evaluations between pauses
+    keep: int  # code of the data stored at step ends
 
     begun: int  # whether the first step was prepared
-    pause: int  # number of evaluations at the next pause
-    steps: int  # accepted steps
+    pause: int  # number of evaluations at which the run pauses next
+    steps: int  # number of accepted steps
     rejected: int
     evaluations: int
     next: int  # index of the next report time
-    known: int  # contents of the work rows
+    known: int  # code of the contents of the work rows
     again: int  # whether the last trial was rejected
-    entry: int  # entry that was not finite, or −1
+    entry: int  # index of the entry that was not finite, or −1
     fresh: int  # whether the Jacobian belongs to the current state
-    remaining: int  # steps before fixed-point iteration is tried again
-    member: int  # member of a batch, or −1
+    remaining: int  # number of Newton steps before fixed-point iteration is tried again
+    member: int  # index of the member in a batch, or −1
 
 
 Runs: TypeAlias = NDArray[np.void]  # (1,) of LAYOUT
@@ -96,21 +98,21 @@ _FIRST: dict[str, Any] = {
 def new_run(**numbers: float) -> Runs:
     """Return the registers of a run before its first step, with the given values."""
     first = {**_FIRST, "budget": EVALUATIONS_BETWEEN_PAUSES, **numbers}
-    # Twice as fast as an array of a tuple.
+    # Assigning the fields is twice as fast as building the array from a tuple.
     return np.frombuffer(bytearray(_PACKED.pack(*first.values())), LAYOUT)
 
 
 def copied(runs: Runs) -> Runs:
-    """Return an independent copy of registers."""
+    """Return an independent copy of the registers."""
     return np.frombuffer(bytearray(runs.tobytes()), LAYOUT)
 
 
 Y, NEW = 0, 1  # rows of `work`: the state at the start of a step, and at its end
-WIDTH = 4  # numbers in a vector; rows are padded with zeros to a multiple of it
+WIDTH = 4  # number of floats in a vector; rows are padded with zeros to a multiple of it
 
-# Size by which errors of a quaternion's entries are measured. Rotation by an angle changes the
-# quaternion by half of it, and the mean over four entries halves it again, so that the tolerance
-# applies to the angle.
+# Scale of the errors of a quaternion's entries. A rotation by an angle changes the quaternion by
+# half the angle, and the root mean square over four entries halves it again. With this scale, the
+# tolerance applies to the angle.
 TURN = 0.25
 
 
@@ -121,13 +123,13 @@ def padded_rows(count: int, n: int) -> Array:
 
 @inlined
 def in_quaternion(i: int, quaternion: int) -> bool:
-    """Return whether entry i is one of the quaternion's four."""
+    """Return whether entry i is one of the quaternion's four entries."""
     return 0 <= i - quaternion < 4 and quaternion >= 0
 
 
 @inlined
 def entry_size(y: Array, i: int, quaternion: int) -> float:
-    """Return the size of entry i by which its error is measured."""
+    """Return the scale of entry i with which its error is compared."""
     size: float = abs(y[i])
     if in_quaternion(i, quaternion):
         size = TURN
@@ -136,7 +138,7 @@ def entry_size(y: Array, i: int, quaternion: int) -> float:
 
 @compiled
 def unit_alone(y: Array, quaternion: int) -> float:
-    """Normalise the quaternion of y, −1 for none; return the factor."""
+    """Normalise the quaternion of y; return the factor. quaternion: first index, −1 for none."""
     if quaternion < 0:
         return 1.0
     square = 0.0
@@ -150,9 +152,11 @@ def unit_alone(y: Array, quaternion: int) -> float:
 
 @compiled
 def unit(y: Array, rate: Array, quaternion: int) -> None:
-    """Normalise the quaternion of y, −1 for none, and scale its rate by the same factor.
+    """Normalise the quaternion of y, and scale its rate by the same factor.
 
-    A kernel uses the direction of the quaternion only. Therefore the quaternion's rate is
+    `quaternion` is the index of its first entry, −1 for none.
+
+    A kernel uses only the direction of the quaternion. Therefore the quaternion's rate is
     proportional to its length, and the other rates do not change.
     """
     if quaternion >= 0:
@@ -184,7 +188,7 @@ def keep_state(run: Run, work: Array, t: float, end_times: Array, end_states: Ar
         work: Rows of the stepper.
         t: Time [s].
         end_times: Times of the step ends, (K,) [s].
-        end_states: Their states, (K, n …).
+        end_states: States at the step ends, (K, n …).
     """
     if run.keep:
         k, row = run.steps, NEW if run.begun else Y
@@ -230,11 +234,11 @@ def first_step_by_rate(run: Run, y: Array, rate: Array, lanes: int, fraction: fl
     Args:
         run: Registers of the run.
         y: Initial state, (n,).
-        rate: Its rates, one every `lanes` numbers.
-        lanes: Distance between the rates of two entries.
-        fraction: Fraction of the time.
+        rate: Rates of the initial state; entry i is at index i·lanes.
+        lanes: Distance between the rates of successive entries.
+        fraction: Fraction of this time that the step takes.
     Returns:
-        The step [s].
+        Length of the first step [s].
     """
     square = 0.0
     for i in range(run.n):

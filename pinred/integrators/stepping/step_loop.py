@@ -1,4 +1,4 @@
-"""The step loop of all methods, and the hooks by which a method defines its steps.
+"""The step loop of all methods, and the hooks with which a method defines its steps.
 
 A method is a set of `Hooks`, functions inlined into the loop without calls through pointers. The
 loop is bound to them under a unique name: see `compiling.bind_globals`.
@@ -36,7 +36,7 @@ from .run_state import (
 _EPS = float(np.finfo(float).eps)
 
 
-# Bound to the hooks of a method, see `Hooks`.
+# `loops` binds these names to the hooks of a method, see `Hooks`.
 begin_run = next_end_time = attempt_step = accept_step = load_step = write_state = unbound
 store_end = keep_state
 
@@ -52,8 +52,8 @@ def equal_steps(run: Run) -> float:
 class Hooks:
     """The compiled functions that define the steps of a method.
 
-    All take the registers of the run first, then params (p,) and the work rows where they need
-    them. The end of the step at hand is t_new [s].
+    All hooks take the registers of the run first, then params (p,) and the work rows if they need
+    them. t_new is the time at the end of the current step [s].
 
     Attributes:
         begin_run: (run, params, work, end_times, end_states): store the initial state, which is in
@@ -61,8 +61,8 @@ class Hooks:
         next_end_time: (run): return the time at which the next step ends [s].
         attempt_step: (run, params, work, t_new): compute a step from row Y to row NEW. Returns
             DONE; AGAIN, with the next step in run.h; WANTED; or the reason of a failure.
-        accept_step: (run, work, t_new): continue from the end of the step, and choose the length
-            of the next.
+        accept_step: (run, work, t_new): continue from the end of the step, and choose the length of
+            the next step.
         load_step: (run, params, work, t_new, end_states, k): restore the work rows of the stored
             step k, whose ends are in rows Y and NEW; end_states are the stored states, (K, …).
         write_state: (run, params, work, time, t_new, out): write the state (n,) at a time from
@@ -93,7 +93,7 @@ def advance(
     end_times: Array,
     end_states: Array,
 ) -> int:
-    """Integrate until the end, a pause, a full array of step ends, or a failure.
+    """Integrate until the end time, a pause, a full array of step ends, or a failure.
 
     Args:
         runs: Registers of the run, (1,).
@@ -197,14 +197,14 @@ def recall(
 
 @compiled
 def step_at(time: float, k: int, end_times: Array) -> int:
-    """Return the number of the step that contains a time, its end included, from the k-th on."""
+    """Return the index of the step that contains a time (its end included), starting at step k."""
     while k + 1 < end_times.shape[0] - 1 and time > end_times[k + 1]:
         k += 1
     return k
 
 
 class Batch(NamedTuple):
-    """Runs of one kernel, member first.
+    """Runs of one kernel; arrays have the member as first axis.
 
     Attributes:
         params: Parameters, (N, p).
@@ -212,7 +212,7 @@ class Batch(NamedTuple):
         times: Sorted report times, (T,) [s].
         y: States at the report times, (N, T, n).
         outcomes: Outcomes of the members, (N,) of OUTCOME.
-        stop: Flag, (1,); not 0 interrupts all threads.
+        stop: Flag, (1,); a nonzero value interrupts all threads.
         no_times: Empty array in place of times of step ends, (0,).
         no_knots: Empty array in place of states at step ends, (0, n).
     """
@@ -245,7 +245,7 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
         runs: Registers of the current run, (1,).
         work: Work rows.
         first: First member.
-        last: Number after the last member.
+        last: Index after the last member.
     Returns:
         The member that needs the derivative of the kernel to continue, or `last`.
     """
@@ -275,7 +275,7 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
 
 @dataclass(frozen=True)
 class Loops:
-    """The compiled loops of a method, see the functions of these names."""
+    """The compiled loops of a method: copies of the functions with the same names."""
 
     advance: Callable[..., int]
     recall: Callable[..., None]
@@ -287,7 +287,7 @@ def loops(name: str, hooks: Hooks) -> Loops:
 
     Args:
         name: Unique name of the method, the same in every process.
-        hooks: Its hooks.
+        hooks: Hooks of the method.
     Returns:
         The loops.
     """
@@ -310,9 +310,10 @@ class Stepper:
     Attributes:
         loops: Compiled loops.
         rows: Function of (n, tangent) that allocates the work rows for n entries of the state. If
-            `tangent` is true they have space for Newton's method.
-        kept: Numbers stored at a step end per entry of the state.
-        stages: Additional numbers per entry if stages are stored, 0 if they cannot be.
+            `tangent` is true, the rows include space for Newton's method.
+        kept: Number of floats stored at a step end per entry of the state.
+        stages: Number of additional floats per entry if stages are stored, 0 if stages cannot be
+            stored.
         needs_tangent: Whether the method always needs the derivative of the kernel.
     """
 

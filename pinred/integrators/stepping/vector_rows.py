@@ -1,4 +1,4 @@
-"""LLVM instructions on the rows of a work array, in vectors of several numbers."""
+"""LLVM instructions that process the rows of a work array in SIMD vectors."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ class VectorRows:
     """The rows of a work array (rows, stride) as LLVM instructions address them.
 
     Attributes:
-        stride: LLVM value, numbers from the start of a row to the start of the next.
+        stride: LLVM value: distance between the starts of successive rows, in floats.
         vector: LLVM type of `width` float64 numbers.
     """
 
     def __init__(self, context: Any, builder: Any, array_type: Any, work: Any, width: int) -> None:
-        """Take numba's context and builder, and the type and value of the work array."""
+        """Store numba's context and builder, and the type and value of the work array."""
         array = context.make_array(array_type)(context, builder, work)
         self._data, self._builder, self._width = array.data, builder, width
         self.stride = builder.extract_value(array.shape, 1)
         self.vector = ir.VectorType(ir.DoubleType(), width)
 
     def at(self, row: Any, index: Any = None) -> Any:
-        """Return a pointer to a number of a row, to its first number without an index.
+        """Return a pointer to an entry of a row; without an index, to the first entry.
 
         Args:
             row: Row, a Python integer or an LLVM value.
@@ -57,11 +57,11 @@ class VectorRows:
         return self._builder.gep(self._data, [position])
 
     def splat(self, value: Any) -> Any:
-        """Return a vector that contains a number in all lanes."""
+        """Return a vector that contains the same number in all lanes."""
         return splat(self._builder, value, self._width)
 
     def number(self, row: Any, index: Any) -> Any:
-        """Return one number of a row, in all lanes."""
+        """Return a vector that contains one entry of a row in all lanes."""
         return self.splat(self._builder.load(self.at(row, index), align=8))
 
     def load(self, row: Any, index: Any) -> Any:
