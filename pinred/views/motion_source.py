@@ -1,4 +1,4 @@
-"""Type of motions that views accept: simulated, or read from a file."""
+"""Type of the motions that views accept: simulated motions, and recordings read from a file."""
 
 from __future__ import annotations
 

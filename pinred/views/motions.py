@@ -28,7 +28,7 @@ def play(
 
     Args:
         traj: The motion: a Trajectory, or a recording read from a file.
-        port: Port of the server; any free one if None.
+        port: Port of the server; an unused port if None.
         show: Open the user's browser.
         wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
         ghost: Also draw the full simulation (Pinocchio's ABA) next to the motion.

@@ -1,4 +1,4 @@
-"""Shapes of a robot for drawing: those of its URDF or MJCF file, or ellipsoids of its inertias."""
+"""Shapes for drawing a robot: from its URDF or MJCF file, or ellipsoids of its inertias."""
 
 from __future__ import annotations
 
@@ -39,8 +39,10 @@ _SHAPES = {
     6: ("box", 3),
 }
 _MESHES = (7, 8)  # mesh, and signed distance function, which includes a mesh
-_VISIBLE_GROUPS = 3  # MuJoCo's viewer shows groups below; others usually have collision shapes
-_NO_COLOUR = (0.5, 0.5, 0.5, 1.0)  # default colour, replaced by that of the material
+_VISIBLE_GROUPS = (
+    3  # MuJoCo's viewer shows groups below this; higher ones usually have collision shapes
+)
+_NO_COLOUR = (0.5, 0.5, 0.5, 1.0)  # default colour, replaced by the colour of the material
 
 Colour: TypeAlias = tuple[float, float, float, float]  # red, green, blue, opacity
 
@@ -96,9 +98,9 @@ class Bodies:
 def drawn_bodies(
     system: System, *, meshes: bool | str | Path | Sequence[str | Path] = True
 ) -> Bodies:
-    """Return the shapes of a system: those of its file, or ellipsoids of its inertias.
+    """Return the shapes of a system: from its file, or ellipsoids of its inertias.
 
-    meshes: whether to use the shapes of the file, or folders that are searched for its meshes.
+    meshes: whether to use the shapes of the file, or folders to search for mesh files.
     """
     if meshes is False:
         return Bodies(_from_inertias(system), (), "bodies drawn from their inertias")
@@ -126,7 +128,7 @@ def _message(error: Exception) -> str:
 
 
 def extents(bodies: Bodies) -> list[tuple[int, Array, float]]:
-    """Return joint, centre (3,) in its frame and radius [m] of a ball around each shape."""
+    """Return a bounding ball of each shape: joint, centre (3,) in the joint frame, radius [m]."""
     balls = []
     for solid in bodies.solids:
         placement = pin.XYZQUATToSE3(solid.placement)
@@ -153,7 +155,7 @@ def _file(source: str) -> Path:
 
 
 def _file_shapes(system: System, folders: Sequence[str]) -> Bodies:
-    """Return the shapes given with a model, or those in its file."""
+    """Return the shapes that were passed with the model, or the shapes in its file."""
     if system.contents.visuals is not None:
         return _from_geometry(system, system.contents.visuals)
     origin = system.origin
@@ -239,7 +241,7 @@ def _on_joint(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]
 
 
 def _primitive(shape: Any) -> tuple[str, tuple[float, ...]]:
-    """Return kind and size of a coal shape; an empty kind if it cannot be drawn."""
+    """Return the kind and size of a coal shape; the kind is empty if it cannot be drawn."""
     name = type(shape).__name__
     if name == "Box":
         return "box", tuple(map(float, shape.halfSide))
@@ -311,7 +313,7 @@ def mjcf_shapes(system: System, path: Path) -> Bodies:
 
 
 def _solid(system: System, world: World, geom: int, meshes: dict[int, int]) -> Solid | None:
-    """Convert a geom; None if it is not drawn.  meshes: mesh id → index, extended on use."""
+    """Convert a geom, or return None if it is not drawn; `meshes` (id → index) is extended."""
     model, kind = world.model, int(world.model.geom_type[geom])
     size: tuple[float, ...]
     if kind in _MESHES:

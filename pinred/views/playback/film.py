@@ -40,7 +40,7 @@ def save_film(
     size: Sequence[int] = SIZE,
     progress: Progress | None = None,
 ) -> int:
-    """Write a film in the format of the suffix.
+    """Write a film in the format that the suffix of the path selects.
 
     Args:
         source: The motion.
@@ -100,7 +100,7 @@ def find_ffmpeg() -> str:
 
 
 class _Terminated(BaseException):
-    """SIGTERM was received."""
+    """Raised inside the block of `_tidy_at_sigterm` when SIGTERM arrives."""
 
 
 @contextmanager
@@ -162,7 +162,8 @@ def _frame_path(path: Path, k: int) -> Path:
 def check_frames(path: Path, count: int) -> None:
     """Check that frames can be written and that no frames of a longer film exist.
 
-    Frames of a longer film would seem to continue this one; they are not removed.
+    Old frames of a longer film would look like a continuation of the new film. They are not
+    removed; the caller gets an error instead.
 
     Args:
         path: Path of the film.
@@ -187,7 +188,8 @@ def check_frames(path: Path, count: int) -> None:
 def write_frames(path: Path, shots: Iterator[bytes]) -> int:
     """Write PNG pictures as film_0000.png and so on, all or none.
 
-    The frames are moved to their names when all exist. If that fails, old frames are restored.
+    The frames are written to a temporary folder and moved when all are complete. If moving
+    fails, the old frames are restored.
 
     Args:
         path: Path of the film.

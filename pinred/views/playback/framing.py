@@ -15,17 +15,17 @@ ARROW = 1.3  # length of the momentum arrow with a margin, in radii of the robot
 _SAMPLES = 200  # number of frames that determine the robot's radius
 _BESIDE = 1.8  # distance between the robot and its ghost, in radii
 _ELEVATION, _PLANAR_ELEVATION = 18.0, 50.0  # elevation of the camera [deg]
-_DEEP = 5.0  # largest fall at which the grid stays a floor, in radii
+_DEEP = 5.0  # largest fall for which the grid is drawn as a floor, in radii
 _FAR = 10.0  # half of the side of the grid, in radii
 
 
 @dataclass(frozen=True)
 class Framing:
-    """The framing of a film; vectors are (3,) in the world frame, lengths in m.
+    """Framing of a film; vectors are (3,) in the world frame, lengths are in m.
 
     Attributes:
         radius: Radius of a ball about the centre of mass that contains the robot at all times.
-        reach: The same including the momentum arrow, but not the ghost.
+        reach: Radius of such a ball that also contains the momentum arrow, but not the ghost.
         middle: Middle of the path of the centre of mass.
         span: Radius of a ball about `middle` that contains everything at all times.
         follow: Whether the camera should follow the robot.
@@ -56,7 +56,7 @@ class Framing:
 
 
 def frame(film: Playback, bodies: Bodies) -> Framing:
-    """Compute the framing that shows the whole robot, and its momentum from the side."""
+    """Compute a framing that shows the whole robot, and its momentum arrow from the side."""
     radius = _radius(film, bodies)
     low, high = film.com.min(axis=0), film.com.max(axis=0)
     middle = 0.5 * (low + high)
@@ -109,7 +109,7 @@ def _radius(film: Playback, bodies: Bodies) -> float:
 
 
 def _eye(film: Playback) -> Array:
-    """Return the camera direction, among several azimuths, most perpendicular to the momentum."""
+    """Return the camera direction that is most nearly perpendicular to the momentum arrow."""
     group = film.system.group
     planar = group.plane and group.linear == 2
     elevation = np.radians(_PLANAR_ELEVATION if planar else _ELEVATION)
@@ -127,6 +127,6 @@ def _eye(film: Playback) -> Array:
 
 
 def _round_up(length: float) -> float:
-    """Round up to 1, 2 or 5 times a power of ten."""
+    """Round a length up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(next(step * power for step in (1, 2, 5, 10) if step * power >= length))

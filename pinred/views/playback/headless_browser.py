@@ -22,7 +22,7 @@ from typing import Any
 from ...common.errors import InputError, OutputError
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-_PATIENCE = 120.0  # time limit for any answer [s]; software rendering is slow
+_PATIENCE = 120.0  # time limit for an answer of the browser [s]; software rendering is slow
 _FLAGS = (
     "--headless=new", "--remote-debugging-pipe", "--no-first-run", "--mute-audio",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -149,7 +149,7 @@ class Browser:
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a browser with a temporary profile; end both after the block."""
+    """Start a browser with a temporary profile; stop it and delete the profile after the block."""
     program = find_browser()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [program, *_FLAGS, f"--user-data-dir={profile}"]

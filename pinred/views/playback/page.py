@@ -1,4 +1,4 @@
-"""The page: meshcat's viewer, a motion and its controls in one self-contained HTML file."""
+"""The playback page: meshcat's viewer, a motion and its controls in one HTML file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.jso
 
 
 def page(source: MotionSource, view: View) -> bytes:
-    """Build the HTML of a motion's playback; raise the errors of `playback`."""
+    """Build the HTML page that plays a motion. Raises the same errors as `playback`."""
     film = playback(source, view)
     bodies = drawn_bodies(film.system, meshes=view.meshes)
     pair = None if view.pair is None else (view.pair[0], view.pair[1])
@@ -47,7 +47,7 @@ def page(source: MotionSource, view: View) -> bytes:
 
 
 def save_html(source: MotionSource, path: str | Path, view: View) -> int:
-    """Write the page to a .html file; on failure the old file stays.
+    """Write the page to a .html file; on failure an existing file is kept.
 
     Args:
         source: The motion.

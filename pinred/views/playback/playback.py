@@ -1,7 +1,7 @@
-"""Numbers for drawing a motion, at the frames of a film.
+"""Quantities for drawing a motion at the frames of a film.
 
-All are computed by Pinocchio from (q, v): forward kinematics, centre of mass, centroidal momentum
-and composite inertia. The momentum arrow shows the conserved momentum.
+All quantities are computed with Pinocchio from (q, v): forward kinematics, centre of mass,
+centroidal momentum and composite inertia. The momentum arrow shows the conserved momentum.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .view_options import View
 
 MOST_FRAMES = 100_000
 
-STILL = 1e-9  # momentum that counts as zero, relative to √(2mT) of the motion
+STILL = 1e-9  # momentum that counts as zero, relative to √(2 · mass · kinetic energy)
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,13 @@ class Playback:
 
 
 def playback(source: MotionSource, view: View) -> Playback:
-    """Compute the numbers for drawing a motion.
+    """Compute the quantities for drawing a motion.
 
     Args:
         source: A trajectory or a recording.
         view: Options of the drawing.
     Returns:
-        The numbers at all frames.
+        The quantities at all frames.
     Raises:
         InputError: The base was left out, there are too many frames or fewer than two, or a ghost
             is requested for a recording, which contains no forces.
@@ -102,7 +102,7 @@ def playback(source: MotionSource, view: View) -> Playback:
 
 
 def _frames(source: MotionSource, view: View) -> State:
-    """Return the states at the times of the frames."""
+    """Return the states of the motion at the times of the frames."""
     times = frame_times(source, view, MOST_FRAMES)
     return source.states if isinstance(source, Recording) else source(times)
 
@@ -215,7 +215,7 @@ class Momentum:
 
 
 def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
-    """Compute the momentum arrow by Pinocchio's centroidal momentum.
+    """Compute the momentum arrow from Pinocchio's centroidal momentum.
 
     If the base can rotate, it is the angular momentum about the centre of mass or the pivot, along
     the axes of rotation; otherwise it is the linear momentum along the axes of translation.
@@ -251,7 +251,8 @@ def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
 def _axes(system: System) -> Array:
     """Return the unit axes (3, k) of the arrow's momentum in the world frame.
 
-    They are axes of the root joint's frame, which the motion keeps fixed if there are fewer than 3.
+    The axes belong to the root joint's frame. If there are fewer than three, the motion does not
+    change their directions.
     """
     model, data = system.model, system.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))

@@ -26,7 +26,7 @@ HOST = "127.0.0.1"
 
 
 class Player:
-    """A server of one page, until close(), the end of a `with` block, or of the process.
+    """Server of one page; it runs until close(), or the end of a `with` block or of the process.
 
     Attributes:
         url: Address of the page.
@@ -37,7 +37,7 @@ class Player:
 
         Args:
             content: The page.
-            port: Port; any free one if None.
+            port: Port; an unused port if None.
         """
         self._server = _listen(content, port)
         self.url = f"http://{HOST}:{self._server.server_port}/"
@@ -83,7 +83,7 @@ class Player:
 
 
 def check_port(port: int | None) -> None:
-    """Raise the error that Player would raise for a port."""
+    """Raise the error that Player would raise for a port that cannot be used."""
     if port is not None:
         _listen(b"", port).server_close()
 
@@ -162,7 +162,7 @@ def play(
     Args:
         source: The motion.
         view: Options of the drawing.
-        port: Port; any free one if None.
+        port: Port; an unused port if None.
         show: Open the user's browser.
         wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
     Returns:
@@ -170,7 +170,7 @@ def play(
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
     """
-    check_port(port)  # before the page is built, which may take long
+    check_port(port)  # check before building the page, which may take long
     player = Player(page(source, view), port)
     wait = not hasattr(sys, "ps1") if wait is None else wait
     try:

@@ -48,14 +48,14 @@ class ShapePanel:
 def shape_panel(
     system: System, x: Array, xdot: Array, pair: tuple[str, str] | None = None
 ) -> ShapePanel | None:
-    """Compute the panel; None for a rigid body.
+    """Compute the shape panel; None for a rigid body, which has no joints.
 
     Args:
         system: The robot.
         x: Shapes, (F, m) [rad | m].
         xdot: Shape rates, (F, m) [rad/s | m/s].
-        pair: Names of the joints on the axes. If None, the two that move most, preferably without
-            full rotations.
+        pair: Names of the joints on the axes. If None, the two joints that move most, preferably
+            without full rotations.
     Returns:
         The panel.
     Raises:
@@ -97,7 +97,7 @@ def _range(path: Array) -> tuple[Array, Array]:
 
 
 def _sort_components(system: System, field: Array, per: str) -> tuple[tuple[str, ...], Array]:
-    """Sort components with their names: rotations before translations, the largest first."""
+    """Sort the components of the field, rotations first, each kind by decreasing magnitude."""
     axes, linear, r = system.group.axes, system.group.linear, system.r
     turns = [f"turn about {'xyz'[axis - 3]}" for axis in axes[linear:]]
     if len(turns) == 1:

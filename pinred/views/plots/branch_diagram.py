@@ -1,4 +1,4 @@
-"""Branch diagrams: relative equilibria over the momentum, with folds and pitchforks."""
+"""Branch diagrams: relative equilibria against momentum, with folds and pitchforks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...common.names import joint_index
 from .style import PALETTE, figure, legend, styled
 
 GREY = "#555555"
-_SAME = 2e-3  # distance of identical lines, relative to the size of the figure
+_SAME = 2e-3  # largest distance of coinciding lines, relative to the figure size
 _LINES: dict[
     str, dict[str, Any]
 ] = {  # line styles by the index of the amended potential: zero, even or odd
@@ -28,7 +28,7 @@ _MARKS = {"folds": "o", "pitchforks": "^", "crossings": "s"}
 
 @styled
 def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
-    """Draw branches of relative equilibria over the momentum.
+    """Draw the branches of relative equilibria against the momentum.
 
     Solid lines are stable, dotted lines are unstable.
 
@@ -105,7 +105,7 @@ def _segments(points: tuple[BranchPoint, ...]) -> list[tuple[list[BranchPoint], 
 
 
 def _covers(other: Array, line: Array, near: Array) -> bool:
-    """Return whether a monotonic line (k, 2) visibly coincides with part of another."""
+    """Return whether one monotonic curve, (k, 2), visibly coincides with part of another curve."""
     if len(other) < 2:
         return False
     x, y = other[np.argsort(other[:, 0])].T

@@ -1,4 +1,4 @@
-"""plot(): a figure by the name of its kind, with the options of that kind."""
+"""plot(): draw a figure selected by the name of its kind, with the options of that kind."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def plot(source: Any, kind: str) -> Figure: ...
 def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     """Draw a figure by the function of pinred.plots with the name `kind`.
 
-    No kind takes all options; see the functions of pinred.plots.
+    Each kind accepts only some of the options; see the functions of pinred.plots.
 
     Args:
         source: Argument of the function: a Connection for field, a Phase for cycles, a BestGait or
@@ -159,7 +159,7 @@ def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
 
 
 def draw(source: Any, kind: str, options: Mapping[str, Any]) -> Figure:
-    """Draw a figure as `plot`, with a mapping of options."""
+    """Draw a figure like `plot`, with the options in a mapping."""
     valid = options_of(kind)
     for option in options:
         if option not in valid:

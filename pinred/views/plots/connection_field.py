@@ -61,7 +61,8 @@ def field(
     Args:
         source: The connection.
         joints: Names or indices of two joints; the first two if None.
-        component: v1 … ω3 (or w3), or an index in the body twist; the largest rotation if None.
+        component: v1 … ω3 (or w3), or an index in the body twist. If None, the
+            rotation with the largest values.
         part: "curvature" B, its terms "exterior" ∂_αA_β − ∂_βA_α and "bracket" [A_α, A_β], or
             "connection": the row of −A as a vector field with flow lines over its magnitude.
         limits: (low, high) of each joint [rad | m]; around the gait, or ±π if None.
@@ -174,10 +175,11 @@ def curvature(
     Args:
         source: A System, a Reduction, or a motion, whose path is drawn.
         joints: Names or indices of two joints; the first two if None.
-        component: v1 … ω3 (or w3), or an index in the body twist; the largest rotation if None.
+        component: v1 … ω3 (or w3), or an index in the body twist. If None, the
+            rotation with the largest values.
         limits: (low, high) of each joint [rad | m]; around the path, or their range if None.
         at: Shape of the other joints, (m,) [rad | m]; the initial shape, or zero if None.
-        path: Shapes to draw, (T, m) [rad | m]; those of the motion if None.
+        path: Shapes to draw, (T, m) [rad | m]; the shapes of the motion if None.
     Returns:
         The figure.
     Raises:
@@ -231,7 +233,7 @@ def _system(source: Source) -> System:
 
 
 def component_of(group: Group, component: str | int | None, B: Array) -> int:
-    """Return the index of a component of the body twist; the largest rotation of B if None."""
+    """Return the index of a body twist component; if None, of the rotation with the largest B."""
     names, linear = group.twist_names, group.linear
     if component is None:
         size = np.abs(B).reshape(-1, len(names)).max(axis=0)

@@ -21,7 +21,8 @@ _PARTS = 8  # subdivisions of each integration step
 def fine_times(motion: MotionSource) -> Array:
     """Return a fine time grid from start to end, (T,) [s].
 
-    It subdivides the integration steps of a Trajectory, or the report intervals of a recording.
+    The grid subdivides the integration steps of a Trajectory, or the report intervals of a
+    recording.
     """
     knots = motion.t
     if isinstance(motion, Trajectory):
@@ -60,7 +61,7 @@ def state_at(motion: MotionSource, time: float) -> Path:
 def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:
     """Return the function from times (T,) to shapes and rates, (T, m) each.
 
-    For a recording it interpolates with cubic Hermite splines (order 4, rates order 3).
+    A recording is interpolated with cubic Hermite splines (shapes have order 4, rates order 3).
 
     Args:
         motion: The motion.

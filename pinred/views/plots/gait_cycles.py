@@ -1,6 +1,7 @@
 """Figures of gaits: the path of the body over some cycles, and an optimised loop.
 
-An optimised loop is drawn on the curvature, beside its joints and the base over time.
+The figure of an optimised loop shows the loop over the curvature, and beside it the joints and the
+base over time.
 """
 
 from __future__ import annotations

@@ -20,17 +20,17 @@ from .fine_path import Path, fine_path, state_at
 from .motion_labels import labels, robot_of
 from .style import BLACK, RED, figure, styled
 
-_NONE = 1e-12  # zero momentum, relative to the moment of inertia times 1 rad/s
-_CONSTANT = 1e-6  # relative change of |L| that counts as constant
-_CURVES = 4  # level curves of the energy on each side of the separatrix
-_POINTS = 181  # points of a curve
+_NONE = 1e-12  # momentum that counts as zero, relative to the moment of inertia times 1 rad/s
+_CONSTANT = 1e-6  # largest relative change of |L| that counts as constant
+_CURVES = 4  # number of energy level curves on each side of the separatrix
+_POINTS = 181  # number of points of a level curve
 
 
 @styled
 def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
     """Draw the path of the angular momentum in the body frame on its sphere.
 
-    The momentum is about the pivot (SO3), or about the centre of mass (SE3). Thin curves are
+    The momentum is taken about the pivot (SO3), or about the centre of mass (SE3). Thin curves are
     levels of the energy ½ Lᵀ I⁻¹ L for a frozen shape; a rigid body stays on one of them. Without
     the robot of a recording there are no levels.
 
@@ -86,11 +86,11 @@ def angular_momentum(motion: MotionSource, path: Path) -> Array:
 
     Args:
         motion: The motion.
-        path: Its states.
+        path: States of the motion, at T times.
     Returns:
         (T, 3) angular momentum [N·m·s].
     Raises:
-        InputError: The group is neither SO3 nor SE3.
+        InputError: The symmetry group is neither SO3 nor SE3.
         LoadError: SE3 needs the robot of a recording, which cannot be loaded.
     """
     group = group_named(labels(motion).group)
@@ -137,7 +137,7 @@ def level_curves(inertia: Array, size: float) -> list[Array]:
 
 
 def _frozen_inertia(system: System, x: Array) -> Array:
-    """Compute the rotational inertia with frozen joints about the pivot or the centre of mass."""
+    """Compute the inertia (3, 3) of the robot with joints frozen at x, see `sphere`."""
     I = Reduction(system).locked_inertia(x)
     return I if len(I) == 3 else np.asarray(np.linalg.inv(np.linalg.inv(I)[3:, 3:]))
 

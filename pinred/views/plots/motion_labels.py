@@ -1,4 +1,4 @@
-"""Labels of a motion: robot, group, joints, units, and joints that share a panel."""
+"""Labels of a motion: robot, group, joints and units; and the joints that share a panel."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ...system.state_fields import FIELDS
 from ...system.system import System
 from ..motion_source import MotionSource
 
-FEW = 6  # up to this number of joints share a panel, whatever their branches
+FEW = 6  # up to this number, all joints share a panel even if they are on different branches
 MOST = 8  # largest number of lines in a panel
-_SMALL = 4  # branches with up to this number of joints in total share a panel
+_SMALL = 4  # branches share a panel up to this total number of joints
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Labels:
         return indices
 
     def panels(self, joints: Sequence[str | int] | str | int | None = None) -> list[list[int]]:
-        """Group joints into panels: one unit, and one branch or several small ones."""
+        """Group joints into panels; a panel has one unit, and one branch or several small ones."""
         if joints is not None:
             groups = [self.indices(joints)]
         elif len(self.joints) <= FEW:

@@ -1,4 +1,4 @@
-"""The phase portrait of the shape, with its amended potential."""
+"""Phase portrait: shape rates against shapes, with the amended potential."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from .shape_plane import Limits, Plane, around, draw_path, plane, title_at
 from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, styled
 from .time_series import require_joints
 
-_LEVELS = 14  # levels of the potential and the energy
-_TRIED = 50  # states of a recording whose energy is checked
-_CLOSE = 1e-7  # relative difference of energies that count as equal
-_FLAT = 1e-9  # relative change (or J) of a potential that counts as constant
+_LEVELS = 14  # number of level curves of the potential and of the energy
+_TRIED = 50  # largest number of states of a recording whose energy is checked
+_CLOSE = 1e-7  # largest relative difference of energies that count as equal
+_FLAT = 1e-9  # relative change that counts as constant; also the least scale of potentials [J]
 
 
 @styled
@@ -37,7 +37,7 @@ def phase(
     limits: Limits | None = None,
     when: float = 0.0,
 ) -> Figure:
-    """Draw shape against rate, with the amended potential V + ½ μᵀ I⁻¹ μ.
+    """Draw shape rate against shape, with the amended potential V + ½ μᵀ I⁻¹ μ.
 
     With one joint, the potential is above the portrait; for a robot with one joint, the portrait
     has levels of the energy. With two joints, the path is drawn over the potential, next to a
@@ -83,10 +83,10 @@ def phase(
 
 
 class _Landscape:
-    """The amended potential of a motion at one of its times."""
+    """Amended potential of a motion, for the momentum and the frozen joints at one time."""
 
     def __init__(self, motion: MotionSource, system: System, time: float) -> None:
-        """Evaluate momentum and shape at a time."""
+        """Evaluate the momentum and the shape of the motion at a time."""
         state = with_base(state_at(motion, time), system.name)
         self.x, self.time = state.x, float(state.t)
         self._forces = motion.scene.force_model if isinstance(motion, Trajectory) else None
@@ -101,7 +101,7 @@ class _Landscape:
         self._xdot = state.xdot
 
     def potential(self, shapes: Array) -> Array | None:
-        """Return V + ½ μᵀ I⁻¹ μ at shapes (…, m), or None if there is none."""
+        """Return V + ½ μᵀ I⁻¹ μ at shapes (…, m), or None if the motion has no such potential."""
         field = self._reduction.grid(shapes)
         try:
             values = np.array(field.amended_potential(self.mu))
@@ -114,18 +114,18 @@ class _Landscape:
         return values
 
     def metric(self, shapes: Array) -> Array:
-        """Return M at shapes, (…, m, m)."""
+        """Return the shape-space metric M at shapes (…, m), as (…, m, m)."""
         return self._reduction.grid(shapes).reduced_metric
 
     def energy(self) -> float:
-        """Return ½ ẋᵀ M ẋ + V + ½ μᵀ I⁻¹ μ at the time [J]."""
+        """Return the energy ½ ẋᵀ M ẋ + V + ½ μᵀ I⁻¹ μ at the time of the landscape [J]."""
         values = self.potential(self.x[None])
         potential = 0.0 if values is None else float(values[0])
         return potential + 0.5 * float(self._xdot @ self.metric(self.x[None])[0] @ self._xdot)
 
 
 def _why_no_potential(motion: MotionSource, system: System | None) -> str:
-    """Return why a recording has no potential, as a remark for the title; "" if it has."""
+    """Return a remark for the title on why a recording has no potential; "" if it has one."""
     if isinstance(motion, Trajectory):
         return ""
     if system is None:
@@ -138,7 +138,7 @@ def _why_no_potential(motion: MotionSource, system: System | None) -> str:
 
 
 def _is_all_energy(states: State, system: System) -> bool:
-    """Return whether the energy is that of Pinocchio's model alone, without forces."""
+    """Return whether the stored energy is that of Pinocchio's model, so includes no forces."""
     model, data = system.model, system.model.createData()
     q, v = system.sorted_q(states.q), system.sorted_v(states.v)
     differences, size = [], 0.0
@@ -229,7 +229,7 @@ def _draw_two_joints(
 
 
 def _portrait(axes: Axes, path: Path, names: Labels, joint: int) -> None:
-    """Draw rate against angle or position of one joint."""
+    """Draw the rate of one joint against its angle or position."""
     unit = names.units[joint].replace(" | ", "/s | ")
     x, rate = path.x[:, joint], path.xdot[:, joint]
     axes.plot(x, rate, color=BLUE, linewidth=1.6, label="path", zorder=3)

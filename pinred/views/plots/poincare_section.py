@@ -17,7 +17,7 @@ from .motion_labels import labels
 from .style import dots, figure, legend, styled
 from .time_series import require_joints
 
-_HALVINGS = 64  # bisections, enough to reach the spacing of floating-point numbers
+_HALVINGS = 64  # number of bisections, enough to resolve adjacent floating-point numbers
 
 
 @styled
@@ -28,13 +28,13 @@ def poincare(
     value: float | None = None,
     direction: int = 1,
 ) -> Figure:
-    """Draw angle against rate of one joint at each crossing of another joint.
+    """Draw the rate of one joint against its value, whenever another joint crosses a value.
 
     A recording is interpolated by cubic splines between its times.
 
     Args:
         motions: One or several motions of one robot; each has a separate marker.
-        joints: The crossing joint and the drawn joint, by name or index; the first two if None.
+        joints: Names or indices of the crossing joint and the drawn joint; the first two if None.
         value: Value of the crossing joint [rad | m], modulo 2π for rotations; the middle of its
             range if None.
         direction: Sign of the rate at the crossing: 1, −1, or 0 for both.
@@ -93,7 +93,7 @@ def poincare(
 def section(
     motion: MotionSource, joint: int, value: float, direction: int, *, turns: bool, shown: int
 ) -> Array:
-    """Compute value and rate of a joint at the crossings of another joint.
+    """Compute the value and rate of a joint at the crossings of another joint.
 
     Args:
         motion: The motion.
@@ -131,7 +131,7 @@ def crossings(motion: MotionSource, function: Callable[[Array], Array]) -> Array
         Times of the crossings, (K,) [s].
     """
     t = fine_times(motion)
-    # An exact zero takes the sign before it, so that the crossing is counted once.
+    # An exact zero takes the sign of the value before, so that its crossing is counted once.
     signs = np.sign(function(t))
     for k in np.flatnonzero(signs == 0.0):
         signs[k] = signs[k - 1] if k else 0.0

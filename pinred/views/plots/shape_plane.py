@@ -25,10 +25,10 @@ from .style import BLACK, FIELD, RED, legend
 _POINTS = {1: 241, 2: 61}  # points along each axis of a line or a plane
 Limits: TypeAlias = Sequence[Sequence[float]]
 _MARGIN = 0.2  # margin around a path, relative to its extent
-_LEAST = {"rad": 0.4, "m": 0.05}  # half of the smallest range of an axis
-_SLIDE = 0.5  # half of the range of a prismatic joint without limits [m]
+_LEAST = {"rad": 0.4, "m": 0.05}  # half of the smallest axis range, by unit
+_SLIDE = 0.5  # half of the axis range of a prismatic joint without limits [m]
 
-NONE = 1e-12  # smaller values and differences are round-off
+NONE = 1e-12  # values and differences below this count as round-off
 _LEVELS = 20
 
 
@@ -38,7 +38,7 @@ class Plane:
 
     Attributes:
         joints: Indices of the varying joints.
-        axes: Values of each, (P,) [rad | m].
+        axes: Values of each varying joint, (P,) [rad | m].
         shapes: (P, m) for one joint; (P, P, m) for two, the second joint along the first axis, as
             contour plots require.
     """
@@ -49,11 +49,11 @@ class Plane:
 
 
 def plane(joints: Sequence[int], limits: Limits, at: Array) -> Plane:
-    """Build the shapes in which some joints vary within limits.
+    """Build the grid of shapes in which one or two joints vary within limits.
 
     Args:
         joints: Indices of one or two joints.
-        limits: (low, high) of each [rad | m].
+        limits: (low, high) of each varying joint [rad | m].
         at: Values of the other joints, (m,) [rad | m].
     Returns:
         The shapes.
@@ -86,7 +86,7 @@ def around(path: Array, units: Sequence[str]) -> list[tuple[float, float]]:
 
 
 def reach(system: System, joints: Sequence[int]) -> list[tuple[float, float]]:
-    """Return the range of joints: ±π, ±0.5 m, or their position limits if smaller."""
+    """Return the axis range of each joint: ±π or ±0.5 m, or its position limits if narrower."""
     limits = []
     for k in joints:
         joint = system.model.joints[system.joints[k]]
@@ -118,7 +118,7 @@ def draw_path(axes: Axes, x: Array, y: Array) -> None:
 
 
 def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
-    """Describe the values of the frozen joints in a few words; "" if all joints vary."""
+    """Format the values of the frozen joints for a title; "" if no joint is frozen."""
     others = [k for k in range(len(names.joints)) if k not in joints]
     if not others:
         return ""

@@ -34,8 +34,8 @@ DASHES: tuple[Any, ...] = (
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 FIELD = "cividis"  # colour map that is also readable in grey
 WIDTH = 6.4  # text width of a page [in]
-PANEL = 1.9  # height of one of several panels [in]
-STEADY = 1e-6  # relative change of values that count as constant
+PANEL = 1.9  # height of a panel in a figure with several panels [in]
+STEADY = 1e-6  # largest relative change of values that count as constant
 
 _SETTINGS: dict[str, Any] = {
     "font.size": 9.0,
@@ -136,7 +136,7 @@ def over_time(title: str, count: int) -> tuple[StyledFigure, list[Axes]]:
 
 
 def line(k: int) -> dict[str, Any]:
-    """Return colour and dashes of the k-th line in a panel; lines after the seventh get markers."""
+    """Return the colour and dashes of the k-th line in a panel, and markers after the seventh."""
     cycle, n = divmod(k, len(PALETTE))
     style: dict[str, Any] = {
         "color": PALETTE[n],
@@ -154,7 +154,7 @@ def dots(k: int) -> dict[str, Any]:
 
 
 def shown(name: str) -> str:
-    """Return a name for legends, which would omit names that begin with _."""
+    """Return a name that legends show; matplotlib would omit a name that begins with _."""
     return f" {name}" if name.startswith("_") else name
 
 
@@ -182,6 +182,6 @@ def steady(axes: Axes, values: Array) -> None:
 
 
 def on_log(values: Array) -> Array:
-    """Return magnitudes for a logarithmic axis, with NaN instead of zero."""
+    """Return the magnitudes of values for a logarithmic axis, with NaN instead of zero."""
     size = np.abs(values)
     return np.where(size > 0.0, size, np.nan)

@@ -21,13 +21,13 @@ from ..motion_source import MotionSource
 from .motion_labels import Labels, labels
 from .style import legend, line, on_log, over_time, shown, steady, styled
 
-_TWIST_TO_MOMENTUM = str.maketrans("vω", "pL")  # names of momenta from those of twists
+_TWIST_TO_MOMENTUM = str.maketrans("vω", "pL")  # twist component → momentum component
 LINEAR, ANGULAR = "linear [N·s]", "angular [N·m·s]"
 
 
 @styled
 def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -> Figure:
-    """Draw the joints over time, in one panel for each branch if there are many.
+    """Draw the joint values over time; many joints get one panel for each branch of the robot.
 
     Args:
         motion: Trajectory, or a recording read from a file.
@@ -113,7 +113,8 @@ def error(compared: Report | Trajectory) -> Figure:
     Returns:
         The figure.
     Raises:
-        InputError: `compared` is neither; a recording contains no forces.
+        InputError: `compared` is not a Report or a Trajectory; a recording stores no forces to
+            compare with.
     """
     if isinstance(compared, Trajectory):
         compared = compare(compared)
@@ -160,8 +161,9 @@ def momentum(motion: MotionSource) -> Figure:
 
     The momentum is expressed in the root joint's fixed frame, about its origin. The drift is the
     largest of the linear and of the angular components. For a Trajectory it is the relative drift
-    of `compare`: computed by Pinocchio from q and v, less free fall and impulses, angular about
-    the centre of mass if the group translates. For a recording it is the change since the start.
+    of `compare`: Pinocchio computes the momentum from q and v, and free fall and impulses are
+    subtracted; the angular momentum is about the centre of mass if the group translates. For a
+    recording the drift is the change since the start.
 
     Args:
         motion: Trajectory, or a recording read from a file.
@@ -200,9 +202,9 @@ def momentum(motion: MotionSource) -> Figure:
 def energy(motion: MotionSource) -> Figure:
     """Draw the energy over time, and its drift on a logarithmic axis.
 
-    For a Trajectory the drift is that of `compare`: computed by Pinocchio from q and v, less the
-    work of forces without potential, relative to the largest kinetic energy about the centre of
-    mass. For a recording it is the change since the start.
+    For a Trajectory the drift is that of `compare`: Pinocchio computes the energy from q and v,
+    and the work of forces without potential is subtracted; the drift is relative to the largest
+    kinetic energy about the centre of mass. For a recording it is the change since the start.
 
     Args:
         motion: Trajectory, or a recording read from a file.
@@ -233,7 +235,7 @@ def energy(motion: MotionSource) -> Figure:
 
 
 def _largest_by_quantity(values: Array, linear: int) -> dict[str, Array]:
-    """Return the largest linear and angular component of values (T, r) over time, if present."""
+    """Return over time the largest linear and largest angular component of `values`, (T, r)."""
     quantities = {"linear": values[:, :linear], "angular": values[:, linear:]}
     return {
         name: np.abs(columns).max(axis=1) for name, columns in quantities.items() if columns.size
