@@ -85,7 +85,7 @@ class ForceExpressions:
             self._add(force)
 
     def _prescribed_joints(self, prescribed: Mapping[str, Signal]) -> tuple[int, ...]:
-        """Return the indices of the prescribed joints, after checking joints and signals."""
+        """Validate the prescribed joints and their signals; return the indices of the joints."""
         for name in prescribed:
             self._system.refuse_follower(name, "prescribed")
         joints = tuple(self.symbols.joint(name, "prescribed") for name in prescribed)
