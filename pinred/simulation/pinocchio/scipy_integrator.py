@@ -71,7 +71,8 @@ def integrator(
             if len(steps) >= MOST_STEPS:
                 raise IntegrationError(
                     f"'{scene.system.name}' reached the limit of {MOST_STEPS} steps at t = "
-                    f"{solver.t:g} s, before the end at {scene.end:g} s; shorten the scene or loosen the tolerance{lost()}"
+                    f"{solver.t:g} s, before the end at {scene.end:g} s; shorten the scene or "
+                    f"loosen the tolerance{lost()}"
                 )
             with np.errstate(over="ignore", invalid="ignore"):  # overflows are reported below
                 message = solver.step()
