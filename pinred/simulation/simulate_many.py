@@ -43,23 +43,26 @@ def simulate_many(
     Where `simulate` would choose AdaptiveGauss, DOP853 is used, which costs less for many members.
     Members with controllers, events, or prescribed joints whose plans have breaks are simulated
     one by one, as by `simulate`.  A member that fails is listed in `failures` and does not affect
-    the others.  A ShapeError is raised for arrays of different numbers of members.
+    the others.
+
+    Values of x0, xdot0, xi0, momentum, pose0, q0, v0 and parameters that have a leading axis (N, …)
+    differ between members.
 
     Args:
         system: A System; or a Scene whose options are used where none are given; or a list of
             Scenes of one System with equal report times, one for each member.
         members: Values by name, (N, …): initial states, Parameters, parameters of the robot, and
             gravity, (N, 3), in the world frame [m/s²].
-        seeds: A seed of a random initial state for each member, (N,).
+        seeds: Seeds of random initial states, (N,), one for each member.
         threads: Number of threads; as many as processors if None.
         progress: As in `simulate`, with the finished fraction of the members.
         explain: Whether to print how the members are integrated.
-        options: Fields of Scene.  Of x0, xdot0, xi0, momentum, pose0, q0, v0 and values of
-            parameters, those with a leading axis (N, …) differ between members.
+        options: Fields of Scene.
     Returns:
         The trajectories of all members.
     Raises:
         InputError: The scenes or options are invalid, or do not belong together.
+        ShapeError: Arrays have different numbers of members.
     """
     if isinstance(system, (System, Scene)):
         resolved = MemberOptions(system, options, members, _checked(seeds)).members()

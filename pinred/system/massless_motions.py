@@ -1,17 +1,18 @@
-"""Motions that move no mass, because of which the mass matrix of a tree is singular.
+"""Motions that move no mass and therefore make the mass matrix of a tree singular.
 
-Let the bodies have positive semidefinite inertias Y.  A twist of body i moves no mass if the
-joints behind it can undo it for all bodies of its subtree.  These massless twists are
+Let the bodies have positive semidefinite inertias Y.  A twist of body i moves no mass if motions
+of the joints behind it can cancel the twist in all bodies of its subtree.  These massless twists
+are
 
     N_i(x) = ker Y_i ∩ ⋂_c X_c Ad(exp(x_c S_c)) P_c,    P_c = N_c ⊕ span S_c,
 
-over the children c of i with placements X and axes S.  P_c contains the twists of the parent
-that child c can undo.  A joint with armature undoes nothing, so P_c = N_c.  (N_i is the kernel
+over the children c of body i with placements X and axes S.  P_c contains the parent's twists that
+child c can cancel.  A joint with armature cannot cancel a twist, so P_c = N_c.  (N_i is the kernel
 of Featherstone's articulated inertia.)
 
 The mass matrix is singular at x exactly if S_i ∈ N_i(x) for a joint i without armature, or if
-the root's motion intersects N of the root.  With positive mass and moments everywhere, all N are
-zero.
+the motions of the root intersect N of the root.  If every body has positive mass and moments, all
+N are zero.
 
 Lengths are in units of the tree's largest step and angles in radians, so that directions of
 twists can be compared.
@@ -29,10 +30,10 @@ from ..common.arrays import Array
 from ..lie.groups import SE3
 from .joints import axes_of
 
-# Sines of angles between directions that count as zero: up to round-off, and up to the decimals
-# of a file.
+# Sines of angles between directions below which the directions count as equal: EXACT allows for
+# round-off, NEARLY for the decimals of numbers in a file.
 EXACT, NEARLY = 1e-9, 1e-6
-# Moment of inertia, over the moments to which it is added, that counts as round-off.
+# A moment of inertia below this fraction of the moments to which it is added counts as round-off.
 _ZERO = 1e-14
 
 
@@ -44,11 +45,12 @@ class Tree:
 
     Attributes:
         names: Names of the joints that move the bodies.
-        parents: Parents of the bodies, −1 for the root.
+        parents: Index of the parent of each body; −1 for the root.
         axes: Unit twists of the joints, (6, nv), in their bodies' frames.
-        placements: Matrices, (6, 6), from body frames at joint value zero to the parents'.
-        still: Orthonormal twists, (6, k), at which a body alone has no energy.
-        stiff: Whether the joint has armature.
+        placements: Matrices, (6, 6), that transform twists from each body's frame, at joint value
+            zero, to its parent's frame.
+        still: Orthonormal twists of each body, (6, k), at which the body has no kinetic energy.
+        stiff: Whether each joint has armature or is locked, so that it cannot cancel twists.
         unit: Unit of length [m].
     """
 
@@ -68,7 +70,7 @@ class Tree:
     def moved(self, i: int, value: float) -> Array:
         """Return the (6, 6) matrix from twists in body i's frame to its parent's.
 
-        value: value of the joint [rad | units of length].
+        value: Value of the joint [rad | units of length].
         """
         turn = pin.exp6(pin.Motion(self.axes[i][:, 0] * value)).action
         return np.asarray(self.placements[i] @ turn)
@@ -97,7 +99,7 @@ def tree_of(model: pin.Model) -> Tree:
 
 
 def largest_step(model: pin.Model) -> float:
-    """Return the largest distance from a joint to the next one, or to its mass [m]; 1 if zero."""
+    """Return the largest distance from a joint to the next joint or its mass [m]; 1 if zero."""
     count = range(1, model.njoints)
     steps = [model.jointPlacements[i].translation for i in count if i > 1]
     levers = [model.inertias[i].lever for i in count if model.inertias[i].mass > 0.0]
@@ -105,16 +107,16 @@ def largest_step(model: pin.Model) -> float:
 
 
 def no_moment(inertia: pin.Inertia, unit: float) -> float:
-    """Return the moment of a body that counts as round-off [kg m²].
+    """Return the moment of inertia below which a body's moments count as round-off [kg m²].
 
-    unit: largest step of the robot, from which its frames were computed [m].
+    unit: Largest distance between joints of the robot, which sets the round-off [m].
     """
     reach = max(float(np.linalg.norm(inertia.lever)), 0.01 * unit) if inertia.mass > 0.0 else 0.0
     return _ZERO * max(float(np.abs(inertia.inertia).max()), float(inertia.mass) * reach**2)
 
 
 def _energy_free_twists(inertia: pin.Inertia, unit: float) -> Array:
-    """Return an orthonormal basis (6, k) of the twists at which one body has no energy."""
+    """Return an orthonormal basis, (6, k), of the twists at which a body has no kinetic energy."""
     moments, directions = np.linalg.eigh(inertia.inertia)
     lever = inertia.lever if inertia.mass > 0.0 else np.zeros(3)
     axes = directions[:, moments <= no_moment(inertia, unit)]
@@ -127,11 +129,11 @@ def _energy_free_twists(inertia: pin.Inertia, unit: float) -> Array:
 
 
 def massless_twists(tree: Tree, x: Sequence[float], tolerance: float) -> list[Array]:
-    """Return orthonormal bases (6, k) of N of every body at a shape.
+    """Return orthonormal bases, (6, k), of the massless twists N of every body at a shape.
 
     Args:
-        tree: Tree.
-        x: Value of every joint [rad | units of length]; that of the root is not used.
+        tree: Tree of bodies and joints.
+        x: Value of every joint [rad | units of length]; the root's entry is not used.
         tolerance: Sine of the angle between directions that count as equal.
     """
     N = list(tree.still)
@@ -144,10 +146,10 @@ def massless_twists(tree: Tree, x: Sequence[float], tolerance: float) -> list[Ar
 
 
 def bound_massless_twists(tree: Tree, tolerance: float) -> list[Array]:
-    """Return orthonormal bases (6, k) of subspaces that contain N of every body at every shape.
+    """Return orthonormal bases, (6, k), of bounds: subspaces that contain N at every shape.
 
-    The images of P under all rotations of a joint are replaced by the least subspace that
-    contains P and is invariant under the joint's axis.
+    The images of P under all motions of a joint are replaced by the smallest subspace that
+    contains P and is invariant under these motions.
     """
     N = list(tree.still)
     for i in range(len(N) - 1, 0, -1):
@@ -159,7 +161,10 @@ def bound_massless_twists(tree: Tree, tolerance: float) -> list[Array]:
 
 
 def undoing_twists(tree: Tree, i: int, N: Array) -> Array:
-    """Return an orthonormal basis (6, k) of P of body i, for its massless twists N."""
+    """Return an orthonormal basis, (6, k), of P, the parent's twists that joint i can cancel.
+
+    N: Massless twists of body i, (6, k).
+    """
     return N if tree.stiff[i] else _sum_of(N, tree.axes[i])
 
 
@@ -167,7 +172,7 @@ def moves_no_mass(tree: Tree, i: int, N: Array, tolerance: float) -> bool:
     """Return whether joint i, or a motion of the root, moves no mass.
 
     Args:
-        tree: Tree.
+        tree: Tree of bodies and joints.
         i: Index of the body that the joint moves.
         N: Massless twists of that body, (6, k).
         tolerance: Sine of the angle between directions that count as equal.
@@ -191,7 +196,7 @@ def intersect(A: Array, B: Array, tolerance: float) -> Array:
 
 
 def _invariant_closure(P: Array, axis: Array) -> Array:
-    """Return a basis of the least subspace that contains P and is invariant under [axis, ·]."""
+    """Return a basis of the smallest subspace that contains P and is invariant under [axis, ·]."""
     bracket, K = SE3.ad(axis), P
     while True:
         larger = _sum_of(K, bracket @ K)
@@ -203,11 +208,11 @@ def _invariant_closure(P: Array, axis: Array) -> Array:
 def _sum_of(A: Array, B: Array) -> Array:
     """Return an orthonormal basis of the sum of two column spaces; A is orthonormal."""
     new = _orthonormal(B - A @ (A.T @ B))
-    # Small columns were scaled to length one, and so was their round-off along A: remove it.
+    # Normalisation of small columns amplifies their round-off along A, so project it out again.
     return np.hstack([A, _orthonormal(new - A @ (A.T @ new))])
 
 
 def _orthonormal(A: Array) -> Array:
-    """Return an orthonormal basis of the columns, of length about one, of a matrix (6, k)."""
+    """Return an orthonormal basis of the column space of (6, k) columns of length about one."""
     U, sizes, _ = np.linalg.svd(A, full_matrices=False)
     return np.asarray(U[:, sizes > EXACT])

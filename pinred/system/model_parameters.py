@@ -18,13 +18,14 @@ from .joint_parameters import PLACED, Joints, joint_parameter
 from .system import System
 from .variants import in_gravity, nominal, with_numbers
 
-# Sizes of gravity in the world frame [m/s²], and of its strength along its nominal direction.
+# Number of values of gravity, a vector in the world frame [m/s²], and of gravity.strength, its
+# magnitude along the nominal direction [m/s²].
 GRAVITY = {"gravity": 3, "gravity.strength": 1}
-# Kinds that another kind includes.
+# {kind: larger kind that also sets this property}
 _INCLUDED_IN = {"translation": "placement"} | {
     kind: "log_cholesky" for kind in BODY_SIZES if kind != "log_cholesky"
 }
-_HUGE = 1e100  # kg, kg m², m, m/s²; products of larger numbers overflow
+_HUGE = 1e100  # largest accepted value [kg, kg m², m, m/s²]; larger products overflow
 _NONE: Mapping[str, Array] = MappingProxyType({})
 _INERTIAL = ("mass", "com", "inertia")  # kinds that "all" includes for every body
 
@@ -41,17 +42,17 @@ def size_of(system: System, name: str) -> int | None:
 
 
 def plain_value(value: Array) -> float | Array:
-    """Return a value as scenes show it: one number, or a read-only array."""
+    """Convert a value to the form that scenes show: a number or a read-only array."""
     return read_only(value.copy()) if value.size > 1 else float(value[0])
 
 
 def kinds_near(system: System, name: object, known: Sequence[str] = ()) -> str:
-    """Return words on the parameters of a robot, with the nearest name to a wrong one first.
+    """Return a hint that lists the parameter names of a robot, with the nearest valid name first.
 
     Args:
         system: Robot.
-        name: Wrong name.
-        known: Further names that are valid.
+        name: Unknown name.
+        known: Additional valid names.
     """
     names = [f"{body}.{kind}" for body in body_names(system) for kind in BODY_SIZES]
     names += [f"{joint}.{kind}" for joint in list(system.model.names)[2:] for kind in PLACED]
@@ -65,7 +66,7 @@ def kinds_near(system: System, name: object, known: Sequence[str] = ()) -> str:
 
 
 def joined(already: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return both parameters, without earlier ones that given ones replace or include."""
+    """Merge two parameter mappings; `given` overrides entries of `already` that it replaces."""
     values = {**already, **given}
     for name in already.keys() - given.keys():
         if any(
@@ -77,10 +78,10 @@ def joined(already: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, An
 
 
 def with_parameters(system: System, parameters: Any) -> System:
-    """Return the system with other parameters, and its present ones where none are given.
+    """Return the system with new parameter values; all other parameters keep their values.
 
     Raises:
-        InputError: A name is unknown, or no real robot has these values.
+        InputError: A name is unknown, or the values are not physical.
     """
     if not isinstance(parameters, Mapping):
         raise InputError(f"parameters must be {{name: value}}, got {brief(parameters)}")
@@ -93,7 +94,7 @@ def with_parameters(system: System, parameters: Any) -> System:
 
 
 def all_names(system: System) -> list[str]:
-    """Return the names of masses, centres and moments of all bodies, and of all placements."""
+    """Return the parameter names of all bodies (mass, com, inertia) and of all placements."""
     names = [str(name) for name in system.model.names]
     bodies = [i for i in range(1, len(names)) if system.model.inertias[i].mass > 0.0]
     inertial = [f"{names[i]}.{kind}" for i in bodies for kind in _INERTIAL]
@@ -101,16 +102,16 @@ def all_names(system: System) -> list[str]:
 
 
 def requested(system: System, parameters: Any) -> tuple[dict[str, Any], list[str]]:
-    """Return parameters with values, and names of parameters that are not the robot's.
+    """Split requested parameters into values, and names that are not robot parameters.
 
     Args:
         system: Robot.
         parameters: {name: value}; or a list of names, which take the robot's values; or "all" for
-            its inertias and placements.
+            the robot's inertias and placements.
     Returns:
-        {name: value}, and the remaining names, which are inputs at their present values.
+        Values, {name: value}, and the requested names that are not robot parameters.
     Raises:
-        InputError: The parameters have another form.
+        InputError: `parameters` has none of these forms.
     """
     if isinstance(parameters, Mapping):
         return dict(parameters), []
@@ -135,15 +136,15 @@ class ModelParameters:
     Attributes:
         names: Names of the parameters.
         sizes: Number of values by name.
-        free: Indices of the bodies, 0 for the root, whose inertias vary.
-        placed: Bodies whose joints' placements vary.
+        free: Indices of the bodies whose inertias vary; 0 is the root.
+        placed: Indices of the bodies whose joint placements vary.
         turned: Bodies among `placed` whose joint axes rotate.
-        links: Frames of links, behind locked joints, whose placements on their bodies vary.
+        links: Frames of links behind locked joints whose placements on their bodies vary.
         gravity: Whether gravity varies.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Find the parameters.  Raises InputError if two of them describe the same property."""
+        """Select the parameters by name.  Raises InputError if two set the same property."""
         self._system = system
         self._bodies, self._joints = Bodies(system, names), Joints(system, names)
         self._gravity = [name for name in names if isinstance(name, str) and name in GRAVITY]
@@ -165,7 +166,7 @@ class ModelParameters:
         self.links = self._joints.links
 
     def own(self) -> dict[str, Array]:
-        """Return the values of the system, {name: (size,)}."""
+        """Return the present values of the parameters in the system, {name: (size,)}."""
         values = self._bodies.own() | self._joints.own()
         if self._gravity:
             g = self._system.gravity
@@ -180,11 +181,11 @@ class ModelParameters:
 
         Args:
             given: Values by name.
-            known: Values of the other parameters, which were validated before.
+            known: Already validated values of the other parameters.
         Returns:
             {name: (size,)}.
         Raises:
-            InputError: No real robot has these values.
+            InputError: The values are not physical.
         """
         values = {
             name: read_only(numbers(given[name], name, size))
@@ -209,9 +210,10 @@ class ModelParameters:
     def inertias(
         self, values: Mapping[str, Array], changed: Collection[str] | None = None
     ) -> dict[int, tuple[Array, dict[str, Array]]]:
-        """Return the moments (10,) of free bodies, and derivatives (10, size) per parameter.
+        """Return {body: (moments (10,), derivatives {parameter name: (10, size)})}.
 
-        Moments are about the joint's origin: m, m c, then xx, xy, xz, yy, yz, zz.
+        Moments are about the joint's origin: mass m, first moment m c, then second moments xx, xy,
+        xz, yy, yz, zz.
 
         Args:
             values: Values of all parameters, {name: (size,)}.
@@ -226,9 +228,9 @@ class ModelParameters:
     def placements(
         self, values: Mapping[str, Array], changed: Collection[str] | None = None
     ) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
-        """Return the joint placements of placed bodies, and twists (6, size) per parameter.
+        """Return {body: (joint placement, derivatives {parameter name: (6, size)})}.
 
-        Twists are in the carrier's frame, at its origin.
+        Derivatives are twists in the carrier's frame, at its origin.
 
         Args:
             values: Values of all parameters, {name: (size,)}.
@@ -238,14 +240,14 @@ class ModelParameters:
         return {i: (place, twists) for i, place, twists in self._joints.placements(values, names)}
 
     def places(self, values: Mapping[str, Array]) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
-        """Return the placements of `links` on their bodies, and twists (6, size) per parameter.
+        """Return {frame: (placement on its body, derivatives {parameter name: (6, size)})}.
 
-        Twists are in the body's frame, at its origin.
+        Derivatives are twists in the body's frame, at its origin.
         """
         return self._joints.places(values)
 
     def gravity_of(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
-        """Return gravity in the world frame, (3,), and its derivatives, (3, size)."""
+        """Return gravity in the world frame, (3,), and its derivatives by parameter, (3, size)."""
         g = self._system.gravity
         if not self._gravity:
             return g, np.zeros((3, 0))
@@ -256,7 +258,7 @@ class ModelParameters:
         return value[0] * unit, unit[:, None]
 
     def system(self, values: Mapping[str, Array]) -> System:
-        """Return the system with these values."""
+        """Return a copy of the system with these parameter values."""
         if not self.names:
             return self._system
         inertias = {i + 1: inertia_of(moments) for i, (moments, _) in self.inertias(values).items()}
@@ -269,7 +271,7 @@ class ModelParameters:
         return other
 
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
-        """Return random values that differ from those of the system."""
+        """Return random parameter values that differ from the values of the system."""
         values = self._bodies.perturbed(rng) | self._joints.perturbed(rng)
         return values | {name: 1.3 * self.own()[name] for name in self._gravity}
 

@@ -1,4 +1,4 @@
-"""Springs, dampers and dry friction at joints: the forces that a robot file can contain."""
+"""Springs, dampers and dry friction at joints: forces that a robot file can contain."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..common.parameter import Parameter, checked_number, value_of
 from .force_interface import Force, Symbols, Terms, finite, settle
 from .robot_file_contents import Contents, LeftOut
 
-# Kinds of actions that are left out.
+# Kinds of actions that pinred does not simulate (LeftOut.what).
 BASE = "springs, damping and friction of the base"
 UNEVEN = "dry friction that is not the same in both directions"
 
@@ -25,7 +25,7 @@ UNEVEN = "dry friction that is not the same in both directions"
 class Spring(Force):
     """A spring with potential V = ½ k y², where y = x − rest, or x − x_to − rest.
 
-    Higher powers give the force −τ = k y + k₂ y² + k₃ y³ + …
+    With higher powers, the torque is τ = −(k y + k₂ y² + k₃ y³ + …).
 
     Attributes:
         joint: Name of the joint.
@@ -76,7 +76,7 @@ class Spring(Force):
 class Damper(Force):
     """A damper with torque τ = −c v, where v = ẋ, or ẋ − ẋ_to between two joints.
 
-    Higher powers give −τ = v (c + c₂ |v| + c₃ |v|² + …).
+    With higher powers, the torque is τ = −v (c + c₂ |v| + c₃ |v|² + …).
 
     Attributes:
         joint: Name of the joint.
@@ -115,7 +115,7 @@ class Damper(Force):
         k, j = _ends(self, s)
         v, c = s.xdot[k] if j is None else s.xdot[k] - s.xdot[j], number(self.coefficient)
         for power, coefficient in enumerate(self.polynomial, start=1):
-            # |v| is only used for odd powers, so smooth laws stay without kinks.
+            # Use |v| for odd powers only, so that laws with even powers stay smooth.
             size = v**power if power % 2 == 0 else ca.fabs(v) * v ** (power - 1)
             c = c + number(coefficient) * size
         torque = -c * v
@@ -126,8 +126,9 @@ class Damper(Force):
 class Friction(Force):
     """Dry friction at a joint, as the smooth law τ = −most · tanh(ẋ / width).
 
-    At twice the width the torque is 96 % of `most`.  A joint at rest creeps under a load that
-    dry friction would hold.  Friction in a file has no width and does not act until it gets one.
+    At a rate of twice the width, the torque is 96 % of `most`.  Under this law a loaded joint
+    creeps where dry friction would hold it at rest.  Friction in a robot file has no width; it
+    acts only if the scene sets a width.
 
     Attributes:
         joint: Name of the joint.
@@ -154,12 +155,12 @@ class Friction(Force):
         return _label("friction", self.joint, None)
 
     def smoothed(self, width: float) -> Friction:
-        """Return the same friction with a width.
+        """Return this friction with a width, so that it acts.
 
         Args:
             width: Rate within which the torque changes its sign [rad/s | m/s].
         Returns:
-            Friction that acts.
+            Friction with the width.
         Raises:
             InputError: The width is not positive.
         """
@@ -188,7 +189,7 @@ class Friction(Force):
 
 
 def _ends(force: Spring | Damper, s: Symbols) -> tuple[int, int | None]:
-    """Return the indices of both joints of a force; the second is None for a single joint."""
+    """Return the indices of both joints of a force; the second index is None for one joint."""
     first = s.joint(force.joint, force.label)
     second = None if force.to is None else s.joint(force.to, force.label)
     if first == second:
@@ -216,7 +217,7 @@ def _settle_polynomial(force: Any) -> None:
 
 
 def passive_contents(raw: pin.Model, shape: Sequence[str], locked: Collection[str]) -> Contents:
-    """Return the dampers and the dry friction of a model, and the actions that are left out.
+    """Return the dampers and dry friction of a model, and the actions that are not simulated.
 
     Args:
         raw: Model with all joints, as read from a URDF's <dynamics>.

@@ -1,7 +1,8 @@
 """Copies of a model built joint by joint: other joints, another root, or another order.
 
 pin.buildReducedModel crashes on models without joint frames, and fails if a link and a joint
-share a name.  pin.appendModel drops gravity, armature and limits.  So neither is used here.
+share a name.  pin.appendModel drops gravity, armature and limits.  This module therefore uses
+neither function.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from ..common.names import quoted
 from .joints import RootChain, places_on_root
 from .robot_file_contents import Coupling
 
-# Aligned joints along x, y and z, which are faster than the one along any axis.
+# Prismatic joints along x, y and z, which are faster than the last one, for an arbitrary axis.
 PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)
 REVOLUTE = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned)
-_ALIGNED = 1e-9  # deviation of a unit axis from x, y or z that counts as round-off
+_ALIGNED = 1e-9  # largest deviation of a unit axis from x, y or z that counts as round-off
 
 
 class ModelBuilder:
@@ -47,7 +48,7 @@ class ModelBuilder:
         """Add a joint.
 
         Args:
-            parent: Index of the joint that carries it.
+            parent: Index of the parent joint.
             joint: Joint model.
             placement: Placement on the parent joint.
             name: Name of the joint.
@@ -73,7 +74,7 @@ class ModelBuilder:
 
 @dataclass(frozen=True)
 class _Carrier:
-    """The joint of the new model that moves an old body, and the body's placement on it."""
+    """The joint of the new model that moves a body of the old model, and the body's placement."""
 
     joint: int
     placement: pin.SE3
@@ -92,12 +93,13 @@ def rebuild(
 
     Args:
         raw: Model to copy.
-        frozen: Fixed configurations, (nq of the joint,), by joint.  The bodies of these joints
-            become part of the bodies that carry them.
-        replaced: Other joint models, by joint.  They get no armature and no limits.
-        root: Joint to put between the world and the model.
-        chain: Joints whose place `root` takes; if None, `root` is a joint more.
-        order: All joints, parents before children; if empty, the order of the model.
+        frozen: Configurations of joints to fix, {joint index: (nq,)}.  The body of a fixed joint
+            becomes part of its parent body.
+        replaced: New joint models, {joint index: model}.  They have no armature and no limits.
+        root: Joint to insert between the world and the model.
+        chain: Joints that `root` replaces; if None, `root` is an additional joint.
+        order: Indices of all joints in the new order, parents before children; if empty, the
+            order of the model.
     """
     frozen, replaced = frozen or {}, replaced or {}
     builder = ModelBuilder()
@@ -148,7 +150,7 @@ def rebuild(
 
 
 def _unused_name(raw: pin.Model, chain: RootChain | None) -> str:
-    """Return a name for a new root joint."""
+    """Return a name for a new root joint that the model does not use yet."""
     name = "root_joint" if chain is None else "+".join(list(raw.names)[1 : chain.last + 1])
     while raw.existJointName(name) or raw.existFrame(name):
         name = f"{name}_"
@@ -156,13 +158,13 @@ def _unused_name(raw: pin.Model, chain: RootChain | None) -> str:
 
 
 def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return a copy of a model with plain joints for its mimic joints, and their couplings.
+    """Return a copy of a model with mimic joints replaced by plain joints, and their couplings.
 
-    Pinocchio's ABA knows no mimic joints.  Their armature and limits were lost when Pinocchio
-    made them.
+    Pinocchio's ABA does not support mimic joints.  Pinocchio discards the armature and limits of
+    a joint when it creates a mimic joint, so the plain joints have none.
 
     Raises:
-        ModelError: A mimic joint has scaling zero, so that its axis was lost.
+        ModelError: A mimic joint has scaling zero, so that its axis cannot be recovered.
     """
     mimics = list(model.mimicking_joints)
     if not mimics:
@@ -180,7 +182,7 @@ def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
 
 
 def _joint_of_mimic(model: pin.Model, i: int) -> pin.JointModel:
-    """Return the joint from which a mimic joint was made, by its axis."""
+    """Reconstruct the plain joint from which a mimic joint was created, from its axis."""
     joint, scaling = model.joints[i], float(model.joints[i].extract().scaling)
     motion = joint.createData()
     joint.calc(motion, pin.neutral(model))
@@ -196,12 +198,12 @@ def _joint_of_mimic(model: pin.Model, i: int) -> pin.JointModel:
 
 
 def joint_along(kinds: Sequence[type], axis: Array, tolerance: float = 0.0) -> pin.JointModel:
-    """Return a joint along or about an axis.
+    """Return a prismatic joint along, or a revolute joint about, an axis.
 
     Args:
-        kinds: PRISMATIC or REVOLUTE.
-        axis: Axis, (3,), of length one up to the tolerance.
-        tolerance: Deviation from x, y or z up to which the axis counts as one of them.
+        kinds: Joint classes, PRISMATIC or REVOLUTE.
+        axis: Unit vector, (3,).
+        tolerance: Largest deviation from x, y or z at which the aligned joint class is used.
     """
     k = int(np.argmax(np.abs(axis)))
     if np.abs(axis - np.eye(3)[k]).max() <= tolerance:
@@ -210,9 +212,9 @@ def joint_along(kinds: Sequence[type], axis: Array, tolerance: float = 0.0) -> p
 
 
 def depth_first(parents: Sequence[int]) -> list[int]:
-    """Return joints 1, 2, … in an order in which each is followed by all joints behind it.
+    """Return joints 1, 2, … in depth-first order: each joint is followed by all joints behind it.
 
-    Pinocchio needs that order: its crba is silently wrong in any other.
+    Pinocchio requires this order; otherwise its crba returns wrong results without an error.
 
     Args:
         parents: Parent of every joint.  The entry of the world, at index 0, is not read.

@@ -1,7 +1,8 @@
-"""Robot description files: their format, and models of URDF files without their meshes.
+"""Robot description files: detection of their format, and URDF models without meshes.
 
-Pinocchio ignores or fills in much that changes the dynamics: mimic joints, links on two joints,
-axes of length zero, incomplete inertias.  So these are looked up in the file, and used or refused.
+Pinocchio ignores, or replaces by defaults, entries that change the dynamics: mimic joints, links
+on two joints, axes of length zero, incomplete inertias.  This module reads these entries from the
+file, and uses or refuses them.
 """
 
 from __future__ import annotations
@@ -32,26 +33,26 @@ from .urdf_elements import (
     tree_depth,
 )
 
-# A message of the URDF parser: one line with the error, one with the position in its source.
+# Message of the URDF parser: one line with the error, and one with a position in its C++ source.
 URDFDOM = re.compile(
     rb"^(?:Error|Warning|Info|Debug):[^\n]*\n +at line \d+ in [^\n]*\n?", re.MULTILINE
 )
-_MOST_BYTES = 256_000_000  # size of a file
-# From this depth of links on, the parser runs on a stack of so many bytes per link.
+_MOST_BYTES = 256_000_000  # largest accepted size of a file [byte]
+# Above this depth of links, the parser runs in a thread with this stack size per link [byte].
 _DEEP, _STACK = 500, 65536
-_DEEPEST = 100  # nested elements of a URDF; the format has a few
+_DEEPEST = 100  # largest depth of nested URDF elements; valid files need only a few
 _MOST_ELEMENTS = 1_000_000
-_MOST_LINKS = 20_000  # the parser recurses once per link
-_CHUNK = 4096  # characters that are parsed at once
+_MOST_LINKS = 20_000  # largest accepted number of links, because the parser recurses once per link
+_CHUNK = 4096  # number of characters per call of the XML parser
 _ELEMENT = re.compile(r"<[^!?]")
 
 
 def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return the model in a URDF file, on its own root, and the couplings of its joints.
+    """Return the model in a URDF file, with the root joint of the file, and its joint couplings.
 
     Raises:
         LoadError: The file cannot be read.
-        ModelError: Its robot cannot be reduced.
+        ModelError: pinred cannot reduce the robot.
     """
     root = read_xml(path)
     refuse_macros(path, root)
@@ -68,7 +69,7 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
     with library_output(URDFDOM) as messages:
         try:
             model = _parse(reduced_text(root), depth)
-        except Exception as error:  # Pinocchio passes on errors of its parsers, of any type.
+        except Exception as error:  # Pinocchio raises parser errors of any type.
             why = str(error).strip() or type(error).__name__
     if model is None:
         reason = messages[0].splitlines()[0] if messages else why.splitlines()[-1]
@@ -83,10 +84,10 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
 
 
 def _parse(text: str, depth: int) -> pin.Model:
-    """Return Pinocchio's model of a URDF whose links form chains of a depth."""
+    """Return Pinocchio's model of a URDF text whose chains have at most `depth` links."""
     if depth < _DEEP:
         return pin.buildModelFromXML(text)
-    # The parser recurses once per link and would exhaust the usual stack.
+    # The parser recurses once per link and would overflow the default stack.
     before = threading.stack_size(_STACK * depth)
     try:
         with ThreadPoolExecutor(1) as one:
@@ -96,7 +97,7 @@ def _parse(text: str, depth: int) -> pin.Model:
 
 
 def _check_mass(path: Path, model: pin.Model, file_mass: float) -> None:
-    """Refuse a model that has lost the inertia of a link."""
+    """Refuse a model from which Pinocchio dropped the inertia of a link."""
     model_mass = sum(inertia.mass for inertia in model.inertias)
     if abs(model_mass - file_mass) > 1e-9 * max(model_mass, file_mass):
         raise ModelError(
@@ -118,7 +119,7 @@ def read_text(path: Path) -> str:
             "nor MuJoCo opens; rename the file or its folder"
         ) from None
     try:
-        # Files that the system generates, which may never end, have size zero.
+        # The operating system's virtual files, which may be endless, also report size zero.
         if path.stat().st_size == 0:
             raise LoadError(f"{plain_path(path)} is empty, so not XML")
         with path.open("rb") as file:
@@ -136,7 +137,7 @@ def read_text(path: Path) -> str:
 
 
 def is_mjcf(text: str) -> bool:
-    """Return whether the outermost element of a text is MJCF's."""
+    """Return whether the outermost XML element of a text is that of an MJCF file."""
     tags: list[str] = []
     parser = expat.ParserCreate()
     parser.StartElementHandler = lambda tag, _: tags.append(tag) if not tags else None
@@ -152,7 +153,7 @@ def is_mjcf(text: str) -> bool:
 def read_xml(path: Path) -> ElementTree.Element:
     """Return the root element of an XML file.
 
-    Prefixes remain in the names of elements, whether the file declares them or not.
+    Element names keep their namespace prefixes, whether or not the file declares them.
 
     Raises:
         LoadError: The file cannot be read, is too large, or is not XML.
@@ -196,9 +197,9 @@ def refuse_macros(path: Path, root: ElementTree.Element) -> None:
 
 
 def _without_declaration(text: str) -> str:
-    """Return a text from its first element or comment on.
+    """Return an XML text without its XML declaration.
 
-    An XML declaration must be at the very beginning of a file, but is not needed here.
+    An XML declaration is an error unless it starts the file, and it is not needed here.
     """
     head, mark, tail = text.partition("<?xml")
     if mark and not _ELEMENT.search(head):

@@ -10,12 +10,12 @@ from ..common.arrays import Array
 from .joints import axes_of
 from .system import System
 
-# Masses [kg] and lengths [m] from 1/limit to limit count as usual.
+# Masses [kg] and lengths [m] outside the range from 1/limit to limit count as extreme.
 _MASS, _LENGTH = 1e12, 1e5
 
 
 def ill_scaled(system: System) -> str:
-    """Return a sentence on extreme masses or lengths of a system, with the cure, or ""."""
+    """Return a warning about extreme masses or lengths of a system, with a remedy, or ""."""
     model = system.model
     bodies = [body for body in model.inertias[1:] if body.mass > 0.0]
     steps = [float(np.linalg.norm(place.translation)) for place in model.jointPlacements[2:]]
@@ -45,7 +45,8 @@ def moved_masses(model: pin.Model, data: pin.Data, q: Array) -> tuple[NDArray[np
         data: Work space of the model; it is overwritten.
         q: Configuration, (nq,).
     Returns:
-        Whether each velocity is a rotation, (nv,), and the mass that it moves, (nv,) [kg].
+        Whether each velocity is a rotation, (nv,); and the mass that each velocity moves, (nv,)
+        [kg].
     """
     pin.crba(model, data, q)
     angular, mass = np.ones(model.nv, dtype=bool), np.empty(model.nv)

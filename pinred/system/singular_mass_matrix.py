@@ -1,9 +1,9 @@
-"""Shapes at which the mass matrix of a model is singular: every shape, named ones, or none.
+"""Detect shapes at which a mass matrix is singular: every shape, isolated examples, or none.
 
-Random shapes decide whether a joint moves no mass at every shape.  Subspaces that bound the
-massless motions at every shape prove that the matrix is regular (`bound_massless_twists`).
-Where the child joints alone decide, closed forms give their values.  In all other cases,
-descents from quarter turns and from random shapes search for examples.
+Random shapes show whether a joint moves no mass at every shape.  Subspaces that contain the
+massless motions at every shape prove that the matrix is regular (`bound_massless_twists`).  If
+singularity depends on child joints only, closed forms give their values.  In all other cases,
+local minimisation from quarter turns and from random shapes searches for examples.
 """
 
 from __future__ import annotations
@@ -32,18 +32,19 @@ from .massless_motions import (
     undoing_twists,
 )
 
-# Number of random shapes.  A motion without mass at all of them has none at any shape.
+# Number of random shapes.  A motion that moves no mass at all of these shapes moves none anywhere.
 _SHAPES = 4
-_EXAMPLES = 4  # greatest number of singular shapes that are named
-_CORNERS = 64  # shapes of quarter turns that are compared
-_DESCENTS = 10  # descents from the best corners, and as many from random shapes
-_EVALUATIONS = 3000  # budget of mass matrices for one search: some tenths of a second
-_SAMPLES = 32  # random shapes at which the usual inertia of a joint is taken
-_FAR = 100.0  # bound on prismatic joints, over the largest step of the tree
-# Scaled inertias below these count as zero: up to round-off, and up to the decimals of a file.
+_EXAMPLES = 4  # largest number of singular shapes that a message names
+_CORNERS = 64  # largest number of starting shapes made of quarter turns
+_DESCENTS = 10  # number of minimisations from the best corners, and as many from random shapes
+_EVALUATIONS = 3000  # largest number of mass matrices per search (some tenths of a second)
+_SAMPLES = 32  # number of random shapes that determine the typical inertia of a joint
+_FAR = 100.0  # largest value of prismatic joints, in units of the largest step of the tree
+# Scaled inertias below these limits count as zero: _LOST_EXACT allows for round-off, _LOST for the
+# decimals of numbers in a file.
 _LOST_EXACT, _LOST = 1e-13, 1e-11
-_SMALLEST = 1e-12  # inertia over the robot's, below which a joint is not scaled to one
-_LEADING = 0.1  # entry of a motion over its largest entry, from which a joint takes part in it
+_SMALLEST = 1e-12  # smallest inertia, relative to the robot's, that is scaled to one
+_LEADING = 0.1  # a joint takes part in a motion if its entry exceeds this fraction of the largest
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class SingularShape:
 
     Attributes:
         joint: Name of the joint.
-        at: Values of the joints that decide it, by name [rad | m].
+        at: Values of the joints on which the singularity depends, {joint: value} [rad | m].
     """
 
     joint: str
@@ -64,10 +65,10 @@ class SingularShapes:
     """Shapes at which a mass matrix is singular.
 
     Attributes:
-        everywhere: Names of joints that move no mass at any shape.  After locking them, the
-            matrix is regular at most shapes.
-        nearly: The same up to the decimals of a file.
-        isolated: Examples of single shapes.
+        everywhere: Names of joints that move no mass at any shape.  If these joints are locked,
+            the matrix is regular at most shapes.
+        nearly: Joints that move no mass at any shape if the decimals of a file are not exact.
+        isolated: Examples of isolated singular shapes.
     """
 
     everywhere: tuple[str, ...] = ()
@@ -81,7 +82,7 @@ def singular_shapes(model: pin.Model, coupled: Coupled | None = None) -> Singula
     Args:
         model: Model whose joint 1 is the root.  Inertias and axes are finite, masses and moments
             are not negative.
-        coupled: Dependence of follower joints on the others, if there are followers.
+        coupled: Dependence of follower joints on independent joints; None without followers.
     """
     tree = tree_of(model)
     if not tree.suspects:
@@ -110,20 +111,20 @@ def singular_shapes(model: pin.Model, coupled: Coupled | None = None) -> Singula
         tuple(isolated),
     )
     if coupled is None or singular == SingularShapes():
-        # Coupled joints move less than free ones, so a regular matrix stays regular.
+        # Couplings restrict the motions, so a regular mass matrix stays regular.
         return singular
     return _coupled_singular_shapes(model, coupled)
 
 
 def _massless_joints(tree: Tree, shapes: list[list[float]], tolerance: float) -> list[int]:
-    """Return the joints to lock until no joint moves no mass at every shape, deepest first."""
+    """Return the joints to lock so that every other joint moves mass, deepest joint first."""
     joints: list[int] = []
     while True:
         bodies = [massless_twists(tree, x, tolerance) for x in shapes]
         for i in reversed(range(len(tree.names))):
             if all(moves_no_mass(tree, i, N[i], tolerance) for N in bodies):
                 joints.append(i)
-                # A locked joint cannot undo the motions of the joints before it.
+                # A locked joint cannot cancel the motions of the joints before it.
                 stiff = tuple(s or k == i for k, s in enumerate(tree.stiff))
                 tree = replace(tree, stiff=stiff)
                 break
@@ -134,12 +135,12 @@ def _massless_joints(tree: Tree, shapes: list[list[float]], tolerance: float) ->
 def _by_children(
     model: pin.Model, tree: Tree, i: int, bounds: list[Array], usual: list[Array]
 ) -> list[dict[str, float]] | None:
-    """Return the values of child joints at which joint i moves no mass; None if more decides.
+    """Return the child joint values at which joint i moves no mass; None if not determined.
 
-    Every child must be able to undo the twist of joint i, which lies in the bound of the child's
-    massless twists.  If the bound equals the massless twists at the usual shape, they are equal
-    at nearly all shapes.  A mass matrix that is singular at nearly all shapes with some joint at
-    a value is singular at all of them.
+    Joint i moves no mass if every child can cancel its twist.  `bounds` contain the massless
+    twists at every shape.  If a bound has the dimension of the massless twists at a usual shape,
+    bound and massless twists agree at nearly all shapes, and the children decide alone.  A mass
+    matrix that is singular at nearly all shapes with given child values is singular at all.
     """
     axes = intersect(bounds[i], tree.axes[i], NEARLY)
     if axes.shape[1] > 1:
@@ -161,10 +162,10 @@ def _by_children(
 
 
 def _solutions(tree: Tree, c: int, P: Array, S: Array, *, prismatic: bool) -> list[float] | None:
-    """Return the values of joint c at which P of its body contains the parent's twist S.
+    """Return the values of joint c at which it can cancel the parent's twist S; None if all.
 
-    They solve a + b cos x + c sin x = 0, or a + b x = 0, for several rows (a, b, c) at once.
-    None if every value is a solution.
+    The joint can cancel S if S is in the subspace P (see `undoing_twists`).  The values solve
+    a + b cos x + c sin x = 0 (revolute) or a + b x = 0 (prismatic), with vectors a, b, c.
     """
     off = np.eye(6) - P @ P.T
     samples = [0.0, 1.0] if prismatic else [0.0, np.pi / 2, np.pi]
@@ -193,7 +194,8 @@ def _flattest(a: Array, b: Array, c: Array) -> list[float]:
 
     With z = exp(ix), the derivative of the square is a polynomial of degree 4 in z over z².
     """
-    # f = a² + 2ab cos + 2ac sin + b² cos² + c² sin² + 2bc cos sin
+    # Fourier coefficients of the derivative of
+    # |f|² = a² + 2ab cos + 2ac sin + b² cos² + c² sin² + 2bc cos sin.
     sin1, cos1 = -2.0 * float(a @ b), 2.0 * float(a @ c)
     sin2, cos2 = float(c @ c - b @ b), 2.0 * float(b @ c)
     half = [0.5 * (cos2 - 1j * sin2), 0.5 * (cos1 - 1j * sin1)]
@@ -207,26 +209,27 @@ def _flattest(a: Array, b: Array, c: Array) -> list[float]:
 
 
 class _Inertia:
-    """A scaled inertia over shapes y that vanishes where the mass matrix is singular.
+    """A scaled inertia s(y) over shapes y that is zero where the mass matrix is singular.
 
         s(y) = min uᵀ H u,  u = P w,  |w| = 1 in the first `bound` entries of w
 
-    The other entries follow freely.  For one joint, with the joints behind it free, s vanishes
-    where the joint moves no mass.  For coupled joints P is G and no entry follows, so s is the
-    least eigenvalue of GᵀHG: a massless motion of coupled joints involves the whole tree.
+    H is the mass matrix, P spans the admissible velocities u, and w are scaled coordinates.  The
+    minimum is over all entries of w; those after the first `bound` are free.  For a single joint,
+    the joints behind it are free, so s is zero where the joint moves no mass.  For coupled joints,
+    P = G and no entry is free, so s is the smallest eigenvalue of GᵀHG.
     """
 
     def __init__(
         self, model: pin.Model, joints: Sequence[int], P: Array, offset: Array, bound: int
     ) -> None:
-        """Scale each entry of w by its usual inertia.
+        """Determine the typical inertias, which scale the entries of w.
 
         Args:
             model: Model; it is copied.
-            joints: Indices of the first joint, and of the joints whose values are y, (m,).
-            P: Velocities, (nv, k), of the first joint and then of the others.
+            joints: Index of the first joint, then indices of the joints with values y, (m,).
+            P: Basis of admissible velocities, (nv, k): the first joint's columns, then the others'.
             offset: Values of all joints at y = 0, (nv,) [rad | m].
-            bound: Number of entries of w that do not follow.
+            bound: Number of leading entries of w with unit norm; the other entries are free.
         """
         self._model = model.copy()
         self._model.gravity.setZero()
@@ -242,14 +245,14 @@ class _Inertia:
         self._usual: Array = np.ones(P.shape[1])
         rng = np.random.default_rng(1)
         samples = [np.diag(self._matrix(self._random(rng))) for _ in range(_SAMPLES)]
-        # Inertias that are round-off of the robot's mass at its largest step are not scaled to 1.
+        # Inertias below the round-off of the robot's inertia must not be scaled to 1.
         turns = np.append(axes_of(model.joints[first])[3:].any(axis=0), ~self._slides)
         mass = sum(body.mass for body in list(model.inertias)[1:])
         natural = mass * np.where(turns, self._reach**2, 1.0)
         self._usual = np.sqrt(np.maximum(np.max(samples, axis=0), _SMALLEST * natural))
 
     def massless_joints(self, tolerance: float) -> tuple[str, ...]:
-        """Return the joints to lock so that the matrix is regular at a random shape at least."""
+        """Return the joints to lock so that the matrix is regular at one random shape or more."""
         rng = np.random.default_rng(0)
         matrices = [self._matrix(self._random(rng)) for _ in range(_SHAPES)]
         free, names = list(range(self._bound)), []
@@ -264,7 +267,7 @@ class _Inertia:
         return tuple(names)
 
     def search(self) -> list[SingularShape]:
-        """Return examples of shapes at which the inertia vanishes."""
+        """Return examples of shapes y at which s(y) is zero."""
         if not self._names:
             return []
         rng = np.random.default_rng(0)
@@ -275,7 +278,7 @@ class _Inertia:
         shapes: list[SingularShape] = []
         for start in starts:
             y = self._descend(start)
-            # Far out, every other inertia is small compared with the usual one.
+            # Skip distant slides, where typical inertias are negligible and s is small everywhere.
             if (np.abs(y[self._slides]) <= _FAR * self._reach).all() and self._vanishes(y):
                 _, _, w = self._least(y)
                 name = self._entry_names[_last_entry(w[: self._bound])]
@@ -294,17 +297,17 @@ class _Inertia:
         return self._at(y)[0] <= _LOST
 
     def _descend(self, y: Array) -> Array:
-        """Return the end of a descent from y."""
+        """Minimise s locally, starting from y; return the minimiser."""
         if self._vanishes(y):
             return y
-        # The BFGS of Fortran starts threads even for these few numbers, so Python's is used.
+        # Use SciPy's Python BFGS; the Fortran version starts threads even for few unknowns.
         options = {"gtol": 1e-12, "maxiter": 80}
-        # Where a joint behind has lost its own inertia, derivatives may overflow.
+        # Derivatives may overflow where the inertia of a joint behind is zero.
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(minimize(self._at, y, jac=True, method="BFGS", options=options).x)
 
     def _deciding_values(self, y: Array, rng: np.random.Generator) -> dict[str, float]:
-        """Return the values, by name, of the joints that decide that s vanishes at y."""
+        """Return {joint: value} for the joints on which the zero of s at y depends."""
         irrelevant = np.zeros(len(y), dtype=bool)
         for k in range(len(y)):
             other = y.copy()
@@ -329,14 +332,14 @@ class _Inertia:
         return value, np.asarray(u @ slope @ self._P[:, self._lead :])
 
     def _least(self, y: Array) -> tuple[float, Array, Array]:
-        """Return s(y), Pinocchio's q, and the scaled motion w (k,) of least inertia."""
+        """Return s(y), Pinocchio's q, and the minimising scaled motion w, (k,)."""
         H, b = self._matrix(y), self._bound
         behind = H[b:, b:]
         size = np.sqrt(np.maximum(np.diag(behind), 1e-300))
         scaled = behind / np.outer(size, size)
-        if not np.isfinite(scaled).all():  # A line search stepped beyond all numbers.
+        if not np.isfinite(scaled).all():  # The line search overflowed.
             return np.inf, self._configuration(y), np.zeros(len(H))
-        # The pseudo-inverse allows for joints behind that have lost their own inertia here.
+        # The pseudo-inverse allows for joints behind whose inertia is zero at this shape.
         follow = -np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) @ (H[b:, :b] / size[:, None])
         U = np.vstack([np.eye(b), follow / size[:, None]])
         S = U.T @ H @ U
@@ -344,7 +347,7 @@ class _Inertia:
         return float(values[0]), self._configuration(y), U @ directions[:, 0]
 
     def _matrix(self, y: Array) -> Array:
-        """Return PᵀHP, scaled by the usual inertias."""
+        """Return PᵀHP, scaled by the typical inertias, (k, k)."""
         self._evaluations += 1
         upper: Array = np.triu(pin.crba(self._model, self._data, self._configuration(y)))
         H = self._P.T @ ((upper + np.triu(upper, 1).T) @ self._P)
@@ -360,13 +363,13 @@ class _Inertia:
 
 
 def _last_entry(motion: Array) -> int:
-    """Return the last entry of a motion that takes part in it."""
+    """Return the index of the last entry of a motion that is not negligible."""
     size = np.abs(motion)
     return int(np.flatnonzero(size > _LEADING * size.max())[-1])
 
 
 def _free_inertia(model: pin.Model, joint: int) -> _Inertia:
-    """Return the inertia of a joint of the model while all joints behind it are free to move."""
+    """Return the inertia of a joint when all joints behind it are free to move."""
     subtree = [joint, *(int(k) for k in model.subtrees[joint] if k != joint)]
     columns = [v for k in subtree for v in range(model.idx_vs[k], model.idx_vs[k] + model.nvs[k])]
     P = np.eye(model.nv)[:, columns]
@@ -374,7 +377,7 @@ def _free_inertia(model: pin.Model, joint: int) -> _Inertia:
 
 
 def _coupled_singular_shapes(model: pin.Model, coupled: Coupled) -> SingularShapes:
-    """Return the shapes at which GᵀHG is singular; joint 1 of the model is the root."""
+    """Return the shapes at which the mass matrix GᵀHG of coupled joints is singular."""
     r = int(model.joints[1].nv)
     n = r + len(coupled.leads)
     offset = np.append(np.zeros(r), coupled.values(np.zeros(n - r)))

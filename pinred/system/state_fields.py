@@ -1,4 +1,4 @@
-"""The fields of a state: one table, and the classes State and ShapeState that follow it.
+"""The fields of a state, in one table, and the classes State and ShapeState with these fields.
 
 Files, labelled arrays, kernels and flows read names, axes and units from FIELDS.  To add a field,
 add it to FIELDS, to State (and to ShapeState if it does not need the base), to StateArrays, and
@@ -23,7 +23,7 @@ Axis = Literal["joint", "twist", "coordinate", "nq", "nv"]
 Outcome = Literal["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
 _Kind = TypeVar("_Kind", bound="type[State | ShapeState]")
 
-# The length of each axis, as it is written in shapes.
+# The symbol of each axis length in documented array shapes.
 _SYMBOLS: dict[Axis, str] = {
     "joint": "m", "twist": "r", "coordinate": "size", "nq": "nq", "nv": "nv",
 }  # fmt: skip
@@ -36,10 +36,10 @@ class StateField:
     Attributes:
         name: Name of the field in State, in files and among the outputs of flows.
         unit: Unit of the entries; " | " separates the units of different entries.
-        axis: The axis after time, None for one number at each time.
-        derivative: How flows differentiate the field: by its "entries", by the "twist" of the
-            body that changes a pose, or not at all ("none").
-        meaning: The quantity, as a phrase that starts a sentence.
+        axis: The axis after time; None for a scalar at each time.
+        derivative: How flows express derivatives of the field: of its "entries", as the body
+            "twist" of a pose change, or not at all ("none").
+        meaning: Name of the quantity, a phrase that starts a sentence.
         needs_base: Whether the field is missing if the scene leaves out the base.
     """
 
@@ -83,7 +83,7 @@ FIELDS: Mapping[str, StateField] = MappingProxyType({field.name: field for field
 
 
 def _describe_fields(kind: _Kind) -> _Kind:
-    """Append the descriptions in FIELDS to the docstring of a class of states."""
+    """Append the field descriptions in FIELDS to the docstring of a state class."""
     entries = [f"    {name}: {FIELDS[name].description}" for name in kind.__dataclass_fields__]
     kind.__doc__ = "\n".join([f"{kind.__doc__}\n\nAttributes:", *entries])
     return kind
@@ -124,7 +124,7 @@ class State:
 
 
 class _Column:
-    """A read-only attribute of motions that returns one field of their states."""
+    """A descriptor: a read-only attribute of motions that returns one field of their states."""
 
     def __init__(self, name: str) -> None:
         self._field = FIELDS[name]
@@ -142,7 +142,10 @@ class _Column:
 
 
 class StateArrays(ABC):
-    """The fields of a motion's states; those that need the base raise InputError without it."""
+    """Attributes for the fields of a motion's states.
+
+    Fields that need the base raise InputError if the scene leaves out the base.
+    """
 
     x = _Column("x")
     xdot = _Column("xdot")
@@ -166,7 +169,7 @@ class StateArrays(ABC):
 
 
 def with_base(state: State | ShapeState, name: str) -> State:
-    """Return a state that has the base.
+    """Check that a state includes the base, and return it.
 
     Args:
         state: A state, with or without the base.
@@ -192,7 +195,7 @@ def arrays_of(state: State | ShapeState) -> dict[str, Array]:
 def map_arrays(
     function: Callable[..., Array], first: State | ShapeState, *others: State | ShapeState
 ) -> State | ShapeState:
-    """Return the state whose fields are a function of the same field of one or several states."""
+    """Apply a function to each field of one or several states; return the resulting state."""
     names = first.__dataclass_fields__
     states = (first, *others)
     kind = State if isinstance(first, State) else ShapeState
@@ -211,7 +214,7 @@ def axis_labels(system: System) -> dict[Axis, Sequence[Any]]:
 
 
 def axis_lengths(system: System) -> dict[Axis | None, int]:
-    """Return the number of entries along each axis of a system's states, 1 without an axis."""
+    """Return the number of entries along each axis of a system's states; 1 for scalars."""
     return {None: 1} | {axis: len(labels) for axis, labels in axis_labels(system).items()}
 
 

@@ -38,21 +38,21 @@ T = TypeVar("T")
 class System:
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
-    Follower joints (`couplings`) are joints of the model and entries of q and v, but no
-    coordinates of the shape.
+    Follower joints (`couplings`) are joints of the model and have entries in q and v, but they
+    are not shape coordinates.
 
     Attributes:
         model: Pinocchio model, root joint first, in depth-first order.  q and v keep the order
             of the model that was passed in.
         name: Name of the robot.
         initial: Generic initial state, if the robot has one.
-        origin: Name or file that was loaded, if any.
-        contents: Contents of the file besides bodies and joints.
+        origin: Name or file from which the robot was loaded, if any.
+        contents: Contents of the file other than bodies and joints.
         group: Symmetry group, the motion of the root joint.
-        coupled: Dependence of follower joints on the shape, if there are followers.
+        coupled: Dependence of follower joints on the shape; None without followers.
         shape_names: Names of the shape joints, (m,), in the order of x.
-        doubts: Sentences about inertias that no real body has, and about single shapes at which
-            the mass matrix is singular.
+        doubts: Warnings, one sentence each, about inertias that no real body has and about
+            isolated shapes at which the mass matrix is singular.
     """
 
     model: pin.Model
@@ -88,7 +88,7 @@ class System:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # Work spaces and kernels belong to this process and are made again in others.
+        # Work spaces and kernels belong to this process; other processes create their own.
         return {name: value for name, value in vars(self).items() if name != "_once"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -120,7 +120,7 @@ class System:
 
     @property
     def m(self) -> int:
-        """Dimension of the shape space: the number of joints that follow no other."""
+        """Dimension of the shape space: the number of independent joints behind the root."""
         return len(self.shape_names)
 
     @property
@@ -142,32 +142,32 @@ class System:
 
     @property
     def couplings(self) -> tuple[Coupling, ...]:
-        """Couplings in the file, which make joints follow others."""
+        """Couplings of follower joints to their leaders, from the file."""
         return self.contents.couplings
 
     @property
     def followers(self) -> tuple[str, ...]:
-        """Names of the joints that follow others, in the order of the couplings."""
+        """Names of the follower joints, in the order of the couplings."""
         return tuple(coupling.follower for coupling in self.couplings)
 
     def joint_number(self, name: str) -> int:
-        """Return the number of a joint among all M joints behind the root.
+        """Return the index of a joint among all M joints behind the root.
 
         Args:
             name: Name of the joint.
         Returns:
-            Number from 0, follower joints counted.
+            Index from 0; follower joints are counted.
         """
         return int(self.model.getJointId(name)) - 2
 
     def refuse_follower(self, name: str, what: str) -> None:
-        """Refuse a joint that follows another and is therefore no coordinate.
+        """Refuse a follower joint, which is not a shape coordinate.
 
         Args:
             name: Name of the joint.
-            what: Beginning of the message.
+            what: Beginning of the error message.
         Raises:
-            InputError: The joint follows another.
+            InputError: The joint is a follower.
         """
         if words := following(name, self.couplings):
             raise InputError(f"{what}: {words}; take the joint that it follows")
@@ -194,10 +194,10 @@ class System:
 
     @property
     def passive(self) -> tuple[Force, ...]:
-        """Springs, dampers and dry friction at shape joints in the file.
+        """Springs, dampers and dry friction at shape joints, from the file.
 
-        They are forces.Spring, Damper and Friction.  They act in scenes with passive=True;
-        friction acts only if the scene gives it a width.
+        The types are forces.Spring, Damper and Friction.  Springs and dampers act in scenes with
+        passive=True.  Friction acts only if the scene sets its width.
         """
         return self.contents.passive
 
@@ -213,12 +213,12 @@ class System:
 
     @property
     def plain(self) -> list[tuple[int, int]]:
-        """Pairs of indices, in (pose, x) and in q, of the coordinates that q holds unchanged."""
+        """Pairs of indices, in (pose, x) and in q, of the coordinates that q stores unchanged."""
         return list(zip(self._map.plain.tolist(), self._map.plain_q.tolist(), strict=True))
 
     @property
     def angles(self) -> list[tuple[int, int]]:
-        """Pairs of indices of the angles in (pose, x), and of their cosines in q."""
+        """Pairs of indices: of an angle in (pose, x), and of its cosine in q."""
         return list(zip(self._map.angle.tolist(), self._map.angle_q.tolist(), strict=True))
 
     def q(self, pose: ArrayLike, x: ArrayLike) -> Array:
@@ -253,7 +253,7 @@ class System:
         Args:
             q: Configuration, (..., nq), in the joint order of the original model.
         Returns:
-            Pose and shape.  Angles that q holds as cosine and sine are in (−π, π].
+            Pose and shape.  Angles that q stores as cosine and sine are in (−π, π].
         Raises:
             ShapeError: The length is wrong.
         """
@@ -292,11 +292,11 @@ class System:
         return forces if self.coupled is None else self.coupled.forces(forces, self.r)
 
     def sizes_on_shape(self, sizes: Array) -> Array:
-        """Bound the entries of `on_shape`, (..., n), for magnitudes sizes (..., nv) of forces."""
+        """Bound the size of `on_shape`, (..., n), from the sizes of force entries, (..., nv)."""
         return sizes if self.coupled is None else self.coupled.sizes(sizes, self.r)
 
     def coupled_matrix(self, matrix: Array) -> Array:
-        """Return GᵀHG (..., n, n) in (ξ, ẋ) for a mass or Coriolis matrix (..., nv, nv)."""
+        """Project a mass or Coriolis matrix H, (..., nv, nv), to (ξ, ẋ): GᵀHG, (..., n, n)."""
         return matrix if self.coupled is None else self.coupled.matrix(matrix, self.r)
 
     def model_q(self, pose: ArrayLike, x: ArrayLike) -> Array:
@@ -327,29 +327,29 @@ class System:
 
     @property
     def data(self) -> pin.Data:
-        """Pinocchio's work space for `model` and its copies in other gravity, one per thread.
+        """Pinocchio's work space (pin.Data), one per thread, also for copies with other gravity.
 
-        Every call overwrites it, so read its values at once.  It grows with the cube of n, so
-        there is only one.
+        Every Pinocchio call overwrites the work space, so copy results at once.  Its memory grows
+        with the cube of n, so there is only one per thread.
         """
         return self.workspace("data", lambda: pin.Data(self.model))
 
     def workspace(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return a value that is made once per system, thread and key.
+        """Return a value that is cached per system, thread and key.
 
-        For values that are costly to set up and own Pinocchio work space.  They rely on the
-        model, which is not changed after loading.
+        Use it for values that are costly to create and own Pinocchio work space.  Such values stay
+        valid because the model does not change after loading.
 
         Args:
             key: Key of the value.
-            make: Makes the value at the first call.
+            make: Function that creates the value at the first call.
         Returns:
             The value.
         """
         return once_a_thread(self, key, make)
 
     def _last(self, value: ArrayLike, size: int, what: str) -> Array:
-        """Return an array after checking its last axis.  Raises ShapeError."""
+        """Convert a value to an array whose last axis has length `size`.  Raises ShapeError."""
         array = as_floats(value, what)
         if array.shape[-1:] != (size,):
             raise ShapeError(f"{what} of {self.name!r} must end in ({size},), got {array.shape}")
@@ -362,7 +362,7 @@ class System:
         sizes: tuple[int, int],
         names: tuple[str, str],
     ) -> tuple[Array, Array]:
-        """Return two arrays with the same leading axes.  Raises ShapeError."""
+        """Convert two values to arrays with the same leading axes.  Raises ShapeError."""
         a, b = (self._last(*entry) for entry in zip((first, second), sizes, names, strict=True))
         try:
             lead = np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
@@ -374,7 +374,7 @@ class System:
 
 
 def checked_system(value: object, what: str) -> System:
-    """Return `value` if it is a System.  Raises InputError that says how to get one."""
+    """Return `value` if it is a System; otherwise raise InputError, which explains `load`."""
     if isinstance(value, System):
         return value
     shown = repr(value) if isinstance(value, str) else type(value).__name__

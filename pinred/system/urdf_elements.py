@@ -1,8 +1,8 @@
-"""URDF elements: checks, couplings and dynamics that Pinocchio's reader drops or fills in.
+"""URDF elements that Pinocchio's reader drops or replaces by defaults: checks and conversion.
 
 Pinocchio's parser refuses files for reasons that do not change a motion, such as limits without
-effort or velocity.  `reduced_text` keeps only the elements that matter, so meshes, paths and
-materials cannot be wrong.
+effort or velocity.  `reduced_text` keeps only the elements that affect the motion, so errors in
+meshes, paths and materials do not matter.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..common.errors import ModelError
 from ..common.names import quoted
 from .robot_file_contents import Coupling
 
-UNLIMITED = 1.7e308  # position limit that stands for infinity, which the parser does not know
+UNLIMITED = 1.7e308  # position limit that represents infinity, which the parser cannot read
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _NEEDS_LIMITS = ("revolute", "prismatic")
@@ -28,7 +28,7 @@ _JOINT = ("origin", "parent", "child", "axis", "mimic", "dynamics")
 
 
 def check_urdf(robot: Element) -> None:
-    """Refuse axes and inertias that cannot be used.  Raises ModelError with the joint or link."""
+    """Refuse invalid axes and inertias.  Raises ModelError that names the joint or link."""
     for joint in moving_joints(robot):
         _check_axis(joint)
     for link in robot.findall("link"):
@@ -42,7 +42,7 @@ def check_urdf(robot: Element) -> None:
 
 
 def total_mass(robot: Element) -> float:
-    """Return the mass of all links [kg], after `check_urdf`."""
+    """Return the mass of all links [kg]; call `check_urdf` first."""
     return sum(float(mass.get("value", "0")) for mass in robot.iterfind("link/inertial/mass"))
 
 
@@ -50,7 +50,7 @@ def tree_depth(robot: Element) -> int:
     """Return the largest number of joints from a root link to a link.
 
     Raises:
-        ModelError: A link is on two joints, or joints form a cycle.
+        ModelError: A link is the child of two joints, or joints form a cycle.
     """
     depth: dict[str, int] = {}
     parent_of = _parents(robot)
@@ -67,12 +67,12 @@ def tree_depth(robot: Element) -> int:
 
 
 def _parents(robot: Element) -> dict[str, str]:
-    """Return the parent of each link.  Raises ModelError for a link on two joints."""
+    """Return the parent of each link.  Raises ModelError for a child of two joints."""
     parent_of: dict[str, str] = {}
     for joint in robot.findall("joint"):
         parent, child = joint.find("parent"), joint.find("child")
         if parent is None or child is None:
-            continue  # Pinocchio's reader refuses the joint.
+            continue  # Pinocchio's reader will refuse the joint.
         name = child.get("link", "?")
         if name in parent_of:
             raise ModelError(
@@ -89,12 +89,12 @@ def moving_joints(robot: Element) -> list[Element]:
 
 
 def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
-    """Return the couplings of moving joints with <mimic>.
+    """Return the couplings that <mimic> elements define between moving joints.
 
-    A <mimic> of a fixed joint has no meaning.
+    The <mimic> element of a fixed joint has no effect and is ignored.
 
     Raises:
-        ModelError: A <mimic> names no joint, or has bad numbers.
+        ModelError: A <mimic> names no joint, or has invalid numbers.
     """
     couplings = []
     for joint in moving_joints(robot):
@@ -115,7 +115,7 @@ def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
 
 
 def keep_dynamics(robot: Element, model: pin.Model) -> None:
-    """Write the <dynamics> of planar and floating joints, which Pinocchio drops, into a model."""
+    """Copy the <dynamics> of planar and floating joints, which Pinocchio drops, to the model."""
     for joint in moving_joints(robot):
         dynamics, name = joint.find("dynamics"), joint.get("name", "?")
         if dynamics is None or joint.get("type") not in ("planar", "floating"):
@@ -133,7 +133,7 @@ def keep_dynamics(robot: Element, model: pin.Model) -> None:
 
 
 def reduced_text(robot: Element) -> str:
-    """Return the text of a URDF with only the elements that matter, after `check_urdf`."""
+    """Return a URDF text with only the elements that affect the motion, after `check_urdf`."""
     copied = Element("robot", {"name": robot.get("name", "robot")})
     for link in robot.findall("link"):
         target = SubElement(copied, "link", link.attrib)
@@ -158,7 +158,7 @@ def _copy(source: Element, target: Element, tags: tuple[str, ...]) -> None:
 
 
 def _trimmed(element: Element) -> dict[str, str]:
-    """Return the attributes without blanks around their values; names are kept as they are."""
+    """Return the attributes with whitespace stripped from their values."""
     names = ("link", "joint")
     return {k: v if k in names else v.strip() for k, v in element.attrib.items()}
 
@@ -206,7 +206,7 @@ def _floats(element: Element, key: str, owner: str, size: int) -> Array:
         owner: Owner of the attribute, for the message.
         size: Expected number of numbers.
     Raises:
-        ModelError: They are not `size` finite numbers.
+        ModelError: The attribute does not consist of `size` finite numbers.
     """
     text = element.get(key, "")
     words = text.split()

@@ -1,4 +1,4 @@
-"""Copies of a system with other numbers: gravity, inertias, and placements."""
+"""Copies of a system with different gravity, inertias and placements."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from .system import System
 
 
 def nominal(system: System) -> System:
-    """Return the system as it was loaded, before any of its parameters was varied."""
+    """Return the system as it was loaded, before any parameters were changed."""
     loaded: System = vars(system).get("_nominal", system)
     return loaded
 
 
 def in_gravity(system: System, gravity: Array) -> System:
-    """Return a copy of a system in another gravity, (3,) in the world frame [m/s²]."""
+    """Return a copy of a system with different gravity, (3,) in the world frame [m/s²]."""
     other = _copy(system)
     other.model.gravity.linear = gravity
     return other
@@ -30,13 +30,13 @@ def with_numbers(
     placements: Mapping[int, pin.SE3] | None = None,
     frames: Mapping[int, pin.SE3] | None = None,
 ) -> System:
-    """Return a copy of a system with other inertias and placements.
+    """Return a copy of a system with different inertias and placements.
 
     Args:
         system: System to copy.
-        inertias: Inertias by joint of the model that moves the body.
-        placements: Placements by joint of the model.
-        frames: Placements of links on their bodies, by frame of the model.
+        inertias: New inertias of bodies, {joint that moves the body: inertia}.
+        placements: New joint placements, {joint index in the model: placement}.
+        frames: New placements of links on their bodies, {frame index in the model: placement}.
     """
     other = _copy(system)
     vars(other)["_nominal"] = nominal(system)

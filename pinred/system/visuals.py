@@ -1,4 +1,4 @@
-"""Shapes to draw that are passed in with a model, and folders with meshes."""
+"""Shapes for playback that were passed to `load` with a model, and folders with meshes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ..common.names import brief, quoted_path
 
 @dataclass(frozen=True, eq=False)
 class Visuals:
-    """Shapes to draw.  Neither attribute is ever changed.
+    """Shapes for playback.  Treat both attributes as read-only.
 
     Attributes:
         model: Model whose joints and frames carry the shapes.
-        geometry: Shapes.
+        geometry: Geometry model that contains the shapes.
     """
 
     model: pin.Model
@@ -28,12 +28,12 @@ class Visuals:
 
 
 def with_visuals(source: object) -> Visuals | None:
-    """Return copies of model and shapes of a pin.RobotWrapper or a pair (model, visual_model).
+    """Copy the model and shapes of a pin.RobotWrapper or of a pair (model, visual_model).
 
     Returns:
-        Visuals, or None for other sources.
+        The copies, or None for other sources.
     Raises:
-        InputError: The pair is not valid, or its shapes are not on this model.
+        InputError: The pair is not valid, or its shapes belong to another model.
     """
     if isinstance(source, pin.RobotWrapper):
         pair: Any = (source.model, source.visual_model)
@@ -47,7 +47,7 @@ def with_visuals(source: object) -> Visuals | None:
             f"({', '.join(type(entry).__name__ for entry in pair)})"
         )
     model, geometry = pair
-    if geometry is None:  # A RobotWrapper can have no shapes.
+    if geometry is None:  # A RobotWrapper may lack shapes.
         geometry = pin.GeometryModel()
     if not isinstance(geometry, pin.GeometryModel):
         raise InputError(f"visual_model must be a pin.GeometryModel, got {type(geometry).__name__}")

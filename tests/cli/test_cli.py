@@ -171,7 +171,7 @@ def test_both_engines_pass_the_comparison(capsys: pytest.CaptureFixture[str]) ->
         assert f"reduced ({engine})" in out
     code, _, err = run(capsys, "compare", "cartpole", "--engine", "steam")
     assert code == 2
-    assert "the engines are compiled, pinocchio" in err
+    assert "engine: expected one of compiled, pinocchio" in err
 
 
 def test_cache_lists_and_clears_kernels(

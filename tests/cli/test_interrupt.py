@@ -126,7 +126,7 @@ def test_ignored_interrupt_stays_ignored(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_interrupt_tests_pass_below_nohup() -> None:
     """SIGINT is ignored at first there."""
-    test = f"{__file__}::test_python_gets_it_too"
+    test = f"{__file__}::test_interrupt_raises_keyboard_interrupt_in_python"
     code = (
         "import signal, subprocess, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
         f"run = [sys.executable, '-m', 'pytest', '-q', '-p', 'no:xdist', {test!r}]\n"

@@ -20,11 +20,11 @@ def link(name: str, mass: float = 2.0) -> str:
     return f'<link name="{name}">{inertial if mass else ""}</link>'
 
 
-def joint(parent: str, child: str, kind: str = "revolute", inside: str = AXIS) -> str:
+def joint(parent: str, child: str, kind: str = "revolute", content: str = AXIS) -> str:
     """Return a URDF joint with the name parent-child."""
     return (
         f'<joint name="{parent}-{child}" type="{kind}"><parent link="{parent}"/>'
-        f'<child link="{child}"/><origin xyz="0 0.2 0.3" rpy="0.1 0.2 0.3"/>{inside}'
+        f'<child link="{child}"/><origin xyz="0 0.2 0.3" rpy="0.1 0.2 0.3"/>{content}'
         f'<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
     )
 

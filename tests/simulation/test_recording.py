@@ -159,7 +159,7 @@ def test_recording_of_model_names_no_robot(tmp_path: Path) -> None:
     pinred.simulate(pinred.load(model), **start, duration=0.5).save(path)
     recording = read_recording(path)
     assert units(plots.shape(recording)) == ["shape [rad | m]"]
-    assert "robot of the file is not found" in plots.phase(recording).get_suptitle()
+    assert "robot of the file was not found" in plots.phase(recording).get_suptitle()
     for kind in ("sphere", "curvature"):
         with pytest.raises(pinred.LoadError, match=r"does not say where its robot.*--robot"):
             plots.plot(recording, kind)

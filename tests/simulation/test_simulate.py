@@ -269,7 +269,7 @@ def test_same_scene_gives_same_bits() -> None:
         ({"springs": {"hinge": (1.0, np.nan)}}, "finite"),
         ({"springs": {"hinge": 1.0}}, "stiffness, rest"),
         ({"speed": 3}, "no option 'speed'"),
-        ({"engine": "magic"}, "engines are compiled, pinocchio"),
+        ({"engine": "magic"}, "engine: expected one of compiled, pinocchio"),
     ],
 )
 def test_invalid_scenes_are_rejected(options: dict[str, object], words: str) -> None:

@@ -18,8 +18,9 @@ from .inputs import Given
 class InitialMap:
     """The map from input columns to reduced state, parameters and centre-of-mass path.
 
-    The columns are those of Given: `state`, and `constants`, which end with the fall of the centre
-    of mass.  Reduced states without entries have one zero, as integrators need one.
+    The input columns are the fields of Given: `state` and `constants`, which end with the free-fall
+    acceleration of the centre of mass.  A reduced state without entries is replaced by one zero,
+    because integrators need at least one entry.
     """
 
     def __init__(self, kernel: Kernel, motion: TwistOrMomentum) -> None:
@@ -36,7 +37,7 @@ class InitialMap:
 
         Args:
             given: The inputs.
-            t: Time of the start [s]; the path of the centre of mass starts at time zero.
+            t: Start time [s]; the centre-of-mass path is stated at time zero.
         Returns:
             The flow.
         Raises:
@@ -71,9 +72,9 @@ class InitialMap:
 
         Args:
             given: The inputs.
-            state: Directions of their state, (…, N).
-            constants: Directions of their constants, (…, N).
-            t: Time of the start [s].
+            state: Directions of the inputs' state, (…, N).
+            constants: Directions of the inputs' constants, (…, N).
+            t: Start time [s].
         Returns:
             Derivatives of the reduced state (n, N), the parameters (p, N) and the path (3k, N).
         """
@@ -96,7 +97,7 @@ class InitialMap:
             by_parameters: Cotangent of the parameters, (p,).
             by_path: Cotangent of the path, (3k,).
         Returns:
-            The cotangents.
+            Cotangents of `state` and of `constants`.
         """
         size, head = self._cuts[0], self._cuts[1] - self._cuts[0]
         if self._path:
@@ -112,7 +113,7 @@ class InitialMap:
         return state, np.concatenate([constants, by_path[starts:]])
 
     def _pieces(self, out: Array) -> tuple[Array, Array, Array]:
-        """Split outputs into reduced state, first parameters, and start with velocity."""
+        """Split outputs into reduced state, first parameters, and position and velocity."""
         first, second = self._cuts
         return out[:first], out[first:second], out[second:]
 
@@ -120,7 +121,7 @@ class InitialMap:
         return self._with_path(self._split(given.constants)[0], None)
 
     def _with_path(self, constants: Array, path: Array | None) -> Array:
-        """Return constants (…) with the path among them if forces depend on it; zero for None."""
+        """Insert the path into the constants if forces depend on the path; None inserts zeros."""
         if not self._path:
             return constants
         if path is None:
@@ -128,7 +129,7 @@ class InitialMap:
         return np.concatenate([constants[: self._hole], path, constants[self._hole :]])
 
     def _split(self, constants: Array) -> tuple[Array, Array]:
-        """Split input constants into those of the kernel and the fall of the centre of mass."""
+        """Split input constants into the kernel's constants and the free-fall acceleration."""
         at = len(constants) - self._fall
         return constants[:at], constants[at:]
 
@@ -139,7 +140,7 @@ def _refuse_overflow(out: Array) -> None:
 
 
 def _moved_back(t: float, path: Array, k: int) -> Array:
-    """Return the path (3k, …) from time zero that has this start and velocity at time t."""
+    """Return the path (3k, …), stated at time zero, from its position and velocity at time t."""
     if t == 0.0:
         return path
     start, velocity, fall = path[:k], path[k : 2 * k], path[2 * k :]

@@ -25,10 +25,10 @@ class Group:
     """Members that share a plan.
 
     Attributes:
-        members: Their indices, (N,) sorted.
-        plan: Their plan.
-        given: Their initial states, (N, …).
-        own: Parameters in which they differ from the plan.
+        members: Sorted indices of the members, (N,).
+        plan: Plan that the members share.
+        given: Initial states of the members, (N, …).
+        own: Parameters in which the members differ from the plan.
     """
 
     members: Indices
@@ -38,7 +38,7 @@ class Group:
 
     @property
     def one_by_one(self) -> str:
-        """The reason to simulate these members one by one; "" if they are integrated together."""
+        """The reason to simulate these members one by one; "" if they can run together."""
         plan = self.plan
         if plan.scene.events_given:
             return "events are looked for"
@@ -86,7 +86,7 @@ def of_scenes(scenes: Sequence[Scene]) -> Members:
     Returns:
         The members.
     Raises:
-        InputError: An entry is no Scene, or the scenes do not belong together.
+        InputError: An entry is not a Scene, or the scenes differ in system or report times.
     """
     for k, scene in enumerate(scenes):
         if not isinstance(scene, Scene):

@@ -1,4 +1,4 @@
-"""Members given as arrays of options and parameters that differ between them."""
+"""Members stated by arrays of the options and parameters that differ between members."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _OPTIONS = f"{', '.join(STATES)}, gravity or a parameter"
 
 
 class MemberOptions:
-    """The options of N members: those that differ between them, and those that all share.
+    """The options of N members: options that differ between members, and options that all share.
 
     Attributes:
         system: The robot as it was loaded.
@@ -46,7 +46,7 @@ class MemberOptions:
         states: Initial states by option, (N, …).
         parameters: Values of parameters by name, (N,) or (N, k).
         gravity: Gravity in the world frame, (N, 3) [m/s²], or None.
-        robot: Lengths of the given robot parameters by name.
+        robot: Number of entries of each robot parameter that differs between members, by name.
         count: Number of members.
     """
 
@@ -60,8 +60,8 @@ class MemberOptions:
         """Separate the options that differ between members from the others.
 
         Args:
-            base: A System, or a Scene whose options are used where none are given.
-            options: Options of Scene, some of them with a leading axis (N, …).
+            base: A System, or a Scene whose options apply unless `options` replaces them.
+            options: Options of Scene, some with a leading axis (N, …).
             members: Values of initial states, parameters and gravity by name, (N, …).
             seeds: Seeds of random initial states, (N,).
         Raises:
@@ -142,7 +142,7 @@ class MemberOptions:
         return count
 
     def scene(self, member: int, *, common_parameters: bool = False) -> Scene:
-        """Return the scene of one member, or one with only the parameters that all share."""
+        """Return the scene of a member, optionally with only the parameters that all share."""
         options: dict[str, Any] = {name: values[member] for name, values in self.states.items()}
         values_of_member = {name: values[member] for name, values in self.parameters.items()}
         options |= self.common
@@ -157,11 +157,11 @@ class MemberOptions:
         return as_scene(base, options, "simulate_many")
 
     def _scene_by(self, method: Method | str, member: int) -> Scene:
-        """Return the scene of one member with the method that members are integrated by."""
+        """Return the scene of one member, with the integrator that members use."""
         return replace(self.scene(member), method=method)
 
     def members(self) -> Members:
-        """Return the members in groups.  Raises InputError for invalid scenes."""
+        """Group the members by the kernel they share.  Raises InputError for invalid scenes."""
         # Use common parameters only, so that results do not depend on member order.
         template = self.scene(0, common_parameters=True)
         model = template.force_model
@@ -173,7 +173,7 @@ class MemberOptions:
                     f"{kinds_near(self.system, name, [*STATES, *names])}; of the scenes "
                     f"{_OPTIONS}: {listed(names, 60) or 'none'}"
                 )
-        first = self.scene(0)  # validates all that is common
+        first = self.scene(0)  # validates the options that all members share
         varying = [name for name in self.robot if name in self.parameters]
         if varying:
             template = with_own(template, varying)
@@ -192,7 +192,7 @@ class MemberOptions:
     def _by_gravity(
         self, template: Scene, given: GivenStates, own: MemberParameters
     ) -> list[Group]:
-        """Return members in groups by the axes along which gravity acts."""
+        """Group members by the axes along which gravity acts."""
         assert self.gravity is not None
         rows, which = np.unique(self.gravity, axis=0, return_inverse=True)
         which = which.reshape(-1)
@@ -204,7 +204,7 @@ class MemberOptions:
             kinds = np.flatnonzero(((acting != 0.0) == axes).all(axis=1))
             members = np.flatnonzero(np.isin(which, kinds))
             system = systems[kinds[0]]
-            # The robot's own kernel serves if its gravity acts along these axes.
+            # Reuse the kernel of the robot's own gravity if that gravity acts along the same axes.
             with suppress(SymmetryError):
                 if np.array_equal(acting_gravity(template.system) != 0.0, axes):
                     system = template.system
@@ -215,11 +215,11 @@ class MemberOptions:
         return groups
 
     def _numbers(self, template: Scene) -> Array | None:
-        """Return the force parameters of each member, (N, p); None if all share them."""
+        """Return the force parameters of each member, (N, p), or None if all members share them."""
         model = template.force_model
         if not self.parameters or model is None:
             return None
-        # Entry by entry, so that the bits of a member do not depend on the number of members.
+        # Compute entry by entry, so that no bit of a member depends on the number of members.
         numbers = np.repeat(model.numbers_from(0.0, template.end)[None], self.count, axis=0)
         for k, parameter in enumerate(model.parameters):
             if parameter.name in self.robot or parameter.name not in self.parameters:
@@ -250,7 +250,7 @@ class MemberOptions:
         return numbers
 
     def _given(self, scene: Scene, numbers: Array | None) -> GivenStates:
-        """Return the initial states of all members: the scene's where they do not differ."""
+        """Return the initial states of all members; fields that do not differ are the scene's."""
         system, common_states = scene.system, scene.given
         states = dict(self.states)
         if self.seeds is not None:
@@ -287,7 +287,7 @@ class MemberOptions:
 
 
 def _parameter_values(system: System, parameters: Any, own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of parameters= by name; names alone have the values of the scene."""
+    """Return the values of parameters= by name; a name without value has the scene's value."""
     if parameters is None or isinstance(parameters, Mapping):
         return dict(parameters or {})
     values, others = requested(system, parameters)
