@@ -2,7 +2,8 @@
 
 The momentum is computed by Pinocchio from (q, v), and the quaternion is checked by its norm.
 Without the base, DOP853 integrates the three components of μ. Their norm is a Casimir function,
-a constant of motion that DOP853 conserves up to its tolerance. Gauss methods lift μ to the quaternion.
+a constant of motion that DOP853 conserves up to its tolerance. Gauss methods lift μ to the
+quaternion.
 """
 
 from __future__ import annotations
