@@ -34,7 +34,7 @@ BEGIN, COVECTOR, STAGE, SEED, RATES = range(5)
 # --- names that a tableau binds -----------------------------------------------------------------
 
 
-STAGES = SIZE = 1  # stages of a step, without and with those of the dense output
+STAGES = SIZE = 1  # numbers of stages of a step: without and with the stages of the dense output
 
 
 # Row programs: fill_rates fills the rates of the stages of a step h from row BEGIN, and
@@ -76,7 +76,7 @@ def sweep_back(
         times: Sorted report times, (T,) [s].
         at_times: Covectors of the states at the report times, (T, n); overwritten.
         covector: Covector, changed in place.
-        by_params: Derivative by the parameters, (p,), to which is added.
+        by_params: Derivative with respect to the parameters, (p,); the result is added to it.
         work: Work rows, see AdjointSweep.
         both: Workspace (n + p,) for the output of the adjoint kernel.
         w: Workspace (S,) for weights.
@@ -129,15 +129,15 @@ def sweep_back(
 def pull_back_report(
     work: Array, w: Array, h: float, quaternion: int, at_time: Array, covector: Array
 ) -> None:
-    """Add the covector of a state inside a step to those of the step's start and of its rates.
+    """Propagate the covector of a state inside a step to the step's start and stage rates.
 
     Args:
         work: Work rows.
-        w: Weights of the rates in that state, (S,).
+        w: Weights of the stage rates in that state, (S,).
         h: Length of the step [s].
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
         at_time: Covector of the state, (n,); overwritten.
-        covector: Covector of the start of the step, (n,), to which is added.
+        covector: Covector of the state at the start of the step, (n,); the result is added to it.
     """
     n = at_time.shape[0]
     for k in range(n):
@@ -163,7 +163,7 @@ class AdjointSweep:
 
     Attributes:
         sweep: Compiled function, see `sweep_back`.
-        rows: Function of n that returns the work rows for states of n numbers.
+        rows: Function of n that returns the work rows for states with n entries.
     """
 
     sweep: Callable[..., None]
@@ -179,7 +179,7 @@ def adjoint_sweep_of(tableau: Tableau) -> AdjointSweep:
         return [(base + j, a) for j, a in enumerate(weights.tolist()) if a != 0.0]
 
     def state(i: int) -> tuple[list[Sum], int]:
-        """Return the sum that makes the state of stage i, if any, and the row of that state."""
+        """Return the Sum that computes the state of stage i (none for the first), and its row."""
         terms = weighted(RATES, A[i, :i])
         return ([Sum(STAGE, BEGIN, terms)], STAGE) if terms else ([], BEGIN)
 
