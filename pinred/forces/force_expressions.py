@@ -80,7 +80,7 @@ class ForceExpressions:
         for force in sorted(forces, key=lambda force: force.last):
             if force.last:
                 if sum(other.last for other in forces) > 1:
-                    raise InputError(f"{force.label}: only one force may know all the others")
+                    raise InputError(f"{force.label}: only one force may depend on all others")
                 self._prepare_last()
             self._add(force)
 

@@ -247,8 +247,8 @@ def _refuse_failed(failed: int, knots: Array, y: Array) -> None:
     if failed:
         time = float(knots[failed - 1])
         raise NoConvergence(
-            f"the derivative of the implicit step after t = {time:g} s was not found by fixed "
-            "points: take shorter steps, or DOP853",
+            f"the iteration for the derivative of the implicit step at t = {time:g} s did not "
+            "converge; use shorter steps, or DOP853",
             time,
             y,
         )

@@ -275,7 +275,7 @@ def _space_of(*expressions: ca.SX) -> PhaseSpace:
         space = _spaces.get(symbol.element_hash())
         if space is None:
             raise InputError(
-                f"'{symbol}' is no variable of a phase space; take those of "
+                f"'{symbol}' is not a phase-space variable; use the variables of "
                 "pinred.poisson.phase_space(system)"
             )
         spaces.append(space)

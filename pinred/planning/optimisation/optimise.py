@@ -268,7 +268,7 @@ def _optimise_fourier(
     if m == 2:
         turns = _winding(gait)
         if winding is not None and abs(turns) != winding:
-            raise StartFailed(f"the loop changed to winding number {turns:g}")
+            raise StartFailed(f"the loop has winding number {turns:g} instead of {winding}")
     return _verify(search, best, gait, turns)
 
 

@@ -245,8 +245,8 @@ def reorient(
     mu = initial_momentum(system, momentum)
     if mu.any() and np.isfinite(bounds.torque).any():
         raise InputError(
-            "torques= is for zero momentum, where they scale with the duration; with momentum see "
-            "`plan.trajectory.driving_torques`"
+            "torques: limits need zero momentum, where torques scale with the duration. With "
+            "momentum, see `plan.trajectory.driving_torques`"
         )
     cycle_counts = CYCLES if cycles is None else (whole(cycles, "cycles"),)
     if not (np.linalg.norm(turn) > 0.0 or mu.any()):
