@@ -175,12 +175,12 @@ class Plan:
 
     @cached_property
     def choice(self) -> Choice:
-        """The integrator of the compiled engine, with the reason for it."""
+        """The method of the compiled engine, with the reason for it."""
         return choose(self.scene, self.stops)
 
     @property
     def method(self) -> Method:
-        """The integrator of the compiled engine."""
+        """The method of the compiled engine."""
         return self.choice.method
 
     def kind(self, *, zero_momentum: bool, generic: bool = False) -> Kind:

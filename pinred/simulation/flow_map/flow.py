@@ -273,7 +273,7 @@ class Flow:
             for name, part in covector.items():
                 if name not in self.outputs:
                     raise InputError(
-                        f"the flow has no output {brief(name)}; they are {', '.join(self.outputs)}"
+                        f"no output {brief(name)}; the outputs are {', '.join(self.outputs)}"
                     )
                 place = self.outputs[name]
                 expected = (*shape[:-1], place.stop - place.start)

@@ -127,7 +127,7 @@ class MemberOptions:
                 raise InputError("give seeds or seed, not both")
             both = [name for name in self.states if name != "pose0"]
             if both:
-                raise InputError(f"seeds stands for whole random states; do not give {both[0]}")
+                raise InputError(f"seeds: they set the whole initial state; remove {both[0]}")
             sizes["seeds"] = len(self.seeds)
         if len(set(sizes.values())) != 1:
             lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items()) or "none"

@@ -70,8 +70,9 @@ def integrator(
                 return so_far()
             if len(steps) >= MOST_STEPS:
                 raise IntegrationError(
-                    f"'{scene.system.name}' took {MOST_STEPS} steps to t = {solver.t:g} s of "
-                    f"{scene.end:g} s; shorten the scene or loosen the tolerance{lost()}"
+                    f"'{scene.system.name}' reached the limit of {MOST_STEPS} steps at t = "
+                    f"{solver.t:g} s, before the end at {scene.end:g} s; shorten the scene or "
+                    f"loosen the tolerance{lost()}"
                 )
             with np.errstate(over="ignore", invalid="ignore"):  # overflows are reported below
                 message = solver.step()
