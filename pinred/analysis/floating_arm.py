@@ -272,7 +272,7 @@ class FloatingArm:
             InputError: `of` is neither "base" nor "attitude".
         """
         if of not in ("base", "attitude"):
-            raise InputError(f"of must be base or attitude, got {of!r}")
+            raise InputError(f"of: expected 'base' or 'attitude', got {of!r}")
         A = self._reduction.local_connection(self._at(x, None)[0])
         if of == "attitude":
             A = A[self.system.group.linear :]

@@ -99,7 +99,7 @@ def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
 
     index, count = arguments.play, len(equilibria)
     if not 0 <= index < count:
-        raise InputError(f"--play: there are {count}, counted from 0; got {index}")
+        raise InputError(f"--play: expected an index below {count}, got {index}")
     equilibrium = equilibria[index]
     scene = equilibrium.scene(
         arguments.mode, amplitude=arguments.amplitude, duration=arguments.time

@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
     path = None if arguments.out is None else check_path(arguments.out, (*DATA, *FIGURES))
     system, options = _stated(arguments)
     if "target" not in options:
-        raise InputError("give --target, numbers separated by commas, or a gait file that has one")
+        raise InputError("give --target with comma-separated numbers, or a gait file with a target")
     plan = reorient(system, **options)
     print(plan)
     print(f"  missed by the motion    {plan.missed:.1e} rad")

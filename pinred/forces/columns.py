@@ -138,7 +138,7 @@ def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         s: Variables of the forces.
         number: Function that replaces a number by a symbol.
     Returns:
-        The terms.
+        The terms of this force.
     Raises:
         InputError: The force's function fails; the message says how to write it.
         PinredError: The force rejects its arguments.
@@ -149,7 +149,7 @@ def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
             terms = force.terms(s, number)
     except PinredError as error:
         if str(error).endswith("got nan"):  # float() of a symbol is NaN, as in Python's math
-            raise type(error)(f"{error}; if a function of yours returns it, {_INSTEAD}") from None
+            raise type(error)(f"{error}; if your function returns this value, {_INSTEAD}") from None
         raise
     except Exception as error:  # user functions may raise any type
         description = plain(_SOURCE.sub("", str(error)).partition("Possible prototypes")[0], 160)

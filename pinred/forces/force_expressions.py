@@ -80,12 +80,12 @@ class ForceExpressions:
         for force in sorted(forces, key=lambda force: force.last):
             if force.last:
                 if sum(other.last for other in forces) > 1:
-                    raise InputError(f"{force.label}: only one force may know all the others")
+                    raise InputError(f"{force.label}: only one force may depend on all others")
                 self._prepare_last()
             self._add(force)
 
     def _prescribed_joints(self, prescribed: Mapping[str, Signal]) -> tuple[int, ...]:
-        """Return the indices of the prescribed joints, after checking joints and signals."""
+        """Validate the prescribed joints and their signals; return the indices of the joints."""
         for name in prescribed:
             self._system.refuse_follower(name, "prescribed")
         joints = tuple(self.symbols.joint(name, "prescribed") for name in prescribed)

@@ -105,7 +105,7 @@ def _all_forces(
     checked = list(springs)
     for force in forces:
         if not isinstance(force, Force):
-            raise InputError(f"forces must be those of pinred.forces, got {brief(force)}")
+            raise InputError(f"forces: expected objects of pinred.forces, got {brief(force)}")
         checked.append(force)
     for name, signal in prescribed.items():
         if not isinstance(signal, Signal):

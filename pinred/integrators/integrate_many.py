@@ -106,7 +106,7 @@ def integrate_many(
         canonical: As for `integrate`.
         progress: Called with the finished fraction of the members.
     Returns:
-        The runs.
+        States, outcomes and statistics of all runs.
     Raises:
         InputError: An argument is invalid.
     """
@@ -180,7 +180,7 @@ def checked_batch(
     checked_params = read_only(np.ascontiguousarray(as_floats(params, "params")).view())
     if checked_params.ndim != 2 or checked_params.shape[0] != size:
         raise ShapeError(
-            f"params must have shape ({size}, p) as y0 has, got {checked_params.shape}"
+            f"params must have shape ({size}, p), one row per row of y0, got {checked_params.shape}"
         )
     report_times = checked_times(times, end, ordered=True)
     if threads is None:

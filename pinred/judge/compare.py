@@ -47,7 +47,7 @@ DRIFT_BOUND = 100.0  # smallest bound of the energy and momentum drift, in toler
 REFERENCE_BOUND = 100.0  # largest reference error in tolerances times growth; above: unreliable
 FIELD_BOUND = 1e-9  # largest relative error of fields; all are explicit functions of q and v
 RESOLUTION = 1e-13  # relative accuracy of the reference solution and of its energies
-_SAFETY = 10.0  # factor for growth of one perturbation only and defects of sampled steps
+_SAFETY = 10.0  # margin: growth is that of one perturbation, and defects of sampled steps
 _ROUND_OFF = 1e-15  # relative round-off of one step
 
 

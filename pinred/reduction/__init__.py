@@ -1,5 +1,5 @@
-"""The split of the mass matrix along the symmetry, and what follows from it.
+"""Reduction by symmetry: the mass matrix is split into base, coupling and shape blocks.
 
-Locked inertia, connection, curvature, reduced metric, potential; the reduced equations, term
-by term; what of the base has to be integrated.  Imports `system` and what lies below it.
+Computes locked inertia, connection, curvature, reduced metric and potential, the terms of the
+reduced equations, and the base variables to integrate.  Imports `system` and packages below it.
 """

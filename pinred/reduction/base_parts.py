@@ -1,4 +1,4 @@
-"""The variables of the base: which are integrated, and which have a closed form.
+"""The variables of the base: some are integrated, the others have a closed form.
 
 Translations are not integrated.  In the frame of the centre of mass the linear momentum is
 zero.  The centre of mass follows c0 + v0 t + ½ g t², and the base is at p = c − R c_b(x).  The
@@ -13,8 +13,8 @@ about the pivot), which is then integrated,
     μ̇ = μ × ω + N − c × F + m|g| c × Γ.
 
 A wrench also pushes the centre of mass off its path: δċ = δP/m, δṖ = R F.  If the base is not
-requested, the 3 entries of μ replace the 4 of the attitude, and the direction of gravity in the
-body, Γ̇ = Γ × ω, replaces the attitude under the weight.
+requested, the 3 entries of μ replace the 4 entries of the attitude, and the direction of gravity in
+the body, Γ̇ = Γ × ω, replaces the attitude under the weight.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from .potential import falling, translations
 
 @dataclass(frozen=True)
 class BaseParts:
-    """Sizes of the base variables: integrated ones, in this order, and constants.
+    """Sizes of the base variables: first the integrated variables, in order, then constants.
 
     Attributes:
-        attitude: Angle or quaternion.
+        attitude: Number of attitude coordinates, an angle or a quaternion.
         down: Direction Γ of gravity in the body's frame.
         momentum: Angular momentum in the body's frame, about the centre of mass.
-        push: Deviation of the centre of mass from its path by a wrench, and the momentum that the
-            wrench has added.
+        push: Deviation of the centre of mass from its path under a wrench, and the momentum that
+            the wrench has added.
         spin: Angular momentum in the fixed frame where it is constant; not integrated.
     """
 
@@ -74,7 +74,7 @@ def base_parts(
         wrench: Whether a wrench acts on the base.
         zero_momentum: Whether the angular momentum is exactly zero.
     Returns:
-        Their sizes.
+        The sizes of these variables.
     """
     turns = group.turns
     changing = turns > 0 and (heavy or wrench)
@@ -94,8 +94,8 @@ class Root:
     """Constants of a system's base.
 
     Attributes:
-        axes: Directions of its translations, (3, k), in the root joint's fixed frame.
-        g: Its acceleration by gravity along them, (k,) [m/s²].
+        axes: Directions of the base's translations, (3, k), in the root joint's fixed frame.
+        g: Acceleration of the base by gravity along `axes`, (k,) [m/s²].
         origin: Position of the root joint's fixed frame in the world, in its own axes, (3,) [m].
     """
 
@@ -105,7 +105,7 @@ class Root:
 
 
 def root_of(system: System) -> Root:
-    """Return the constants of a system's base, computed once."""
+    """Return the constants of a system's base; the result is cached."""
 
     def make() -> Root:
         placement = system.model.jointPlacements[1]
@@ -121,7 +121,7 @@ def into_body(q: Array, v: Array) -> Array:
 
 
 def quaternion_rate(q: Array, omega: Array) -> Array:
-    """Return ½ q ω, (4,), in scalar arithmetic, which is faster here; called at every step."""
+    """Return q̇ = ½ q ω, (4,); scalar arithmetic, because every step calls this function."""
     x, y, z, w = q.tolist()
     a, b, c = omega.tolist()
     return 0.5 * np.array(

@@ -1,6 +1,7 @@
-"""The reduced equations in canonical form, which are integrated.
+"""The reduced equations in canonical form, the form that is integrated.
 
-In shape x, canonical momentum π = ∂L/∂ẋ and body momentum μ there is no curvature term:
+In the variables shape x, canonical momentum π = ∂L/∂ẋ and body momentum μ, the equations have no
+curvature term:
 
     H(x) [ξ; ẋ] = [μ; π]
     π̇_α = ½ vᵀ ∂_αH v − ∂_αV,   v = (ξ, ẋ)
@@ -39,7 +40,7 @@ class CanonicalForm:
         self._gradient = None if potential.is_zero else potential.gradient
 
     def mass_matrix(self, x: Array) -> Array:
-        """Return H(x) with at least its upper triangle, as CRBA fills it; set the centre of mass.
+        """Return H(x) with at least the upper triangle that CRBA fills; update the centre of mass.
 
         Args:
             x: Shape, (m,).
@@ -70,9 +71,9 @@ class CanonicalForm:
             x: Shape, (m,).
             momentum: (μ, π), (n,); the momenta of prescribed joints are not read.
             driven: Indices of the prescribed shape joints.
-            rates: Their rates.
+            rates: Rates of these joints.
         Returns:
-            v, (n,).
+            Velocity v, (n,).
         """
         H = symmetric(self.mass_matrix(x))
         fixed = self._r + np.array(driven, dtype=np.intp)
@@ -84,7 +85,7 @@ class CanonicalForm:
         return v
 
     def force(self, x: Array, v: Array) -> Array:
-        """Return π̇ = ½ vᵀ ∂H v − ∂V, (m,)."""
+        """Return the rate of the canonical momentum, π̇ = ½ vᵀ ∂H v − ∂V, (m,)."""
         q = self._system.model_q(self._identity, x)
         v = self._system.joint_rates(v)
         C = pin.computeCoriolisMatrix(self._model, self._data, q, v)

@@ -22,7 +22,7 @@ from ..lie.rotations import hat
 from ..system.system import System, checked_system
 from .potential import pivot_weight
 
-_ZERO = 1e-9  # coefficients and singular values below this are round-off
+_ZERO = 1e-9  # coefficients and singular values below this bound count as zero
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Casimir:
         name: Formula, with P for linear and L for angular momenta.
         linear: Coefficients c, (k,).
         quadratic: Coefficients Q, (k, k), symmetric.
-        r: Number of momenta among w.
+        r: Number of momenta in w.
     """
 
     name: str
@@ -57,13 +57,13 @@ class Casimir:
         return float(self.linear @ w + w @ self.quadratic @ w)
 
     def gradient(self, mu: ArrayLike, gamma: ArrayLike | None = None) -> Array:
-        """Compute the derivative by w.
+        """Compute the derivative with respect to w.
 
         Args:
             mu: Body momentum, (r,).
             gamma: Direction of gravity in the body, (3,), if gravity rotates a pivoted base.
         Returns:
-            (k,).
+            Derivative, (k,).
         """
         return np.asarray(self.linear + 2.0 * self.quadratic @ self._variables(mu, gamma))
 
@@ -97,7 +97,7 @@ def casimirs(system: System) -> tuple[Casimir, ...]:
 
 
 def momentum_tensor(group: Group, mu: Array, gamma: Array | None = None) -> Array:
-    """Return {w_i, w_j} = −⟨μ, [e_i, e_j]⟩ at w = μ (r,), or w = (μ, Γ) with {Γ, μ} = Γ × ·."""
+    """Return the Poisson tensor {w_i, w_j} at w = μ or (μ, Γ); on momenta −⟨μ, [e_i, e_j]⟩."""
     r = group.dim
     of_mu = -np.einsum("k,ikj->ij", mu, group.ad(np.eye(r)))
     if gamma is None:
@@ -107,7 +107,7 @@ def momentum_tensor(group: Group, mu: Array, gamma: Array | None = None) -> Arra
 
 
 def _solve(group: Group, *, heavy: bool) -> tuple[Casimir, ...]:
-    """Return the Casimirs of a group; heavy: with the variables Γ."""
+    """Return the Casimirs of a group; `heavy`: whether Γ belongs to the variables."""
     r = group.dim
     k = r + 3 * heavy
     names = [_momentum_name(name) for name in group.twist_names]
@@ -127,7 +127,8 @@ def _solve(group: Group, *, heavy: bool) -> tuple[Casimir, ...]:
         half = np.einsum("aij,jb->aib", C, Q)  # the coefficient of w_a w_b in {w_i, wᵀQw}/2
         columns.append((half + half.transpose(2, 1, 0)).ravel())
     quadratic = _null_space(np.array(columns).T)
-    # Products of linear Casimirs are Casimirs, too; only those independent of them are new.
+    # Products of linear Casimirs are Casimirs, too; keep only Casimirs independent of these
+    # products.
     independent = [
         [a[i] * b[j] + (a[j] * b[i] if i != j else 0.0) for i, j in pairs]
         for a, b in combinations_with_replacement(linear, 2)

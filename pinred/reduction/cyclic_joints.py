@@ -1,7 +1,7 @@
-"""Cyclic joints: neither the inertia nor the potential depends on their angle.
+"""Cyclic joints: joints on whose angle neither the inertia nor the potential depends.
 
-Their momentum is constant and their angle is a quadrature (Routh).  Examples are reaction wheels
-and rotors.
+The momentum of a cyclic joint is constant, and its angle follows by quadrature (Routh).  Examples
+are reaction wheels and rotors.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from ..system.system import System
 from .pointwise_reduction import PointwiseReduction
 from .potential import pivot_weight
 
-_SAMPLES = 3  # random shapes at which dependence is checked
-_NO_DEPENDENCE = 1e-12  # tolerance, relative to the joint's kinetic energy at usual rates
+_SAMPLES = 3  # number of random shapes at which the dependence is checked
+_NO_DEPENDENCE = 1e-12  # tolerance, relative to the joint's kinetic energy at typical rates
 _ROUND_OFF = 2e-14  # tolerance, relative to the subtree's inertia about the root
 
 
@@ -34,9 +34,10 @@ def cyclic_joints(
 
     Args:
         red: Reduction of the system.
-        touched: Joints on which forces act, or on whose position something depends.
-        pushed: Whether a force acts on the base.  Momenta are then those in the frame of the
-            centre of mass, so the momentum of a joint that moves this along the group changes.
+        touched: Joints on which forces act, or whose position enters another quantity.
+        pushed: Whether a force acts on the base.  Momenta are then measured in the frame of the
+            centre of mass. The momentum of a joint changes if the joint moves this frame along
+            the group.
     Returns:
         Indices of the cyclic joints.
     """
@@ -74,12 +75,12 @@ def cyclic_joints(
 
 
 def _usual_rates(system: System, data: pin.Data, H: Array) -> tuple[Array, Array]:
-    """Return usual rates (n,), and the work on each shape joint, (m,), that counts as zero.
+    """Return typical rates (n,), and the largest work per shape joint (m,) that counts as zero.
 
-    A usual rate is 1 rad/s, or a speed that covers the robot's length in a second.  The limit is a
-    fraction of the joint's kinetic energy, not of the robot's, so that it suits light and heavy
-    joints.  Round-off scales with the subtree's inertia about the root, so that the limit is lower
-    for small and light subtrees near the root.  data: with the placements of the joints.
+    A typical rate is 1 rad/s, or a speed that covers the robot's length in a second.  The limit is
+    a fraction of the kinetic energy of the joint, not of the robot, so that it suits light and
+    heavy joints.  Round-off scales with the subtree's inertia about the root, so that the limit is
+    lower for small and light subtrees near the root.  `data` must contain the joint placements.
     """
     model, r = system.model, system.r
     root = data.oMi[1].translation
@@ -104,7 +105,7 @@ def _usual_rates(system: System, data: pin.Data, H: Array) -> tuple[Array, Array
 
 
 def cyclic_of(system: System, touched: frozenset[int], *, pushed: bool) -> tuple[int, ...]:
-    """Return the cyclic joints of a system, computed once (see `cyclic_joints`)."""
+    """Return the cyclic joints of a system; the result is cached (see `cyclic_joints`)."""
     return system.workspace(
         (cyclic_of, touched, pushed),
         lambda: cyclic_joints(PointwiseReduction(system), touched, pushed=pushed),

@@ -16,24 +16,24 @@ from ..common.errors import SingularInertiaError
 from ..common.names import quoted
 from ..system.system import System
 
-_SAMPLES = 20  # random shapes from which usual inertias are taken
-# The mass matrix counts as singular if its least eigenvalue is below this multiple of the usual
-# one.  The eigenvalue falls with the square of the distance from a singular shape.
+_SAMPLES = 20  # number of random shapes that determine typical inertias
+# The mass matrix counts as singular if its least eigenvalue is below this multiple of its typical
+# value.  The eigenvalue falls with the square of the distance from a singular shape.
 _SINGULAR = 1e-6
-# A coordinate takes part in a singular motion if its share is above this multiple of the largest.
+# A coordinate belongs to a singular motion if its amplitude exceeds this fraction of the largest.
 _SHARE = 0.1
 
 
 @dataclass(frozen=True)
 class InertiaSplit:
-    """Inertia at one shape; arrays are read-only.
+    """Blocks of the mass matrix at one shape, and their Schur complement; read-only arrays.
 
     Attributes:
         x: Shape, (m,) [rad | m].
-        mass_matrix: H, (n, n), base rows first.
-        locked_inertia: I, (r, r).
-        local_connection: A, (r, m).
-        reduced_metric: M, (m, m).
+        mass_matrix: Mass matrix H, (n, n), base rows first.
+        locked_inertia: Locked inertia I, (r, r).
+        local_connection: Local connection A, (r, m).
+        reduced_metric: Reduced metric M, (m, m).
         com: Centre of mass in the root body's frame, (3,) [m].
     """
 
@@ -120,7 +120,8 @@ def split_inertia(system: System, x: Array, H: Array, com: Array) -> InertiaSpli
         x=x,
         mass_matrix=H,
         locked_inertia=H[:r, :r].copy(),
-        # H = L Lᵀ by blocks: I = L₁₁L₁₁ᵀ, A = L₁₁⁻ᵀ L₂₁ᵀ, and M = L₂₂L₂₂ᵀ loses no digits.
+        # The blocks of H = L Lᵀ give I = L₁₁L₁₁ᵀ, A = L₁₁⁻ᵀ L₂₁ᵀ, and M = L₂₂L₂₂ᵀ without
+        # cancellation.
         # SciPy's triangular solver would start threads even for such small matrices.
         local_connection=np.asarray(np.linalg.solve(L[:r, :r].T, L[r:, :r].T)),
         reduced_metric=L[r:, r:] @ L[r:, r:].T,
@@ -147,7 +148,8 @@ def cholesky(H: Array, system: System, x: Array) -> Array:
         i = int(np.argmax(np.abs(directions[:, 0])))
         reason = f"least eigenvalue {eigenvalues[0]:.3g}"
     else:
-        # The square of a pivot is the inertia that the coordinates before it do not explain.
+        # The square of a pivot is the inertia of its coordinate while the earlier coordinates move
+        # freely.
         size = np.diag(H)
         if system.doubts:
             size = np.maximum(size, usual_inertias(system))
@@ -167,14 +169,14 @@ def cholesky(H: Array, system: System, x: Array) -> Array:
 
 
 def lost_inertia(system: System, x: Array) -> str:
-    """Describe the joint that moves hardly any mass, as the end of a message.
+    """Describe the joint that moves almost no mass, for the end of an error message.
 
     Args:
         system: The system.
         x: Shape, (m,).
     Returns:
-        The text. It is empty if the least eigenvalue of the mass matrix, scaled by usual inertias,
-        is not far below its value at random shapes.
+        The description. It is empty if the least eigenvalue of the mass matrix, scaled by typical
+        inertias, is not far below its value at random shapes.
     """
     if not np.isfinite(x).all():
         return ""
@@ -202,7 +204,7 @@ def usual_inertias(system: System) -> Array:
 
 
 def usual_mass_matrices(system: System) -> list[Array]:
-    """Return the mass matrices (n, n) at some random shapes, computed once."""
+    """Return the mass matrices (n, n) at some random shapes; the result is cached."""
     rng = np.random.default_rng(0)
     shapes = rng.uniform(-np.pi, np.pi, (_SAMPLES, system.m))
     return system.workspace(usual_mass_matrices, lambda: [mass_matrix(system, x) for x in shapes])
@@ -217,23 +219,23 @@ def mass_matrix(system: System, x: Array) -> Array:
 def mass_matrix_at(
     system: System, model: pin.Model, data: pin.Data, pose: Array, x: Array
 ) -> Array:
-    """Compute the mass matrix of base and shape by CRBA.
+    """Compute the mass matrix of base and shape with CRBA.
 
     Args:
         system: The system.
-        model: Its model, or one that differs in gravity only.
+        model: Model of the system, or a model that differs from it in gravity only.
         data: Pinocchio's work space, which keeps the results of CRBA.
         pose: Pose coordinates of the base.
         x: Shape, (m,) [rad | m].
     Returns:
-        (n, n).
+        Mass matrix, (n, n).
     """
     upper = pin.crba(model, data, system.model_q(pose, x))
     return system.coupled_matrix(symmetric(upper))
 
 
 def symmetric(upper: Array) -> Array:
-    """Return the symmetric matrix with the given upper triangle, which CRBA fills."""
+    """Return the symmetric matrix with this upper triangle; CRBA fills only that triangle."""
     return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
 
 

@@ -1,7 +1,7 @@
 """Reduction at one shape: locked inertia, connection, reduced metric, curvature, potential.
 
-Pinocchio's CRBA gives the mass matrix, and its RNEA derivatives give the derivatives: with v = 0,
-no gravity and a = e_k, ∂τ/∂q is exactly ∂(H e_k)/∂q.  Source: Marsden, Montgomery, Ratiu,
+Pinocchio's CRBA gives the mass matrix, and its RNEA derivatives give ∂H: with v = 0, no
+gravity and a = e_k, ∂τ/∂q is exactly ∂(H e_k)/∂q.  Source: Marsden, Montgomery, Ratiu,
 "Reduction, symmetry and phases in mechanics", 1990; Cendra, Marsden, Ratiu, "Lagrangian reduction
 by stages", 2001.
 """
@@ -31,14 +31,14 @@ class ReducedShape(InertiaSplit):
 
     Attributes:
         x: Shape, (m,) [rad | m].
-        mass_matrix: H, (n, n), base rows first.
-        locked_inertia: I, (r, r).
-        local_connection: A, (r, m).
-        reduced_metric: M, (m, m).
+        mass_matrix: Mass matrix H, (n, n), base rows first.
+        locked_inertia: Locked inertia I, (r, r).
+        local_connection: Local connection A, (r, m).
+        reduced_metric: Reduced metric M, (m, m).
         com: Centre of mass in the root body's frame, (3,) [m].
-        curvature: B, (r, m, m), with B[:, α, β] = B_αβ.
-        dI: ∂I, (r, r, m), with the derivative index last.
-        dM: ∂M, (m, m, m), with the derivative index last.
+        curvature: Curvature B, (r, m, m), with B[:, α, β] = B_αβ.
+        dI: Derivative ∂I, (r, r, m), with the derivative index last.
+        dM: Derivative ∂M, (m, m, m), with the derivative index last.
     """
 
     curvature: Array
@@ -49,7 +49,7 @@ class ReducedShape(InertiaSplit):
 
     @property
     def dA(self) -> Array:
-        """∂A, (r, m, m), derivative index last.  Raises InputError if the section gives no ∂Θ."""
+        """Derivative ∂A, (r, m, m), index last.  Raises InputError if the section has no ∂Θ."""
         if isinstance(self._dA, InputError):
             raise self._dA
         return self._dA
@@ -94,7 +94,7 @@ class PointwiseReduction:
 
     It is the base class of `Reduction`, which adds fields over many shapes and further geometry.
     Every method raises ShapeError if the shape has the wrong length or is not finite, and
-    SingularInertiaError if the mass matrix is numerically singular there.
+    SingularInertiaError if the mass matrix is numerically singular at this shape.
     """
 
     def __init__(self, system: System, *, springs: Springs | None = None) -> None:
@@ -130,12 +130,12 @@ class PointwiseReduction:
         return self.system.group
 
     def mass_matrix(self, x: ArrayLike) -> Array:
-        """Compute the mass matrix H(x), by Pinocchio's CRBA with armature.
+        """Compute the mass matrix H(x), including armature, with Pinocchio's CRBA.
 
         Args:
             x: Shape, (m,) [rad | m].
         Returns:
-            (n, n), base rows first, both triangles.
+            Symmetric mass matrix, (n, n), base rows first.
         """
         return self.split(x).mass_matrix
 
@@ -176,7 +176,7 @@ class PointwiseReduction:
         Args:
             x: Shape, (m,) [rad | m].
         Returns:
-            (r, m, m), antisymmetric in α, β.  The bracket is that of body twists.
+            (r, m, m), antisymmetric in α, β.  The bracket is the Lie bracket of body twists.
         """
         B = self._in_file.at(x).curvature if self.frames else self.at(x).curvature
         for frame in self.frames:
@@ -214,7 +214,7 @@ class PointwiseReduction:
                 ∂A (`at(x).dA`, the accelerations of Lagrange–Poincaré), it must return ∂Θ,
                 (r, m, m), derivative index last, as a third value.
         Returns:
-            A copy.  Raises InputError if Θ or ∂Θ is not the derivative.
+            A copy in the new section.  Raises InputError if Θ or ∂Θ is not the derivative.
         """
         moved = copy(self)
         moved.frames = (*self.frames, MovedFrame(self.system, h))
@@ -238,7 +238,7 @@ class PointwiseReduction:
         r, m = self.system.r, self.system.m
         dH = self._mass_matrix_derivative(x)
         I, A = split.locked_inertia, split.local_connection
-        # A = I⁻¹ (IA) and M = M̃ − Aᵀ (IA), differentiated.
+        # Differentiate A = I⁻¹ (IA) and M = M̃ − Aᵀ (IA).
         dI, dIA = dH[:r, :r], dH[:r, r:]
         dA_in_file = np.linalg.solve(I, (dIA - np.einsum("ijc,jb->ibc", dI, A)).reshape(r, -1))
         dA_in_file = dA_in_file.reshape(r, m, m)
@@ -260,7 +260,7 @@ class PointwiseReduction:
         )
 
     def split(self, x: ArrayLike) -> InertiaSplit:
-        """Compute I, A, M, H and the centre of mass at one shape, from one CRBA.
+        """Compute I, A, M, H and the centre of mass at one shape with a single CRBA call.
 
         Args:
             x: Shape, (m,) [rad | m].
@@ -279,7 +279,7 @@ class PointwiseReduction:
         return self._potential
 
     def shape_potential(self) -> Potential:
-        """Return the potential, without gravity if gravity turns the base about a pivot.
+        """Return the potential V(x); gravity is left out if it turns the base about a pivot.
 
         Raises SymmetryError if gravity breaks the symmetry otherwise.
         """
@@ -299,7 +299,7 @@ class PointwiseReduction:
 
     @property
     def _in_file(self) -> Self:
-        """The reduction in the section of the robot's file."""
+        """The reduction with respect to the base frame of the robot file."""
         first = copy(self)
         first.frames = ()
         return first

@@ -1,6 +1,7 @@
 """Poisson brackets of the reduced phase space, in two forms.
 
-In the local trivialisation T*Q/G = T*B × 𝔤*, with z = (x, π, μ), canonical × Lie–Poisson,
+In the local trivialisation T*Q/G = T*B × 𝔤*, with z = (x, π, μ), the bracket is canonical ×
+Lie–Poisson,
 
     {f, g} = ∂f/∂x · ∂g/∂π − ∂f/∂π · ∂g/∂x − ⟨μ, [∂f/∂μ, ∂g/∂μ]⟩
 
@@ -11,7 +12,7 @@ and on T*B ⊕ 𝔤̃*, with z = (x, p, μ) and the connection, p = π − Aᵀ�
 
 If gravity rotates a pivoted base, its direction Γ in the body is a variable too (so(3) ⋉ ℝ³):
 {Γ, ⟨μ, ξ⟩} = Γ × ξ, {Γ, Γ} = 0, {p_α, Γ} = −{⟨μ, A_α⟩, Γ}.  Along motions, ḟ = {f, h}.  Gravity
-along the group's translations does not appear, because momenta are those in the falling frame.
+along the group's translations does not appear, because momenta are measured in the falling frame.
 
 Source: Cendra, Marsden, Pekarsky, Ratiu, "Variational principles for Lie–Poisson and
 Hamilton–Poincaré equations", 2003; Montgomery, Marsden, Ratiu, "Gauged Lie–Poisson structures",
@@ -48,7 +49,7 @@ from .tree.momenta import centre_of_mass
 Form: TypeAlias = Literal["connection", "canonical"]
 FORMS = ("connection", "canonical")
 
-# Phase spaces by the hashes of their symbols.
+# Maps the hash of each symbol to its phase space.
 _spaces: WeakValueDictionary[int, PhaseSpace] = WeakValueDictionary()
 
 
@@ -60,7 +61,7 @@ class PhaseSpace:
         system: The system.
         form: "connection" or "canonical".
         x: Shape, (m,).
-        p: M ẋ in the form "connection", π = ∂L/∂ẋ in "canonical", (m,).
+        p: Shape momentum, (m,): M ẋ in the form "connection", π = ∂L/∂ẋ in "canonical".
         mu: Body momentum, (r,).
         gamma: Direction of gravity in the body, (3,), if gravity rotates a pivoted base, else (0,).
     """
@@ -98,7 +99,7 @@ class PhaseSpace:
 
     @cached_property
     def hamiltonian(self) -> ca.SX:
-        """The energy h without springs, whose energy may be added as a function of x."""
+        """The energy h without springs; add the energy of springs as a function of x."""
         m, r = self.system.m, self.system.r
         if self.form == "canonical":
             momentum = ca.vertcat(self.mu, self.p)
@@ -130,9 +131,10 @@ class Observable:
 
     Attributes:
         red: Reduction of the system.
-        value: Function (x, p, mu) → number, or (x, p, mu, gamma) if gravity rotates a pivoted base.
-        gradient: Function of the same arguments → derivative by z = (x, p, mu, gamma), as one
-            vector or as a tuple of vectors.
+        value: Function (x, p, mu) that returns a number, or (x, p, mu, gamma) if gravity rotates a
+            pivoted base.
+        gradient: Function of the same arguments that returns the derivative with respect to
+            z = (x, p, mu, gamma), as one vector or as a tuple of vectors.
         form: "connection" or "canonical", see `tensor`.
     """
 
@@ -168,7 +170,7 @@ def bracket(f: ca.SX | Observable, g: ca.SX | Observable) -> ca.SX | Callable[..
 
     Args:
         f: CasADi expression in the symbols of one `phase_space`, or an Observable.
-        g: The same for the second argument, of the same phase space or Reduction.
+        g: Expression or Observable like f, with the same phase space or Reduction.
     Returns:
         A CasADi expression, or, for Observables, a function of the same arguments.
     Raises:
@@ -242,7 +244,7 @@ def _of_observables(f: Observable, g: Observable) -> Callable[..., float]:
 
 
 def _gradient(value: ArrayLike, size: int) -> Array:
-    """Return a gradient by z, (size,), given as one vector or as a tuple of vectors."""
+    """Validate a gradient with respect to z, one vector or a tuple of vectors; return (size,)."""
     blocks = value if isinstance(value, tuple) else (value,)
     gradient = np.concatenate([np.atleast_1d(np.asarray(b, dtype=float)) for b in blocks])
     if gradient.shape != (size,):
@@ -273,7 +275,7 @@ def _space_of(*expressions: ca.SX) -> PhaseSpace:
         space = _spaces.get(symbol.element_hash())
         if space is None:
             raise InputError(
-                f"'{symbol}' is no variable of a phase space; take those of "
+                f"'{symbol}' is not a phase-space variable; use the variables of "
                 "pinred.poisson.phase_space(system)"
             )
         spaces.append(space)

@@ -22,7 +22,7 @@ from ..system.system import System
 
 Springs: TypeAlias = Mapping[str, tuple[float, float]]
 
-_SAMPLES = 8  # random configurations at which the symmetry is checked
+_SAMPLES = 8  # number of random configurations at which the symmetry is checked
 _ROUND_OFF = 4e-16  # relative round-off of a rotated vector
 _LEVEL = 1e-12  # relative tolerance for a pivot at the height of the world's origin
 _TOLERANCE = 1e-10  # torques below this multiple of weight times size count as zero
@@ -47,17 +47,17 @@ def falling(system: System) -> Array:
 
 
 class Potential:
-    """The potential V(x) of one system and its gradient; terms without effect are skipped."""
+    """The potential V(x) of one system and its gradient; zero terms are skipped."""
 
     def __init__(
         self, system: System, springs: Springs | None = None, *, weight: bool = True
     ) -> None:
-        """Prepare the terms.
+        """Prepare the terms of the potential.
 
         Args:
             system: The system.
             springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}.
-            weight: Whether gravity counts.
+            weight: Whether the potential includes gravity.
 
         InputError is raised for an unknown joint or a number that is not finite, SymmetryError if
         gravity breaks the symmetry.
@@ -69,14 +69,14 @@ class Potential:
         if not weight or np.linalg.norm(sideways) <= 1e-14 * np.linalg.norm(system.gravity):
             sideways = np.zeros(3)
         self._sideways = sideways
-        # Pinocchio's potential energy and torques with only g⊥ acting.
+        # Pinocchio computes the potential energy and torques with g⊥ as the only gravity.
         self._model = system.model.copy()
         self._model.gravity.linear = sideways
         self._data = system.data
         self._identity = system.group.identity()
         if sideways.any() and system.group.turns and not system.group.plane:
             _check_invariance(system, self._model, self._data)
-        # A pivot keeps the symmetry only if the centre of mass is there at all shapes.
+        # A pivot keeps the symmetry only if the centre of mass is at the pivot in all shapes.
         self._acts = sideways.any() and not system.group.is_pivot
         self._weighs = self._acts and system.m > 0
 
@@ -130,9 +130,9 @@ class Potential:
 def pivot_weight(system: System) -> Array:
     """Return m g in the root joint's fixed frame, (3,) [N], if gravity rotates a pivoted base.
 
-    Otherwise zero.  A robot that is balanced on a pivot above or below the world's origin also
-    counts, although its moment is zero: its potential energy follows gravity and mass if these are
-    varied.
+    Returns zero otherwise.  A robot that is balanced on a pivot above or below the world's origin
+    also counts, although its moment is zero: its potential energy depends on gravity and mass,
+    which may be varied.
     """
 
     def make() -> Array:
@@ -160,7 +160,7 @@ def broken_by_gravity(system: System) -> str:
 
 
 def shape_gravity(system: System) -> Potential:
-    """Return the potential of gravity on the shape, made once per thread.
+    """Return the potential of gravity on the shape, cached per thread.
 
     Raises SymmetryError if gravity breaks the symmetry.
     """
@@ -172,7 +172,7 @@ def shape_gravity(system: System) -> Potential:
 def acting_gravity(system: System) -> Array:
     """Return the part of gravity that acts on the shape or rotates a pivoted base, (3,) [m/s²].
 
-    It is in the root joint's fixed frame, and round-off of its rotation is set to zero.  Raises
+    The vector is in the root joint's fixed frame; round-off of its rotation is set to zero.  Raises
     SymmetryError if gravity breaks the symmetry.
     """
 

@@ -24,8 +24,8 @@ from .inertia_split import InertiaSplit
 
 Section: TypeAlias = Callable[[Array], tuple[Any, ...]]
 
-_STEP = 1e-3  # rad or m, of the differences that check a derivative
-_TOLERANCE = 1e-6  # of these differences, relative to the largest entry
+_STEP = 1e-3  # rad | m, step of the finite differences that check a derivative
+_TOLERANCE = 1e-6  # tolerance of this check, relative to the largest entry
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Moves:
     """Changes of the base frame at N shapes; arrays are read-only.
 
     Attributes:
-        Ad: Ad_h, (N, r, r).
-        inverse: Ad_{h⁻¹}, (N, r, r).
-        theta: Θ, (N, r, m).
+        Ad: Adjoint Ad_h, (N, r, r).
+        inverse: Inverse adjoint Ad_{h⁻¹}, (N, r, r).
+        theta: Body twists Θ = h⁻¹ ∂h per unit joint rate, (N, r, m).
         rotation: Rotation of h in the root joint's fixed frame, (N, 3, 3).
         translation: Translation of h in the root joint's fixed frame, (N, 3) [m].
     """
@@ -50,7 +50,7 @@ class Moves:
         freeze(self)
 
     def mass_matrix(self, H: Array) -> Array:
-        """Return H′, (N, n, n), which gives the same energy at velocities (ξ′, ẋ)."""
+        """Return the mass matrix H′, (N, n, n), for velocities (ξ′, ẋ) in the new frame."""
         r = self.Ad.shape[-1]
         T = np.zeros_like(H)
         T[:, :r, :r], T[:, :r, r:] = self.Ad, -self.Ad @ self.theta
@@ -58,11 +58,11 @@ class Moves:
         return np.asarray(np.swapaxes(T, 1, 2) @ H @ T)
 
     def local_connection(self, A: Array) -> Array:
-        """Return A′, (N, r, m)."""
+        """Return the local connection A′ in the new frame, (N, r, m)."""
         return np.asarray(self.inverse @ A - self.theta)
 
     def curvature(self, B: Array) -> Array:
-        """Return B′, (N, r, m, m)."""
+        """Return the curvature B′ in the new frame, (N, r, m, m)."""
         return np.asarray(np.einsum("nij,njab->niab", self.inverse, B))
 
     def com(self, com: Array) -> Array:
@@ -91,7 +91,7 @@ class MovedFrame:
         return InertiaSplit(old.x, H, I, A, old.reduced_metric, move.com(old.com[None])[0])
 
     def com_derivative(self, new: InertiaSplit, derivative: Array) -> Array:
-        """Return ∂c′, (3, m), of c′ = h⁻¹ c from ∂c; new: the split in this frame."""
+        """Return the derivative (3, m) of c′ = h⁻¹ c from ∂c; `new` is the split in this frame."""
         move = self.moves(new.x[None])
         twists = axes_of(self._system.model.joints[1]) @ move.theta[0]
         carried = twists[:3] + np.cross(twists[3:].T, new.com).T
@@ -102,7 +102,7 @@ class MovedFrame:
         return np.asarray(self.moves(x[None]).curvature(B[None])[0])
 
     def inertia_derivative(self, new: InertiaSplit, dI: Array) -> Array:
-        """Return ∂I′, (r, r, m), derivative index last, from ∂I; new: the split in this frame."""
+        """Return ∂I′, (r, r, m), index last, from ∂I; `new` is the split in this frame."""
         pose, theta, _ = self._element(new.x)
         Ad, ad = self._group.Ad(pose), self._group.ad(theta.T)
         half = np.einsum("ij,cjk->ikc", new.locked_inertia, ad)  # ∂ Ad_h = Ad_h ad_Θ
@@ -115,11 +115,11 @@ class MovedFrame:
         """Compute ∂A′ from ∂A.
 
         Args:
-            new: The split in this frame.
-            dA: ∂A in the frame before, (r, m, m), derivative index last, or the reason why there
-                is none.
+            new: Split of the mass matrix in this frame.
+            dA: Derivative ∂A in the old frame, (r, m, m), derivative index last, or the error that
+                explains why ∂A is not available.
         Returns:
-            ∂A′, or the reason why there is none: h does not return ∂Θ.
+            Derivative ∂A′, or the error that h does not return ∂Θ.
         """
         pose, theta, dtheta = self._element(new.x)
         if isinstance(dA, InputError):
@@ -154,7 +154,7 @@ class MovedFrame:
         return model.jointPlacements[1].actInv(data.oMi[1])
 
     def _element(self, x: Array) -> tuple[Array, Array, Array | None]:
-        """Return the pose h(x), Θ, and ∂Θ or None.  Raises InputError for other values."""
+        """Evaluate h: return its pose, Θ, and ∂Θ or None.  Raises InputError for other values."""
         value = self.section(x.copy())
         if not isinstance(value, tuple) or len(value) not in (2, 3):
             raise InputError(
@@ -167,7 +167,7 @@ class MovedFrame:
         return self._group.pose(value[0]), theta, dtheta
 
     def _check_derivatives(self, x: Array) -> None:
-        """Raise InputError if Θ or ∂Θ differs from differences of h at shape x (m,)."""
+        """Raise InputError if Θ or ∂Θ differs from finite differences of h at shape x (m,)."""
         pose, theta, dtheta = self._element(x)
         inverse = self._group.inverse(pose)
         for k, unit in enumerate(np.eye(self._system.m)):

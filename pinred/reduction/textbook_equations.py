@@ -1,13 +1,14 @@
 """The reduced equations of motion, term by term, evaluated with Pinocchio.
 
-Lagrange–Poincaré, in shape x, rate ẋ and locked velocity Ω, with μ = I Ω, ξ = Ω − A ẋ:
+The Lagrange–Poincaré equations, in shape x, rate ẋ and locked velocity Ω, with μ = I Ω and
+ξ = Ω − A ẋ:
 
     d/dt(M ẋ)_α = ½ ẋᵀ ∂_αM ẋ + ½ Ωᵀ ∂_αI Ω − ∂_αV + ⟨μ, B_αβ⟩ ẋ^β − ⟨μ, [Ω, A_α]⟩ + τ_α
                       − ⟨f, A_α⟩
     μ̇ = ad*_ξ μ + f
 
 The Hamilton–Poincaré equations are the same in (x, p, μ), with ẋ = M⁻¹ p.  The Euler–Poincaré
-equations are the last line alone, at a fixed shape.  τ are joint torques, and f is a wrench on the
+equations are only the last line, at a fixed shape.  τ are joint torques, and f is a wrench on the
 base in its frame.  −⟨f, A_α⟩ is the work of f in a horizontal motion, ξ = −A ẋ.  Gravity along the
 group's translations does not appear: the equations hold in the falling frame.
 
@@ -16,7 +17,7 @@ direction in the body Γ = Rᵀ ĝ is a variable too, Γ̇ = Γ × ξ.  With the
 
     f_weight = c × F  in μ̇,     F·∂_αc − ⟨c × F, A_α⟩  in the shape equation,
 
-and h gains −F·c.  Then `gamma`, or the pose that determines it, is required.
+and −F·c is added to the energy h.  Then `gamma`, or the pose that determines it, is required.
 
 Source: Cendra, Marsden, Ratiu 2001, ch. 3; Cendra, Marsden, Pekarsky, Ratiu,
 "Variational principles for Lie–Poisson and Hamilton–Poincaré equations", 2003; for the weight:
@@ -37,7 +38,7 @@ from .base_parts import root_of
 from .pointwise_reduction import PointwiseReduction, ReducedShape
 from .potential import pivot_weight
 
-_UNIT = 1e-6  # tolerance for the length of gamma
+_UNIT = 1e-6  # largest deviation of |gamma| from 1
 
 
 class _Terms:
@@ -61,14 +62,14 @@ class ShapeForces(_Terms):
     """The terms of d/dt(M ẋ) = ṗ, each (m,) [N m | N].
 
     Attributes:
-        metric: ½ ẋᵀ ∂M ẋ.
-        centrifugal: ½ Ωᵀ ∂I Ω.
-        potential: −∂V.
-        curvature: ⟨μ, B_αβ⟩ ẋ^β.
-        coadjoint: −⟨μ, [Ω, A_α]⟩.
-        torque: τ.
-        wrench: −⟨f, A_α⟩.
-        weight: F·∂_αc − ⟨c × F, A_α⟩ of a pivoted base.
+        metric: Force ½ ẋᵀ ∂M ẋ of the changing metric.
+        centrifugal: Centrifugal force ½ Ωᵀ ∂I Ω.
+        potential: Potential force −∂V.
+        curvature: Magnetic-like force ⟨μ, B_αβ⟩ ẋ^β of the curvature.
+        coadjoint: Coupling force −⟨μ, [Ω, A_α]⟩.
+        torque: Joint torque τ.
+        wrench: Effect −⟨f, A_α⟩ of the wrench f on the base.
+        weight: Effect F·∂_αc − ⟨c × F, A_α⟩ of the weight of a pivoted base.
     """
 
     metric: Array
@@ -86,9 +87,9 @@ class MomentumForces(_Terms):
     """The terms of μ̇, each (r,) [N; N m].
 
     Attributes:
-        coadjoint: ad*_ξ μ.
-        wrench: f.
-        weight: c × F.
+        coadjoint: Rotation with the body, ad*_ξ μ.
+        wrench: Wrench f on the base.
+        weight: Moment c × F of the weight.
     """
 
     coadjoint: Array
@@ -127,7 +128,8 @@ class HamiltonPoincare:
         xdot: Shape rate M⁻¹ p, (m,) [rad/s | m/s].
         shape: Terms of ṗ.
         momentum: Terms of μ̇.
-        energy: h = ½ pᵀ M⁻¹ p + V + ½ μᵀ I⁻¹ μ [J], with −F·c if gravity rotates a pivoted base.
+        energy: Energy h = ½ pᵀ M⁻¹ p + V + ½ μᵀ I⁻¹ μ [J], with −F·c if gravity rotates a pivoted
+            base.
     """
 
     xdot: Array
@@ -148,7 +150,7 @@ class EulerPoincare:
 
     Attributes:
         momentum: Terms of μ̇ = ad*_ξ μ + f.
-        xidot: I⁻¹ μ̇, (r,) [m/s²; rad/s²].
+        xidot: Rate of the body twist, I⁻¹ μ̇, (r,) [m/s²; rad/s²].
     """
 
     momentum: MomentumForces
@@ -178,8 +180,8 @@ def lagrange_poincare(
         omega: Locked velocity Ω = ξ + A ẋ (`red.locked_velocity`), (r,).
         torque: Joint torques, (m,) [N m | N].
         wrench: Wrench on the base in its frame, (r,) [N; N m].
-        gamma: Direction of gravity in the body, (3,).  It or pose is required if and only if
-            gravity rotates a pivoted base.
+        gamma: Direction of gravity in the body, (3,).  `gamma` or `pose` is required if and only
+            if gravity rotates a pivoted base.
         pose: Pose coordinates of the base.
     Returns:
         The terms and the accelerations.  Raises SymmetryError if gravity breaks the symmetry.
@@ -190,7 +192,7 @@ def lagrange_poincare(
     mu = at.locked_inertia @ omega
     momentum = _momentum_forces(red, omega - at.local_connection @ xdot, mu, wrench, F, at.com)
     shape = _shape_forces(red, at, xdot, omega, torque, momentum, F)
-    # d/dt(M ẋ) = M ẍ + Ṁ ẋ,  μ̇ = I Ω̇ + İ Ω,  ξ̇ = Ω̇ − A ẍ − Ȧ ẋ
+    # Solve for the accelerations: d/dt(M ẋ) = M ẍ + Ṁ ẋ,  μ̇ = I Ω̇ + İ Ω,  ξ̇ = Ω̇ − A ẍ − Ȧ ẋ
     xddot = _solve(at.reduced_metric, shape.total - at.dM @ xdot @ xdot)
     omegadot = _solve(at.locked_inertia, momentum.total - at.dI @ xdot @ omega)
     xidot = np.asarray(omegadot - at.local_connection @ xddot - at.dA @ xdot @ xdot)
@@ -217,8 +219,8 @@ def hamilton_poincare(
         mu: Body momentum, (r,) [N s; N m s].
         torque: Joint torques, (m,) [N m | N].
         wrench: Wrench on the base in its frame, (r,) [N; N m].
-        gamma: Direction of gravity in the body, (3,).  It or pose is required if and only if
-            gravity rotates a pivoted base.
+        gamma: Direction of gravity in the body, (3,).  `gamma` or `pose` is required if and only
+            if gravity rotates a pivoted base.
         pose: Pose coordinates of the base.
     Returns:
         The terms and the energy.  Raises SymmetryError if gravity breaks the symmetry.
@@ -253,14 +255,14 @@ def euler_poincare(
         x: Shape, (m,) [rad | m].
         xi: Body twist, (r,) [m/s; rad/s].
         wrench: Wrench on the base in its frame, (r,) [N; N m].
-        gamma: Direction of gravity in the body, (3,).  It or pose is required if and only if
-            gravity rotates a pivoted base.
+        gamma: Direction of gravity in the body, (3,).  `gamma` or `pose` is required if and only
+            if gravity rotates a pivoted base.
         pose: Pose coordinates of the base.
     Returns:
         The terms and the rate of the twist.  Raises SymmetryError if gravity breaks the symmetry.
     """
     F = _weight(red, gamma, pose)
-    red.shape_potential()  # raises SymmetryError: the moment of such gravity is not among the terms
+    red.shape_potential()  # raises SymmetryError: no term for its moment
     at, xi = red.split(x), vector(xi, red.system.r, "xi")
     momentum = _momentum_forces(red, xi, at.locked_inertia @ xi, wrench, F, at.com)
     return EulerPoincare(momentum, read_only(_solve(at.locked_inertia, momentum.total)))
@@ -293,7 +295,7 @@ def _weight(
 
 
 def _weight_energy(red: PointwiseReduction, F: Array | None, com: Array) -> float:
-    """Return the potential energy of the gravity force, from the world's origin up [J]."""
+    """Return the potential energy of gravity, zero at the height of the world's origin [J]."""
     if F is None:
         return 0.0
     return -float(F @ com + pivot_weight(red.system) @ root_of(red.system).origin)

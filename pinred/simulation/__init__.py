@@ -1,4 +1,4 @@
-"""Simulation of scenes by two engines: compiled kernels, or Pinocchio.
+"""Simulation of scenes with two engines: compiled kernels, or Pinocchio.
 
 A Plan is everything that follows from a scene before integration.  A flow (CompiledFlow or
 PinocchioFlow) is its vector field with initial state and parameters.  A Segment is the solution

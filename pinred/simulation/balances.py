@@ -35,8 +35,8 @@ from .motion import Motion
 from .plan import Plan
 from .sample import Sample
 
-_POINTS = 8  # Gauss points in each step.
-_DRIVES = "prescribed joints"  # Label of the work of their drives.
+_POINTS = 8  # Number of Gauss points in each step.
+_DRIVES = "prescribed joints"  # Label for the work done by the drives of prescribed joints.
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class EnergyBalance:
     Attributes:
         t: Report times, (T,) [s].
         energy: Kinetic and potential energy, (T,) [J].
-        labels: Names of the forces that do work, K of them.
-        work: Work of each of them since the start of the motion, (T, K) [J].
+        labels: Names of the K forces that do work.
+        work: Work of each force since the start of the motion, (T, K) [J].
     """
 
     t: Array
@@ -112,7 +112,7 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
 
     Args:
         plan: The plan of the scene.
-        motion: The motion, which has the base.
+        motion: The motion, which includes the base.
         states: States of the motion at the report times.
     Returns:
         The balance at the times of the states.
@@ -144,7 +144,7 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
 
     Args:
         plan: The plan of the scene.
-        motion: The motion, which has the base.
+        motion: The motion, which includes the base.
         states: States of the motion at the report times.
     Returns:
         The balance at the times of the states.
@@ -152,7 +152,7 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
     system, forces = plan.system, plan.forces
     axes, weight = axes_of(system.model.joints[1]), system.mass * system.gravity
     # Moments are about the root joint, not the world's origin, so that a robot that is balanced
-    # there has no round-off of a large lever arm.
+    # about this joint has no round-off from a large lever arm.
     model, data = system.model.copy(), system.data
     rotation = model.jointPlacements[1].rotation.copy()
     model.jointPlacements[1].translation = np.zeros(3)

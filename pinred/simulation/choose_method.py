@@ -1,9 +1,9 @@
 """The choice of an integrator for a scene that states none, with its reason.
 
-A sweep of AdaptiveGauss evaluates eight stages at once, in SIMD lanes, and replaces evaluations of
-DOP853.  It costs more of them if identical branches fill the lanes already, and replaces more of
-them at tight tolerances.  The constants are fits to `pinred bench accuracy`; see
-docs/integrators.md.
+A sweep of AdaptiveGauss evaluates its eight stages at once in SIMD lanes, and saves evaluations of
+DOP853.  A sweep costs more evaluations if identical branches of the robot already fill the lanes,
+and saves more evaluations at tight tolerances.  The constants are fits to `pinred bench accuracy`;
+see docs/integrators.md.
 
 Forces are stiff if they decay fast. At zero momentum the linearisation of M ẍ = τ(x, ẋ) has K =
 −∂τ/∂x and D = −∂τ/∂ẋ. The rates are the eigenvalues of [[0, 1], [−M⁻¹K, −M⁻¹D]].
@@ -29,19 +29,23 @@ from ..reduction.tree.identical_branches import Lanes, links_of
 from ..scene.scene import Scene
 from ..system.system import System
 
-_FEW = 3  # Reports inside steps that AdaptiveGauss can afford; each costs one of its steps.
-_STABLE = 4.0  # Decay over the longest stable step of DOP853.
-# Ratio of decay to oscillation above which Radau is considered; it must resolve oscillations.
+# Largest number of report times inside steps with AdaptiveGauss; each of them costs a step.
+_FEW = 3
+_STABLE = 4.0  # Decay rate times length of the longest stable step of DOP853.
+# Ratio of decay to oscillation rate above which Radau is considered.  Its steps must resolve
+# oscillations, so Radau is faster only if decay is much faster than oscillation.
 _STIFF_RATIO = 100.0
-# Steps of DOP853, for six joints, above which Radau is faster although it solves linear systems.
+# Number of DOP853 steps, for six joints, above which Radau is faster despite its linear systems.
 _RADAU_STEPS = 1000.0
-_SWEEP_COST = 1.9  # Evaluations of DOP853 that a sweep costs without identical branches.
-# A sweep replaces _AT_LOOSEST evaluations at rtol = 10^−_LOOSEST, and _PER_DIGIT more per digit.
+_SWEEP_COST = 1.9  # Cost of a sweep without identical branches, in evaluations of DOP853.
+# A sweep saves _AT_LOOSEST evaluations at rtol = 10^−_LOOSEST, and _PER_DIGIT more for each
+# further digit of accuracy.
 _LOOSEST, _AT_LOOSEST, _PER_DIGIT = 4.0, 1.0, 0.45
-# Steps of DOP853 at its stability bound above which it is chosen; AdaptiveGauss needs more steps.
+# Number of stability-limited DOP853 steps above which DOP853 is chosen, because AdaptiveGauss
+# would need even more steps.
 _STABILITY_STEPS = 100.0
 
-_STEP = 1e-4  # Step of the differences of forces [rad | m, and per second].
+_STEP = 1e-4  # Step of the difference quotients of forces [rad | m | rad/s | m/s].
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,7 @@ class Choice:
 
     Attributes:
         method: The integrator with its tolerances.
-        why: The reason, as words for messages.
+        why: The reason, for messages.
     """
 
     method: Method
@@ -58,7 +62,7 @@ class Choice:
 
 
 def choose(scene: Scene, stops: Array) -> Choice:
-    """Return the integrator of a scene with the reason.  stops: times of stops, (S,) [s]."""
+    """Choose the integrator of a scene that stops at times `stops`, (S,) [s]."""
     if scene.integrator is not None:
         return Choice(scene.integrator, "the scene asks for it")
     rtol, atol = scene.tolerance
@@ -90,7 +94,7 @@ def choose(scene: Scene, stops: Array) -> Choice:
 
 
 def _limbs(system: System) -> float:
-    """Return the number of bodies over the number computed separately from identical branches."""
+    """Return the ratio of all bodies to the bodies left when identical branches share lanes."""
     bodies = bodies_of(system)
     coupled = Groups(bodies, {}, system.coupled).members
     return len(bodies) / len(links_of(bodies, Lanes(), (), coupled))
@@ -112,7 +116,7 @@ class Rates:
 def rates_near_rest(scene: Scene) -> Rates:
     """Return the rates of a scene's forces at shape zero, cached for equal forces.
 
-    They are zero if no force does work, or the forces are not defined at shape zero.
+    The rates are zero if no force does work, or if the forces are not defined at shape zero.
     """
     forces = scene.force_model
     if forces is None or not forces.labels or len(forces.joints) == scene.system.m:
@@ -125,7 +129,7 @@ def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
     m, r = system.m, system.r
     try:
         at = PointwiseReduction(system).at(np.zeros(m))
-    except SingularInertiaError:  # The scene need not contain shape zero.
+    except SingularInertiaError:  # The motion may never reach shape zero, so ignore it.
         return Rates(0.0, 0.0)
 
     def torque(x: Array, xdot: Array) -> Array:
@@ -133,13 +137,13 @@ def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
         base = BaseInSpace(system.group.identity(), xi, np.zeros(r), np.zeros(r))
         return forces.acting(ForceInputs(0.0, x, xdot, xi, np.zeros(r), numbers, base)).torque
 
-    rest = np.zeros(m)
+    zeros = np.zeros(m)
     K, D = np.empty((m, m)), np.empty((m, m))
     for k in range(m):
         e = np.zeros(m)
         e[k] = _STEP
-        K[:, k] = (torque(-e, rest) - torque(e, rest)) / (2.0 * _STEP)
-        D[:, k] = (torque(rest, -e) - torque(rest, e)) / (2.0 * _STEP)
+        K[:, k] = (torque(-e, zeros) - torque(e, zeros)) / (2.0 * _STEP)
+        D[:, k] = (torque(zeros, -e) - torque(zeros, e)) / (2.0 * _STEP)
     free = np.setdiff1d(np.arange(m), list(forces.joints))
     K, D, M = (matrix[np.ix_(free, free)] for matrix in (K, D, at.reduced_metric))
     with np.errstate(over="ignore", invalid="ignore"):

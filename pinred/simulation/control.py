@@ -1,4 +1,4 @@
-"""Calls of controllers during a simulation, with a record for replay.
+"""Calls of controllers during a simulation, recorded so that they can be replayed.
 
 A `Control` calls the controllers of a scene.  A `Replay` repeats the actions of a motion, so that
 another simulation runs under the same actions.
@@ -18,7 +18,7 @@ from ..scene.scene import Scene
 from ..system.force_interface import SeenState
 from .sample import Sample
 
-# Times closer than this fraction of the duration are equal.
+# Times closer than this fraction of the duration count as equal.
 _ROUND_OFF = 1e-12
 # A controller is due within this fraction of its period from a multiple of it.
 _DUE = 1e-9
@@ -48,14 +48,14 @@ class ControlAction:
 
 
 class Control:
-    """The controllers of one simulation, with their states; it is used once.
+    """The controllers of one simulation, with their states.  Use a new object for each run.
 
     Attributes:
-        calls: Calls so far.
+        calls: Records of all calls so far.
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Copy the initial states of the controllers."""
+        """Start with copies of the initial states of the controllers."""
         self._scene, self._forces = scene, scene.force_model
         controllers = [] if self._forces is None else self._forces.held
         self._states = [deepcopy(c.state0) if c.keeps_state else None for c, _ in controllers]
@@ -79,9 +79,9 @@ class Control:
             return stop
         near, seen = _ROUND_OFF * self._scene.end, None
         for k, (controller, where) in enumerate(forces.held):
-            if self._until[k] <= t + near:  # the end of a pulse
+            if self._until[k] <= t + near:  # the pulse has ended
                 numbers[where], self._until[k] = 0.0, np.inf
-            # Calls are at multiples of the period, the first one at zero.
+            # Calls are at multiples of the period, the first call at t = 0.
             count = round(t / controller.period)
             if count > self._called[k] and abs(t / controller.period - count) < _DUE:
                 self._called[k] = count
@@ -92,7 +92,7 @@ class Control:
         return until
 
     def _call(self, k: int, t: float, seen: Sample) -> tuple[Array, float]:
-        """Return the force parameters of a controller, and the end of its pulse [s]."""
+        """Call controller k; return its force parameters and the end of its pulse [s]."""
         forces, system = self._forces, self._scene.system
         assert forces is not None
         controller, _ = forces.held[k]
@@ -113,7 +113,7 @@ class Control:
 
 
 def _measured(t: float, seen: Sample, names: tuple[str, ...]) -> SeenState:
-    """Return the measurement for a controller, with copies of all arrays and joints by name."""
+    """Return the state that a controller observes; its arrays are copies."""
     x, xdot, base = Vector.of(seen.x, names, "x"), Vector.of(seen.xdot, names, "xdot"), seen.base
     if base is None:  # Scenes leave out the base only if no controller observes it.
         return SeenState(t, x, xdot, None, None, None, None)
@@ -124,7 +124,7 @@ class Replay:
     """The actions of a motion, repeated segment by segment."""
 
     def __init__(self, ends: Array, numbers: Sequence[Array]) -> None:
-        """Take the end times of the segments, (S,) [s], and the force parameters (p,) of each."""
+        """Store the end times (S,) [s] of the segments and their force parameters, (p,) each."""
         self._ends, self._numbers = ends, numbers
 
     def begin(self, numbers: Array, t: float, stop: float, see: See) -> float:  # noqa: ARG002

@@ -1,8 +1,8 @@
 """Events of a motion: detected during the integration and located on the dense output.
 
 The expressions are evaluated at the ends of each step and at three times inside it.  If one changes
-sign, Brent's method locates the crossing on the dense output to round-off.  The error of its time
-is then that of the motion.  Scenes without events have no cost.
+sign, Brent's method locates the crossing on the dense output to round-off.  The
+crossing time is then as accurate as the motion.  Scenes without events cost nothing.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from ..scene.scene import Scene
 from ..system.state_fields import ShapeState, State, map_arrays
 from .reduced_flow import Integrate, ReducedFlow, Segment
 
-_PARTS = 4  # Parts of a step, at whose ends the expressions are evaluated.
-_SHOWN = 5  # Number of times in a repr.
-_ROUND_OFF = 1e-12  # Times are equal if they differ by less than this fraction.
+_PARTS = 4  # Number of parts of a step; the expressions are evaluated at the ends of each part.
+_SHOWN = 5  # Largest number of times that a repr shows.
+_ROUND_OFF = 1e-12  # Times count as equal if they differ by less than this fraction of them.
 _EPS = 4.0 * float(np.finfo(float).eps)
 
 
@@ -74,8 +74,8 @@ class Watch:
     """The detection of events during one run.
 
     Attributes:
-        crossings: The crossings that are located so far, in order of time.
-        end: The terminal crossing, None if there is none so far.
+        crossings: The crossings located so far, in order of time.
+        end: The terminal crossing, or None as long as no terminal event has occurred.
     """
 
     def __init__(self, scene: Scene, flow: ReducedFlow, watched: Watched) -> None:
@@ -132,7 +132,7 @@ class Watch:
         for j in range(len(t)):
             new_sign = float(np.sign(values[j]))
             if new_sign == 0.0:
-                continue  # The expression only touches zero, or crosses it later.
+                continue  # The expression only touches zero, or crosses zero in a later part.
             if sign and new_sign != sign and direction in (0, new_sign):
                 time = self._root(segment, k, t[max(j - 1, 0)], t[j])
                 self.crossings.append(Crossing(k, time, rising=new_sign > 0))
@@ -145,13 +145,13 @@ class Watch:
         def value(t: float) -> float:
             return float(self._values(segment, np.array([t]))[k, 0])
 
-        first, last = value(a), value(b)
-        if a == b or first == 0.0 or (first > 0.0) == (last > 0.0):
+        value_a, value_b = value(a), value(b)
+        if a == b or value_a == 0.0 or (value_a > 0.0) == (value_b > 0.0):
             return float(a)
         return float(brentq(value, a, b, xtol=_EPS * max(abs(b), 1e-300), rtol=_EPS))
 
     def _values(self, segment: Segment, t: Array) -> Array:
-        """Return the expressions (E, T) at times (T,) within a segment."""
+        """Return the values (E, T) of all expressions at times (T,) within a segment."""
         scene, flow, parameters = self._scene, self._flow, segment.parameters
         system = scene.system
         y = segment.at(t)
@@ -192,17 +192,17 @@ def cut_at_event(watch: Watch, segment: Segment, integrate: Integrate) -> list[S
     """
     if watch.end is None or watch.end.t >= segment.knots[-1]:
         return [segment]
-    end = watch.end.t
-    step_ends = segment.knots[segment.knots < end]
+    end_time = watch.end.t
+    step_ends = segment.knots[segment.knots < end_time]
     if not len(step_ends):
         return []
     steps = min(segment.steps, len(step_ends) - 1)
-    if end - step_ends[-1] <= _ROUND_OFF * end:
-        step_ends[-1] = end
+    if end_time - step_ends[-1] <= _ROUND_OFF * end_time:
+        step_ends[-1] = end_time
         return [replace(segment, knots=step_ends, steps=steps)] if steps else []
     y = segment.at(step_ends[-1:])[0]
-    last = integrate(float(step_ends[-1]), end, y, segment.parameters)
-    return [replace(segment, knots=step_ends, steps=steps), last] if steps else [last]
+    last_step = integrate(float(step_ends[-1]), end_time, y, segment.parameters)
+    return [replace(segment, knots=step_ends, steps=steps), last_step] if steps else [last_step]
 
 
 def crossings_by_event(
@@ -215,7 +215,7 @@ def crossings_by_event(
         crossings: Crossings of all events, in order of time.
         states: Function from times (T,) to the states of the motion.
     Returns:
-        The crossings with the states there.
+        {event name: its crossings, with the states at these times}.
     """
     by_name = {}
     for k, event in enumerate(scene.events_given):
@@ -228,5 +228,5 @@ def crossings_by_event(
 
 
 def _no_states(states: Callable[[Array], State | ShapeState]) -> State | ShapeState:
-    """Return states at no times."""
+    """Return states with a time axis of length zero."""
     return map_arrays(lambda values: values[:0], states(np.zeros(1)))

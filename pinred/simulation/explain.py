@@ -9,7 +9,7 @@ from .plan import Plan
 
 
 def explain(plan: Plan) -> str:
-    """Describe the terms that the compiled engine skips and the numbers it integrates, in lines."""
+    """Describe in lines the terms that the compiled engine skips and the numbers it integrates."""
     lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=has_no_momentum(plan))]
     lines.append(f"integrated: {integrated(plan)}")
     lines += seen_and_integrated(plan)

@@ -189,8 +189,8 @@ def _joint_of_mimic(model: pin.Model, i: int) -> pin.JointModel:
     twist = np.array(motion.S).ravel()
     if scaling == 0.0 or not np.isfinite(twist).all() or not twist.any():
         raise ModelError(
-            f"mimic joint {quoted(model.names[i])} has scaling {scaling:g}, so that Pinocchio "
-            "keeps no axis of it; build the model without it, or with a fixed joint"
+            f"mimic joint {quoted(model.names[i])} has scaling {scaling:g}, from which its "
+            "axis cannot be recovered; build the model without it, or with a fixed joint"
         )
     slides = not twist[3:].any()
     axis = (twist[:3] if slides else twist[3:]) / scaling

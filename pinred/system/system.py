@@ -292,11 +292,11 @@ class System:
         return forces if self.coupled is None else self.coupled.forces(forces, self.r)
 
     def sizes_on_shape(self, sizes: Array) -> Array:
-        """Bound the size of `on_shape`, (..., n), from the sizes of force entries, (..., nv)."""
+        """Bound the entries of `on_shape`, (..., n), for magnitudes of forces, sizes (..., nv)."""
         return sizes if self.coupled is None else self.coupled.sizes(sizes, self.r)
 
     def coupled_matrix(self, matrix: Array) -> Array:
-        """Project a mass or Coriolis matrix H, (..., nv, nv), to (ξ, ẋ): GᵀHG, (..., n, n)."""
+        """Return GᵀHG (..., n, n) in (ξ, ẋ) for H, a mass or Coriolis matrix (..., nv, nv)."""
         return matrix if self.coupled is None else self.coupled.matrix(matrix, self.r)
 
     def model_q(self, pose: ArrayLike, x: ArrayLike) -> Array:

@@ -258,7 +258,7 @@ def test_unknown_frames_rows_and_axes_are_refused() -> None:
         pinred.FloatingArm(system, "hand", task=(0, 9))
     with pytest.raises(pinred.InputError, match="axes must be local or world"):
         planar().generalized_jacobian([0.0, 0.0], axes="fixed")  # type: ignore[arg-type]
-    with pytest.raises(pinred.InputError, match="of must be base or attitude"):
+    with pytest.raises(pinred.InputError, match="expected 'base' or 'attitude'"):
         planar().null_space([0.0, 0.0], of="hand")  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="as many joints as task rows"):
         pinred.FloatingArm(planar().system, "hand", task=(0, 1, 5)).workspace()

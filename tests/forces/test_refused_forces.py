@@ -83,8 +83,8 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (lambda: Controller(law([0]), 0.1, "bend"), "must be a list of names"),  # type: ignore[arg-type]
     (lambda: Controller(law([0]), 0.1, (A, A)), "joints of controller must differ"),
     (lambda: Controller(3, 0.1), "controller must be a function"),  # type: ignore[arg-type]
-    (lambda: "push", "forces must be those of pinred.forces, got 'push'"),
-    (lambda: Spring, "forces must be those of pinred.forces"),
+    (lambda: "push", "forces: expected objects of pinred.forces, got 'push'"),
+    (lambda: Spring, "forces: expected objects of pinred.forces"),
 ]
 
 
@@ -115,7 +115,7 @@ PLANS: list[tuple[dict[str, Any], str]] = [
     ({"method": pinred.RKMK4(0.01), "engine": "pinocchio"}, "SciPy's DOP853"),
     (
         {"forces": [ComputedTorque(dict.fromkeys(CAT.shape_names, 0.0), kp, 1.0) for kp in (1, 2)]},
-        "only one force may know all the others",
+        "only one force may depend on all others",
     ),
     (
         {"forces": [ComputedTorque({A: 0.0, B: 0.0, C: 0.0}, 1.0, 1.0)], "prescribed": {B: WAVE}},

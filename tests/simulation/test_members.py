@@ -144,7 +144,7 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
     (CAT, {"members": {"x0": np.zeros((2, 3))}, "x0": [1.0, 0, 0]}, "'x0' is given among"),
     (CAT, {"members": {"x0": np.zeros((2, 3)), "gravity": np.zeros((3, 3))}}, "x0: 2, gravity: 3"),
     (CAT, {"members": [1.0]}, "members must be"),
-    (CAT, {"seeds": [1], "x0": np.zeros((1, 3))}, "seeds stands for whole random states"),
+    (CAT, {"seeds": [1], "x0": np.zeros((1, 3))}, "set the whole initial state"),
     ([], {}, "at least one member"),
     ([CAT], {}, "takes Scenes in a list, but entry 0"),
     (

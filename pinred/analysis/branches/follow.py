@@ -112,7 +112,7 @@ class Branches:
             InputError: k is not the index of a branch.
         """
         if not 0 <= k < self.count:
-            raise InputError(f"there are {self.count} branches, counted from 0; got {k}")
+            raise InputError(f"k: expected the index of a branch below {self.count}, got {k}")
         return tuple(point for point in self.points if point.branch == k)
 
     def __str__(self) -> str:

@@ -47,7 +47,7 @@ class Phase:
         momentum: Body momentum at the start of the cycle, (r,).
         times: Times of the path, (P + 1,) [s].
         path: Poses during the cycle, (P + 1, size).
-        length: ∫√(ẋᵀMẋ) dt of the gait; NaN if the connection has no metric.
+        length: Length of the gait, ∫√(ẋᵀMẋ) dt; NaN if the connection has no metric.
         samples: Number of shapes at which the connection was evaluated.
     """
 
@@ -96,9 +96,9 @@ class Phase:
         Args:
             n: Number of cycles. It may be negative at zero momentum.
         Returns:
-            (size,).
+            Pose coordinates after n cycles, (size,).
         Raises:
-            InputError: n is negative and there is momentum.
+            InputError: n is negative and the momentum is not zero.
         """
         n, group = whole(n, "cycles", -(2**31)), self.group
         if not self.momentum.any():
@@ -135,7 +135,7 @@ def phase(
     Raises:
         SymmetryError: Gravity rotates the base, so momentum is not conserved.
         SingularInertiaError: The gait meets a singular shape.
-        IntegrationError: The tolerance is out of reach.
+        IntegrationError: The tolerance is not reached with the largest number of samples.
         InputError: An argument is of the wrong kind, or gait and connection do not match.
     """
     if not isinstance(connection, Connection) or not isinstance(gait, Gait):
@@ -180,7 +180,7 @@ def phase(
 
 
 def _bound(difference: PoseError, segments: PathSegments, pose: Array) -> PoseError:
-    """Return the change by the last doubling, plus round-off."""
+    """Return the change of the pose in the last doubling of the samples, plus round-off."""
     rotation, translation = travelled(segments)
     return PoseError(
         rotation=difference.rotation + _FLOOR * (1.0 + rotation),
@@ -215,12 +215,12 @@ def _power(group: Group, g: Array, n: int) -> Array:
 
 @dataclass(frozen=True)
 class Sampled:
-    """A sampled gait.
+    """A gait with the body twists that the connection gives at its samples.
 
     Attributes:
         segments: Body twists at the Gauss nodes.
         samples: Number of shapes at which the connection was evaluated.
-        length: ∫√(ẋᵀMẋ) dt; NaN if the connection has no metric.
+        length: Length of the gait, ∫√(ẋᵀMẋ) dt; NaN if the connection has no metric.
     """
 
     segments: PathSegments
@@ -233,8 +233,8 @@ class Samples(NamedTuple):
 
     Attributes:
         xi: Body twists −A ẋ, (N, r).
-        inverse: P_b⁻¹ by rows, (N, r²), or (N, 0) if not requested.
-        speed: √(ẋᵀMẋ), (N,).
+        inverse: Entries of P_b⁻¹ in row-major order, (N, r²), or (N, 0) if not requested.
+        speed: Speed in the metric, √(ẋᵀMẋ), (N,).
         health: Condition measure of P_b, (N,), which changes sign across a singular shape.
     """
 
@@ -250,7 +250,7 @@ def refined(connection: Connection, gait: Gait, *, momentum: bool) -> Iterator[S
     Args:
         connection: Connection to evaluate.
         gait: Closed path in shape space.
-        momentum: Whether P_b⁻¹ is needed as well.
+        momentum: Whether P_b⁻¹ is evaluated as well, as a non-zero momentum requires.
     Yields:
         The sampled gait.
     Raises:
@@ -270,7 +270,7 @@ def _smooth(connection: Connection, gait: Gait, momentum: bool) -> Iterator[Samp
     count = max(_LEAST_SAMPLES, _PER_HARMONIC * harmonics)
     coarse: Samples | None = None
     while count <= MOST:
-        # Every other sample is known from the previous round.
+        # Every second sample is known from the previous, coarser sampling.
         step = gait.period / count
         t = np.arange(count) * step if coarse is None else np.arange(1, count, 2) * step
         samples = _at(connection, *gait.at(t), momentum)
@@ -347,7 +347,8 @@ def _interpolated(values: Array) -> Array:
     shifts = _shifts(count)
     modes = np.fft.rfft(values, axis=0) / count  # wave numbers 0 … N/2
     half = count // 2
-    # On N/2 equidistant nodes, wave numbers k and k − N/2 are equal, so fold them. Twice the real
+    # On N/2 equidistant nodes, wave numbers k and k − N/2 are indistinguishable, so add them. Twice
+    # the real
     # part of the positive wave numbers gives all of them.
     modes[1:half] *= 2.0
     shifted = shifts[..., None] * modes  # (8, N/2 + 1, k)

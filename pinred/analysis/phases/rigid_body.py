@@ -5,8 +5,8 @@ elliptic functions. Over one period the body rotates about the fixed J by
 
     Δθ = 2 E T / |J| − Λ   (modulo complete rotations),
 
-with the oriented solid angle Λ of the curve. Sources: R. Montgomery, "How much does the rigid body
-rotate?", Am. J. Phys. 59 (1991); L. Landau, E. Lifshitz, "Mechanics", §37.
+with the signed solid angle Λ that the curve encloses. Sources: R. Montgomery, "How much does the
+rigid body rotate?", Am. J. Phys. 59 (1991); L. Landau, E. Lifshitz, "Mechanics", §37.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ...reduction.pointwise_reduction import PointwiseReduction
 from ...system.system import System, checked_system
 
 _EDGE = 1e-12  # relative distance below which a motion counts as on the separatrix
-_NODES = 4096  # samples of the momentum curve
+_NODES = 4096  # number of samples of the momentum curve
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class RigidBodyPhase:
     Attributes:
         period: Period T [s].
         angle: Rotation about J after one period, in [0, 2π) [rad].
-        solid_angle: Oriented solid angle of the momentum curve, below 4π [sr].
-        dynamic: 2 E T / |J| [rad]; angle = dynamic − solid_angle modulo 2π.
+        solid_angle: Signed solid angle Λ that the momentum curve encloses, below 4π [sr].
+        dynamic: Dynamic phase 2 E T / |J| [rad]; angle = dynamic − solid_angle modulo 2π.
         axis: Direction of J in the initial body frame, (3,).
         energy: Rotational energy E [J].
-        momentum: |J| [kg m²/s].
+        momentum: Magnitude |J| of the angular momentum [kg m²/s].
     """
 
     period: float
@@ -98,7 +98,7 @@ def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
 
 
 def _outer(moments: Array, J: float, energy: float) -> tuple[int, int, int]:
-    """Return axes (i, j, k): the momentum circles axis k, and j is the middle axis."""
+    """Return principal axes (i, j, k): the momentum circles axis k; j is the middle axis."""
     return (0, 1, 2) if 2.0 * energy * moments[1] <= J**2 else (2, 1, 0)
 
 
@@ -139,7 +139,7 @@ def _curve(moments: Array, J: float, energy: float) -> tuple[float, Array]:
 
 
 def _solid_angle(curve: Array) -> float:
-    """Compute the oriented solid angle of a closed curve around +z."""
+    """Compute the signed solid angle of a closed curve on the sphere, counterclockwise about +z."""
     x, y, z = curve.T
     angle = np.unwrap(np.arctan2(y, x))
     windings = float(np.round((angle[-1] - angle[0]) / TAU))
@@ -148,7 +148,7 @@ def _solid_angle(curve: Array) -> float:
 
 
 def _derivative(values: Array) -> Array:
-    """Differentiate periodic values with respect to the angle of the period."""
+    """Differentiate periodic samples with respect to the phase angle in [0, 2π)."""
     modes = np.fft.rfft(values)
     modes *= 1j * np.arange(len(modes))
     modes[-1] = 0.0

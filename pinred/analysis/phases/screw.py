@@ -1,4 +1,4 @@
-"""The screw of a pose (Chasles): the steady drift or orbit that produces it."""
+"""The screw of a pose (Chasles): the steady drift or orbit that produces the pose."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Screw:
     """A rotation about an axis with a translation along it, in the initial frame of the base.
 
     Attributes:
-        axis: Direction of the axis, (3,); of the translation if there is no rotation.
+        axis: Direction of the axis, (3,); without rotation, the direction of the translation.
         point: Point of the axis nearest to the origin, (3,) [m]; NaN without rotation.
         angle: Rotation [rad].
         slide: Translation along the axis [m].

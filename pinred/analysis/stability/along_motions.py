@@ -54,7 +54,7 @@ class FloquetMultipliers:
 
     Attributes:
         multipliers: Multipliers, (d,), largest first.
-        exponents: log(multipliers)/period, (d,) [1/s].
+        exponents: Floquet exponents log(multipliers)/period, (d,) [1/s].
         monodromy: Monodromy matrix, (d, d).
         period: Period T [s].
         closure: Relative difference of the reduced states at the two ends of the period.
@@ -75,10 +75,10 @@ class FloquetMultipliers:
 
 
 def linearise(traj: Trajectory, t: float = 0.0) -> Linearisation:
-    """Linearise the reduced flow at time t of a motion, by the exact Jacobian.
+    """Linearise the reduced flow at time t of a motion with the exact Jacobian.
 
-    The reduced state is (x, π, μ) without cyclic angles. Eigenvalues and modes are those on the
-    symplectic leaf, where the Casimirs are constant.
+    The reduced state is (x, π, μ) without cyclic angles. Eigenvalues and modes are computed on
+    the symplectic leaf, where the Casimirs are constant.
 
     Args:
         traj: Motion that includes its base (outputs="all").
@@ -108,7 +108,7 @@ def lyapunov(
     Source: G. Benettin et al., "Lyapunov characteristic exponents", Meccanica 15, 1980.
 
     Args:
-        traj: Motion by the compiled engine.
+        traj: Motion that the compiled engine computed.
         every: Time between two orthonormalisations [s]; None: ten steps.
         progress: Progress display, or whether to show one.
     Returns:
@@ -145,10 +145,11 @@ def lyapunov(
 def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipliers:
     """Compute the Floquet multipliers of a motion whose reduced state is periodic.
 
-    The base need not return: its displacement over a period is the phase of the motion.
+    The base need not return to its initial pose: its displacement over a period is the phase of the
+        motion.
 
     Args:
-        traj: Motion by the compiled engine.
+        traj: Motion that the compiled engine computed.
         period: Period T [s] of the reduced state, the forces and the prescribed joints; None: the
             duration of the motion.
     Returns:
@@ -189,7 +190,7 @@ def _closure(traj: Trajectory, flow: LinearisedFlow, initial_y: Array, T: float)
 
     Args:
         traj: The motion.
-        flow: Its linearised flow, at time T.
+        flow: Linearised flow of the motion, advanced to time T.
         initial_y: Initial reduced state, (size,).
         T: Period [s].
     Returns:

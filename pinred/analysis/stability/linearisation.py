@@ -12,7 +12,7 @@ from ...kernels.derived_code import jacobian_of
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from .reduced_state import Leaf, leaf_of
 
-_ROUND_OFF = 10.0  # error of the Jacobian, in units of eps times its norm
+_ROUND_OFF = 10.0  # error of the Jacobian, in units of machine epsilon times its norm
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +21,8 @@ class Linearisation:
 
     Attributes:
         state: Reduced state z without cyclic angles and time, (k,).
-        names: Names of its entries.
-        matrix: Exact Jacobian, (k, k).
+        names: Names of the entries of z.
+        matrix: Exact Jacobian of the reduced flow, (k, k).
         eigenvalues: Eigenvalues on the leaf where the Casimirs are constant, (d,) [1/s], largest
             growth first.
         modes: Eigenvectors, (k, d), one per column.
@@ -93,15 +93,15 @@ def eigenvalue_errors(
 ) -> Array:
     """Bound the change of each eigenvalue under a perturbation of the matrix.
 
-    The bound uses the condition numbers |y||x|/|yᴴx|. For defective pairs, which move by ±√ε, it is
-    limited to that order.
+    The bound uses the condition numbers |y||x|/|yᴴx|. Eigenvalues of a
+    defective pair move by ±√ε, so the bound is limited to this order.
 
     Args:
         left: Left eigenvectors y, one per column.
         right: Right eigenvectors x, one per column.
         change: Norm ε of the perturbation.
     Returns:
-        (d,) bounds.
+        Bounds of the changes, (d,).
     """
     if not right.size:
         return np.zeros(0)

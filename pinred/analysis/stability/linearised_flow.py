@@ -1,8 +1,8 @@
-"""The flow with its derivative, ẏ = f(y), Ẏ = ∂f/∂y Y, by Runge–Kutta steps of equal length.
+"""Integrate the flow and its tangent, ẏ = f(y), Ẏ = ∂f/∂y Y, with equal Runge–Kutta steps.
 
-The method is DOP853, of order 8. Its steps are at most half of the steps of the motion, and short
-against the rates of the linearised flow. They are halved until the result no longer changes. Cyclic
-angles are left out, because the flow does not depend on them.
+The method is DOP853, of order 8. Its steps are at most half as long as the steps of the motion, and
+short compared with the time scales of the linearised flow. They are halved until the result no
+longer changes. Cyclic angles are left out, because the flow does not depend on them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ...system.state_fields import State
 from .reduced_state import Leaf, leaf_of
 
 _STEP_RATIO = 0.5  # longest step, relative to the median step of the motion
-_RATE_STEP = 0.2  # longest step, in units of one over the fastest rate
+_RATE_STEP = 0.2  # longest step, relative to the inverse of the fastest rate
 _RATE_SAMPLES = 9  # number of times at which the rates are sampled
 _CONVERGED = 1e-11  # largest relative change when the steps are halved
 _MAX_HALVINGS = 8
@@ -50,7 +50,7 @@ class LinearisedFlow:
     longest: float
 
     def converged_step(self, duration: float) -> float:
-        """Return a step [s] that can be halved without changing Y after a duration [s]."""
+        """Find a step [s] so short that halving it does not change Y after a duration [s]."""
         longest, directions = self.longest, self._after(duration, self.longest)
         for _ in range(_MAX_HALVINGS):
             refined = self._after(duration, 0.5 * longest)
@@ -61,7 +61,7 @@ class LinearisedFlow:
         return longest
 
     def advance_converged(self, duration: float) -> None:
-        """Advance by a duration [s], with steps that can be halved without changing Y."""
+        """Advance by a duration [s], with steps so short that halving them does not change Y."""
         self.longest = 0.5 * self.converged_step(duration)
         self.advance(duration)
 
@@ -106,7 +106,7 @@ def linearised_flow(traj: Trajectory) -> LinearisedFlow:
     """Return the linearised flow of a motion at its start, with a basis of its leaf.
 
     Args:
-        traj: Motion by the compiled engine.
+        traj: Motion that the compiled engine computed.
     Returns:
         The flow.
     Raises:
@@ -186,7 +186,7 @@ def _advance(
     stage: Array,
     stage_tangent: Array,
 ) -> None:
-    """Integrate y and Y in place over equal steps, by an explicit Runge–Kutta tableau.
+    """Integrate y and Y in place over equal steps with an explicit Runge–Kutta tableau.
 
     Args:
         address: Address of the compiled right side f.
@@ -199,9 +199,9 @@ def _advance(
         y: State, (n,).
         Y: Tangent directions in groups of SIMD lanes, (groups, n SEEDS).
         rates: Work space for the stage derivatives, (s, n).
-        tangent_rates: Work space for their tangents, (s, groups, n SEEDS).
+        tangent_rates: Work space for the tangents of the stage derivatives, (s, groups, n SEEDS).
         stage: Work space for a stage, (n,).
-        stage_tangent: Work space for its tangent, (n SEEDS,).
+        stage_tangent: Work space for the tangent of a stage, (n SEEDS,).
     """
     n, groups = len(y), len(Y)
     size = n * SEEDS

@@ -28,9 +28,9 @@ class Leaf:
 
     Attributes:
         indices: Indices of the entries z of y that the flow depends on, (k,).
-        scales: Typical sizes of these entries, (k,): 1, or the inertia that belongs to a momentum.
+        scales: Typical sizes of the entries of z, (k,): 1, or an inertia for a momentum.
         basis: Orthonormal basis in z/scales, (k, d).
-        names: Names of these entries.
+        names: Names of the entries of z.
         places: Position of x of the active joints in z.
         momenta: Position of π of the active joints in z.
     """
@@ -80,7 +80,7 @@ def leaf_of(kernel: Kernel, y: Array, rate: float = 1.0) -> Leaf:
 
 
 def reduced_names(system: System, kernel: Kernel, indices: Array) -> tuple[str, ...]:
-    """Return the names of the reduced-state entries with given indices."""
+    """Return the names of the reduced-state entries at the indices."""
     layout, base = kernel.layout, kernel.layout.base
     joints = system.shape_names
     names = [joints[k] for k in layout.active]
@@ -117,7 +117,7 @@ def _casimir_gradients(z: Array, at: int, base: BaseParts) -> Array:
         at: Index of the first entry of the base.
         base: Entries of the base.
     Returns:
-        (c, k) gradients.
+        Gradients, (c, k).
     """
     if base.down:
         gradients = np.zeros((2, len(z)))

@@ -6,14 +6,14 @@ positive. If both are positive definite, the equilibrium is stable. A body witho
 the first block, so that a maximum is stable, too.
 
 Under gravity, a pivoted body conserves its momentum about the vertical. An upright spinning
-("sleeping") top is stable, but it is no minimum of the amended potential. A top that is symmetric
-about a body axis a through the pivot also conserves μ·a. The same holds with cyclic rotors. Let b
-be the base, c the cyclic and d the driven rotors. With K = H_bb − H_bc H_cc⁻¹ H_cb, the effective
-inertia, and k, the momentum of the rotors while the body is at rest, the energy is
+("sleeping") top is stable, but it is not a minimum of the amended potential. A top that is
+symmetric about a body axis a through the pivot also conserves μ·a. The same holds with cyclic
+rotors. Let b be the base, c the cyclic and d the driven rotors. With K = H_bb − H_bc H_cc⁻¹ H_cb,
+the effective inertia, and k, the momentum of the rotors while the body is at rest, the energy is
 
     h(Γ, μ) = ½ (μ − k)ᵀ K⁻¹ (μ − k) − m |g| c·Γ,     k = H_bd ν + H_bc H_cc⁻¹ (π − H_cd ν),
 
-for momenta π of the cyclic rotors and rates ν of the driven ones.
+for momenta π of the cyclic rotors and rates ν of the driven rotors.
 
 Sources: J. C. Simo, D. Lewis, J. E. Marsden, "Stability of relative equilibria. Part I: The reduced
 energy–momentum method", 1991; D. Lewis, T. Ratiu, J. C. Simo, J. E. Marsden, "The heavy top: a
@@ -35,14 +35,14 @@ from ..equilibria.amended_energy import AmendedEnergy, Points, tangents
 from ..equilibria.equilibrium_problem import Problem
 from ..equilibria.search import critical_points, residuals
 
-_NULL = 1e-7  # relative to the largest curvature; below it a direction is flat
+_NULL = 1e-7  # curvature below which a direction is flat, relative to the largest
 _FAMILY_STEP = 0.1  # rad | m, displacement along a flat direction that tests for a family
 _SAME_ENERGY = 1e-9  # largest relative difference of energies within one family
 _SYMMETRIC = 1e-12  # largest asymmetry of a symmetric body, relative to its inertia
 _CRITICAL = 1e-8  # largest residual of the critical-point equations, relative to dh
-_RANK = 1e-10  # smallest singular value that counts, relative to the largest
+_RANK = 1e-10  # smallest singular value that counts as non-zero, relative to the largest
 _DEFINITE = 1e-14  # least eigenvalue of a definite matrix, relative to its largest entry
-_REACH = 1e3  # largest multiplier in the search, in units of the body's rate
+_REACH = 1e3  # bound of the multipliers in the search, relative to the body's rate
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class SecondVariation:
     """Curvatures of the amended potential at an equilibrium. Arrays are read-only.
 
     Attributes:
-        values: Eigenvalues of its Hessian relative to the kinetic metric, (u,) [1/s²].
+        values: Eigenvalues of the Hessian relative to the kinetic metric, (u,) [1/s²].
         dimension: Dimension of the family of equilibria.
         index: Number of negative curvatures transverse to the family.
         definite: Whether the second variation is definite transverse to the family.
@@ -73,14 +73,14 @@ def second_variation(energy: AmendedEnergy, point: Points, J: float) -> SecondVa
         point: The equilibrium, a Points of length one.
         J: Momentum.
     Returns:
-        Its curvatures and their signs.
+        The curvatures of the amended potential and their signs.
     """
     problem = energy.problem
     e = energy(point, J)
     W = weights(problem, point)
     values, vectors = np.linalg.eigh(W @ e.hessian[0] @ W)
     largest = float(np.abs(values).max(initial=0.0))
-    # The energy of a rigid body may be constant, and its curvatures round-off only.
+    # The energy of a rigid body may be constant; its computed curvatures are then only round-off.
     floor = max(_NULL * largest, 1e-13 * float(e.scale[0]) * float(np.max(W, initial=0.0)) ** 2)
     flat = np.abs(values) <= floor
     dimension = _family_dimension(energy, point, J, W @ vectors[:, flat]) if flat.any() else 0
@@ -96,7 +96,7 @@ def second_variation(energy: AmendedEnergy, point: Points, J: float) -> SecondVa
 
 
 def weights(problem: Problem, point: Points) -> Array:
-    """Return W whose square is the inverse of the kinetic metric on the unknowns.
+    """Return the matrix W whose square is the inverse of the kinetic metric on the unknowns.
 
     The metric on directions is the locked inertia.
 
@@ -230,7 +230,7 @@ def is_definite_with_axis_momentum(top: HeavyTop, up: Array, J: float) -> bool:
     if np.linalg.norm(constraint_gradients.T @ multipliers - dh) > _CRITICAL * np.linalg.norm(dh):
         return False
     _, singular, right = np.linalg.svd(constraint_gradients.T)
-    is_upright = singular[2] <= _RANK * singular[0]  # Upright, one multiplier stays free.
+    is_upright = singular[2] <= _RANK * singular[0]  # If upright, one multiplier is free.
     multiplier_direction = right[2] / right[2][0] if is_upright else np.zeros(3)
     axis_rotation = np.concatenate([np.cross(axis, gamma), np.cross(axis, mu)]) / D
     constraints = (

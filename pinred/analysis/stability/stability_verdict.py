@@ -16,15 +16,15 @@ from .second_variation import SecondVariation
 Verdict: TypeAlias = Literal["stable", "unstable", "undecided"]
 _SIGNIFICANT = 10.0  # growth rates above this multiple of their error count as unstable
 _ROUND_OFF = 1e-14  # error of the matrix, relative to its norm
-_NO_GROWTH = 1e-9  # relative to the norm; oscillations with less growth count as undamped
+_NO_GROWTH = 1e-9  # largest growth of an undamped oscillation, relative to the norm
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
     """A mode δz = Re(amplitude e^{λt}) of the linearised reduced flow. Arrays are read-only.
 
-    Amplitudes are scaled so that the largest shape amplitude is 1; if all are zero, the largest
-    entry is.
+    Amplitudes are scaled so that the largest shape amplitude is 1; if all shape
+    amplitudes are zero, the largest entry is 1.
 
     Attributes:
         growth: Re λ [1/s].
@@ -54,7 +54,7 @@ class Stability:
         verdict: "stable" (definite second variation), "unstable" (a growth rate well above its
             error), or "undecided".
         growth: Largest Re λ [1/s]; zero if none is significant.
-        growth_error: Error of that eigenvalue [1/s].
+        growth_error: Error of the eigenvalue with the largest growth [1/s].
         frequencies: Frequencies of undamped oscillations, (k,) [rad/s], sorted.
         modes: Modes, one of each conjugate pair, largest growth first.
         index: Number of negative curvatures of the amended potential.
@@ -78,7 +78,7 @@ class Stability:
 def assess_stability(
     linear: Linearisation, second: SecondVariation, active: tuple[int, ...], joints: tuple[str, ...]
 ) -> Stability:
-    """Decide stability by the linearised flow and the second variation.
+    """Decide stability from the linearised flow and the second variation.
 
     Args:
         linear: Linearised flow at the equilibrium.
@@ -93,7 +93,7 @@ def assess_stability(
     values, left, right = eigen(on_leaf)
     errors = eigenvalue_errors(left, right, _ROUND_OFF * norm(on_leaf))
     is_transverse = np.ones(len(values), dtype=bool)
-    if second.dimension:  # Each family direction adds a double zero.
+    if second.dimension:  # Each family direction adds a double zero eigenvalue.
         is_transverse[np.argsort(np.abs(values))[: 2 * second.dimension]] = False
     values, errors = values[is_transverse], errors[is_transverse]
     left, right = left[:, is_transverse], right[:, is_transverse]

@@ -1,8 +1,8 @@
 """Arithmetic from text, such as "0.3*sin(2*t) - k*x['hinge']", as a CasADi expression.
 
-Python parses the text; its syntax tree is read and never executed. Anything not listed here
-(attributes, other calls, comprehensions, strings except as a subscript, …) is rejected, with its
-position in the text.
+Python parses the text into a syntax tree, which is read and never executed. Any syntax that `parse`
+does not list (attributes, other calls, comprehensions, strings except as a subscript, …) is
+rejected with an error that shows its position in the text.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 Names: TypeAlias = "Mapping[str, ca.SX | Mapping[str, ca.SX] | Sequence[ca.SX]]"
 
-LONGEST = 10_000  # largest number of characters
-DEEPEST = 500  # largest number of nested levels; a sum of n terms has n
+LONGEST = 10_000  # largest number of characters in a formula
+DEEPEST = 500  # largest number of nested levels in a formula; a sum of n terms has n levels
 
 CONSTANTS = {"pi": math.pi, "e": math.e}
 # Each entry: name, CasADi's name, and the smallest and largest number of arguments.
@@ -59,17 +59,18 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.NotEq: operator.ne,
 }
 _TOO_DEEP = f"nested more than {DEEPEST} deep; put brackets round parts of a long sum"
-_SHOWN = 72  # largest number of characters of a line in a message
-_LISTED = 12  # largest number of entries of a name in a message
+_SHOWN = 72  # largest number of characters of the formula that an error message shows
+_LISTED = 12  # largest number of entries of a name that an error message lists
 
 
 def parse(text: str, names: Names, number: Callable[[float], Any] | None = None) -> ca.SX:
-    """Return the scalar expression of a text.
+    """Convert the text of a formula to a scalar CasADi expression.
 
     The text may contain: numbers, + - * / ** and parentheses; comparisons, also chained, with
     values 1 or 0; where(c, a, b) or if_else(c, a, b); sin cos tan asin acos atan atan2 sinh cosh
-    tanh exp log sqrt abs min max sign floor ceil hypot; pi and e; and given names. Given names take
-    precedence over pi and e. Only the selected branch of `where` counts, even if the other is NaN.
+    tanh exp log sqrt abs min max sign floor ceil hypot; pi and e; and the names in `names`, which
+    take precedence over pi and e. The value of `where` is that of the selected branch, even if the
+    other branch is NaN.
 
     Args:
         text: The formula, at most LONGEST characters.
@@ -79,8 +80,8 @@ def parse(text: str, names: Names, number: Callable[[float], Any] | None = None)
     Returns:
         The expression.
     Raises:
-        InputError: The text is not such a formula or not finite. The message has the position and
-            the valid names.
+        InputError: The text is not a valid formula, or its value is not finite. The message shows
+            the position and the valid names.
     """
     reader = _Reader(text, names, number)
     done: dict[ast.expr, ca.SX] = {}
@@ -90,7 +91,7 @@ def parse(text: str, names: Names, number: Callable[[float], Any] | None = None)
 
 
 class _Reader:
-    """Reader of a text, with the names it may use."""
+    """Converter of one formula: the text, its syntax tree, and the names that it may use."""
 
     def __init__(self, text: str, names: Names, number: Callable[[float], Any] | None) -> None:
         if not isinstance(text, str):
@@ -107,7 +108,7 @@ class _Reader:
         self._exponents: set[ast.expr] = set()  # exponents and their sub-expressions
 
     def nodes(self) -> list[ast.expr]:
-        """Return all nodes of the syntax tree, each after its children, from left to right."""
+        """Return all nodes of the syntax tree in post-order, from left to right."""
         ordered = []
         waiting = [(self._tree(), 1)]
         while waiting:
@@ -142,7 +143,7 @@ class _Reader:
         return self._fail("this is not arithmetic", node)
 
     def value(self, node: ast.expr, parts: list[ca.SX]) -> ca.SX:
-        """Return the expression of a node, from those of its children."""
+        """Return the expression of a node, computed from the expressions of its children."""
         import casadi as ca
 
         match node:
@@ -190,7 +191,7 @@ class _Reader:
                 tree = ast.parse(self.text, mode="eval")
         except SyntaxError as error:
             row = min(max((error.lineno or 1) - 1, 0), len(self.lines) - 1)
-            end = len(self.lines[row])  # without a position from Python, the text ended too early
+            end = len(self.lines[row])  # if Python reports no position, the text ended too early
             column = min(error.offset - 1, end) if error.offset else end
             self._fault(error.msg, row, column)
         except (RecursionError, MemoryError):
@@ -263,7 +264,7 @@ class _Reader:
         return ca.SX(value[key])
 
     def _check_spelling(self, node: ast.Name) -> None:
-        """Reject letters that Python normalises to others, such as full-width ones."""
+        """Reject characters that Python normalises to others, such as full-width letters."""
         line = self.lines[node.lineno - 1].encode()
         if line[node.col_offset : node.end_col_offset] != node.id.encode():
             self._fail(f"write {_short(node.id)} in plain letters", node)
@@ -271,7 +272,7 @@ class _Reader:
     def _fail(self, problem: str, node: ast.expr | ast.keyword) -> NoReturn:
         """Raise the error for a node."""
         row = node.lineno - 1
-        line = self.lines[row].encode()  # Python's offsets count bytes of UTF-8
+        line = self.lines[row].encode()  # encoded, because Python's offsets count bytes of UTF-8
         column = len(line[: node.col_offset].decode())
         end = len(line[: node.end_col_offset].decode()) if node.end_lineno == node.lineno else None
         self._fault(problem, row, column, end)
@@ -294,7 +295,7 @@ class _Reader:
         )
 
     def _listed(self, name: str) -> str:
-        """Return a name with its entries, as users write them."""
+        """Return a name with its entries in the notation that users write, for messages."""
         value: Any = self.names[name]
         if not _has_entries(value):
             return name
@@ -309,7 +310,7 @@ def _length(value: Any) -> int:
 
 
 def _has_entries(value: Any) -> bool:
-    """Return whether a given value is more than one scalar."""
+    """Return whether a value has several entries instead of being one scalar."""
     return isinstance(value, (Mapping, Sequence)) or (
         hasattr(value, "is_scalar") and not value.is_scalar()
     )

@@ -46,12 +46,12 @@ class Constant(Signal):
         return self.written(t, within, value_of)
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
-        """Return the value as an input.
+        """Return the value as an input of the kernel.
 
         Args:
             t: Time [s], unused.
             within: Unused.
-            number: Converts the value to a symbol.
+            number: Function that replaces the value by a symbol.
         Returns:
             The expression.
         """
@@ -69,8 +69,8 @@ class Fourier(Signal):
 
     Attributes:
         mean: Mean value.
-        cosines: Coefficients aₖ, (n,), up to 1000.
-        sines: Coefficients bₖ, (n',), up to 1000.
+        cosines: Coefficients aₖ of the cosines, (n,), at most 1000.
+        sines: Coefficients bₖ of the sines, (n',), at most 1000.
         period: Period [s].
     """
 
@@ -108,12 +108,12 @@ class Fourier(Signal):
         return self.written(t, within, value_of)
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
-        """Return the series at `t`, with its coefficients and frequency as inputs.
+        """Return the series at `t`, with its coefficients and frequency as inputs of the kernel.
 
         Args:
             t: Time [s].
             within: Unused.
-            number: Converts a coefficient to a symbol.
+            number: Function that replaces a coefficient by a symbol.
         Returns:
             The expression.
         """
@@ -138,7 +138,7 @@ class Fourier(Signal):
         return vars(self)["cosines"], vars(self)["sines"]
 
     def _frequencies(self, count: int) -> Array:
-        """Return 2πk/period of the first harmonics, (count,) [rad/s]."""
+        """Return the angular frequencies 2πk/period of the first harmonics, (count,) [rad/s]."""
         with np.errstate(over="ignore"):
             return np.asarray(2 * np.pi * np.arange(1, count + 1) / value_of(self.period))
 
@@ -147,7 +147,8 @@ class Fourier(Signal):
         for array, shift in zip(self._coefficients, (order, order - 1), strict=True):
             frequencies = self._frequencies(array.size)
             angles = t[..., None] * frequencies
-            # The derivatives of cos are −sin, −cos, sin. sin is one derivative behind.
+            # The derivatives of cos are −sin, −cos, sin. Because cos is the derivative of sin, the
+            # k-th derivative of sin is derivative k − 1 of cos.
             wave = (np.cos, np.sin)[shift % 2](angles) * (-1 if shift in (1, 2) else 1)
             result += wave @ (array * frequencies**order)
         return result
@@ -157,8 +158,8 @@ class Fourier(Signal):
 class Expression(Signal):
     """A formula of the time `t`, such as "0.3*sin(2*t)"; see `expressions.parse` for its syntax.
 
-    It reports no breaks, because its jumps and kinks are unknown. Use Hold or Linear for a table
-    with known breaks.
+    The signal reports no breaks, because jumps and kinks of the formula are unknown. Use Hold or
+    Linear for a table with known breaks.
 
     Attributes:
         text: The formula.
@@ -173,7 +174,7 @@ class Expression(Signal):
 
     @property
     def smoothness(self) -> float:
-        """Infinity if every function in it is smooth where defined, else −1 for unknown."""
+        """Infinity if every function in the formula is smooth where defined; −1 if unknown."""
         operations = {
             self._function.instruction_id(k) for k in range(self._function.n_instructions())
         }
@@ -191,12 +192,12 @@ class Expression(Signal):
         return parse(self.text, {"t": t})
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
-        """Return the formula at `t`, with its numbers, except exponents, as inputs.
+        """Return the formula at `t`, with its numbers, except exponents, as inputs of the kernel.
 
         Args:
             t: Time [s].
             within: Unused.
-            number: Converts a number to a symbol.
+            number: Function that replaces a number by a symbol.
         Returns:
             The expression.
         """
@@ -204,7 +205,7 @@ class Expression(Signal):
 
     @cached_property
     def _function(self) -> ca.Function:
-        """Value, rate and acceleration at t."""
+        """CasADi Function from t to value, rate and acceleration."""
         import casadi as ca
 
         t = ca.SX.sym("t")
@@ -219,7 +220,7 @@ class Expression(Signal):
 
 
 def _nonsmooth_operations() -> set[int]:
-    """Return CasADi's operations with a jump or a kink."""
+    """Return the codes of CasADi's operations that have a jump or a kink."""
     import casadi as ca
 
     names = "FABS SIGN FLOOR CEIL FMIN FMAX LT LE EQ NE IF_ELSE_ZERO"

@@ -1,4 +1,4 @@
-"""The base class of signals, and checks of their coefficients."""
+"""The base class of signals, and functions that validate coefficients."""
 
 from __future__ import annotations
 
@@ -28,27 +28,28 @@ class Signal(ABC):
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
         """Return the function at `t` as a scalar expression.
 
-        `ca.jacobian` differentiates it exactly. An integrator that stops at the breaks passes a
-        time between them, so that the end of a step does not use the next piece. Outside the span,
-        the first or last piece is extrapolated; a scene checks the span.
+        `ca.jacobian` differentiates the expression exactly. An integrator that stops at the breaks
+        passes as `within` a time between two breaks, so that the end of a step does not use the
+        next segment. Outside the span, the first or last segment is extrapolated; a scene validates
+        the span.
 
         Args:
             t: Time [s].
-            within: Time whose piece of a table is used, even if t is outside of that piece. Signals
-                without breaks ignore it.
+            within: Time that selects the segment of a table, even if t is outside of this segment.
+                Signals without breaks ignore `within`.
         Returns:
             The expression.
         """
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
-        """Return the function at `t` as `casadi` does, with its coefficients as inputs.
+        """Return the function at `t` like `casadi`, with the coefficients as kernel inputs.
 
         Signals that do not override this compile their coefficients into the kernel.
 
         Args:
             t: Time [s].
-            within: Time whose piece of a table is used.
-            number: Converts a coefficient (number, Parameter or Affine) to a symbol.
+            within: Time that selects the segment of a table.
+            number: Function that replaces a coefficient (number, Parameter or Affine) by a symbol.
         Returns:
             The expression.
         """
@@ -56,7 +57,7 @@ class Signal(ABC):
 
     @abstractmethod
     def _numbers(self, t: Array, order: int) -> Array:
-        """Return the derivative of an order at times within the span."""
+        """Return the derivative of the given order at times within the span."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -65,7 +66,7 @@ class Signal(ABC):
 
     @property
     def breaks(self) -> Array:
-        """Times inside the span at which the function is not smooth, increasing [s]."""
+        """Times inside the span at which the function is not smooth, in increasing order [s]."""
         return read_only(np.empty(0))
 
     @property
@@ -86,7 +87,7 @@ class Signal(ABC):
         return self._checked(t, 0)
 
     def rate(self, t: ArrayLike) -> Array:
-        """Evaluate the first derivative; at a break, that of the piece after it.
+        """Evaluate the first derivative; at a break, its value in the segment after the break.
 
         Args:
             t: Times of any shape [s].
@@ -98,7 +99,7 @@ class Signal(ABC):
         return self._checked(t, 1)
 
     def acceleration(self, t: ArrayLike) -> Array:
-        """Evaluate the second derivative; at a break, that of the piece after it.
+        """Evaluate the second derivative; at a break, its value in the segment after the break.
 
         Args:
             t: Times of any shape [s].
@@ -130,7 +131,7 @@ class Signal(ABC):
 
 
 def number(value: Any, what: str) -> float:
-    """Return a value as a finite float; of a Parameter, its value."""
+    """Return a number, or the value of a Parameter, as a finite float."""
     array = as_floats(value_of(value), what)
     if array.ndim or not np.isfinite(array):
         raise InputError(f"{what} must be one finite number, got {value!r}")
@@ -138,7 +139,7 @@ def number(value: Any, what: str) -> float:
 
 
 def finite_list(value: ArrayLike, what: str) -> Array:
-    """Return a copy of a list of at most MOST finite numbers; of Parameters, their values."""
+    """Return a list of at most MOST finite numbers as a new array; Parameters give their values."""
     array = as_floats(values_of(value), what)
     if array.ndim != 1:
         raise ShapeError(f"{what} must be a list of numbers, got shape {array.shape}")

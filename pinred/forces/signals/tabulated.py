@@ -1,4 +1,4 @@
-"""Signals from tables: splines, straight lines and steps."""
+"""Signals from tables: splines, linear interpolation and steps."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ class _Table(Signal):
 
     @abstractmethod
     def _pieces(self, times: Array, values: Array) -> Array:
-        """Return the coefficients of the pieces, (degree + 1, p), highest power first.
+        """Return the coefficients of the p segments, (degree + 1, p), highest power first.
 
-        Piece k is a polynomial in the time since entry k.
+        Segment k is a polynomial in the time since table entry k.
         """
 
     @property
@@ -88,7 +88,7 @@ class _Table(Signal):
 
     @property
     def breaks(self) -> Array:
-        """Times at which one piece follows another [s]."""
+        """Times at which one segment ends and the next begins [s]."""
         starts: Array = vars(self)["_starts"]
         return read_only(starts[1:])
 
@@ -98,33 +98,38 @@ class _Table(Signal):
         return self._smoothness
 
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
-        """Return the polynomial of the piece that contains `within`, or else `t`, at `t`.
+        """Evaluate at `t` the polynomial of the segment that contains `within`.
+
+        If `within` is None, the segment that contains `t` is used.
 
         Args:
             t: Time [s].
-            within: Time that selects the piece, or None.
+            within: Time that selects the segment, or None.
         Returns:
             The expression.
         """
         return self.written(t, within, value_of)
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:
-        """Return the polynomial of the piece that contains `within`, or else `t`, at `t`.
+        """Evaluate at `t` the polynomial of the segment that contains `within`.
 
-        The coefficients are selected by factors 1 for this piece and 0 for others. This is exact,
-        as are all derivatives, because the factors are constant.
+        If `within` is None, the segment that contains `t` is used.
+
+        The coefficients are multiplied by 1 for this segment and by 0 for the others, and added.
+        The sum and all its derivatives are exact, because these factors are constant.
 
         Args:
             t: Time [s].
-            within: Time that selects the piece, or None.
-            number: Converts a coefficient to a symbol.
+            within: Time that selects the segment, or None.
+            number: Function that replaces a coefficient by a symbol.
         Returns:
             The expression.
         """
         import casadi as ca
 
         starts, coefficients = vars(self)["_starts"], self._numbered_pieces()
-        # Kernels are tested with other numbers, close to these so that pieces keep their order.
+        # Kernels are tested with random numbers close to these values, so that the times stay in
+        # order.
         start_symbols = [number(Affine(start)) for start in starts.tolist()]
         now = t if within is None else within
         has_started = ca.vertcat(ca.SX(0, 1), *(begin <= now for begin in start_symbols[1:]))
@@ -139,7 +144,7 @@ class _Table(Signal):
         return result
 
     def _numbered_pieces(self) -> list[list[float | Affine]]:
-        """Return the coefficients of the pieces, as Affine functions of Parameters if any."""
+        """Return the coefficients of the segments, as Affine functions if there are Parameters."""
         coefficients: list[list[float | Affine]] = vars(self)["_coefficients"].tolist()
         parameters: dict[int, Parameter] = vars(self)["_given"]
         if not parameters:
@@ -147,7 +152,7 @@ class _Table(Signal):
         times, values = vars(self)["times"], vars(self)["values"]
         base = np.where(np.isin(np.arange(values.size), list(parameters)), 0.0, values)
         at_zero = self._pieces(times, base)
-        # Coefficients are linear in the values; a parameter may be several of them.
+        # The coefficients are linear in the values, and one Parameter may occur in several values.
         units = {parameter: np.zeros(values.size) for parameter in parameters.values()}
         for k, parameter in parameters.items():
             units[parameter][k] = 1.0
@@ -166,7 +171,7 @@ class _Table(Signal):
 
     @cached_property
     def _curve(self) -> Any:
-        """The piecewise polynomial as SciPy's PPoly."""
+        """The piecewise polynomial as a SciPy PPoly object."""
         from scipy.interpolate import PPoly
 
         starts, coefficients = vars(self)["_starts"], vars(self)["_coefficients"]
@@ -181,8 +186,8 @@ class Spline(_Table):
         times: Strictly increasing times, (n,), 2 to 1000 of them [s].
         values: Values, (n,).
         end: Condition at both ends. "natural": zero acceleration; "clamped": zero rate;
-            "not-a-knot": the first two pieces are one cubic, and the last two; "periodic": value,
-            rate and acceleration are equal at both ends (the table is one period and is not
+            "not-a-knot": the first two segments are one cubic, and so are the last two; "periodic":
+            value, rate and acceleration are equal at both ends (the table is one period and is not
             repeated).
     """
 
@@ -213,7 +218,7 @@ class Spline(_Table):
 
 @dataclass(frozen=True, eq=False)
 class Linear(_Table):
-    """Straight lines between the entries of a table. Its rate jumps, so no joint can follow it.
+    """Linear interpolation of a table. Its rate jumps, so it cannot prescribe a joint's motion.
 
     Attributes:
         times: Strictly increasing times, (n,), 2 to 1000 of them [s].

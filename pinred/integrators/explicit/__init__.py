@@ -1,1 +1,1 @@
-"""Explicit Runge–Kutta methods: by tableau, and Munthe-Kaas's method on Lie groups."""
+"""Explicit Runge–Kutta methods: methods defined by a tableau, and Munthe-Kaas's method."""

@@ -25,22 +25,22 @@ from .row_programs import Pullback, Rate, Sum, Terms, pullback_program, row_prog
 from .runge_kutta import digest
 from .tableau import Tableau
 
-# Rows of `work`: the state at the start of a step, the covector at its end, a state and a covector
-# of a stage. Three blocks follow: the rates of all stages, their z, and the terms of each g that
-# come from reports inside the step.
+# Rows of `work`: the state at the start of a step, the covector at the end of the step, the state
+# of a stage, and the covector of a stage. Three blocks with one row per stage follow: the rates k,
+# the covectors z, and the terms of g that come from report times inside the step.
 BEGIN, COVECTOR, STAGE, SEED, RATES = range(5)
 
 
 # --- names that a tableau binds -----------------------------------------------------------------
 
 
-STAGES = SIZE = 1  # stages of a step, without and with those of the dense output
+STAGES = SIZE = 1  # numbers of stages of a step: without and with the stages of the dense output
 
 
-# Row programs: fill_rates fills the rates of the stages of a step h from row BEGIN, and
-# fill_dense_rates those of the additional stages of the dense output; pull_back fills z of the
-# stages (see the module's formulas), and pull_back_inside of all stages of a step with reports
-# inside it.
+# Row programs for a step of length h from row BEGIN. fill_rates computes the stage rates, and
+# fill_dense_rates the rates of the additional stages of the dense output. pull_back computes z of
+# the stages (see the module's formulas). pull_back_inside computes z of all stages of a step that
+# contains report times.
 fill_rates = fill_dense_rates = pull_back = pull_back_inside = unbound
 
 
@@ -70,13 +70,13 @@ def sweep_back(
         adjoint: Address of its adjoint kernel.
         params: Parameters, (p,).
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
-        dense: Weights of the dense output, see Weights.
+        dense: Weights of the stage rates in the dense output, see Weights.
         knots: Times of the step ends, (K,) [s].
         stored: States at the step ends, (K, n), or (K, n + S n) with the stage rates of each step.
         times: Sorted report times, (T,) [s].
         at_times: Covectors of the states at the report times, (T, n); overwritten.
         covector: Covector, changed in place.
-        by_params: Derivative by the parameters, (p,), to which is added.
+        by_params: Derivative with respect to the parameters, (p,); the result is added to it.
         work: Work rows, see AdjointSweep.
         both: Workspace (n + p,) for the output of the adjoint kernel.
         w: Workspace (S,) for weights.
@@ -129,15 +129,15 @@ def sweep_back(
 def pull_back_report(
     work: Array, w: Array, h: float, quaternion: int, at_time: Array, covector: Array
 ) -> None:
-    """Add the covector of a state inside a step to those of the step's start and of its rates.
+    """Propagate the covector of a state inside a step to the step's start and stage rates.
 
     Args:
         work: Work rows.
-        w: Weights of the rates in that state, (S,).
+        w: Weights of the stage rates in that state, (S,).
         h: Length of the step [s].
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
         at_time: Covector of the state, (n,); overwritten.
-        covector: Covector of the start of the step, (n,), to which is added.
+        covector: Covector of the state at the start of the step, (n,); the result is added to it.
     """
     n = at_time.shape[0]
     for k in range(n):
@@ -163,7 +163,7 @@ class AdjointSweep:
 
     Attributes:
         sweep: Compiled function, see `sweep_back`.
-        rows: Function of n that returns the work rows for states of n numbers.
+        rows: Function of n that returns the work rows for states with n entries.
     """
 
     sweep: Callable[..., None]
@@ -179,7 +179,7 @@ def adjoint_sweep_of(tableau: Tableau) -> AdjointSweep:
         return [(base + j, a) for j, a in enumerate(weights.tolist()) if a != 0.0]
 
     def state(i: int) -> tuple[list[Sum], int]:
-        """Return the sum that makes the state of stage i, if any, and the row of that state."""
+        """Return the Sum that computes the state of stage i (none for the first), and its row."""
         terms = weighted(RATES, A[i, :i])
         return ([Sum(STAGE, BEGIN, terms)], STAGE) if terms else ([], BEGIN)
 

@@ -22,12 +22,12 @@ from .tableau import Tableau
 
 @dataclass(frozen=True)
 class Weights:
-    """A tableau as arrays for loops.
+    """The coefficients of a tableau as arrays for compiled loops.
 
     Attributes:
         A: Weights of the rates in the state of each stage, (S, S); row `stages` is the step end.
         dense: Weights of the rates in the terms F₀, F₁, … of Tableau's polynomial, (d + 3, S).
-        stages: Number of stages without the end.
+        stages: Number of stages, without the step end.
     """
 
     A: Array
@@ -37,7 +37,7 @@ class Weights:
 
 @once_for_all
 def weights_of(tableau: Tableau) -> Weights:
-    """Return the weights of a tableau, computed once."""
+    """Return the weights of a tableau, which are cached."""
     s, size = tableau.stages, len(tableau.A)
     end_weights = tableau.A[s]
     begin, end = np.zeros(size), np.zeros(size)
@@ -64,11 +64,12 @@ def fill_stages(
     Args:
         address: Address of the kernel.
         params: Parameters, (p,).
-        A: Weights, see Weights.
-        stages: Number of stages without the end.
-        inside: Whether to add the stages of the dense output. Without them the end has no rate.
+        A: Weights of the stage rates in each stage state, see Weights.
+        stages: Number of stages, without the step end.
+        inside: Whether to add the stages of the dense output. Without these stages, the rate at the
+            step end is not computed.
         h: Length of the step [s].
-        y: State at its start, (n,).
+        y: State at the start of the step, (n,).
         Y: States of the stages, (S, n), output.
         K: Rates of the stages, (S, n), output.
         n: Number of entries of the state.
@@ -88,7 +89,9 @@ def fill_stages(
 
 @compiled
 def fill_weights(dense: Array, x: float, w: Array) -> None:
-    """Fill w (S,) with the weights of the rates in the state at fraction x of a step, without h.
+    """Compute the weights w (S,) of the stage rates in the state inside a step.
+
+    The state at fraction x of a step of length h is y + h Σ w_i k_i.
 
     Args:
         dense: Weights of the polynomial's terms, see Weights.
@@ -105,7 +108,7 @@ def fill_weights(dense: Array, x: float, w: Array) -> None:
 
 @compiled
 def to_unit(y: Array, quaternion: int) -> float:
-    """Normalise the quaternion of y, −1 for none; return its previous length."""
+    """Normalise the quaternion of y; return its previous length. quaternion: index, −1 for none."""
     if quaternion < 0:
         return 1.0
     total = 0.0
@@ -119,14 +122,14 @@ def to_unit(y: Array, quaternion: int) -> float:
 
 @compiled
 def across(y: Array, size: float, quaternion: int, v: Array, width: int) -> None:
-    """Apply the derivative of `to_unit` to v. It is its own adjoint.
+    """Apply the derivative of `to_unit`, a symmetric matrix, to tangents or covectors v.
 
     Args:
         y: State after `to_unit`.
         size: Return value of `to_unit`.
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
         v: Tangents or covectors, (n width,), changed in place.
-        width: Numbers per entry in v.
+        width: Number of consecutive values in v for each entry of the state.
     """
     if quaternion < 0:
         return
@@ -140,7 +143,7 @@ def across(y: Array, size: float, quaternion: int, v: Array, width: int) -> None
 
 @compiled
 def normalise_with(y: Array, quaternion: int, along: Array, width: int) -> None:
-    """Normalise the quaternion of y, and apply the derivative of this to all rows of `along`."""
+    """Normalise the quaternion of y and, with the derivative, all rows of tangents in `along`."""
     size = to_unit(y, quaternion)
     for row in range(along.shape[0]):
         across(y, size, quaternion, along[row], width)
@@ -153,10 +156,10 @@ def last_report(times: Array, knots: Array, step: int, first: int) -> int:
     Args:
         times: Sorted report times, (T,) [s].
         knots: Times of the step ends, (K,) [s].
-        step: Number of the step.
+        step: Index of the step.
         first: Index at which the search starts.
     Returns:
-        The index, T if there is none.
+        The index, or T if no report time is later.
     """
     last = first
     while last < times.shape[0] and times[last] <= knots[step + 1]:
@@ -186,23 +189,24 @@ def forward(
     L: Array,
     w: Array,
 ) -> None:
-    """Propagate a state and tangent directions over given steps, in place.
+    """Propagate a state and tangent directions over steps with prescribed ends, in place.
 
     Args:
         address: Address of the kernel.
         slopes: Address of its tangent kernel.
         params: Parameters, (p,).
-        A: Weights of the stages, see Weights.
-        dense: Weights of the dense output, see Weights.
-        stages: Number of stages without the end.
+        A: Weights of the stage rates in each stage state, see Weights.
+        dense: Weights of the stage rates in the dense output, see Weights.
+        stages: Number of stages, without the step end.
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
         knots: Times of the step ends, (K,) [s].
         times: Sorted report times, (T,) [s].
-        y: State, (n,), changed to that at the end.
-        along: Directions of the state, (B, n SEEDS), SEEDS at once; changed in place.
+        y: State, (n,), changed to the state at the end.
+        along: Directions of the state in B blocks of SEEDS directions, (B, n SEEDS); changed in
+            place.
         along_params: Directions of the parameters, (B, p SEEDS).
         out: States at the report times, (T, n), output.
-        out_along: Their tangents, (T, B, n SEEDS), output.
+        out_along: Tangents of these states, (T, B, n SEEDS), output.
         Y: Workspace (S, n) for stage states.
         K: Workspace (S, n) for stage rates.
         V: Workspace (n SEEDS,) for directions of a stage.
@@ -263,7 +267,7 @@ def back_to_given(y0: Array, quaternion: int, covector: Array, y: Array) -> None
 
 @compiled
 def _add_up(out: Array, base: Array, w: Array, rows: Array, count: int, h: float) -> None:
-    """Fill `out` with base + h Σ w rows over the first `count` rows."""
+    """Compute out = base + h Σ w_i rows_i, summed over the first `count` rows."""
     for k in range(out.shape[0]):
         out[k] = base[k]
     for j in range(count):

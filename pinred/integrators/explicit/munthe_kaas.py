@@ -84,14 +84,14 @@ def load_step(
     end_states: Array,  # noqa: ARG001
     k: int,  # noqa: ARG001
 ) -> None:
-    """Repeat a stored step (hook)."""
+    """Recompute a stored step, so that states inside it can be written (hook)."""
     _rate(run.address, params, work, work[Y], RATE, run.quaternion)
     _step(run.address, params, work, run.quaternion, t_new - run.t)
 
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:  # noqa: ARG001
-    """Write a state in the step by cubic Hermite polynomials (hook)."""
+    """Write a state inside the step, computed with cubic Hermite polynomials (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
         _within(run.n, work, run.quaternion, time - run.t, t_new - run.t, out)
     return DONE
@@ -99,7 +99,7 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
 
 @compiled
 def _step(address: int, params: Array, work: Array, quaternion: int, h: float) -> None:
-    """Fill NEW, LAST and MEAN by one step of length h from row Y with rates in row RATE."""
+    """Compute rows NEW, LAST and MEAN with a step of length h from row Y with rates in row RATE."""
     stage = work[STAGE]
     _to_1(work, h)
     _turn(work[Y], work[RATE], 0.5 * h, stage, quaternion)
@@ -122,7 +122,7 @@ def _step(address: int, params: Array, work: Array, quaternion: int, h: float) -
 
 @compiled
 def _rate(address: int, params: Array, work: Array, y: Array, row: int, quaternion: int) -> None:
-    """Fill a row with the rates at y, with the body rate ω = 2 q⁻¹ q̇ in place of q̇."""
+    """Compute the rates at y in a row, with the body rate ω = 2 q⁻¹ q̇ in place of q̇."""
     call(address, y, params, work[row])
     if quaternion >= 0:
         q, d = y[quaternion : quaternion + 4], work[row, quaternion : quaternion + 4]
@@ -130,12 +130,12 @@ def _rate(address: int, params: Array, work: Array, y: Array, row: int, quaterni
         b = q[3] * d[1] - q[1] * d[3] - (q[2] * d[0] - q[0] * d[2])
         c = q[3] * d[2] - q[2] * d[3] - (q[0] * d[1] - q[1] * d[0])
         d[0], d[1], d[2] = 2.0 * a, 2.0 * b, 2.0 * c
-        d[3] *= 0.0  # stays non-finite if it was
+        d[3] *= 0.0  # sets the entry to zero, but keeps it non-finite if it was
 
 
 @compiled
 def _turn(start: Array, rate: Array, h: float, end: Array, quaternion: int) -> None:
-    """Set the quaternion of `end` to that of `start` times exp(h rate); all rows (n,)."""
+    """Set the quaternion of `end` to the quaternion of `start` times exp(h rate)."""
     if quaternion >= 0:
         q, u = start[quaternion : quaternion + 4], rate[quaternion : quaternion + 3]
         a, b, c = h * u[0], h * u[1], h * u[2]
@@ -173,7 +173,7 @@ def _straighten(rate: Array, h: float, row: Array, quaternion: int) -> None:
 
 @compiled
 def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Array) -> None:
-    """Write the state at `time` after the start of a step h, (n,), by cubic polynomials."""
+    """Write the state (n,) at `time` after the start of a step h, using cubic polynomials."""
     x = time / h
     y = 1.0 - x
     by_difference, by_start, by_end = x * x * (3.0 - 2.0 * x), h * x * y * y, -h * x * x * y
@@ -183,7 +183,7 @@ def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Ar
             by_difference * difference + by_start * work[RATE, i] + by_end * work[LAST, i]
         )
     if quaternion >= 0:
-        u = work[STAGE]  # not in use between steps
+        u = work[STAGE]  # a row that is not in use between steps
         for i in range(quaternion, quaternion + 4):
             u[i] = work[LAST, i]
         _straighten(work[MEAN], h, u, quaternion)

@@ -1,4 +1,4 @@
-"""Linear combinations of rows in vector instructions, and kernel calls between them.
+"""Compiled sequences of kernel calls and linear combinations of rows, with vector instructions.
 
 An explicit method is a list of `Sum` and `Rate` steps on the rows `work` (rows, stride). The
 programs below write these steps as straight-line code: without loops over stages and without
@@ -29,7 +29,7 @@ class Sum:
 
     Attributes:
         out: Row of the result.
-        base: Row to add to, None for zero.
+        base: Row to which the terms are added, None for zero.
         terms: Pairs of row and weight, added as a balanced tree.
     """
 
@@ -50,7 +50,7 @@ class Rate:
 class Pullback:
     """The adjoint kernel call: row `out` = (∂f/∂y)ᵀ covector, with y in row `at`.
 
-    The derivative by the parameters is added to a running sum.
+    The derivative with respect to the parameters is added to a running sum.
     """
 
     at: int
@@ -81,13 +81,13 @@ def row_program(
 ) -> Callable[[int, Array, Array, Any], int]:
     """Return the compiled function run(address, params, work, h) of a list of steps.
 
-    It performs all steps and returns the number of kernel calls.
+    The function performs all steps and returns the number of kernel calls.
 
     Args:
         steps: Linear combinations and kernel calls, in order.
-        width: Numbers in a vector.
+        width: Number of floats in a vector.
         lane_steps: Type of h, if h is a vector with a step length per SIMD lane.
-        flags: LLVM flags of the floating-point instructions.
+        flags: LLVM fast-math flags of the floating-point instructions.
     Returns:
         The function.
     """
@@ -120,7 +120,7 @@ def pullback_program(
     """Return the compiled function run(adjoint, params, work, both, by_params, h).
 
     It performs all steps. both: (n + p,), output of the adjoint kernel. by_params: (p,), to which
-    the derivatives by the parameters are added.
+    the derivatives with respect to the parameters are added.
     """
 
     @make_intrinsic
@@ -163,7 +163,7 @@ def pullback_program(
 def _emit_sum(
     builder: Any, rows: VectorRows, step: Sum, scale: Any, flags: tuple[str, ...] = ()
 ) -> None:
-    """Write the instructions of a linear combination; scale: the vector h."""
+    """Emit the instructions of a linear combination; `scale` is h as a vector."""
     stride, width = rows.stride, rows.vector.count
     with cgutils.for_range(builder, builder.udiv(stride, stride.type(width))) as loop:
         index = builder.mul(loop.index, stride.type(width))

@@ -67,10 +67,10 @@ from .tableau import Tableau
 
 STAGES = 1
 
-# Row programs, each (address, params, work, h) -> number of evaluations: fill_step fills the rates
-# of a step h from row Y, and row NEW; fill_end the rate at its end; fill_errors the error rows;
-# fill_dense the rates and terms of the dense output. estimate(run, work, h) returns the error of
-# the step, relative to its tolerance.
+# Row programs, each (address, params, work, h) -> number of evaluations: fill_step computes the
+# stage rates of a step of length h from row Y, and the state in row NEW; fill_end the rate at the
+# end of the step; fill_errors the error rows; fill_dense the rates and terms of the dense output.
+# estimate(run, work, h) returns the error of the step, relative to its tolerance.
 fill_step = fill_end = fill_errors = fill_dense = estimate = unbound
 
 
@@ -98,7 +98,7 @@ def next_end_time(run: Run) -> float:
 
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
     """Compute a step and its error; return DONE, or AGAIN with a shorter step (hook)."""
-    h = t_new - run.t  # includes the round-off of the clock, as the state must follow the clock
+    h = t_new - run.t  # includes the round-off of t, so that the state belongs to the stored time
     run.evaluations += fill_step(run.address, params, work, h)
     fill_errors(run.address, params, work, 1.0)
     run.error = estimate(run, work, h)
@@ -114,7 +114,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
 
 
 def accept_step(run: Run, work: Array, t_new: float) -> None:
-    """Continue from the end of the step, and choose the next length by the error (hook)."""
+    """Continue from the end of the step, and choose the next length from the error (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[BEGIN_RATE, i] = work[END_RATE, i]
@@ -123,7 +123,7 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:
     if run.again:
         growth = min(growth, 1.0)
     else:
-        run.entry = -1  # the run has left the place where an entry was not finite
+        run.entry = -1  # the accepted step is finite, so an earlier non-finite entry is obsolete
     run.again = 0
     run.h = min((t_new - run.t) * growth, run.max_step)
 
@@ -148,13 +148,13 @@ def load_step(
     end_states: Array,  # noqa: ARG001
     k: int,  # noqa: ARG001
 ) -> None:
-    """Evaluate the rates at the start of a stored step (hook)."""
+    """Evaluate the rate at the start of a stored step; other rates follow when needed (hook)."""
     call(run.address, work[Y], params, work[BEGIN_RATE])
     unit(work[Y], work[BEGIN_RATE], run.quaternion)
 
 
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Write a state in the step by the dense-output polynomial, section II.6 (hook)."""
+    """Write a state inside the step, computed with the dense output of section II.6 (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
         h = t_new - run.t
         if run.known == ENDS:
@@ -172,7 +172,7 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
 
 
 def fill_dense_rows(run: Run, params: Array, work: Array, h: float) -> None:
-    """Fill all rows of dense output."""
+    """Compute all rows of the dense output."""
     run.evaluations += fill_dense(run.address, params, work, h)
     fill_hermite(run, work, h)
 
@@ -195,15 +195,16 @@ def non_finite_entry(work: Array, n: int) -> int:
 
 @dataclass(frozen=True)
 class Steps:
-    """A tableau as linear combinations and evaluations on rows of `work`.
+    """The operations of a tableau: linear combinations and kernel calls on rows of `work`.
 
     Attributes:
-        to_end: From row Y with its rate to row NEW.
-        at_end: The rate at NEW; empty if `to_end` evaluates it because the errors need it.
-        errors: The error rows.
-        dense: The dense-output terms beyond the cubic, in rows from `first` + 3.
+        to_end: Steps that compute row NEW from row Y and its rate.
+        at_end: Steps that compute the rate at NEW; empty if `to_end` computes this rate because the
+            error estimate needs it.
+        errors: Steps that compute the error rows.
+        dense: Steps that compute the dense-output terms beyond the cubic, in rows from `first` + 3.
         first: First row of dense output.
-        rows: Number of rows.
+        rows: Number of work rows.
     """
 
     to_end: list[Sum | Rate]
@@ -249,14 +250,15 @@ def steps_of(tableau: Tableau) -> Steps:
 def bind_formulas(
     prefix: str, order: int, tableau: Tableau, numbers: dict[str, Any], **programs: Any
 ) -> Bindings:
-    """Bind the step formulas to a tableau and a number type.
+    """Bind the step formulas to a tableau and a number type (scalars or SIMD vectors).
 
     Args:
         prefix: Unique start of the names of the compiled functions.
         order: Order of the method.
-        tableau: Its coefficients.
-        numbers: Functions of the number type, as SCALAR.
-        **programs: Keyword arguments of `row_program`, for other vectors than those of one run.
+        tableau: Coefficients of the method.
+        numbers: Functions of the number type, by name, like SCALAR.
+        **programs: Keyword arguments of `row_program`, for vectors that differ from those of a
+            single run.
     Returns:
         The bindings, with row programs, formulas and error estimate.
     """

@@ -27,7 +27,7 @@ SAFETY, SHRINK, GROW, CRASH = 0.9, 0.333, 6.0, 0.1  # factors of the step contro
 # --- names that a tableau and a number type bind ----------------------------------------------
 
 
-HALVINGS, REST = 0, 1  # the order is 2^HALVINGS REST
+HALVINGS, REST = 0, 1  # factors of the method's order, 2^HALVINGS · REST
 FIRST, TERMS = RATES, 3  # first row and number of the dense-output terms
 
 
@@ -96,7 +96,7 @@ def entry_tolerance(run: Run, work: Array, i: int) -> Any:
 
 
 def one_error(run: Run, work: Array, h: Any) -> Any:
-    """Return the error of a step in tolerances, the root mean square of one error row (II.4.11)."""
+    """Return the error of a step in units of the tolerance: the RMS of one error row (II.4.11)."""
     total = same(0.0)
     for i in range(run.n):
         error = get(work, ERROR, i) / entry_tolerance(run, work, i)
@@ -105,7 +105,7 @@ def one_error(run: Run, work: Array, h: Any) -> Any:
 
 
 def two_errors(run: Run, work: Array, h: Any) -> Any:
-    """Return the error of a step in tolerances, from two error rows (II.10.17)."""
+    """Return the error of a step in units of the tolerance, from two error rows (II.10.17)."""
     sum5, sum3 = same(0.0), same(0.0)
     for i in range(run.n):
         inverse = 1.0 / entry_tolerance(run, work, i)
@@ -117,10 +117,11 @@ def two_errors(run: Run, work: Array, h: Any) -> Any:
 
 
 def first_step(run: Run, params: Array, work: Array) -> Any:
-    """Return the length of the first step (Hairer's hinit), in time units of √(|y|/|ÿ|).
+    """Return the length of the first step: Hairer's hinit, made independent of the unit of time.
 
-    Hairer's time unit is the second, so his first step depends on the units of the model. Where
-    |y| or |ẏ| vanishes, a fraction of the end time replaces their ratio. Costs one evaluation.
+    Hairer's first step depends on the unit of time of the model. Here √(|y|/|ÿ|) replaces this
+    unit. Where |y| or |ẏ| vanishes, a fraction of the end time replaces their ratio. The function
+    costs one evaluation.
     """
     longest = same(min(run.t_end, run.max_step))
     size, rate = same(0.0), same(0.0)
@@ -153,7 +154,7 @@ def first_step(run: Run, params: Array, work: Array) -> Any:
 
 
 def fill_hermite(run: Run, work: Array, h: Any) -> None:
-    """Fill the first three dense-output rows, those of the cubic Hermite polynomial."""
+    """Compute the first three dense-output rows: the terms of the cubic Hermite polynomial."""
     for i in range(run.n):
         difference = get(work, NEW, i) - get(work, Y, i)
         start, end = h * get(work, BEGIN_RATE, i), h * get(work, END_RATE, i)
@@ -163,7 +164,7 @@ def fill_hermite(run: Run, work: Array, h: Any) -> None:
 
 
 def dense_value(work: Array, i: int, x: Any) -> Any:
-    """Return entry i of the state at fraction x of the step, by the polynomial (II.6)."""
+    """Return entry i of the state at fraction x of the step: the dense-output polynomial (II.6)."""
     y = 1.0 - x
     total = get(work, FIRST + TERMS - 1, i)
     for k in range(TERMS - 2, -1, -1):

@@ -9,12 +9,14 @@ import numpy as np
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 
-_ROUND_OFF = 1e-12  # relative error allowed in the sums of weights
+_ROUND_OFF = 1e-12  # relative error that is allowed in sums of weights
 
 
 @dataclass(frozen=True, eq=False)
 class Tableau:
-    """Coefficients of an explicit method of s stages; its last rate is the next step's first.
+    """Coefficients of an explicit method with s stages.
+
+    The rate at the end of a step is the first stage rate of the next step.
 
     The dense output at fraction x of a step, with y = 1 − x, is
 
@@ -24,13 +26,13 @@ class Tableau:
 
     Attributes:
         A: Weights of the rates in the state of each stage, (s + 1 + e, s + 1 + e), strictly lower
-            triangular: s stages, of which the first is the start of the step; its end; e additional
-            stages for dense output.
+            triangular: rows for the s stages (the first is the start of the step), for the step
+                end, and for e additional stages of the dense output.
         errors: Weights of the error estimate. (1, s + 1): difference to a method of lower order.
             (2, s + 1): two differences, which are combined as in Hairer's DOP853.
         dense: Weights of F₃, F₄, …, (d, s + 1 + e).
     Raises:
-        InputError: Shapes or sums do not fit a method.
+        InputError: Shapes, or sums of weights, are inconsistent.
     """
 
     A: Array

@@ -1,4 +1,4 @@
-"""integrate_in_lanes(): many runs of an explicit method, in SIMD lanes and on several threads."""
+"""integrate_in_lanes(): integrate a batch with an explicit method, in SIMD lanes and threads."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .lane_loop import READY_REGISTERS, READY_ROWS, REGISTERS, Workspace
 from .vectors import FUSED, Vector, functions_of_width
 
 WIDTHS = (8, 16)  # supported numbers of SIMD lanes
-_CACHE_LINE = 64  # bytes; vectors of eight numbers are aligned to it
+_CACHE_LINE = 64  # alignment of vectors of eight floats [bytes]
 
 
 def integrate_in_lanes(
@@ -43,8 +43,8 @@ def integrate_in_lanes(
     """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, several at once in SIMD lanes.
 
     Steps and results of a member do not depend on the other members, their order or the number
-    of threads. They equal those of `integrate` up to round-off. A failing member reports a status
-    and does not affect the others.
+    of threads. They equal the steps and results of `integrate` up to round-off. A failing member
+    reports a status and does not affect the others.
 
     Args:
         method: Explicit method.
@@ -86,7 +86,7 @@ class LaneLoop:
 
     Attributes:
         width: Number of lanes.
-        members: The compiled loop, see lane_loop.run_members.
+        members: Compiled function, see lane_loop.run_members.
         rows: Number of rows of `work`.
     """
 
@@ -95,7 +95,7 @@ class LaneLoop:
     rows: int
 
     def workspace(self, n: int, parameters: int) -> Workspace:
-        """Return the workspace of a thread, for states of n numbers and so many parameters."""
+        """Return the workspace of a thread for states with n entries and a number of parameters."""
         width = self.width
         return Workspace(
             work=_aligned(self.rows, n * width),

@@ -48,29 +48,31 @@ from ..stepping.run_state import (
 from ..stepping.step_loop import Batch
 from .vectors import bits, choose, fetch_and_add
 
-# Rows of the lane registers, as floats: time and next step [s]; whether the last trial was
-# rejected; counts; the next report time [s] and its index; the entry that is not finite, −1 for
-# none; whether the lane has a member, and its number.
+# Rows of the lane registers, all stored as floats: time and length of the next step [s]; whether
+# the last trial step was rejected; numbers of accepted steps, rejected steps and evaluations; the
+# next report time [s] and its index; the index of the entry that is not finite, −1 for none;
+# whether the lane has a member, and the index of this member.
 TIME, STEP, AGAIN, STEPS, REJECTED, EVALUATIONS = range(6)
 NEXT_TIME, NEXT, ENTRY, LIVE, MEMBER, REGISTERS = range(6, 12)
-# Rows of the registers of prepared members: first step, member, entry that is not finite. COUNT
-# and USED have one number each: the prepared members, and how many of them are in lanes.
+# Rows of the registers of prepared members: length of the first step, index of the member, index of
+# the entry that is not finite. Rows COUNT and USED contain one number each: how many members are
+# prepared, and how many of them have entered lanes.
 FIRST_STEP, READY_MEMBER, READY_ENTRY, COUNT, USED, READY_REGISTERS = range(6)
-READY_ROWS = RATES  # rows of the states of prepared members: those that `first_step` uses
+READY_ROWS = RATES  # number of rows for states of prepared members: the rows that `first_step` uses
 
 _EPS = float(np.finfo(float).eps)
 
 
 class Workspace(NamedTuple):
-    """The arrays of a thread. Rows and parameters are in lanes: (R, n width), (p width,).
+    """The arrays of a thread; rows (R, n width) and parameters (p width,) are stored in lanes.
 
     Attributes:
         work: States and rates.
-        params: Parameters of the members in lanes.
+        params: Parameters of the members that are in lanes.
         registers: Lane registers, (REGISTERS, width).
         ready: States and rates of prepared members.
-        ready_params: Their parameters.
-        ready_registers: Their registers, (READY_REGISTERS, width).
+        ready_params: Parameters of the prepared members.
+        ready_registers: Registers of the prepared members, (READY_REGISTERS, width).
     """
 
     work: Array
@@ -85,7 +87,8 @@ class Workspace(NamedTuple):
 
 
 WIDTH, STAGES, OUT = 1, 1, 0
-BEGUN, AT_STEP, AT_END, AT_DENSE = 2.0, 1.0, 1.0, 0.0  # numbers of evaluations
+# Numbers of evaluations: to begin a member, per step, at its end, for dense output.
+BEGUN, AT_STEP, AT_END, AT_DENSE = 2.0, 1.0, 1.0, 0.0
 
 
 fill_step = fill_end = fill_errors = fill_dense = estimate = unbound
@@ -137,12 +140,12 @@ def next_step(error: Any, h: Any, accepted: Any, again: Any, max_step: float) ->
 
     Args:
         error: Errors of the steps, in units of the tolerance.
-        h: Their lengths [s].
+        h: Lengths of the steps [s].
         accepted: Mask of the accepted steps.
         again: Mask of the lanes whose previous trial was rejected.
         max_step: Longest step [s].
     Returns:
-        A vector of lengths [s].
+        A vector of step lengths [s].
     """
     ideal = SAFETY / larger(root(error), same(1e-300))
     growth = smaller(same(GROW), larger(same(SHRINK), ideal))
@@ -157,7 +160,7 @@ def next_step(error: Any, h: Any, accepted: Any, again: Any, max_step: float) ->
 def prepare_members(
     run: Run, batch: Batch, queue: NDArray[np.int64], space: Workspace, most: int
 ) -> int:
-    """Take up to `most` members from the queue and prepare their first steps; return how many."""
+    """Take up to `most` members from the queue, prepare their first steps; return their number."""
     ready, params, registers = space.ready, space.ready_params, space.ready_registers
     size = batch.y0.shape[0]
     first: int = fetch_and_add(queue, most)
@@ -189,13 +192,13 @@ def prepare_members(
 def enter_lane(
     run: Run, batch: Batch, queue: NDArray[np.int64], space: Workspace, lane: int, most: int
 ) -> bool:
-    """Put the next member into a lane; return whether there is one."""
+    """Put the next member into a lane; return whether the queue had a member."""
     work, registers = space.work, space.registers
     ready, ready_registers = space.ready, space.ready_registers
     while True:
         used_up = ready_registers[USED, 0] >= ready_registers[COUNT, 0]
         if used_up and prepare_members(run, batch, queue, space, most) == 0:
-            # The lane idles: steps of length zero from a finite state.
+            # The lane idles: it takes steps of length zero from a finite state.
             registers[LIVE, lane] = registers[TIME, lane] = registers[STEP, lane] = 0.0
             registers[NEXT_TIME, lane] = np.inf
             for i in range(run.n):
@@ -231,7 +234,7 @@ def enter_lane(
 
 
 def report_state(run: Run, batch: Batch, space: Workspace, lane: int, row: int) -> None:
-    """Store the state in a row as that at the next report time of a lane."""
+    """Store the state in a row as the result for the next report time of a lane."""
     registers = space.registers
     j, count = int(registers[NEXT, lane]), batch.times.shape[0]
     out = batch.y[int(registers[MEMBER, lane]), j]

@@ -33,7 +33,7 @@ _DOUBLE, _INT32 = ir.DoubleType(), ir.IntType(32)
 
 
 class _PerLane(types.Type):
-    """Numba type of an entry per lane.
+    """Numba type with one entry per SIMD lane.
 
     Attributes:
         width: Number of lanes.
@@ -43,19 +43,19 @@ class _PerLane(types.Type):
     entry: ClassVar[Any]
 
     def __init__(self, width: int) -> None:
-        """Take the number of lanes."""
+        """Create the type for a number of lanes."""
         self.width = width
         super().__init__(name=f"pinred_{type(self).__name__.lower()}{width}")
 
 
 class Vector(_PerLane):
-    """Numba type of a float64 per lane."""
+    """Numba type with one float64 per SIMD lane."""
 
     entry = _DOUBLE
 
 
 class Mask(_PerLane):
-    """Numba type of a truth value per lane."""
+    """Numba type with one truth value per SIMD lane."""
 
     entry = ir.IntType(1)
 
@@ -82,7 +82,7 @@ def _in_lanes(builder: Any, operand_types: Any, values: Any) -> list[Any]:
 
 
 def _operands(args: Any) -> int:
-    """Return the width of two operands of which at least one is a vector, 0 for others."""
+    """Return the number of lanes of two operands if one of them is a vector, else 0."""
     widths = {operand_type.width for operand_type in args if isinstance(operand_type, Vector)}
     all_numeric = all(
         isinstance(operand_type, Vector) or operand_type == types.float64 for operand_type in args
@@ -96,7 +96,7 @@ def _binary(function: Any, result: type, emit: Callable[[Any, Any, Any], Any]) -
     Args:
         function: The operator.
         result: Vector or Mask.
-        emit: Emits the instruction for builder and two vectors.
+        emit: Function of the LLVM builder and two vectors that emits the instruction.
     """
 
     class Typed(templates.AbstractTemplate):
@@ -121,7 +121,7 @@ def _comparison(builder: Any, x: Any, y: Any, sign: str) -> Any:
     return builder.fcmp_ordered(sign, x, y)
 
 
-FUSED = ("contract",)  # lets a multiplication and an addition become one instruction
+FUSED = ("contract",)  # LLVM flag that lets a multiplication and an addition become one instruction
 
 for _function, _name in (
     (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"),
@@ -146,7 +146,7 @@ def _logical(function: Any, count: int, emit: Callable[..., Any]) -> None:
     Args:
         function: The operator.
         count: Number of operands.
-        emit: Emits the instruction for builder and masks.
+        emit: Function of the LLVM builder and the masks that emits the instruction.
     """
 
     class Typed(templates.AbstractTemplate):
@@ -226,7 +226,7 @@ def bits(typing: Any, mask: Any) -> Any:
 
 @make_intrinsic
 def power(typing: Any, base: Any, exponent: Any) -> Any:
-    """Return a power of the number in each lane."""
+    """Return base to the power `exponent`, for each lane."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         callee = builder.module.declare_intrinsic("llvm.pow", [_DOUBLE])
@@ -242,7 +242,7 @@ def power(typing: Any, base: Any, exponent: Any) -> Any:
 
 @make_intrinsic
 def fetch_and_add(typing: Any, counter: Any, count: Any) -> Any:
-    """Add `count` to the int64 in counter (1,) and return its previous value, atomically."""
+    """Add `count` atomically to the int64 in `counter`, (1,), and return the previous value."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         array = context.make_array(sig.args[0])(context, builder, args[0])
@@ -253,9 +253,9 @@ def fetch_and_add(typing: Any, counter: Any, count: Any) -> Any:
 
 @cache
 def functions_of_width(width: int) -> dict[str, Any]:
-    """Return the functions that depend on the number of lanes, see explicit/step_formulas.py.
+    """Return the functions of step_formulas.py that depend on the number of lanes.
 
-    same(number), get(rows, row, i) and put(rows, row, i, vector) use rows (R, n width).
+    They are same(number), get(rows, row, i) and put(rows, row, i, vector), for rows (R, n width).
     """
     vector = Vector(width)
 

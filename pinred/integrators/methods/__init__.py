@@ -1,4 +1,4 @@
-"""The integrators as values. METHODS contains all that this folder defines."""
+"""The integrators: dataclasses that select a method and hold its options. METHODS lists them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .method import Method as Method
 
 
 def _methods() -> dict[str, type[Method]]:
-    """Return the methods that the files of this folder define, by their names."""
+    """Return the method classes that the modules of this folder define, by class name."""
     methods: dict[str, type[Method]] = {}
     for module in iter_modules(__path__):
         definitions = import_module(f"{__name__}.{module.name}")
@@ -39,15 +39,15 @@ METHODS = _methods()
 
 @dataclass(frozen=True)
 class Option:
-    """An option of a method, as it is listed and read from files.
+    """Description of a method's option, used to list options and to read them from files.
 
     Attributes:
         name: Name of the field.
         kind: "float", "int" or "str".
         about: Description.
-        required: Whether there is no default.
-        default: Default value, None if required.
-        among: Allowed words.
+        required: Whether the option has no default value.
+        default: Default value, None if the option is required.
+        among: Allowed words of a "str" option.
         least: Smallest allowed integer.
         most: Largest allowed integer.
     """

@@ -1,10 +1,10 @@
-"""Explicit methods as values: DOP853, Tsit5 and RKMK4.
+"""Explicit methods: the dataclasses DOP853, Tsit5 and RKMK4, which hold a method's options.
 
 DOP853 is Dormand and Prince's method of order 8(5,3) in Hairer's form: E. Hairer, S. P. Nørsett,
 G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., Springer 1993, sections II.5 and
 II.6, and Hairer's code dop853.f. Tsit5 is from Ch. Tsitouras, Runge–Kutta pairs of order 5(4)
 satisfying only the first column simplifying assumption, Comput. Math. Appl. 62 (2011) 770–775,
-which gives the pair and an interpolant of order 4 that needs no additional stage. RKMK4 is
+which contains the pair of methods and an interpolant of order 4 without additional stages. RKMK4 is
 implemented by explicit/munthe_kaas.py.
 """
 
@@ -80,7 +80,8 @@ _DENSE = (
 class Tsit5(Explicit):
     """Tsitouras's Runge–Kutta method of order 5(4).
 
-    Its dense output costs no evaluations. It is rarely faster than DOP853, at errors of 1e-4.
+    Its dense output costs no evaluations. The method is rarely faster than DOP853, and only at
+    errors of about 1e-4.
 
     State:
         y, (n,), in any order. The quaternion's four entries are consecutive.
@@ -110,7 +111,7 @@ class Tsit5(Explicit):
 
 @dataclass(frozen=True)
 class RKMK4(EqualSteps):
-    """Munthe-Kaas's form of the classical RK4: fixed steps that stay on the group.
+    """Munthe-Kaas's form of the classical method RK4, with fixed steps that stay on the Lie group.
 
     State:
         y, (n,), in any order. The quaternion's four entries are consecutive.

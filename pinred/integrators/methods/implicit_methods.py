@@ -1,6 +1,7 @@
-"""Implicit methods as values: Gauss, AdaptiveGauss, Radau and Variational.
+"""Implicit methods: the dataclasses Gauss, AdaptiveGauss, Radau and Variational.
 
-The folders gauss, radau and variational implement their steps.
+The classes select a method and hold its options. The folders gauss, radau and variational implement
+the steps.
 """
 
 from __future__ import annotations
@@ -28,12 +29,14 @@ class Gauss(EqualSteps):
     value for exponentially long times.
 
     State:
-        y, (n,), canonical: positions, momenta, then the quaternion as Cayley–Klein lift, if any.
+        y, (n,), in canonical form: positions, momenta, then the quaternion as Cayley–Klein lift, if
+        any.
     Attributes:
         step: Longest step [s]. All steps are equal, and the last one ends at the end time.
-        order: 2, 4, …, 16.
-        solver: Solver of the stages, to round-off: "fixed point"; "Newton" with the exact Jacobian;
-            or "auto", the fixed point while it converges well.
+        order: Order of the method: 2, 4, …, 16.
+        solver: Solver of the stage equations, which are solved to round-off. "fixed point";
+            "Newton": with the exact Jacobian; "auto": fixed-point iteration as long as it converges
+            well, else Newton.
     """
 
     order: int = field(
@@ -59,17 +62,17 @@ class Gauss(EqualSteps):
 
     @property
     def name(self) -> str:
-        """Gauss and the order."""
+        """Name of the method: "Gauss" and its order."""
         return f"Gauss{self.order}"
 
     @property
     def dense_order(self) -> int:
-        """Order of the dense output, that of the steps."""
+        """Order of the dense output, which is the order of the steps."""
         return self.order
 
     @property
     def stages(self) -> int:
-        """Half of the order."""
+        """Number of stages, half of the order."""
         return self.order // 2
 
     @property
@@ -84,7 +87,7 @@ class Gauss(EqualSteps):
         return fixed_stepper(self.stages, needs_tangent=self.solver == "Newton")
 
     def registers(self, t_end: float) -> dict[str, float]:
-        """Return the registers of step, stages and solver, see Method.registers."""
+        """Return the registers for step length, stages and solver, see Method.registers."""
         solved = {
             "stages": self.stages,
             "lanes": self.lanes,
@@ -125,7 +128,7 @@ class AdaptiveGauss(ErrorControl):
         return adaptive_stepper(MOST_STAGES)
 
     def registers(self, t_end: float) -> dict[str, float]:
-        """Return the registers of tolerances, stages and solver, see Method.registers."""
+        """Return the registers for tolerances, stages and solver, see Method.registers."""
         solved = {"stages": self.stages, "lanes": self.lanes, "solver": FIXED_POINT}
         return super().registers(t_end) | solved
 
@@ -134,9 +137,9 @@ class AdaptiveGauss(ErrorControl):
 class Radau(ErrorControl):
     """Radau IIA of order 5 with step control, in Hairer and Wanner's form: for stiff systems.
 
-    Hard springs or strong dampers force DOP853 to tiny steps. Radau takes steps that resolve the
-    slow motion, and damps faster motions. For other systems it is slower than DOP853. Newton's
-    method uses the exact Jacobian.
+    Hard springs or strong dampers force DOP853 to tiny steps. Radau takes steps that resolve only
+    the slow motion, and damps faster motions. For systems that are not stiff, it is slower than
+    DOP853. Newton's method uses the exact Jacobian.
 
     State:
         y, (n,), in any order. The quaternion's four entries are consecutive.
@@ -165,13 +168,14 @@ class Radau(ErrorControl):
 class Variational(EqualSteps):
     """A discrete Lagrange–Poincaré integrator of order 2 with fixed steps.
 
-    Its discrete action, by the trapezoidal rule and Cayley's map on rotations, is stationary. The
-    angular momentum is preserved to round-off, and the energy stays near its initial value. It
-    needs a constant angular momentum, and steps short enough for fixed-point iteration to converge.
+    The steps make a discrete action stationary, which is computed with the trapezoidal rule and
+    Cayley's map on rotations. The angular momentum is preserved to round-off, and the energy stays
+    near its initial value. The method needs a constant angular momentum, and steps short enough for
+    fixed-point iteration to converge.
 
-    For the same error it takes 0.7 to 1 times the time of Gauss of order 2 on a planar chain and on
-    solo12, and two to three times as long on the falling cat and a satellite with arms. Gauss of
-    order 4 or higher is better than both.
+    Compared with Gauss of order 2 at the same error, Variational takes 0.7 to 1 times the computing
+    time on a planar chain and on solo12, and two to three times the computing time on the falling
+    cat and a satellite with arms. Gauss of order 4 or higher is faster than both.
 
     State:
         y, (n,): m positions, m momenta, then other entries. The quaternion, if any, is the

@@ -1,4 +1,4 @@
-"""Base classes of integrators: fields are options, class attributes state the properties."""
+"""Base classes of integrators: dataclass fields are options, class attributes are properties."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from ..explicit.tableau import Tableau
     from ..stepping.step_loop import Stepper
 
-DOP853_LEAST = 2.3e-14  # smallest useful relative tolerance, limited by round-off; SciPy's, too
+# Smallest useful relative tolerance, limited by round-off; SciPy has the same limit.
+DOP853_LEAST = 2.3e-14
 MOST_STEPS = 1e12  # largest number of equal steps
 
 
 def option(about: str, **more: Any) -> dict[str, Any]:
-    """Return the metadata of an option's field.
+    """Return the metadata of a dataclass field that is an option.
 
     Args:
         about: Description.
@@ -38,8 +39,8 @@ class Method(ABC):
     Attributes:
         about: Short description.
         adaptive: Whether an error estimate controls the step lengths.
-        symplectic: Whether its map is symplectic on the canonical form.
-        steady_momentum: Whether it needs an angular momentum that is constant in space.
+        symplectic: Whether the map of a step is symplectic for systems in canonical form.
+        steady_momentum: Whether the method requires an angular momentum that is constant in space.
     """
 
     about: ClassVar[str]
@@ -49,7 +50,7 @@ class Method(ABC):
 
     @property
     def name(self) -> str:
-        """Name of the method: that of its class, possibly with options."""
+        """Name of the method: the name of its class, possibly with options."""
         return type(self).__name__
 
     @property
@@ -78,7 +79,7 @@ class Method(ABC):
         Args:
             t_end: End time [s].
         Returns:
-            Values by the names of registers.
+            Register values, by register name.
         Raises:
             InputError: The options do not fit the end time.
         """
@@ -88,8 +89,8 @@ class Method(ABC):
 class ErrorControl(Method):
     """A method that controls the error of its steps.
 
-    If neither tolerance is set, a Scene uses its own defaults, and functions outside of scenes use
-    those of the class.
+    If neither tolerance is set, a Scene uses its own defaults. Functions outside of scenes use the
+    defaults of the class.
 
     Attributes:
         rtol: Relative tolerance of a step.
@@ -129,7 +130,7 @@ class ErrorControl(Method):
             raise InputError(f"max_steps must be at least 1, got {self.max_steps}")
 
     def registers(self, t_end: float) -> dict[str, float]:  # noqa: ARG002
-        """Return the tolerances and limits, see Method.registers."""
+        """Return the registers for tolerances and limits, see Method.registers."""
         return {
             "rtol": self.rtol,
             "atol": self.atol,
@@ -154,12 +155,12 @@ class EqualSteps(Method):
         positive(self.step, "step")
 
     def registers(self, t_end: float) -> dict[str, float]:
-        """Return length and number of the steps, see Method.registers.
+        """Return the registers for length and number of the steps, see Method.registers.
 
         Args:
             t_end: End time [s].
         Returns:
-            Values by the names of registers.
+            Register values, by register name.
         Raises:
             InputError: There would be more than MOST_STEPS steps.
         """
@@ -168,7 +169,7 @@ class EqualSteps(Method):
                 f"step: expected at most {MOST_STEPS:.0e} steps in {t_end:g} s, got steps of "
                 f"{self.step:g} s. Choose a longer step."
             )
-        # Round-off of the quotient must not add a step.
+        # The quotient is reduced slightly, so that its round-off does not add a step.
         total = max(1, ceil(t_end / self.step * (1.0 - 1e-12)))
         return {"h": t_end / total, "total": total, "max_steps": total}
 

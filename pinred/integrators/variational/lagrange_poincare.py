@@ -45,16 +45,21 @@ from ..stepping.run_state import (
 )
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 
-# Rows of `work` after the state: six for the step and six for a step to a report time. Each six
-# are the end, the two stages with p and a quaternion for m, their rates, and u with h Ω₁ / 2.
+# Rows of `work` after the state: six rows for the step (MAIN), and six for a shorter step to a
+# report time (SUB). They contain the end of the step, its two stages (with p as momenta and m as a
+# quaternion), the rates of both stages, and u followed by h Ω₁ / 2.
 MAIN, SUB = NEW, NEW + 6
 END, BEGIN, STOP, BEGIN_RATE, STOP_RATE, TURN = range(6)
-ROWS, LEAST = SUB + 6, 6  # number of rows; smallest row length, for the six numbers of TURN
+ROWS, LEAST = SUB + 6, 6  # number of rows; smallest row length, for the six entries of row TURN
 
-_MOST = 100  # iterations
-_STALLED, _SLOWEST = 0.5, 0.95  # ratios of successive changes
-_SMALL, _SLACK = 1e-14, 1e-11  # changes relative to the largest number
-_NOTHING = 1e-17  # predicted next change, relative to the largest number, that is negligible
+_MOST = 100  # largest number of fixed-point iterations per step
+# Ratios of successive changes that count as stalled: near round-off, elsewhere.
+_STALLED, _SLOWEST = 0.5, 0.95
+# Changes relative to the largest absolute value: near round-off, and largest accepted change of a
+# stalled iteration.
+_SMALL, _SLACK = 1e-14, 1e-11
+# Negligible size of the predicted next change, relative to the largest absolute value.
+_NOTHING = 1e-17
 
 
 @inlined
@@ -89,12 +94,12 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
 def load_step(
     run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
 ) -> None:
-    """Do nothing, because the ends of a stored step suffice (hook)."""
+    """Do nothing, because the states at the ends of a stored step suffice (hook)."""
 
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Write a state in the step, as the end of a shorter step (hook)."""
+    """Write a state inside the step, computed as the end of a shorter step (hook)."""
     if copy_an_end(run, work, time, t_new, out):
         return DONE
     _begin(run, params, work, SUB, time - run.t)
@@ -106,7 +111,7 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
 
 @compiled
 def _begin(run: Run, params: Array, work: Array, first: int, h: float) -> None:
-    """Fill rates and rotation of a step with those at its start, as a first guess."""
+    """Set stage rates and rotation of a step to the values at its start, as a first guess."""
     n, quaternion, address = run.n, run.quaternion, run.address
     call(address, work[Y], params, work[first + BEGIN_RATE])
     run.evaluations += 1
@@ -141,7 +146,8 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
             largest = max(largest, abs(new), abs(y[i]))
             begin[i] = stop[i] = new
         for i in range(2 * pairs, n):
-            # A clock is exact at the end. Rates depend on no other entry except the quaternion.
+            # An entry that only counts time is exact at the end of the step. The rates depend on no
+            # other entry except the quaternion.
             is_quaternion = quaternion >= 0 and 0 <= i - quaternion < 4
             stop[i] = begin[i] if is_quaternion else y[i] + h * rate[i]
         call(address, stop, params, last)
@@ -160,7 +166,7 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
                 u[i] = new
             largest = max(largest, 1.0)
         if not size < np.inf or first_not_finite(last, n) >= 0:
-            # An initially finite iteration becomes non-finite only if it diverges.
+            # An iteration that starts with finite values becomes non-finite only if it diverges.
             return NOT_FINITE if iteration == 0 else DIVERGED
         if iteration > 0 and size > 10.0 * previous and size > _SLACK * largest:
             return DIVERGED

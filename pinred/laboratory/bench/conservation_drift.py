@@ -27,7 +27,7 @@ class Drift:
 
 
 def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
-    """Compute the drift of a motion of a problem that ends at q (nq,) and v (n,)."""
+    """Compute the drift between the start of a problem and a final state q (nq,), v (n,)."""
     full, system, start = problem.full, problem.system, problem.start
     k = system.group.linear
     q0, v0 = problem.q0, problem.v0

@@ -44,7 +44,7 @@ def bundled(name: str) -> Problem:
 
 
 def faster(name: str) -> Problem:
-    """Return a bundled robot with its default initial state, with all rates multiplied."""
+    """Return a bundled robot with its default initial state, but with multiplied rates."""
     robot, factor = _FASTER[name]
     slow = bundled(robot)
     about = f"{robot} from its default state with rates times {factor:g}"
@@ -91,7 +91,7 @@ def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], l
     Args:
         names: Names in SCENES; BARS if None.
     Returns:
-        The problems, and one sentence for each that needs a package that is not installed.
+        The problems, and one message for each problem that needs a missing package.
     Raises:
         InputError: Unknown name.
     """

@@ -75,7 +75,7 @@ def decades(first: int, last: int, by: int = 1) -> tuple[float, ...]:
 
 
 def halvings(first: int, count: int) -> tuple[float, ...]:
-    """Return step lengths relative to the duration: 1/first, each half the one before."""
+    """Return step lengths relative to the duration: 1/first, then repeatedly halved."""
     return tuple(1.0 / (first * 2**k) for k in range(count))
 
 

@@ -1,9 +1,10 @@
-"""The objective of a loop: functions of its final pose and its costs, with exact derivatives.
+"""Objectives (functions of the pose after a loop) and costs of a loop, with exact derivatives.
 
-During the optimisation the square root of the action ∫x′ᵀMx′ ds replaces the length.  It is never
-smaller, and equal at constant speed, so that the optimal parametrisation is unique.  For a path
+During the optimisation the square root of the action ∫x′ᵀMx′ ds replaces the length.  The root is
+never smaller than the length, and equals it at constant speed, so that the optimal parametrisation
+is unique.  For a path
 x(s), s = t/T, joint torques against inertia are f/T² with the covariant force f of the path.
-Against drag they are M x′/T.
+Joint torques against drag are M x′/T.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _LETTERS = {"x": 0, "y": 1, "z": 2}
 
 @dataclass(frozen=True, eq=False)
 class AxisAim:
-    """A rotation about an axis, or a displacement along one, to be maximised.
+    """Objective: maximise the rotation about an axis, or the displacement along an axis.
 
     The rotation of a planar group is the unwrapped angle [rad].  In space it is the component of
     the rotation vector along the axis, at most π.  A displacement is the component of the final
@@ -62,24 +63,25 @@ class AxisAim:
         return "rad" if self.kind == "rotation" else "m"
 
     def constraint(self, pose: Array) -> tuple[Array, Array]:
-        """Compute the equality constraints: a displacement requires zero rotation.
+        """Evaluate the equality constraints: a displacement requires zero rotation.
 
         Args:
             pose: Pose after one cycle, (size,).
         Returns:
-            The constraint values, (k,), and their derivatives by g⁻¹δg, (k, r).
+            The constraint values, (k,), and their derivatives with respect to g⁻¹δg,
+            (k, r).
         """
         if self.kind == "rotation" or not self.group.turns:
             return np.zeros(0), np.zeros((0, self.group.dim))
         return TargetAim(self.group, self.group.identity()[self.group.linear :], None).error(pose)
 
     def value(self, pose: Array) -> tuple[float, Array]:
-        """Compute the value.
+        """Evaluate the rotation or displacement.
 
         Args:
             pose: Pose after one cycle, (size,).
         Returns:
-            The value and its derivative by g⁻¹δg, (r,).
+            The value [rad | m], and its derivative with respect to g⁻¹δg, (r,).
         """
         group, k = self.group, self.group.linear
         derivative = np.zeros(group.dim)
@@ -96,7 +98,7 @@ class AxisAim:
 
 @dataclass(frozen=True, eq=False)
 class TargetAim:
-    """A pose, or an attitude with any position, to be reached.
+    """Objective: reach a pose, or an attitude with any position.
 
     Attributes:
         group: The symmetry group.
@@ -114,8 +116,8 @@ class TargetAim:
         Args:
             pose: Pose after one cycle, (size,).
         Returns:
-            The deviation, (k,), rotation [rad] before position [m], and its derivatives by g⁻¹δg,
-            (k, r).
+            The deviation, (k,), rotation [rad] before position [m], and its derivatives with
+            respect to g⁻¹δg, (k, r).
         """
         group, k = self.group, self.group.linear
         errors, derivatives = [], []
@@ -144,16 +146,18 @@ def rotation_between(a: Array, b: Array) -> Array:
 
 
 def axis_aim(group: Group, kind: AimKind, axis: str | ArrayLike | None) -> AxisAim:
-    """Create the objective along or about an axis.
+    """Create the objective of a rotation about an axis or a displacement along an axis.
 
     Args:
         group: The symmetry group.
         kind: "rotation" or "displacement".
-        axis: 'x', 'y', 'z', a vector, or None for the first or only axis.
+        axis: 'x', 'y', 'z' or a vector, in the initial frame of the base; None for the first or
+            only axis of the group.
     Returns:
         The objective.
     Raises:
-        InputError: The group has no such motion, or the axis is missing or invalid.
+        InputError: The group has no such rotation or translation, or the axis is missing or
+            invalid.
     """
     size = group.turns if kind == "rotation" else group.linear
     if not size:
@@ -180,7 +184,7 @@ def axis_aim(group: Group, kind: AimKind, axis: str | ArrayLike | None) -> AxisA
 
 
 def target_aim(group: Group, target: ArrayLike) -> TargetAim:
-    """Create the objective of a target.
+    """Create the objective of reaching a target.
 
     Args:
         group: The symmetry group.
@@ -189,8 +193,8 @@ def target_aim(group: Group, target: ArrayLike) -> TargetAim:
     Returns:
         The objective.
     Raises:
-        InputError: The target is not in the group.
-        ShapeError: The target has another shape, or is not finite.
+        InputError: The target is not an element of the group.
+        ShapeError: The target has the wrong shape, or an entry is not finite.
     """
     values = np.atleast_1d(as_floats(getattr(target, "homogeneous", target), "target"))
     if group.turns and values.shape == (group.turns,):
@@ -217,18 +221,19 @@ ABOUT = {
     "acceleration": "∫ |∇ẋ|²_M dt, the covariant acceleration in the reduced metric",
     "time": "T, the period",
 }
-# Exponent of each cost in the size of small loops; objectives grow with the square of the size.
+# Exponent with which each cost grows with the size of small loops.  It normalises the merit,
+# because objectives grow with the square of the size.
 DEGREES = {"length": 1, "torque": 2, "power": 4, "acceleration": 2, "time": 1}
 
 
 @dataclass(frozen=True)
 class Cost:
-    """A cost and its derivatives.
+    """The cost of one cycle and its derivatives.
 
     Attributes:
         value: The cost.
-        slope: Derivative by the coefficients, (K, m).
-        by_log_period: Derivative by log T.
+        slope: Derivative with respect to the path coefficients, (K, m).
+        by_log_period: Derivative with respect to the logarithm of the period T.
     """
 
     value: float
@@ -237,7 +242,7 @@ class Cost:
 
 
 def check_cost(connection: Connection, kind: str) -> None:
-    """Raise InputError unless a connection defines this cost."""
+    """Raise InputError if the cost is unknown or undefined for the connection."""
     if kind not in COSTS:
         raise InputError(f"unknown cost {kind!r}; the costs are {', '.join(COSTS)}")
     if kind != "time" and not connection.has_metric:
@@ -248,7 +253,9 @@ def check_cost(connection: Connection, kind: str) -> None:
 
 
 def torques(connection: Connection, x: Array, slope: Array, bend: Array) -> Array:
-    """Compute the joint torques for T = 1; for another T they scale with T^(−order).
+    """Compute the joint torques τ along a path for period T = 1.
+
+    For another period, torques scale with T^(−order); see `torque_order`.
 
     Args:
         connection: The connection.
@@ -266,7 +273,7 @@ def torques(connection: Connection, x: Array, slope: Array, bend: Array) -> Arra
 def torque_slopes(
     connection: Connection, x: Array, slope: Array, bend: Array, along: Array
 ) -> Array:
-    """Compute the derivatives of λᵀτ for T = 1.
+    """Compute the derivatives of λᵀτ for joint torques τ at period T = 1.
 
     Args:
         connection: The connection.
@@ -275,12 +282,12 @@ def torque_slopes(
         bend: Second derivatives by s, (N, m).
         along: Covectors λ, (N, m).
     Returns:
-        (N, 3m): the derivatives by (x, x′, x″).
+        (N, 3m): the derivatives with respect to (x, x′, x″).
     """
     m = connection.m
     if connection.form.momentum:
         return connection.code.covariant_forces(x, slope, bend, along)[1]
-    # λᵀ∂M x′ follows from squares of sum and difference.
+    # By polarisation, 4 λᵀ∂M x′ = (λ + x′)ᵀ∂M (λ + x′) − (λ − x′)ᵀ∂M (λ − x′).
     plus = _squares(connection, x, along + slope)[:, :m]
     minus = _squares(connection, x, along - slope)[:, :m]
     by_slope = 0.5 * _squares(connection, x, along)[:, m:]
@@ -288,7 +295,7 @@ def torque_slopes(
 
 
 def torque_order(connection: Connection) -> int:
-    """Return the power of 1/T in joint torques: 2 against inertia, 1 against drag."""
+    """Return the power of 1/T with which torques scale: 2 against inertia, 1 against drag."""
     return 1 if not connection.form.momentum else 2
 
 
@@ -307,7 +314,7 @@ def cost_of(
         connection: The connection.
         basis: Basis functions at the Gauss nodes.
         coefficients: Coefficients of the path, (K, m).
-        lift: Lift of this path.
+        lift: Horizontal lift of the path: the motion of the base along it.
         period: Period T [s].
     Returns:
         The cost.
@@ -349,7 +356,7 @@ def cost_of(
 
 
 def _squares(connection: Connection, x: Array, u: Array) -> Array:
-    """Return the derivatives of uᵀMu by (x, u), (N, 2m)."""
+    """Return the derivatives, (N, 2m), of uᵀM(x)u with respect to (x, u)."""
     return np.asarray(connection.horizontal_slopes(x, u)[:, connection.r])
 
 

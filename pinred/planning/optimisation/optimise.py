@@ -1,4 +1,4 @@
-"""optimise_gait(): the loop with the largest effect on the body for its cost."""
+"""optimise_gait(): find the loop that moves the base most, relative to a cost."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from .objective import (
 )
 from .transcription import Path, Task, problem_of
 
-_PIECES = 1  # quadrature pieces of order 16 for each edge
+_PIECES = 1  # number of quadrature segments of order 16 for each edge
 
 
 def polygon_path(corners: int, *, clockwise: bool) -> Path:
-    """Return the polygons with corners on fixed rays from a variable centre.
+    """Return the family of polygons whose corners lie on fixed rays from a variable centre.
 
     Corner k is centre + r_k (cos φ_k, sin φ_k) with φ_k = ±2πk/corners.  The unknowns are the
     centre, (2,), and the distances r_k ≥ 0.
@@ -46,7 +46,7 @@ def polygon_path(corners: int, *, clockwise: bool) -> Path:
         corners: Number of corners.
         clockwise: Whether the corners are in clockwise order.
     Returns:
-        The paths.
+        The family of polygons.
     """
     angles = 2.0 * np.pi * np.arange(corners) / corners * (-1.0 if clockwise else 1.0)
     matrix = np.zeros((corners, 2, 2 + corners))
@@ -64,8 +64,8 @@ def polygon_gait(path: Path, y: Array, period: float) -> Gait:
     """Convert a polygon to a gait of constant speed.
 
     Args:
-        path: The polygons.
-        y: Unknowns.
+        path: The family of polygons.
+        y: Unknowns of the polygon: centre and distances.
         period: Period [s].
     Returns:
         The gait.
@@ -73,9 +73,9 @@ def polygon_gait(path: Path, y: Array, period: float) -> Gait:
     return Gait.waypoints(path.coefficients(y), period=period)
 
 
-RESIDUAL = 1e-4  # largest KKT residual of an optimum
-_CONTINUED = (1, 3, 5, 9)  # numbers of harmonics of the continuation
-_PHASE_ERROR = 1e-6  # largest difference of sampled and transcribed phase [rad | m]
+RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
+_CONTINUED = (1, 3, 5, 9)  # numbers of harmonics of successive optimisations
+_PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 
 
 def optimise_gait(
@@ -106,8 +106,8 @@ def optimise_gait(
 
     Args:
         connection: The connection.
-        objective: "rotation" about an axis, "displacement" along one (without a rotation), or
-            "target".
+        objective: "rotation" about an axis, "displacement" along an axis (with zero rotation),
+            or "target".
         axis: 'x', 'y', 'z' or a vector in the initial frame of the base; required for rotations
             in space.
         target: With objective "target": a pose, an angle [rad] or a rotation vector [rad].
@@ -118,15 +118,17 @@ def optimise_gait(
         vertices: Optimise a polygon with this many corners on rays from a variable centre
             instead (two joints; cost "length" or None).
         winding: 1: the loop of two joints has winding number 1.  Continuation from one harmonic
-            keeps it, and a final check confirms it.  None: any winding number.
-        limits: Limits of joints [rad | m]: r for [−r, r], one value or pair (m, 2) for each joint,
-            or {joint: r or pair}.  By default those in the robot file, else a full turn.
+            preserves this number, and a final check confirms it.  None: any winding number.
+        limits: Limits of joints [rad | m]: r for [−r, r], one r or one pair for each joint,
+            or {joint: r or pair}.  By default the limits in the robot file, or a
+            full turn in either direction if the file has none.
         speeds: Largest speeds [rad/s | m/s], in the same formats.
         torques: Largest torques [N·m | N], in the same formats.
-        period: T [s], which affects torques; with cost "time" its initial value.
+        period: Period T [s], which affects torques.  With cost "time", T is an unknown, and this is
+            its initial value.
         starts: Number of random initial loops.
-        seed: Seed of their random numbers.
-        progress: True for a bar, or a function called with the completed fraction.
+        seed: Seed of the random numbers for the initial loops.
+        progress: True for a progress bar, or a function called with the completed fraction.
     Returns:
         The best loop and the other local optima.
     Raises:
@@ -170,7 +172,7 @@ def _task(
     torques: LimitsLike | None,
     period: float,
 ) -> Task:
-    """Create the task of options.  Raises InputError."""
+    """Create the task from the options of optimise_gait.  Raises InputError."""
     if not isinstance(connection, Connection):
         raise InputError(
             f"optimise_gait takes a Connection, got {type(connection).__name__}; "
@@ -223,7 +225,7 @@ def _check_loops(
     starts: int,
     seed: int,
 ) -> None:
-    """Raise InputError for invalid options of the loops."""
+    """Raise InputError if an option for the family of loops or for the starts is invalid."""
     whole(harmonics, "harmonics")
     whole(starts, "starts")
     whole(seed, "seed", 0)
@@ -266,12 +268,12 @@ def _optimise_fourier(
     if m == 2:
         turns = _winding(gait)
         if winding is not None and abs(turns) != winding:
-            raise StartFailed(f"the loop changed to winding number {turns:g}")
+            raise StartFailed(f"the loop has winding number {turns:g} instead of {winding}")
     return _verify(search, best, gait, turns)
 
 
 def _initial_loop(task: Task, harmonics: int, rng: np.random.Generator) -> Gait:
-    """Return a random Fourier loop in the direction of the objective."""
+    """Return a random Fourier loop, traversed in the direction that increases the objective."""
     m, limits = task.connection.m, task.limits
     size = np.minimum(limits.reach, 1.5)
     mean = limits.middle + 0.3 * size * rng.uniform(-1.0, 1.0, m)
@@ -290,12 +292,12 @@ def _initial_loop(task: Task, harmonics: int, rng: np.random.Generator) -> Gait:
 def _winding(gait: Gait) -> float:
     try:
         return gait.winding()
-    except InputError:  # the loop passes through its centre, as a figure of eight does
+    except InputError:  # the loop passes through its centre, like a figure of eight
         return 0.0
 
 
 def _verify(search: Search, best: Minimum, gait: Gait, turns: float | None) -> Optimum:
-    """Return the optimum with an independently sampled phase.  Raises StartFailed."""
+    """Verify an optimum with an independently sampled phase.  Raises StartFailed."""
     if not best.residual <= RESIDUAL:
         raise StartFailed(f"no optimum was reached in {best.iterations} iterations ({best.status})")
     task, path = search.task, search.path
@@ -308,7 +310,7 @@ def _verify(search: Search, best: Minimum, gait: Gait, turns: float | None) -> O
     cost = np.nan
     if task.cost is not None:
         cost = cost_of(task.cost, connection, path.basis, c, lift, gait.period).value
-        if task.cost == "length":  # independent of the speed
+        if task.cost == "length":  # the length does not depend on the speed
             cost = sampled.length
     if isinstance(task.aim, TargetAim):
         value = float(np.linalg.norm(task.aim.error(sampled.pose)[0]))

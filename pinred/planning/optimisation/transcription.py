@@ -1,6 +1,7 @@
-"""The transcription of a gait optimisation: unknowns, objective and constraints.
+"""Transcription of a gait optimisation to a nonlinear program.
 
-The coefficients of a path are affine in unknowns, c = L y + c₀.  The period is an additional
+This module defines the unknowns, the objective and the constraints.  The coefficients of a path
+are affine in the unknowns y: c = L y + c₀.  The period is an additional
 unknown if it is minimised.
 """
 
@@ -34,7 +35,7 @@ from .objective import (
     torques,
 )
 
-_INSIDE = 1e-6  # relative margin to limits for round-off and small overshoot
+_INSIDE = 1e-6  # relative margin inside the limits, for round-off and small overshoot
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +44,8 @@ class Passage:
 
     Attributes:
         cycles: Number of cycles.
-        drift: Motion of the base caused by momentum.
-        more: Additional quadrature pieces for the drift.
+        drift: Motion of the base caused by nonzero momentum.
+        more: Number of additional quadrature segments that resolve the drift.
     """
 
     cycles: int
@@ -54,7 +55,7 @@ class Passage:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """An optimisation task.
+    """The task of a gait optimisation: objective, cost and limits.
 
     Attributes:
         connection: The connection.
@@ -62,7 +63,7 @@ class Task:
         cost: The cost, or None.
         most: Bound on the cost, or None.
         limits: Limits of the joints.
-        period: Period T [s], unless it is minimised.
+        period: Period T [s]; if the period is minimised, its initial value.
         passage: Motion from rest to rest, or None for a periodic loop.
     """
 
@@ -76,7 +77,7 @@ class Task:
 
     @property
     def drift(self) -> Drift | None:
-        """Motion of the base caused by momentum, or None at zero momentum."""
+        """Motion of the base caused by nonzero momentum, or None at zero momentum."""
         return None if self.passage is None else self.passage.drift
 
     @property
@@ -90,13 +91,14 @@ class Task:
         return isinstance(self.aim, AxisAim) and self.cost is not None and self.most is None
 
     def merit(self, value: float, cost: float) -> float:
-        """Compute the maximised quantity.
+        """Compute the merit, the quantity that the optimisation maximises.
 
         Args:
             value: Objective of one cycle.
             cost: Cost of one cycle.
         Returns:
-            The value, the value per power of the cost, or the negative cost.
+            The value without a cost, the value divided by a power of the cost, or the negative cost
+            for a target.
         """
         if isinstance(self.aim, TargetAim):
             return -cost
@@ -107,14 +109,14 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Paths whose coefficients are affine in unknowns y: c = L y + c₀.
+    """A family of paths whose coefficients are affine in unknowns y: c = L y + c₀.
 
     Attributes:
         basis: Basis functions at the Gauss nodes.
-        checked: Values, first and second derivatives of the basis functions, (C, K) each, at the
-            times at which limits are imposed.
-        matrix: L, (K m, n).
-        shift: c₀, (K, m).
+        checked: Values, first and second derivatives of the basis functions at the times at which
+            limits are imposed, (C, K) each.
+        matrix: Matrix L of the affine map, (K m, n).
+        shift: Constant term c₀ of the affine map, (K, m).
     """
 
     basis: PathBasis
@@ -128,11 +130,11 @@ class Path:
         return int(self.matrix.shape[1])
 
     def coefficients(self, y: Array) -> Array:
-        """Return the coefficients, (K, m), at unknowns y."""
+        """Return the path coefficients c, (K, m), for unknowns y."""
         return np.asarray(self.shift + (self.matrix @ y).reshape(self.shift.shape))
 
     def unknowns(self, coefficients: Array) -> Array:
-        """Return the unknowns, (n,), of the path nearest to coefficients, (K, m)."""
+        """Return the unknowns, (n,), of the path nearest to given coefficients, (K, m)."""
         deviation = (coefficients - self.shift).ravel()
         return np.asarray(np.linalg.lstsq(self.matrix, deviation, rcond=None)[0])
 
@@ -147,19 +149,20 @@ def fourier_path(
     start: Array | None = None,
     passage: Passage | None = None,
 ) -> Path:
-    """Return Fourier series with scaled coefficients as unknowns: mean, cosines, sines.
+    """Return the family of Fourier series; its unknowns are scaled means, cosines and sines.
 
     Args:
         harmonics: Number of harmonics.
         m: Number of joints.
-        pieces: Quadrature pieces of a cycle.
-        checks: Times s at which limits are imposed, (C,).
+        pieces: Number of quadrature segments per cycle.
+        checks: Times s = t/T at which limits are imposed, (C,).
         power: Unknowns of harmonic k are k^power times its coefficients, so that all harmonics
             contribute equally to a cost of derivatives of this order.
-        start: Common initial shape, (m,), or None.  With it, the mean is not an unknown.
+        start: Common initial shape of all paths, (m,), or None.  If set, it determines the mean,
+            which is then not an unknown.
         passage: Motion from rest to rest, or None for constant speed in s.
     Returns:
-        The paths.
+        The family of paths.
     """
     K, k = 1 + 2 * harmonics, np.arange(1.0, harmonics + 1.0)
     scale: Array = np.concatenate([[1.0], k ** float(-power), k ** float(-power)])
@@ -178,11 +181,11 @@ def fourier_path(
 
 
 def problem_of(task: Task, path: Path) -> Problem:
-    """Create the optimisation problem of a task.
+    """Create the nonlinear program of a task.
 
     Args:
         task: The task.
-        path: The paths.
+        path: The family of paths over which the task is optimised.
     Returns:
         The problem for IPOPT.
     """
@@ -199,7 +202,7 @@ def problem_of(task: Task, path: Path) -> Problem:
         jacobian: list[Array] = []
 
         def add(value: Array, by_c: Array, by_T: Array | float = 0.0) -> None:
-            """Append values, (k,), with derivatives by c, (k, K, m), and by T."""
+            """Append values, (k,), with their derivatives in c, (k, K, m), and T, (k,)."""
             derivative = np.zeros((len(value), size))
             derivative[:, :n] = by_c.reshape(len(value), -1) @ path.matrix
             if free:

@@ -1,8 +1,8 @@
-"""reorient(): a joint motion from rest to rest that rotates the base to a target.
+"""reorient(): find a joint motion from rest to rest that rotates the base to a target.
 
-The time law of a plan is n cycles from rest to rest with one cycloid.  At u = t/D, the fraction
-n (u − sin 2πu / 2π) of the cycles is completed (see `cycloid`).  At zero momentum, speeds scale
-with 1/D and torques with 1/D².
+A plan traverses its loop n times, and a cycloid makes the whole motion start and end at rest.  At
+u = t/D, with total duration D, n (u − sin 2πu / 2π) cycles are completed (see `cycloid`).  At zero
+momentum, speeds scale with 1/D and torques with 1/D².
 
 Joint motion can rotate a tumbling base but not stop it.  Once the joints are at rest, the body
 twist is I⁻¹Ad_gᵀJ, fixed by the spatial momentum J, the attitude and the shape.
@@ -34,7 +34,7 @@ from ..optimisation.transcription import Passage, Task
 from .turn_plan import TurnPlan
 from .turning_loop import fine_path, turning_loop
 
-_TIMES = 512  # samples of a cycle
+_TIMES = 512  # number of samples per cycle
 _SAFETY = 1.0 + 1e-6  # factor on the shortest duration, for round-off
 
 
@@ -43,8 +43,8 @@ class Peaks:
     """Largest speed and torque of each joint for a total duration of 1 s.
 
     Attributes:
-        speed: Speeds, (m,).
-        torque: Torques, (m,).
+        speed: Largest speed of each joint, (m,).
+        torque: Largest torque of each joint, (m,).
     """
 
     speed: Array
@@ -54,7 +54,7 @@ class Peaks:
         freeze(self)
 
     def needed(self, limits: Limits) -> float:
-        """Return the shortest duration within limits [s]; zero without limits."""
+        """Return the shortest duration within limits [s]; zero if there are no limits."""
         by_speed = np.max(self.speed / limits.speed)
         by_torque = np.sqrt(np.max(self.torque / limits.torque))
         return float(_SAFETY * max(by_speed, by_torque))
@@ -104,7 +104,7 @@ def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
 
 
 _TURN = 2.0 * np.pi
-_PER_RADIAN = 4  # quadrature pieces for each radian of tumbling
+_PER_RADIAN = 4  # number of quadrature segments per radian of tumbling
 _MOST = 200.0  # largest tumbling angle of a plan [rad]
 
 
@@ -125,7 +125,7 @@ def passage_of(system: System, momentum: Array, start: Array, cycles: int, time:
         cycles: Number of cycles.
         time: Total duration [s].
     Returns:
-        The motion, with enough quadrature pieces for the tumbling.
+        The motion, with enough quadrature segments to resolve the tumbling.
     Raises:
         InputError: The base would tumble too far.
     """
@@ -145,7 +145,8 @@ def joint_rotation(
 ) -> tuple[TargetAim, Array]:
     """Compute the rotation that the joints must contribute to a target.
 
-    Full turns of an angle do not count, so the target nearest to the drifted angle is used.
+    Angles that differ by full turns are the same attitude, so the angle nearest to that of the
+    drifted base is used.
 
     Args:
         system: The system.
@@ -153,7 +154,8 @@ def joint_rotation(
         start: Initial shape, (m,).
         aim: The target.
     Returns:
-        The target, and its difference to the drift of the base with joints at rest, (turns,).
+        The target, and the rotation to it from the attitude that the base would drift to with
+        joints at rest, (turns,).
     """
     group, drift = system.group, passage.drift
     count = passage.more + STAGES
@@ -187,7 +189,7 @@ def final_twist(system: System, momentum: Array, shape: Array, pose: Array) -> A
 
 
 CYCLES = (1, 2, 3, 4, 6, 8, 12, 16)  # numbers of cycles that are tried
-_REMAINING = 1e-10  # largest remaining rotation of each cycle [rad]
+_REMAINING = 1e-10  # largest error of the final attitude, per cycle [rad]
 _SECONDS = 2.0  # default duration of a cycle [s]
 
 
@@ -212,12 +214,13 @@ def reorient(
     Args:
         system: The system.
         target: Rotation vector (3,) or angle [rad] in the initial frame of the base, or a pose,
-            of which the attitude is used.  The position follows from the centre of mass.  With
-            momentum, full turns of an angle do not count.
+            of which only the attitude is used: the position follows from the centre of mass.
+            With nonzero momentum, full turns of an angle are ignored.
         limits: Limits of joints, in the formats of optimise_gait.
         speeds: Largest speeds, in the same formats.
         torques: Largest torques, in the same formats.
-        x0: Initial and final shape; by default zero, or the middle of limits that exclude zero.
+        x0: Initial and final shape; by default zero, or the middle of the limits if they
+            exclude zero.
         momentum: 0, or the initial body momentum, (r,).
         cycles: Number of equal loops; by default as few as possible.
         duration: Total duration [s]; by default 2 s per cycle, or as long as speeds and torques
@@ -242,15 +245,15 @@ def reorient(
     mu = initial_momentum(system, momentum)
     if mu.any() and np.isfinite(bounds.torque).any():
         raise InputError(
-            "torques= is for zero momentum, where they scale with the duration; with momentum see "
-            "`plan.trajectory.driving_torques`"
+            "torques: limits need zero momentum, where torques scale with the duration. With "
+            "momentum, see `plan.trajectory.driving_torques`"
         )
     cycle_counts = CYCLES if cycles is None else (whole(cycles, "cycles"),)
     if not (np.linalg.norm(turn) > 0.0 or mu.any()):
         raise InputError("the target is the initial attitude: nothing has to move")
     request = _Request(system, connection, turn, start, bounds, mu, duration)
     why = ""
-    # With momentum each number of cycles is a separate problem; try Newton steps first.
+    # With momentum, each number of cycles needs a separate loop; try fast Newton steps first.
     for quick in (True, False) if mu.any() else (False,):
         for n in cycle_counts:
             try:
@@ -269,12 +272,12 @@ def reorient(
 
 @dataclass(frozen=True, eq=False)
 class _Request:
-    """A reorientation request.
+    """The validated arguments of `reorient`.
 
     Attributes:
         system: The system.
-        connection: Its mechanical connection.
-        turn: Rotation, (turns,) [rad].
+        connection: Mechanical connection of the system.
+        turn: Requested rotation, (turns,) [rad].
         start: Initial and final shape, (m,).
         bounds: Limits of the joints.
         momentum: Initial body momentum, (r,).
@@ -290,7 +293,7 @@ class _Request:
     duration: float | None
 
     def task(self, aim: TargetAim, passage: Passage | None = None) -> Task:
-        """Return the task of the shortest loop with an objective."""
+        """Return the task of finding the shortest loop that reaches a target."""
         limits = _shape_limits(self.bounds)
         return Task(self.connection, aim, "length", None, limits, 1.0, passage)
 
@@ -298,7 +301,7 @@ class _Request:
 def _initial_shape(
     system: System, bounds: Limits, x0: ArrayLike | Mapping[str, ArrayLike] | None
 ) -> Array:
-    """Return the initial shape, (m,).  Raises InputError outside the limits."""
+    """Return the initial shape, (m,).  Raises InputError if it is outside the limits."""
     if x0 is None:
         zero = np.zeros(system.m)
         inside = (bounds.shape[:, 0] < 0.0) & (bounds.shape[:, 1] > 0.0)
@@ -324,12 +327,12 @@ def _target_rotation(system: System, target: ArrayLike) -> Array:
 
 
 def _plan_at_zero_momentum(request: _Request, n: int) -> TurnPlan:
-    """Return a plan of n cycles, checked by independent samples.  Raises StartFailed."""
+    """Return a plan of n cycles, verified with independent samples.  Raises StartFailed."""
     group, connection, turn = request.system.group, request.connection, request.turn
     gait = turning_loop(request.task(target_aim(group, turn / n)), request.start, turn / n)
     once = phase(connection, gait, tolerance=1e-13)
     end = once.cycles(n)
-    if group.turns == 1:  # keep full turns
+    if group.turns == 1:  # preserve full turns
         end = np.append(end[:-1], n * once.pose[-1])
     peaks = peaks_of(connection, gait, n)
     return _create_plan(
@@ -338,7 +341,7 @@ def _plan_at_zero_momentum(request: _Request, n: int) -> TurnPlan:
 
 
 def _plan_with_momentum(request: _Request, n: int, *, quick: bool) -> TurnPlan:
-    """Return a plan of n cycles, checked with doubled pieces.  Raises StartFailed."""
+    """Return a plan of n cycles, verified with doubled quadrature.  Raises StartFailed."""
     system, start = request.system, request.start
     seconds = _SECONDS * n if request.duration is None else positive(request.duration, "duration")
     passage = passage_of(system, request.momentum, start, n, seconds)
@@ -356,7 +359,7 @@ def _plan_with_momentum(request: _Request, n: int, *, quick: bool) -> TurnPlan:
 
 
 def _choose_duration(request: _Request, peaks: Peaks, n: int) -> float:
-    """Return the given duration, or the shortest one within the limits."""
+    """Return the requested duration, or by default a duration within the limits."""
     shortest = peaks.needed(request.bounds)
     if request.duration is None:
         return max(_SECONDS * n, shortest)
@@ -369,7 +372,7 @@ def _choose_duration(request: _Request, peaks: Peaks, n: int) -> float:
 def _create_plan(
     request: _Request, gait: Gait, n: int, aim: TargetAim, end: Array, seconds: float, peaks: Peaks
 ) -> TurnPlan:
-    """Return the plan that ends at a pose.  Raises StartFailed unless this is the target."""
+    """Return a plan with final pose `end`.  Raises StartFailed if it is not the target."""
     remaining = float(np.linalg.norm(aim.error(end)[0]))
     if not remaining <= n * _REMAINING:
         raise StartFailed(f"the loop leaves {remaining:.1e} rad of the target")
@@ -383,6 +386,6 @@ def _create_plan(
 
 
 def _shape_limits(limits: Limits) -> Limits:
-    """Return the joint limits alone, because speeds and torques only affect the duration."""
+    """Return only the joint limits, because speeds and torques only affect the duration."""
     free = np.full(len(limits.speed), np.inf)
     return Limits(limits.shape, free, free.copy())

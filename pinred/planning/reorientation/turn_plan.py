@@ -32,9 +32,9 @@ class TurnPlan:
         cycles: Number of cycles.
         duration: Total duration [s].
         pose: Final pose of the base, (size,).
-        remaining: Remaining rotation to the target [rad].
+        remaining: Remaining rotation from the final attitude to the target [rad].
         momentum: Initial body momentum, (r,).
-        left: Final body twist of the base, (r,); zero without momentum.
+        left: Final body twist of the base, (r,); zero at zero momentum.
         margins: Smallest distance to the limits of joints, speeds and torques.
     """
 
@@ -82,13 +82,13 @@ class TurnPlan:
 
     @property
     def turned(self) -> Array:
-        """Rotation vector (3,) or angle (1,) of all cycles [rad]."""
+        """Total rotation of the base by all cycles: rotation vector (3,) or angle (1,) [rad]."""
         group = self.system.group
         return np.asarray(group.log(self.pose)[group.linear :])
 
     @property
     def tumble(self) -> float:
-        """Remaining angular velocity [rad/s], fixed by the momentum."""
+        """Angular speed of the base after the motion [rad/s], determined by the momentum."""
         return float(np.linalg.norm(self.left[self.system.group.linear :]))
 
     def __repr__(self) -> str:

@@ -1,7 +1,7 @@
-"""Loops that rotate the base to a target.
+"""Computation of loops that rotate the base to a target.
 
-An ellipse from the curvature is the initial loop, the optimiser finds the shortest loop, and
-Newton steps of least norm reduce the target error to round-off.
+The initial loop is an ellipse computed from the curvature.  The optimiser then finds the shortest
+loop, and Newton steps of least norm reduce the target error to round-off.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from ..optimisation.transcription import Passage, Path, Task, fourier_path
 
 _ROOM_USED = 0.7  # largest fraction of the joint range used by the initial ellipse
 _OFFSET = 0.3  # fraction of the joint range between trial shapes of the curvature
-_FIT = 1e-6  # largest relative error of the rotation of the bivector
-_POLISH_STEPS = 4  # full Newton steps
-_ROUND_OFF = 1e-14  # rotation error at which the polish stops [rad]
-_DAMPED_STEPS = 40  # damped Newton steps
-_CONVERGENCE = 1e-3  # rotation error from which full Newton steps converge [rad]
+_FIT = 1e-6  # largest relative error of the rotation that the bivector produces
+_POLISH_STEPS = 4  # largest number of full Newton steps
+_ROUND_OFF = 1e-14  # rotation error at which the full Newton steps stop [rad]
+_DAMPED_STEPS = 40  # largest number of damped Newton steps
+_CONVERGENCE = 1e-3  # rotation error below which full Newton steps converge [rad]
 _LONGEST = 0.5  # largest rotation of a damped step [rad]
-_HARMONICS = 3  # harmonics of the loops
-_ITERATIONS = 70  # iterations of the optimiser; further ones hardly shorten loops
-_EDGE = 1e-3  # fraction of the joint ranges reserved for the polish with momentum
+_HARMONICS = 3  # number of harmonics of the loops
+_ITERATIONS = 70  # iterations of the optimiser; more iterations hardly shorten loops
+_EDGE = 1e-3  # fraction of the joint ranges reserved for the final Newton steps
 _REACHED = 1e-5  # largest rotation error of the optimiser's loop [rad]
-_FINE = 64  # quadrature pieces of order 16 of the polish
-_FINE_PASSAGE = 24  # the same for a cycle from rest to rest
+_FINE = 64  # number of quadrature segments of order 16 for the final Newton steps
+_FINE_PASSAGE = 24  # number of these segments for each cycle from rest to rest
 
 
 def first_loop(connection: Connection, start: Array, turn: Array, limits: Array) -> Gait:
-    """Return the initial ellipse: the smallest bivector that rotates the base as requested.
+    """Return the initial ellipse, whose area bivector is the smallest that yields the rotation.
 
     To leading order, a small loop x₀ − c + c cos φ + s sin φ moves the base by
     exp(−Σ_{a<b} B_ab S_ab), with the bivector S = π (c sᵀ − s cᵀ) of its area and the curvature B
@@ -82,12 +82,12 @@ def first_loop(connection: Connection, start: Array, turn: Array, limits: Array)
 
 
 def polish_loop(task: Task, aim: TargetAim, path: Path, y: Array) -> Array:
-    """Refine unknowns by Newton steps of least norm, Δy = −J⁺ r.
+    """Refine unknowns with Newton steps of least norm, Δy = −J⁺ r, for the rotation error r.
 
     Args:
         task: The task.
         aim: The target.
-        path: The paths.
+        path: The family of paths.
         y: Unknowns near a solution.
     Returns:
         The refined unknowns.
@@ -101,12 +101,12 @@ def polish_loop(task: Task, aim: TargetAim, path: Path, y: Array) -> Array:
 
 
 def approach_target(task: Task, aim: TargetAim, path: Path, y: Array) -> Array:
-    """Move unknowns towards the target by damped Newton steps of least norm.
+    """Move unknowns towards the target with damped Newton steps of least norm.
 
     Args:
         task: The task.
         aim: The target.
-        path: The paths.
+        path: The family of paths.
         y: Initial unknowns.
     Returns:
         Unknowns from which `polish_loop` converges, or at which the steps stagnate.
@@ -142,7 +142,7 @@ def turning_loop(task: Task, start: Array, turn: Array, *, quick: bool = False) 
         task: The task, with a TargetAim.
         start: Initial and final shape, (m,).
         turn: Rotation of the initial loop at zero momentum, (turns,) [rad].
-        quick: Use Newton steps instead of the optimiser; these ignore limits.
+        quick: Whether to use only Newton steps, which ignore limits, instead of the optimiser.
     Returns:
         The loop.
     Raises:
@@ -169,7 +169,7 @@ def turning_loop(task: Task, start: Array, turn: Array, *, quick: bool = False) 
 
 def _shortest_loop(task: Task, gait: Gait, start: Array) -> Gait:
     """Return the shortest loop within limits near a gait.  Raises StartFailed."""
-    if task.passage is not None:  # reserve range for the polish
+    if task.passage is not None:  # reserve range for the final Newton steps
         edge = _EDGE * task.limits.reach[:, None] * np.array([1.0, -1.0])
         task = replace(task, limits=replace(task.limits, shape=task.limits.shape + edge))
     search = Search(task, fourier_path_of(task, _HARMONICS, start=start))
@@ -181,15 +181,15 @@ def _shortest_loop(task: Task, gait: Gait, start: Array) -> Gait:
 
 
 def fine_path(m: int, start: Array, passage: Passage | None, *, finer: int = 1) -> Path:
-    """Return Fourier paths with a quadrature accurate to round-off.
+    """Return a family of Fourier paths whose quadrature is accurate to round-off.
 
     Args:
         m: Number of joints.
-        start: Common initial shape, (m,).
+        start: Common initial shape of all paths, (m,).
         passage: Motion from rest to rest, or None.
-        finer: Factor on the number of quadrature pieces.
+        finer: Factor on the number of quadrature segments.
     Returns:
-        The paths.
+        The family of paths.
     """
     pieces = finer * (_FINE if passage is None else _FINE_PASSAGE)
     return fourier_path(

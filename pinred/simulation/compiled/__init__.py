@@ -1,1 +1,1 @@
-"""The compiled engine: kernels under the integrators of pinred."""
+"""The compiled engine: kernels that the integrators of pinred call."""

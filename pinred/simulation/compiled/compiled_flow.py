@@ -26,19 +26,20 @@ from ..plan import NO_DIFFERENCES, Kind, MemberParameters, Plan
 from ..reduced_flow import entry_name
 from ..sample import Sample
 
-# Number of members that are set up together, which bounds the memory for it.
+# Number of members that are set up together, limited to bound the memory.
 _AT_ONCE = 512
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledFlow:
-    """The flow of one scene, or of N members, under one kernel.
+    """The flow of one scene, or of N members that share one kernel.
 
     Attributes:
         kernel: Machine code and layout.
         y0: Initial reduced states, (k,), or (N, k) for members.
         parameters: Parameters of the vector field, (p,) or (N, p).
-        path: Start, velocity and fall of the centre of mass, (3k,) or (N, 3k) [m, m/s, m/s²].
+        path: Initial position, velocity and free-fall acceleration of the centre of mass,
+            (3k,) or (N, 3k) [m, m/s, m/s²].
     """
 
     kernel: Kernel
@@ -54,7 +55,7 @@ class CompiledFlow:
         return _set_up(plan, states, start, NO_DIFFERENCES, zero=not start.about.any())[0]
 
     def __getitem__(self, members: object) -> CompiledFlow:
-        """Return the flow of one or some of the members."""
+        """Return the flow of the selected member or members."""
         columns = (a[members] for a in (self.y0, self.parameters, self.path))  # type: ignore[call-overload]
         return CompiledFlow(self.kernel, *columns)
 
@@ -66,11 +67,11 @@ class CompiledFlow:
 
     @property
     def numbers(self) -> Array:
-        """Force parameters, a view of the last of `parameters`."""
+        """Force parameters: a view of the last entries of `parameters`."""
         return self.parameters[..., self.numbers_at]
 
     def parameters_between(self, start: float, stop: float) -> Array:
-        """Return a copy of the parameters that selects the pieces of tables between two stops."""
+        """Return a copy of the parameters that selects the table segments between two stops."""
         parameters, forces = self.parameters.copy(), self.kernel.forces
         if forces is not None:
             parameters[..., self.numbers_at][..., forces.within] = 0.5 * (start + stop)
@@ -100,23 +101,23 @@ class CompiledFlow:
         return evaluate(kernel.outputs.address, constants, inputs, kernel.where.size)
 
     def states(self, t: Array, y: Array, parameters: Array | None = None) -> State | ShapeState:
-        """Return the full states behind reduced ones.
+        """Compute full states from reduced states.
 
         Args:
             t: Times, (T,) [s].
             y: Reduced states, (T, k).
-            parameters: Parameters at these times, (p,); the initial ones if None.
+            parameters: Parameters at these times, (p,); the initial parameters if None.
         Returns:
             The states, without the base if the scene leaves it out.
         """
         system, where = self.kernel.system, self.kernel.where
         outputs = self.outputs(t, y, parameters)
-        kind = State if self.kernel.layout.base_requested else ShapeState
+        state_class = State if self.kernel.layout.base_requested else ShapeState
         fields = {name: where.read_field(name, outputs, system) for name in where.fields}
-        return kind(t=t.copy(), **fields)
+        return state_class(t=t.copy(), **fields)
 
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
-        """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if it matters."""
+        """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if needed."""
         return evaluate(self.kernel.rate.address, parameters, y, y.shape[1])
 
     def address(self, method: Method) -> int:
@@ -161,21 +162,21 @@ def kernel_of(plan: Plan, *, zero_momentum: bool, generic: bool = False) -> Kern
 def _kernel(kind: Kind) -> Kernel:
     system, structure, forces = kind.system, kind.structure, kind.forces
     key = (Kernel, structure, None if forces is None else forces.key)
-    # Parameters are inputs of a kernel, so robots that differ only in these share it.
+    # Parameters are inputs of a kernel, so robots that differ only in parameters share it.
     return once(nominal(system), key, lambda: build_kernel(system, structure, forces))
 
 
 def flows_of(
     plan: Plan, given: GivenStates, own: MemberParameters = NO_DIFFERENCES
 ) -> list[tuple[Indices, CompiledFlow]]:
-    """Return the flows of N members of a plan: those with angular momentum, and those without.
+    """Return two flows of N members: of those with angular momentum and of those without.
 
     Args:
         plan: The plan of all members.
-        given: Their initial states, (N, …).
-        own: Parameters in which they differ from the plan.
+        given: Initial states of the members, (N, …).
+        own: Parameters in which the members differ from the plan.
     Returns:
-        Sorted indices of members and their flow, for each of both kinds that has members.
+        (sorted indices of members, their flow) for each of the two cases that has members.
     """
     members: dict[bool, list[Indices]] = {False: [], True: []}
     flows: dict[bool, list[CompiledFlow]] = {False: [], True: []}
@@ -198,13 +199,13 @@ def flows_of(
 
 
 def has_no_momentum(plan: Plan) -> bool:
-    """Return whether the angular momentum of a plan is zero, and stays so."""
+    """Return whether the angular momentum of a plan is zero and stays zero."""
     start = _initial_conditions(plan, plan.scene.given, NO_DIFFERENCES)
     return not plan.acting.momentum_changes and not start.about.any()
 
 
 def _stacked(flows: list[CompiledFlow]) -> CompiledFlow:
-    """Return one flow with the members of several."""
+    """Merge several flows into one flow with all their members."""
     if len(flows) == 1:
         return flows[0]
     columns = zip(*((flow.y0, flow.parameters, flow.path) for flow in flows), strict=True)
@@ -254,7 +255,7 @@ def _set_up(
 
 
 def _fill(rows: Array, columns: list[Array]) -> Array:
-    """Fill rows (N, …) with columns (N, …), or (…) if all members share them, and return them."""
+    """Concatenate columns (N, …), or (…) if all members share them, into `rows`; return `rows`."""
     first = 0
     for column in columns:
         if width := column.shape[-1]:
@@ -264,7 +265,7 @@ def _fill(rows: Array, columns: list[Array]) -> Array:
 
 
 def _down(plan: Plan, attitude: Array, own: MemberParameters) -> Array:
-    """Return the directions (N, 3), in the body frame, of a weight that turns a pivoted base."""
+    """Return the directions (N, 3), in the body frame, of the weight of pivoted bases."""
     weight = plan.acting.weight
     if own.gravity is None:
         return into_body(attitude, weight / np.linalg.norm(weight))

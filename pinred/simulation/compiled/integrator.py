@@ -1,4 +1,4 @@
-"""Integration of a compiled flow, with failures in terms of the robot."""
+"""Integration of a compiled flow, with failures explained in terms of the robot."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..reduced_flow import Integrate, Segment
 from .compiled_flow import CompiledFlow
 
 _compiled_methods: set[type[Method]] = set()
-# Largest turn of a joint within one step of constant length [rad].
+# Largest rotation of a joint within one step of constant length [rad].
 _WILD = 100.0
 _NO_TIMES = read_only(np.empty(0))
 
@@ -41,13 +41,13 @@ def integrator(
     Args:
         flow: The flow of the plan.
         plan: The plan.
-        progress: Called now and then with the fraction of the time that is done.
+        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
     Returns:
-        The function; it raises an IntegrationError with time and shape.
+        The function, which raises an IntegrationError with time and shape if it fails.
     """
     scene, method, layout = plan.scene, plan.method, flow.kernel.layout
     reports, address = scene.report_times, flow.address(method)
-    # Balances integrate polynomials of degree 7 between knots, so steps of eight stages are split.
+    # Balances fit polynomials of degree 7 between knots, so steps of eight stages are split.
     divisions = max(1, method.order // 4) if method.lanes > 1 else 1
 
     def run(
@@ -57,9 +57,9 @@ def integrator(
         parameters: Array,
         watch: Callable[[Segment], bool] | None = None,
     ) -> Segment:
-        # The clock of an integration begins at 0; equations that depend on time have it in y.
+        # The time of an integration starts at 0; time-dependent equations have the true time in y.
         is_complete = start == 0.0 and end == scene.end
-        # The arrays are read-only: numba has a separate type for those that are not.
+        # Pass read-only arrays only: numba would compile another version for writable arrays.
         times = reports if is_complete else _NO_TIMES
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)
@@ -67,7 +67,7 @@ def integrator(
         def segment(solution: Solution) -> Segment:
             knots = _refined(solution.knots + start, divisions)
             if solution.complete:
-                knots[-1] = end  # whatever round-off makes of it
+                knots[-1] = end  # exact, despite round-off in the sum of step lengths
 
             def at(t: Array) -> Array:
                 if t is solution.times:
@@ -93,15 +93,15 @@ def integrator(
         return segment(solution)
 
     if type(method) not in _compiled_methods:
-        # The first integration compiles the method, which is not to count as time of the run.
+        # The first integration compiles the method; this time must not count as run time.
         _compiled_methods.add(type(method))
-        with suppress(IntegrationError):  # the run itself will raise it
+        with suppress(IntegrationError):  # the real run raises the same error
             run(0.0, 1e-9 * scene.end, flow.y0, read_only(flow.parameters.copy()))
     return run
 
 
 def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
-    """Describe the fault of steps of constant length in which a joint makes many turns.
+    """Describe the fault if a joint rotates several turns within a step of constant length.
 
     No error control shortens these steps.  Cyclic joints, such as wheels, are exempt because their
     momentum is constant.  If the states are several steps apart, their mean step is checked.
@@ -112,7 +112,7 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
         states: Reduced states, (T, k).
         times: Their times, (T,) [s].
     Returns:
-        The fault as a sentence, "" if there is none.
+        The fault as a sentence, or "" if there is no fault.
     """
     step = getattr(plan.method, "step", None)
     active = list(kernel.layout.active)
@@ -145,10 +145,10 @@ def _refined(knots: Array, parts: int) -> Array:
 def explained(
     stop: IntegrationError, flow: CompiledFlow, scene: Scene, start: float, parameters: Array
 ) -> IntegrationError:
-    """Return a failure of the integrator in terms of the robot.
+    """Return a failure of the integrator, explained in terms of the robot.
 
     Args:
-        stop: The failure; its time begins at `start`.
+        stop: The failure, with its time counted from `start`.
         flow: The flow.
         scene: The scene.
         start: Start time of the segment [s].

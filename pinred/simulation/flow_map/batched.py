@@ -1,4 +1,4 @@
-"""A flow for batches of vectors: values, derivatives along directions, and backward passes.
+"""A flow for batches of vectors: values, forward derivatives, and backward passes.
 
 Inputs, directions and covectors have leading axes (…, size) that are broadcast.  Values of a batch
 run in SIMD lanes; one integration serves all directions and covectors of the same inputs.
@@ -25,7 +25,7 @@ class Batched:
     """
 
     def __init__(self, columns: Columns) -> None:
-        """Take a flow between vectors."""
+        """Wrap a flow between single vectors."""
         self.columns = columns
 
     def value(self, columns: Sequence[Any]) -> Array:
@@ -46,7 +46,7 @@ class Batched:
         return derivatives
 
     def back(self, columns: Sequence[Any], covector: Any) -> list[Array]:
-        """Return the derivatives of covector · output by each input, (…, its size)."""
+        """Return the derivatives of covector · output with respect to each input, (…, its size)."""
         lead = _lead([*columns, covector])
         slopes = [np.zeros((*lead, size)) for size in self.columns.sizes]
         for place, inputs, (seed,) in _runs(columns, [covector], lead):
@@ -67,7 +67,7 @@ def _wide(arrays: Sequence[Any], lead: tuple[int, ...]) -> list[Any]:
 def _runs(
     columns: Sequence[Any], seeds: Sequence[Any], lead: tuple[int, ...]
 ) -> Iterator[tuple[Any, list[Any], list[Any]]]:
-    """Yield places of results, inputs, and directions or covectors of each integration."""
+    """Yield the result indices, the inputs, and the directions or covectors of each integration."""
     if 0 in lead:
         return
     shape = _lead(columns)

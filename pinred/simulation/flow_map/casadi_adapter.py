@@ -16,7 +16,7 @@ _Arguments = Sequence[tuple[str, ca.Sparsity]]
 
 
 class _ArrayCallback(ca.Callback):
-    """A CasADi Function that is computed by a function from arrays to arrays."""
+    """A CasADi Function that calls a Python function from arrays to arrays."""
 
     def __init__(
         self, name: str, inputs: _Arguments, outputs: _Arguments, evaluate: _Evaluation
@@ -66,9 +66,9 @@ class _ArrayCallback(ca.Callback):
 class FlowCallback(_ArrayCallback):
     """A flow as a CasADi Function with derivatives of first order.
 
-    Its inputs are those of the flow by name, as columns, and its output is the column `y`.  It has
-    a Jacobian and forward and reverse derivatives.  Keep the object alive as long as expressions
-    use it, for CasADi does not.
+    Its inputs are the inputs of the flow, as columns with their names; its output is the column
+    `y`.  The Function has a Jacobian and forward and reverse derivatives.  Keep the object alive
+    as long as expressions use it, because CasADi does not keep it alive.
 
     Attributes:
         columns: The flow between vectors, with the order of inputs and outputs.
@@ -90,7 +90,7 @@ class FlowCallback(_ArrayCallback):
         super().__init__(name, inputs, outputs, lambda values: [columns.value(*values)])
 
     def has_jacobian(self) -> bool:
-        """Return True: there is a Jacobian."""
+        """Return True, because `get_jacobian` provides a Jacobian."""
         return True
 
     def get_jacobian(self, name: str, inames: Any, onames: Any, _options: Any) -> ca.Function:
@@ -101,7 +101,7 @@ class FlowCallback(_ArrayCallback):
             inames: Names of its inputs.
             onames: Names of its outputs.
         Returns:
-            Function that does not read the output.
+            The Jacobian; it takes the output as an argument, but does not read it.
         """
         columns = self.columns
 
@@ -112,7 +112,7 @@ class FlowCallback(_ArrayCallback):
         return self._derivative(name, inames, onames, [], shapes, evaluate)
 
     def has_forward(self, _count: int) -> bool:
-        """Return True: there are forward derivatives."""
+        """Return True, because `get_forward` provides forward derivatives."""
         return True
 
     def get_forward(
@@ -138,7 +138,7 @@ class FlowCallback(_ArrayCallback):
         return self._derivative(name, inames, onames, directions, shapes, evaluate)
 
     def has_reverse(self, _count: int) -> bool:
-        """Return True: there are reverse derivatives."""
+        """Return True, because `get_reverse` provides reverse derivatives."""
         return True
 
     def get_reverse(
@@ -172,7 +172,7 @@ class FlowCallback(_ArrayCallback):
         shapes: Sequence[tuple[int, int]],
         evaluate: Callable[[Sequence[Array], Sequence[Array]], Sequence[Array]],
     ) -> ca.Function:
-        """Build a derivative and keep it alive.
+        """Build a derivative Function and store it, because CasADi does not keep it alive.
 
         Args:
             name: Name of the Function.

@@ -37,18 +37,18 @@ _SHAPE: tuple[Outcome, ...] = ("x", "xdot")
 class Flow:
     """The map of a scene from inputs to states, with derivatives.
 
-    Inputs are x0, xdot0, pose0, xi0 or momentum (the one that the scene gives), and names of
-    Parameters.  Inputs that are not given in a call have their values in the scene.  Derivatives
-    are those of the integrator's steps at constant lengths.  A pose among inputs or outputs is
-    differentiated in the body coordinates of its tangent, g exp(η̂) at η = 0.
+    Inputs are x0, xdot0, pose0, xi0 or momentum (whichever the scene states), and names of
+    Parameters.  Inputs that a call omits have their values in the scene.  Derivatives are those of
+    the integrator's steps, with the step lengths held constant.  A pose g among inputs or outputs
+    is differentiated in body coordinates: with respect to η at η = 0 in g exp(η̂).
 
     Attributes:
         scene: The scene.
         inputs: Names of the inputs with derivatives, and the number of entries of each.
-        outputs: Names of the outputs with derivatives, fields of State, and their rows.
-        over_times: Whether the flow gives states at the report times, or one at the end.
-        propagator: Kernels and integrations, for adapters.
-        input_map: Columns of the inputs, for adapters.
+        outputs: Names of the outputs with derivatives (fields of State), and their rows.
+        over_times: Whether the flow gives states at the report times, or the state at the end.
+        propagator: Kernels and integrations, used by adapters.
+        input_map: Columns of the inputs, used by adapters.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Flow:
             scene: The scene, in which robot parameters among `wrt` are variable.
             wrt: Names of the inputs with derivatives.
             of: Names of the outputs with derivatives; x, xdot, pose and xi if None.
-            over_times: Whether the flow gives states at the report times, or one at the end.
+            over_times: Whether the flow gives states at the report times, or the state at the end.
         """
         self.scene = scene
         plan = plan_of(scene)
@@ -99,7 +99,7 @@ class Flow:
     def __call__(self, **inputs: Any) -> State | ShapeState:
         """Compute the state at the end, or the states at the report times.
 
-        An InputError is raised for invalid inputs, and an IntegrationError as by `simulate`.
+        An InputError is raised for invalid inputs, and an IntegrationError as in `simulate`.
 
         Args:
             **inputs: Values of inputs by name.
@@ -113,7 +113,7 @@ class Flow:
         """Compute the derivative of the outputs along directions of inputs.
 
         Args:
-            along: Directions by the name of the input; zero for inputs without one.
+            along: Directions by the name of the input; zero for inputs that are omitted.
             **inputs: Values of inputs by name.
         Returns:
             (rows,), or (T, rows) for a flow over times.
@@ -128,19 +128,21 @@ class Flow:
         Args:
             **inputs: Values of inputs by name.
         Returns:
-            (…, rows, size) by input, with times first for a flow over times.  Parameters with
-            one entry have no last axis.
+            (…, rows, size) by input, with times first for a flow over times.  There is no
+            last axis for parameters with one entry.
         """
         run = self.run(inputs)
         slopes = self.propagator.along(run, self._rows, *self.input_map.basis(run.given))
-        return {name: self._shaped(part) for name, part in self.input_map.by_name(slopes).items()}
+        return {
+            name: self._shaped(columns) for name, columns in self.input_map.by_name(slopes).items()
+        }
 
     def vjp(self, covector: Any, /, **inputs: Any) -> dict[str, Array]:
         """Compute the derivatives of covector · outputs with respect to each input.
 
         Args:
-            covector: Weights of the outputs, (…, rows); or weights (…, its rows) by output, with
-                zero for the others.
+            covector: Weights of the outputs, (…, rows); or {output: weights (…, its rows)}, with
+                zero for omitted outputs.
             **inputs: Values of inputs by name.
         Returns:
             (size,) by input; a number for parameters with one entry.
@@ -151,7 +153,7 @@ class Flow:
         return self.input_map.by_name(by_state @ state + by_constants @ constants)
 
     def explain(self) -> str:
-        """Describe the skipped terms, the integrated variables and the inputs, in lines."""
+        """Describe in lines the skipped terms, the integrated variables and the inputs."""
         from ..explain import integrated, seen_and_integrated, skipped, varying
 
         plan = self.propagator.plan
@@ -206,7 +208,7 @@ class Flow:
         Args:
             inputs: Values of inputs by name, with the state at the start of the step.
             h: Length of the step [s].
-            t: Time of its start [s].
+            t: Start time of the step [s].
             derivatives: Whether to compute derivatives.
         Returns:
             The state after the step, and the derivatives of the outputs, (rows, N).
@@ -248,20 +250,20 @@ class Flow:
         return torch_function(self.columns())
 
     def run(self, inputs: Mapping[str, Any], *, stages: bool = False) -> Run:
-        """Integrate the flow, unless the inputs are those of the last integration.
+        """Integrate the flow; reuse the last integration if the inputs are the same.
 
         Args:
             inputs: Values of inputs by name.
             stages: Whether to store stage derivatives for the backward pass.
         Returns:
-            The solutions between stops.
+            The run, with a solution between each two stops.
         """
         columns = self.input_map.given(inputs)
         key = columns.state.tobytes() + columns.constants.tobytes()
-        last = self._last
-        if last is None or last[0] != key:
-            last = self._last = (key, self.propagator.run(columns, stages=stages))
-        return last[1]
+        last_run = self._last
+        if last_run is None or last_run[0] != key:
+            last_run = self._last = (key, self.propagator.run(columns, stages=stages))
+        return last_run[1]
 
     def _covectors(self, covector: Any) -> Array:
         """Return a covector as (T, rows)."""
@@ -271,7 +273,7 @@ class Flow:
             for name, part in covector.items():
                 if name not in self.outputs:
                     raise InputError(
-                        f"the flow has no output {brief(name)}; they are {', '.join(self.outputs)}"
+                        f"no output {brief(name)}; the outputs are {', '.join(self.outputs)}"
                     )
                 place = self.outputs[name]
                 expected = (*shape[:-1], place.stop - place.start)
@@ -308,7 +310,7 @@ def flow(
     methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.
 
     Args:
-        scene: A System, or a Scene whose options are used where none are given.
+        scene: A System, or a Scene whose options apply unless `options` replaces them.
         wrt: Names of the inputs with derivatives.
         of: Names of the outputs with derivatives, fields of State other than t, q and v; x, xdot,
             pose and xi if None.

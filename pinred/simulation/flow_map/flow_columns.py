@@ -1,7 +1,8 @@
 """A flow as a function between plain vectors, for other libraries.
 
-Inputs are vectors in the order of the flow's `inputs`; the output is one vector.  A pose in it
-is written by its own coordinates, not by those of its tangent, so that derivatives match values.
+Inputs are vectors in the order of the flow's `inputs`; the output is one vector.  A pose in the
+output is written in its own coordinates, not in tangent coordinates, so that derivatives match
+values.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ...kernels.flow_functions import Row, sizes_of
 from .inputs import Inputs
 from .propagator import Propagator, Run
 
-# Up to this number of runs, one thread finishes before a second one has started.
+# Up to this number of runs, one thread finishes before a second thread has started.
 _RUNS_OF_ONE_THREAD = 32
 
 
@@ -31,7 +32,7 @@ class Columns:
         sizes: Number of entries of each input.
         starts: Values of the inputs in the scene, (size,) each.
         outputs: Slices of the fields of State in the output at one time.
-        size: Number of entries of the output, of all times one after another.
+        size: Number of entries of the output, with all times one after another.
     """
 
     def __init__(
@@ -41,9 +42,9 @@ class Columns:
 
         Args:
             flow: The Flow.
-            propagator: Its kernels and runs.
-            inputs: Its inputs.
-            run: Function from values by name to the run with these inputs.
+            propagator: Kernels and runs of the flow.
+            inputs: Inputs of the flow.
+            run: Function from {input: value} to the run with these inputs.
         Raises:
             InputError: The flow has no inputs, or one of them is a pose.
         """
@@ -80,21 +81,21 @@ class Columns:
         return self._output(self._run(self._by_name(columns)))
 
     def value_of(self, column: Array) -> Array:
-        """Return the output (size,) for all inputs in one vector."""
+        """Return the output, (size,), for one vector that contains all inputs."""
         return self._output(self._run(self._split(column)))
 
     def jvp_of(self, column: Array, direction: Array) -> Array:
-        """Return the derivative (size,) along a direction, for all inputs in one vector."""
+        """Return the derivative, (size,), along a direction; both arguments contain all inputs."""
         return self._jvp(self._run(self._split(column)), direction[:, None])[:, 0]
 
     def vjp_of(self, column: Array, covector: Array) -> Array:
-        """Return the derivatives of covector · output, for all inputs in one vector."""
+        """Return the derivatives of covector · output with respect to all inputs, in one vector."""
         return self._vjp(self._run(self._split(column), stages=True), covector)
 
     def values(self, *columns: Any, threads: int | None = None) -> Array:
         """Compute the outputs for N inputs at once, in SIMD lanes if the method has them.
 
-        They agree with `value` within round-off times the growth along the flow.
+        The outputs agree with `value` within round-off times the growth along the flow.
 
         Args:
             *columns: Values of the inputs, in their order, (N, its size) or (1, its size) each.
@@ -102,8 +103,8 @@ class Columns:
         Returns:
             (N, size).
         Raises:
-            ShapeError: An input has another number of axes.
-            IntegrationError: A run fails; the first one is named.
+            ShapeError: An input has the wrong number of axes.
+            IntegrationError: A run fails; the message names the first failing run.
         """
         batches = [
             vectors(column, size, name)
@@ -185,7 +186,7 @@ class Columns:
         return np.split(derivatives if weights.ndim == 2 else derivatives[0], self._cuts, axis=-1)
 
     def arranged(self, columns: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
-        """Arrange inputs in their order; missing inputs get their values in the scene.
+        """Sort inputs into their order; missing inputs get their values in the scene.
 
         Args:
             columns: Values of the first inputs.
@@ -211,7 +212,7 @@ class Columns:
         return values
 
     def refuse_shape(self, k: int, shape: tuple[int, ...]) -> None:
-        """Raise ShapeError if input k has another shape than (its size,)."""
+        """Raise ShapeError if the shape of input k is not (its size,)."""
         size = self.sizes[k]
         if shape != (size,) and not (size == 1 and shape == ()):
             raise ShapeError(f"{self.names[k]} must have shape ({size},), got {shape}")
@@ -230,7 +231,7 @@ class Columns:
         return {name: array.reshape(-1) for name, array in zip(self.names, arrays, strict=True)}
 
     def _split(self, column: Array) -> dict[str, Array]:
-        """Return the inputs in one vector by name."""
+        """Split one vector of all inputs into {name: value}."""
         return {name: column[span] for name, span in zip(self.names, self._spans, strict=True)}
 
     def _output(self, run: Run) -> Array:
@@ -253,7 +254,7 @@ class Columns:
 
 
 def _common_count(counts: Sequence[int]) -> int:
-    """Return the count that all have except those with one.  Raises ShapeError if there are two."""
+    """Return the common batch length; length 1 broadcasts.  Raises ShapeError if lengths differ."""
     distinct = {count for count in counts if count != 1}
     if len(distinct) > 1:
         raise ShapeError(f"inputs must have equally many rows, or one, got {sorted(distinct)}")

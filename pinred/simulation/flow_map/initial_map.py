@@ -18,8 +18,9 @@ from .inputs import Given
 class InitialMap:
     """The map from input columns to reduced state, parameters and centre-of-mass path.
 
-    The columns are those of Given: `state`, and `constants`, which end with the fall of the centre
-    of mass.  Reduced states without entries have one zero, as integrators need one.
+    The input columns are the fields of Given: `state` and `constants`, which end with the free-fall
+    acceleration of the centre of mass.  A reduced state without entries is replaced by one zero,
+    because integrators need at least one entry.
     """
 
     def __init__(self, kernel: Kernel, motion: TwistOrMomentum) -> None:
@@ -36,7 +37,7 @@ class InitialMap:
 
         Args:
             given: The inputs.
-            t: Time of the start [s]; the path of the centre of mass starts at time zero.
+            t: Start time [s]; the centre-of-mass path is stated at time zero.
         Returns:
             The flow.
         Raises:
@@ -53,13 +54,13 @@ class InitialMap:
 
     def of_many(self, states: Array, constants: Array) -> CompiledFlow:
         """Return the flow of N inputs, rows of states and constants.  Raises InputError."""
-        rest, falls = self._split(constants.T)
-        known = np.ascontiguousarray(self._with_path(rest, None).T)
-        outputs = evaluate(self._address, known, states, self._size)
+        other_constants, falls = self._split(constants.T)
+        kernel_constants = np.ascontiguousarray(self._with_path(other_constants, None).T)
+        outputs = evaluate(self._address, kernel_constants, states, self._size)
         _refuse_overflow(outputs)
         y, head, start = self._pieces(outputs.T)
         path = np.vstack([start, falls])
-        parameters = np.vstack([head, self._with_path(rest, path)])
+        parameters = np.vstack([head, self._with_path(other_constants, path)])
         return CompiledFlow(
             self._kernel, *(np.ascontiguousarray(columns.T) for columns in (y, parameters, path))
         )
@@ -71,15 +72,17 @@ class InitialMap:
 
         Args:
             given: The inputs.
-            state: Directions of their state, (…, N).
-            constants: Directions of their constants, (…, N).
-            t: Time of the start [s].
+            state: Directions of the inputs' state, (…, N).
+            constants: Directions of the inputs' constants, (…, N).
+            t: Start time [s].
         Returns:
             Derivatives of the reduced state (n, N), the parameters (p, N) and the path (3k, N).
         """
         constants, falls = self._split(constants)
-        known, directions = self._known(given), self._with_path(constants, None)
-        derivatives = self._function.forward(given.state, known, state, directions, self._size)
+        kernel_constants, directions = self._known(given), self._with_path(constants, None)
+        derivatives = self._function.forward(
+            given.state, kernel_constants, state, directions, self._size
+        )
         y, head, start = self._pieces(derivatives)
         path = _moved_back(t, np.vstack([start, falls]), self._fall)
         parameters = np.vstack([head, self._with_path(constants, path)])
@@ -96,7 +99,7 @@ class InitialMap:
             by_parameters: Cotangent of the parameters, (p,).
             by_path: Cotangent of the path, (3k,).
         Returns:
-            The cotangents.
+            Cotangents of `state` and of `constants`.
         """
         size, head = self._cuts[0], self._cuts[1] - self._cuts[0]
         if self._path:
@@ -112,7 +115,7 @@ class InitialMap:
         return state, np.concatenate([constants, by_path[starts:]])
 
     def _pieces(self, out: Array) -> tuple[Array, Array, Array]:
-        """Split outputs into reduced state, first parameters, and start with velocity."""
+        """Split outputs into reduced state, first parameters, and position and velocity."""
         first, second = self._cuts
         return out[:first], out[first:second], out[second:]
 
@@ -120,7 +123,7 @@ class InitialMap:
         return self._with_path(self._split(given.constants)[0], None)
 
     def _with_path(self, constants: Array, path: Array | None) -> Array:
-        """Return constants (…) with the path among them if forces depend on it; zero for None."""
+        """Insert the path into the constants if forces depend on the path; None inserts zeros."""
         if not self._path:
             return constants
         if path is None:
@@ -128,7 +131,7 @@ class InitialMap:
         return np.concatenate([constants[: self._hole], path, constants[self._hole :]])
 
     def _split(self, constants: Array) -> tuple[Array, Array]:
-        """Split input constants into those of the kernel and the fall of the centre of mass."""
+        """Split input constants into the kernel's constants and the free-fall acceleration."""
         at = len(constants) - self._fall
         return constants[:at], constants[at:]
 
@@ -139,7 +142,7 @@ def _refuse_overflow(out: Array) -> None:
 
 
 def _moved_back(t: float, path: Array, k: int) -> Array:
-    """Return the path (3k, …) from time zero that has this start and velocity at time t."""
+    """Return the path (3k, …), stated at time zero, from its position and velocity at time t."""
     if t == 0.0:
         return path
     start, velocity, fall = path[:k], path[k : 2 * k], path[2 * k :]

@@ -33,7 +33,7 @@ class Given:
         state: Pose, shape, shape rate, and body twist or momentum, one after another.
         constants: Parameters of the kernel from gravity on, then the acceleration of the centre
             of mass in free fall, (k,).
-        robot: Given values of robot parameters by name.
+        robot: Values of robot parameters that the call states, by name.
     """
 
     state: Array
@@ -42,21 +42,21 @@ class Given:
 
 
 class Inputs:
-    """The inputs of the flow of one scene under one kernel.
+    """The inputs of the flow of one scene with one kernel.
 
     Attributes:
         names: Names of the inputs with derivatives, in their order.
-        sizes: Number of entries of each; of a pose, those of its tangent.
+        sizes: Number of entries of each input; for a pose, of its tangent.
         known: Names of all inputs.
         own: Values of the inputs in the scene.
     """
 
     def __init__(self, scene: Scene, kernel: Kernel, gravity: Array, wrt: Sequence[str]) -> None:
-        """Find the places of all inputs.
+        """Locate all inputs among the columns.
 
         Args:
             scene: The scene.
-            kernel: Its kernel.
+            kernel: Kernel of the scene.
             gravity: The part of gravity that acts on the shape or turns the base, (3,) [m/s²].
             wrt: Names of the inputs with derivatives.
         Raises:
@@ -69,7 +69,7 @@ class Inputs:
             "pose0": initial.pose[0], "x0": initial.x[0], "xdot0": initial.xdot[0],
             twist: initial.motion[0],
         }  # fmt: skip
-        self._places = _slices({name: len(part) for name, part in initial_parts.items()})
+        self._places = _slices({name: len(values) for name, values in initial_parts.items()})
         self._parameters = {} if model is None else {p.name: p.value for p in model.parameters}
         self._slopes = np.zeros((0, 0)) if model is None else model.slopes
         numbers = np.empty(0) if model is None else model.numbers
@@ -123,9 +123,9 @@ class Inputs:
         changed = self._robot_values.keys() & values.keys() if self._robot_values else ()
         robot = _NONE
         if changed and self._robot is not None:
-            now = self._robot.now({name: values[name] for name in changed})
-            self._robot.put(constants, now, changed)
-            robot = {name: now[name] for name in changed}
+            robot_values = self._robot.now({name: values[name] for name in changed})
+            self._robot.put(constants, robot_values, changed)
+            robot = {name: robot_values[name] for name in changed}
         for name, value in values.items():
             if name in changed:
                 continue
@@ -151,7 +151,7 @@ class Inputs:
         return Given(state, constants, robot)
 
     def directions(self, along: Mapping[str, Any], at: Given) -> tuple[Array, Array]:
-        """Return the directions (…, 1) of state and constants along directions by name."""
+        """Convert {input: direction} to directions (…, 1) of state and constants."""
         column = np.zeros((sum(self.sizes.values()), 1))
         for name, value in along.items():
             _checked_names([name], self.names)
@@ -161,7 +161,7 @@ class Inputs:
         return state @ column, constants @ column
 
     def basis(self, at: Given) -> tuple[Array, Array]:
-        """Return the directions (…, N) of state and constants along each entry of the inputs."""
+        """Return derivatives (…, N) of state and constants with respect to N input entries."""
         if self._last is not None and self._last[0] is at:
             return self._last[1]
         state, constants = self._scene_basis
@@ -175,9 +175,9 @@ class Inputs:
         return state, constants
 
     def by_name(self, rows: Array) -> dict[str, Array]:
-        """Return the parts of rows (…, N), in the order of `basis`, by the names of the inputs.
+        """Return {input: its columns} from rows (…, N) in the order of `basis`.
 
-        A parameter with one entry has no last axis.
+        There is no last axis for a parameter with one entry.
         """
         return {
             name: rows[..., span.start] if name in self._scalars else rows[..., span]
@@ -208,7 +208,7 @@ class Inputs:
     def _put_robot(
         self, constants: Array, now: Mapping[str, Array], changed: Collection[str]
     ) -> None:
-        """Write the derivatives by robot parameters; changed: those that are not the scene's."""
+        """Write derivatives with respect to robot parameters; `changed` differ from the scene."""
         if self._robot is None or not self._robot_values.keys() & self.sizes.keys():
             return
         for place, name, slope in self._robot.slopes(now, changed):
@@ -217,7 +217,7 @@ class Inputs:
 
 
 def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
-    """Return a scene in which the robot parameters among some names are variable.
+    """Return a scene in which all robot parameters that `names` contains are variable.
 
     An InputError is raised for bodies and joints that do not exist.
     """
@@ -225,18 +225,18 @@ def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
 
 
 def motion_of(scene: Scene) -> TwistOrMomentum:
-    """Return "mu" if the scene is given with a momentum, "xi" for a body twist."""
+    """Return "mu" if the scene states a momentum, "xi" if it states a body twist."""
     return "xi" if scene.given.mu is None else "mu"
 
 
 def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:
-    """Return slices of these sizes, one after another."""
+    """Return consecutive slices of the given sizes."""
     ends = np.cumsum([0, *sizes.values()]).tolist()
     return dict(zip(sizes, map(slice, ends, ends[1:]), strict=True))
 
 
 def _checked_names(names: Sequence[str], known: Sequence[str]) -> list[str]:
-    """Return names of inputs.  Raises InputError if one is unknown or repeated."""
+    """Return the names as a list.  Raises InputError if a name is unknown or repeated."""
     entries = _as_list(names)
     for name in entries:
         if name not in known:

@@ -18,17 +18,17 @@ _OLDEST = (0, 10, 0)  # Oldest version of JAX with the call frames that xla_call
 
 
 def jax_function(columns: Columns) -> Callable[..., Any]:
-    """Build the JAX function of a flow, with derivatives of first order in both modes.
+    """Build the JAX function of a flow, with first derivatives in forward and reverse mode.
 
-    It takes and returns JAX's floats, in single precision unless jax_enable_x64 is set.  The flow
-    itself runs in double precision on the processor.
+    The function takes and returns JAX's floats, in single precision unless jax_enable_x64 is set.
+    The flow itself runs in double precision on the processor.
 
     Args:
         columns: The flow between vectors.
     Returns:
         f(*columns, **columns) → output.
     Raises:
-        MissingPackageError: JAX is not installed, or too old.
+        MissingPackageError: JAX is not installed, or is too old.
     """
     try:
         import jax
@@ -83,8 +83,9 @@ def _xla_functions(columns: Columns) -> list[xla_call.Function]:
 class _Primitives:
     """The JAX primitives of value, jvp and vjp.
 
-    Their parameters are the numbers of the three functions and the sizes of outputs.  Batch axes
-    lead; arguments without them have length one there, so that a batch is a single call.
+    Their parameters are the registration numbers of the three functions and the sizes of outputs.
+    Batch axes come first.  Arguments without batch axes get axes of length one, so that a batch
+    is a single call.
     """
 
     def __init__(self) -> None:
@@ -122,7 +123,7 @@ class _Primitives:
         ad.primitive_transposes[self.jvp] = transpose_jvp
 
     def _register(self, primitive: Any, index: int) -> Any:
-        """Give a primitive its evaluation and batching.  index: its place among `numbers`."""
+        """Register evaluation and batching of a primitive, whose function is numbers[index]."""
         import jax
         from jax.core import ShapedArray
         from jax.interpreters import batching, mlir
@@ -175,14 +176,14 @@ def _sum_cotangents(cotangents: Sequence[Any], inputs: Sequence[Any]) -> list[An
 def _differentiate_linear(
     primitive: Any, primals: Any, tangents: Any, fixed: int, numbers: Any, sizes: Any
 ) -> Any:
-    """Return value and derivative of a primitive that is linear in its last arguments.
+    """Return value and tangent of a primitive that is linear in its last arguments.
 
     Args:
         primitive: The primitive.
-        primals: Its arguments.
-        tangents: Tangents of its arguments.
-        fixed: Number of first arguments in which it is not linear.
-        numbers: Numbers of the functions.
+        primals: Arguments of the primitive.
+        tangents: Tangents of the arguments.
+        fixed: Number of leading arguments in which the primitive is not linear.
+        numbers: Registration numbers of the functions.
         sizes: Sizes of the outputs.
     Returns:
         The value and its tangent.

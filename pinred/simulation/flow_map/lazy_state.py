@@ -14,7 +14,7 @@ from ...system.system import System
 
 
 class _ReadOnAccess:
-    """A state whose fields are computed by `read` at first access, and then kept."""
+    """A state whose fields are computed by `read` at first access and then cached."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -52,7 +52,7 @@ def lazy_state(
         where: Slices of the outputs.
         t: Time [s].
         outputs: Function that computes the kernel's outputs, (where.size,); called once.
-        wanted: Whether the outputs contain the base.
+        wanted: Whether the scene requests the base, so that the outputs contain it.
     Returns:
         A State with the base, a ShapeState without it.
     """

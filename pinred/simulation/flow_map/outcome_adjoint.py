@@ -1,4 +1,4 @@
-"""The adjoint of a kernel's outcome: from covectors of states to the reduced states."""
+"""The adjoint of a kernel's outputs: from covectors of full states to those of reduced states."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ...kernels.kernel import Kernel
 
 
 class OutcomeAdjoint:
-    """The adjoint of a kernel's outcome at all times of a segment, in one call."""
+    """The adjoint of a kernel's outputs at all times of a segment, in one call."""
 
     def __init__(self, kernel: Kernel, rows: tuple[Row, ...]) -> None:
-        """Prepare the adjoint of these rows of the outcome."""
+        """Prepare the adjoint of the given rows of the outputs."""
         layout, where = kernel.layout, kernel.where
         self._outputs, self._outcome = kernel.outputs, outcome_of(kernel, rows)
         self._size, self._output_size = layout.size, where.size
@@ -68,12 +68,13 @@ def _propagate_covectors(
     out: Array,
     slopes: Array,
 ) -> None:
-    """Compute the derivatives of OutcomeAdjoint.
+    """Propagate the covectors of OutcomeAdjoint backwards, time by time.
 
-    outputs, adjoint: addresses of the kernel.  size: length of y.
-    pose: index of the pose in the outputs, or −1 if no row needs it.
-    argument: work space for (y, t, pose); the outputs read only y and t.
-    out, slopes: work space for the outputs and for the derivatives of one time.
+    outputs, adjoint: addresses of the kernel's output function and of its adjoint.
+    size: length of y.
+    pose: index of the pose in the outputs, or −1 if no covector needs the pose.
+    argument: work space for (y, t, pose); the output function reads only y and t.
+    out, slopes: work space for the outputs and for the derivatives at one time.
     """
     argument_size = argument.shape[0]
     for j in range(times.shape[0]):

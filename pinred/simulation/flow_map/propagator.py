@@ -30,11 +30,11 @@ from .outcome_adjoint import OutcomeAdjoint
 
 @dataclass
 class Run:
-    """A value of a flow map.
+    """One evaluation of a flow map.
 
     Attributes:
-        given: Its inputs.
-        flow: The compiled flow that starts from these.
+        given: The inputs.
+        flow: The compiled flow that starts from these inputs.
         solutions: Solution between each two stops.
     """
 
@@ -44,15 +44,15 @@ class Run:
 
 
 class Propagator:
-    """The kernels and integrations that all values of a flow map share.
+    """The kernels and the integration that all evaluations of a flow map share.
 
     Attributes:
         plan: The plan of the scene.
         method: Integrator.
-        zero_momentum: Whether the angular momentum is zero whatever the inputs are.
+        zero_momentum: Whether the angular momentum is zero for all inputs.
         kernel: Machine code and layout.
         address: Address of the vector field.
-        slopes: Addresses of its derivatives.
+        slopes: Addresses of the derivatives of the vector field.
     """
 
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
@@ -88,13 +88,13 @@ class Propagator:
         ]  # fmt: skip
 
     def run(self, given: Given, *, stages: bool = False) -> Run:
-        """Return the value at inputs.
+        """Integrate the flow from inputs.
 
         Args:
             given: The inputs.
             stages: Whether to store stage derivatives for the backward pass.
         Returns:
-            The value.
+            The evaluation.
         Raises:
             InputError: The initial momentum or twist overflows.
             IntegrationError: The integrator cannot continue.
@@ -121,13 +121,13 @@ class Propagator:
         return Run(given, flow, solutions)
 
     def end(self, run: Run) -> State | ShapeState:
-        """Return the full state at the end of a value; its fields are computed at first access."""
+        """Return the final full state of a run; its fields are computed at first access."""
         span, solution = self.plan.spans[-1], run.solutions[-1]
         time = span.start + span.times[-1]
         return self._state(run.flow, time, solution.y[-1], solution.params)
 
     def states(self, run: Run) -> State | ShapeState:
-        """Return the full states of a value at the report times."""
+        """Return the full states of a run at the report times."""
         states = [
             run.flow.states(span.start + span.times, solution.y, solution.params)
             for span, solution in self._reported(run)
@@ -144,9 +144,9 @@ class Propagator:
         )
 
     def outputs_of_many(self, states: Array, constants: Array, threads: int | None) -> Array:
-        """Return the kernel's outputs at many inputs, in SIMD lanes where the method can.
+        """Compute the kernel's outputs at many inputs, in SIMD lanes if the method supports lanes.
 
-        They agree with `outputs` within round-off times the stretch of the flow.
+        The results agree with `outputs` within round-off times the growth along the flow.
 
         Args:
             states: State of the inputs, (N, …), as in Given.
@@ -156,7 +156,7 @@ class Propagator:
             (N, T, ·): the outputs at the report times.
         Raises:
             InputError: An initial momentum or twist overflows.
-            IntegrationError: A member cannot be followed.
+            IntegrationError: The integration of a member fails.
         """
         flow, kernel, count = self._initial.of_many(states, constants), self.kernel, len(states)
         batch = integrate_members(flow, self.plan, np.arange(count), threads)
@@ -182,7 +182,7 @@ class Propagator:
         return np.concatenate(outputs, axis=1)
 
     def entries(self, rows: Iterable[Outcome]) -> Indices:
-        """Return the indices of fields of State among the kernel's outputs."""
+        """Return the indices, among the kernel's outputs, of fields of State."""
         where = self.kernel.where
         indices = np.arange(where.size)
         return np.concatenate([indices[where.fields[row]] for row in rows])
@@ -191,10 +191,10 @@ class Propagator:
         """Return derivatives of outputs along N directions of the inputs.
 
         Args:
-            run: The value.
-            rows: The outputs.
+            run: The evaluation.
+            rows: Names of the outputs.
             state: Directions of the inputs' state, (…, N).
-            constants: Directions of their constants, (…, N).
+            constants: Directions of the inputs' constants, (…, N).
         Returns:
             (T, rows, N).
         """
@@ -222,16 +222,16 @@ class Propagator:
         """Return the cotangents of the inputs' state and constants.
 
         Args:
-            run: The value.
-            rows: The outputs.
+            run: The evaluation.
+            rows: Names of the outputs.
             covectors: Cotangents of the outputs, (T, rows).
         Returns:
-            The cotangents.
+            Cotangents of `state` and of `constants`.
         """
         layout = self.kernel.layout
-        back = self._backs.get(rows)
-        if back is None:
-            back = self._backs[rows] = OutcomeAdjoint(self.kernel, rows)
+        adjoint = self._backs.get(rows)
+        if adjoint is None:
+            adjoint = self._backs[rows] = OutcomeAdjoint(self.kernel, rows)
         p = layout.parameters
         by_rest = np.zeros(p + len(run.flow.path))
         covector = np.zeros(self._n)
@@ -239,7 +239,7 @@ class Propagator:
             at_times = np.zeros((len(span.times), self._n))
             if len(span.times):
                 constants = np.concatenate([solution.params, run.flow.path])
-                back(
+                adjoint(
                     span.start, span.times, solution.y, constants, covectors[span.rows], at_times,
                     by_rest,
                 )  # fmt: skip
@@ -259,14 +259,14 @@ class Propagator:
         rows: tuple[Row, ...],
         columns: tuple[Array, Array] | None,
     ) -> tuple[State | ShapeState, Array]:
-        """Return the state after one step, and the derivatives of outputs there.
+        """Return the state after one step, and the derivatives of its outputs.
 
         Args:
             given: The inputs, with the state at the start of the step.
             h: Length of the step [s].
-            t: Time of its start [s].
-            rows: The outputs.
-            columns: N directions of the inputs' state and constants, (…, N); None for no
+            t: Start time of the step [s].
+            rows: Names of the outputs.
+            columns: N directions of the inputs' state and constants, (…, N); None to skip
                 derivatives.
         Returns:
             The state, and the derivatives, (rows, N).
@@ -292,15 +292,15 @@ class Propagator:
             raise IntegrationError(
                 f"a step of {h:g} s of '{kernel.system.name}' is not finite: take shorter ones"
             )
-        end = self._state(flow, t + h, step.y[0], parameters)
-        if columns is None or not isinstance(end, State):
-            return end, np.zeros((0, 0))
-        a = np.concatenate([step.y[0, : layout.size], [t + h], end.pose])
+        end_state = self._state(flow, t + h, step.y[0], parameters)
+        if columns is None or not isinstance(end_state, State):
+            return end_state, np.zeros((0, 0))
+        a = np.concatenate([step.y[0, : layout.size], [t + h], end_state.pose])
         b = np.concatenate([parameters, flow.path])
         a_along = np.zeros((len(a), state.shape[1]))
         a_along[: layout.size] = step.slopes[0][: layout.size]
         b_along = np.vstack([parameters_along, path_along])
-        return end, outcome_of(kernel, rows).forward(a, b, a_along, b_along, self._size(rows))
+        return end_state, outcome_of(kernel, rows).forward(a, b, a_along, b_along, self._size(rows))
 
     def _state(
         self, flow: CompiledFlow, t: float, y: Array, parameters: Array
@@ -320,7 +320,7 @@ class Propagator:
         return lazy_state(kernel.system, kernel.where, t, outputs, wanted=layout.base_requested)
 
     def _reported(self, run: Run) -> Iterator[tuple[Span, Solution]]:
-        """Yield the spans that have report times, with their solutions."""
+        """Yield each span that contains report times, with its solution."""
         for span, solution in zip(self.plan.spans, run.solutions, strict=True):
             if span.times.size:
                 yield span, solution
@@ -341,7 +341,7 @@ class Propagator:
             raise InputError("a step of a scene with prescribed joints begins at t = 0")
 
     def _outcome_points(self, flow: CompiledFlow, span: Span, solution: Solution) -> Array:
-        """Return the first arguments of the outcome at report times: reduced state, time, pose."""
+        """Return the output function's arguments at report times: reduced state, time, pose."""
         t, size = span.start + span.times, self.kernel.layout.size
         points = np.zeros((len(t), size + 1 + self.kernel.system.group.size))
         points[:, :size], points[:, size] = solution.y[:, :size], t

@@ -25,7 +25,7 @@ class LinearStep:
         state: State at the end of the step.
         by_state: Derivative F_x of the tangent (pose, x, ẋ, ξ) at the end with respect to that at
             the start, (2n, 2n); poses are in the body coordinates of their tangents.
-        by_parameters: Derivative F_u of the same with respect to the parameters, (2n, nu).
+        by_parameters: Derivative F_u of that tangent with respect to the parameters, (2n, nu).
     """
 
     state: State
@@ -39,7 +39,7 @@ class LinearStep:
 class StepMap:
     """The map (state, parameters) → state of one step of constant length.
 
-    The step is that of the flow's method without step control, so the map is smooth.
+    The map takes one step of the flow's integrator without step control, so the map is smooth.
 
     Attributes:
         h: Length of the step [s].
@@ -95,10 +95,11 @@ class StepMap:
         An InputError is raised for invalid arguments, and an IntegrationError if the step fails.
 
         Args:
-            state: State at one time, or an object with pose, x, xdot and xi; that of the scene if
-                None.
+            state: State at one time, or an object with pose, x, xdot and xi; None for the state
+                of the scene.
             t: Time at the start of the step [s].
-            **parameters: Values of parameters by name; others have their values in the scene.
+            **parameters: Values of parameters by name; omitted parameters have their values in
+                the scene.
         Returns:
             The step.
         """
@@ -113,12 +114,12 @@ class StepMap:
         at = self._own if state is None else state
         inputs: dict[str, Any] = dict(parameters)
         for name, field in STATE.items():
-            part = getattr(at, field, None)
-            if part is None:
+            field_value = getattr(at, field, None)
+            if field_value is None:
                 raise InputError(
                     f"a step map takes a State, with pose, x, xdot and xi; got {brief(state)}"
                 )
-            inputs[name] = np.asarray(part)
-        end, slopes = self._flow.one_step(inputs, self.h, float(t), derivatives=derivatives)
-        assert isinstance(end, State)
-        return LinearStep(end, slopes[:, : self.ndx], slopes[:, self.ndx :])
+            inputs[name] = np.asarray(field_value)
+        end_state, slopes = self._flow.one_step(inputs, self.h, float(t), derivatives=derivatives)
+        assert isinstance(end_state, State)
+        return LinearStep(end_state, slopes[:, : self.ndx], slopes[:, self.ndx :])

@@ -15,7 +15,7 @@ from ...common.names import brief
 from .batched import FIRST_ORDER, Batched
 from .flow_columns import Columns
 
-# Flows by the numbers that operators refer to them by.  They stay as long as the process lives.
+# Registered flows; operators refer to a flow by its number.  Entries are never removed.
 _flows: dict[int, Batched] = {}
 _numbers = count()
 
@@ -68,7 +68,7 @@ def torch_function(columns: Columns) -> Callable[..., Any]:
             ) from None
         return apply(number, columns.size, *inputs).to(dtype)
 
-    # torch.compile cannot trace autograd functions with a forward mode, so it has to skip this one.
+    # torch.compile cannot trace autograd functions with a forward mode, so it must skip `flow`.
     untraced: Callable[..., Any] = torch.compiler.disable(flow)
     return untraced
 
@@ -143,7 +143,7 @@ def _function() -> Any:
 
         @staticmethod
         def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-            """Save nothing."""
+            """Save nothing, because second derivatives are refused."""
 
         @staticmethod
         def backward(_ctx: Any, *_: Any) -> Any:
@@ -156,7 +156,7 @@ def _function() -> Any:
             raise InputError(FIRST_ORDER)
 
     class Jvp(FirstOrder):
-        """The derivative along directions; its arguments are the columns and the directions."""
+        """The derivative along directions; the arguments are the columns and the directions."""
 
         @staticmethod
         def forward(number: int, size: int, *both: Any) -> Any:
@@ -170,7 +170,7 @@ def _function() -> Any:
             return Jvp.apply(number, size, *move_batch_axes(both, axes[2:])), 0
 
     class Vjp(FirstOrder):
-        """The derivatives of covector · output; its last argument is the covector."""
+        """The derivatives of covector · output; the last argument is the covector."""
 
         @staticmethod
         def forward(number: int, _size: int, *both: Any) -> Any:

@@ -1,8 +1,8 @@
 """XLA's foreign function interface: a handler that calls Python functions, without a compiler.
 
 XLA passes the address of a call frame, a C structure of version 0 of xla/ffi/api/c_api.h, which
-jaxlib contains.  The frame is read as words of eight bytes.  The word indices are
-those of the fields in use; fields that newer versions append are ignored.  One
+jaxlib contains.  The frame is read as words of eight bytes.  Only the fields whose
+word indices are defined below are read; fields that newer versions append are ignored.  One
 handler serves all functions: an attribute of the call is the number of the function.
 """
 
@@ -35,7 +35,7 @@ SCALAR_VALUE = 1
 
 
 def _memory(kind: Any, pointed: Any) -> tuple[Any, Any]:
-    """Return load(address) and store(address, value) for numbers of a kind."""
+    """Return load(address) and store(address, value) for one numeric type."""
 
     @make_intrinsic
     def load(typing: Any, address: Any) -> Any:  # noqa: ARG001
@@ -62,14 +62,14 @@ _float, _set_float = _memory(types.float32, ir.FloatType())
 
 @compiled
 def has_extension(frame: int) -> bool:
-    """Return whether XLA may ask for something beside a call."""
+    """Return whether the frame has an extension, by which XLA can request metadata."""
     asks: bool = _word(frame + 8 * EXTENSION) != 0
     return asks
 
 
 @compiled
 def function_of(frame: int) -> int:
-    """Return the number of the function that a call means, its only attribute."""
+    """Return the number of the function to call, which is the only attribute of the call."""
     scalar = _word(_word(frame + 8 * ATTRIBUTES))
     value: int = _word(_word(scalar + 8 * SCALAR_VALUE))
     return value
@@ -77,14 +77,14 @@ def function_of(frame: int) -> int:
 
 @compiled
 def take_column(frame: int, out: Array) -> bool:
-    """Fill out with the arguments one after another; return whether they are vectors that fit."""
+    """Copy the arguments one after another to `out`; return whether they are vectors that fit."""
     fits: bool = _pass(frame, ARGUMENTS, ARGUMENT_LIST, out, True)
     return fits
 
 
 @compiled
 def give_column(frame: int, out: Array) -> bool:
-    """Fill the results, one after another, from out; return whether they are vectors that fit."""
+    """Copy `out` to the results one after another; return whether they are vectors that fit."""
     fits: bool = _pass(frame, RESULTS, RESULT_LIST, out, False)
     return fits
 
@@ -117,11 +117,11 @@ def _pass(frame: int, count: int, where: int, numbers: Array, take: bool) -> boo
 
 @dataclass(frozen=True)
 class Function:
-    """A function that XLA calls.
+    """A Python function that XLA calls.
 
     Attributes:
         one: Function from all inputs in one vector, (size,), to all outputs in one vector.
-        size: Length of that vector of inputs.
+        size: Length of the vector of inputs.
         many: Function of lists of inputs and outputs with leading axes, which fills the outputs.
     """
 
@@ -130,7 +130,7 @@ class Function:
     many: Callable[[Sequence[Any], Sequence[Any]], None]
 
 
-_FRAME_WORDS, _BUFFER_WORDS = 21, 6  # Lengths of the structures that are read [words].
+_FRAME_WORDS, _BUFFER_WORDS = 21, 6  # Number of words of a frame and of a buffer.
 # An extension of type 1 asks for the version of the interface, which is copied from the API to
 # the metadata of the extension.  In both structures the version follows a few other words.
 _ASKS_FOR_VERSION, _METADATA = 1, 3
@@ -162,7 +162,7 @@ def numbered(function: Function) -> int:
     Args:
         function: The function.
     Returns:
-        Its number, for the attribute of calls.
+        The number of the function, which calls pass as an attribute.
     """
     number = next(_numbers)
     _functions[number] = function
@@ -171,9 +171,9 @@ def numbered(function: Function) -> int:
 
 @once_for_all
 def register() -> None:
-    """Register the handler with XLA for the processor.
+    """Register the handler with XLA for the CPU platform.
 
-    Calls state TARGET and, as `function`, the number of a registered function.
+    Calls pass the target name TARGET and, in attribute `function`, the number of a function.
     """
     import jax
 

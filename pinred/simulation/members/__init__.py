@@ -1,1 +1,1 @@
-"""Members of simulate_many: what each of them is given, how they run, and their motions."""
+"""Members of simulate_many: their options, their integration, and their motions."""

@@ -1,4 +1,4 @@
-"""Integration of members under one kernel, in SIMD lanes where the method can, over threads."""
+"""Integration of members with one kernel, on threads, in SIMD lanes if the method allows it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..compiled.integrator import wild_steps
 from ..plan import Plan, Span
 from .trajectories import Batch, Failure
 
-# Number of instructions up to which the state of sixteen lanes stays in registers.
+# Largest number of kernel instructions for which the state of sixteen lanes fits in registers.
 _SMALL = 400
 
 
@@ -30,19 +30,19 @@ def integrate_members(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Batch:
-    """Integrate members of a plan from stop to stop, all under one kernel.
+    """Integrate members of a plan from stop to stop with one kernel.
 
     Args:
-        flow: Their flow.
-        plan: The plan, for times, method and tolerance.
+        flow: Flow of the members.
+        plan: The plan, which states times, method and tolerance.
         members: Indices of the members, (N,) sorted.
         threads: Number of threads; as many as processors if None.
-        progress: Called now and then with the fraction of the time that is done.
+        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
     Returns:
         The solutions of all members.
     """
     began, reports, count, spans = perf_counter(), plan.scene.report_times, len(members), plan.spans
-    # A single body that only translates has no state; a zero stands for it.
+    # A single body that only translates has no state; integrate one zero instead.
     y0 = flow.y0 if flow.y0.shape[1] else np.zeros((count, 1))
     y = np.full((count, len(reports), y0.shape[1]), np.nan)
     status, entry, steps, evaluations = (np.zeros(count, np.int64) for _ in range(4))
@@ -72,7 +72,7 @@ def integrate_members(
 
 
 def lanes_of(method: Method, kernel: Kernel) -> int:
-    """Return the number of members that run at once in SIMD lanes, 0 for one after another."""
+    """Return the number of members that run at once in SIMD lanes; 0 if lanes are not used."""
     if not (isinstance(method, Explicit) and kernel.layout.size):
         return 0
     return 16 if kernel.instructions <= _SMALL else 8
@@ -86,7 +86,7 @@ def _integrate_span(
     threads: int | None,
     progress: Callable[[float], None] | None,
 ) -> Solutions:
-    """Integrate members from y0 (N, k) over one span; their last states are those at its stop."""
+    """Integrate members from y0 (N, k) over one span; the last states are those at the stop."""
     kernel, length, times = flow.kernel, span.stop - span.start, span.times
     if not (times.size and times[-1] == length):
         times = np.append(times, length)

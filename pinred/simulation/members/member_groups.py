@@ -25,10 +25,10 @@ class Group:
     """Members that share a plan.
 
     Attributes:
-        members: Their indices, (N,) sorted.
-        plan: Their plan.
-        given: Their initial states, (N, …).
-        own: Parameters in which they differ from the plan.
+        members: Sorted indices of the members, (N,).
+        plan: Plan that the members share.
+        given: Initial states of the members, (N, …).
+        own: Parameters in which the members differ from the plan.
     """
 
     members: Indices
@@ -38,7 +38,7 @@ class Group:
 
     @property
     def one_by_one(self) -> str:
-        """The reason to simulate these members one by one; "" if they are integrated together."""
+        """The reason to simulate these members one by one; "" if they can run together."""
         plan = self.plan
         if plan.scene.events_given:
             return "events are looked for"
@@ -86,7 +86,7 @@ def of_scenes(scenes: Sequence[Scene]) -> Members:
     Returns:
         The members.
     Raises:
-        InputError: An entry is no Scene, or the scenes do not belong together.
+        InputError: An entry is not a Scene, or the scenes differ in system or report times.
     """
     for k, scene in enumerate(scenes):
         if not isinstance(scene, Scene):
@@ -123,18 +123,18 @@ def _structure(plan: Plan) -> Hashable:
     forces, states = plan.forces, plan.scene.given
     varied = plan.scene.varied
     robot = None if varied is None else (varied.names, plan.acting.gravity.astype(bool).tobytes())
-    pieces: Hashable = (plan.stops.tobytes(), robot)
+    stop_key: Hashable = (plan.stops.tobytes(), robot)
     if forces is not None and forces.held:
-        pieces = id(plan)  # Controllers have states, so each member has its own.
-    return (None if forces is None else forces.key, plan.method, pieces, states.mu is None)
+        stop_key = id(plan)  # Controllers have states, so each member has its own.
+    return (None if forces is None else forces.key, plan.method, stop_key, states.mu is None)
 
 
 def _group(members: Indices, plans: Sequence[Plan]) -> Group:
     columns: dict[str, Any] = {
         name: None
-        if part is None
+        if values is None
         else np.concatenate([getattr(p.scene.given, name) for p in plans])
-        for name, part in vars(plans[0].scene.given).items()
+        for name, values in vars(plans[0].scene.given).items()
     }
     parameters = MemberParameters(numbers=np.array([plan.numbers for plan in plans]))
     varied = plans[0].scene.varied

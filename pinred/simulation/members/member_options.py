@@ -1,4 +1,4 @@
-"""Members given as arrays of options and parameters that differ between them."""
+"""Members stated by arrays of the options and parameters that differ between members."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..simulate import as_scene
 from .member_groups import Group, Members, members_plan
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
-# Options that follow from a configuration, a velocity, or a random state, with its fields.
+# (option, field of State) that q0 and v0 determine, and fields that a random state determines.
 _OF_Q = (("pose0", "pose"), ("x0", "x"))
 _OF_V = (("xi0", "xi"), ("xdot0", "xdot"))
 _OF_SEED = ("x", "xdot", "xi")
@@ -36,7 +36,7 @@ _OPTIONS = f"{', '.join(STATES)}, gravity or a parameter"
 
 
 class MemberOptions:
-    """The options of N members: those that differ between them, and those that all share.
+    """The options of N members: options that differ between members, and options that all share.
 
     Attributes:
         system: The robot as it was loaded.
@@ -46,7 +46,7 @@ class MemberOptions:
         states: Initial states by option, (N, …).
         parameters: Values of parameters by name, (N,) or (N, k).
         gravity: Gravity in the world frame, (N, 3) [m/s²], or None.
-        robot: Lengths of the given robot parameters by name.
+        robot: Number of entries of each robot parameter that the call states, by name.
         count: Number of members.
     """
 
@@ -60,8 +60,8 @@ class MemberOptions:
         """Separate the options that differ between members from the others.
 
         Args:
-            base: A System, or a Scene whose options are used where none are given.
-            options: Options of Scene, some of them with a leading axis (N, …).
+            base: A System, or a Scene whose options apply unless `options` replaces them.
+            options: Options of Scene, some with a leading axis (N, …).
             members: Values of initial states, parameters and gravity by name, (N, …).
             seeds: Seeds of random initial states, (N,).
         Raises:
@@ -127,7 +127,7 @@ class MemberOptions:
                 raise InputError("give seeds or seed, not both")
             both = [name for name in self.states if name != "pose0"]
             if both:
-                raise InputError(f"seeds stands for whole random states; do not give {both[0]}")
+                raise InputError(f"seeds: they set the whole initial state; remove {both[0]}")
             sizes["seeds"] = len(self.seeds)
         if len(set(sizes.values())) != 1:
             lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items()) or "none"
@@ -142,7 +142,7 @@ class MemberOptions:
         return count
 
     def scene(self, member: int, *, common_parameters: bool = False) -> Scene:
-        """Return the scene of one member, or one with only the parameters that all share."""
+        """Return the scene of a member, optionally with only the parameters that all share."""
         options: dict[str, Any] = {name: values[member] for name, values in self.states.items()}
         values_of_member = {name: values[member] for name, values in self.parameters.items()}
         options |= self.common
@@ -157,11 +157,11 @@ class MemberOptions:
         return as_scene(base, options, "simulate_many")
 
     def _scene_by(self, method: Method | str, member: int) -> Scene:
-        """Return the scene of one member with the method that members are integrated by."""
+        """Return the scene of one member, with the integrator that members use."""
         return replace(self.scene(member), method=method)
 
     def members(self) -> Members:
-        """Return the members in groups.  Raises InputError for invalid scenes."""
+        """Group the members by the kernel they share.  Raises InputError for invalid scenes."""
         # Use common parameters only, so that results do not depend on member order.
         template = self.scene(0, common_parameters=True)
         model = template.force_model
@@ -173,7 +173,7 @@ class MemberOptions:
                     f"{kinds_near(self.system, name, [*STATES, *names])}; of the scenes "
                     f"{_OPTIONS}: {listed(names, 60) or 'none'}"
                 )
-        first = self.scene(0)  # validates all that is common
+        first_scene = self.scene(0)  # validates the options that all members share
         varying = [name for name in self.robot if name in self.parameters]
         if varying:
             template = with_own(template, varying)
@@ -182,7 +182,7 @@ class MemberOptions:
         numbers = self._numbers(template)
         states = self._given(template, numbers)
         parameters = MemberParameters(numbers, self._robot_numbers(template) if varying else None)
-        scene_of = partial(self._scene_by, members_plan(first).scene.method)
+        scene_of = partial(self._scene_by, members_plan(first_scene).scene.method)
         if self.gravity is None:
             groups = [Group(np.arange(self.count), members_plan(template), states, parameters)]
         else:
@@ -192,7 +192,7 @@ class MemberOptions:
     def _by_gravity(
         self, template: Scene, given: GivenStates, own: MemberParameters
     ) -> list[Group]:
-        """Return members in groups by the axes along which gravity acts."""
+        """Group members by the axes along which gravity acts."""
         assert self.gravity is not None
         rows, which = np.unique(self.gravity, axis=0, return_inverse=True)
         which = which.reshape(-1)
@@ -204,7 +204,7 @@ class MemberOptions:
             kinds = np.flatnonzero(((acting != 0.0) == axes).all(axis=1))
             members = np.flatnonzero(np.isin(which, kinds))
             system = systems[kinds[0]]
-            # The robot's own kernel serves if its gravity acts along these axes.
+            # Reuse the kernel of the robot's own gravity if that gravity acts along the same axes.
             with suppress(SymmetryError):
                 if np.array_equal(acting_gravity(template.system) != 0.0, axes):
                     system = template.system
@@ -215,11 +215,11 @@ class MemberOptions:
         return groups
 
     def _numbers(self, template: Scene) -> Array | None:
-        """Return the force parameters of each member, (N, p); None if all share them."""
+        """Return the force parameters of each member, (N, p), or None if all members share them."""
         model = template.force_model
         if not self.parameters or model is None:
             return None
-        # Entry by entry, so that the bits of a member do not depend on the number of members.
+        # Compute entry by entry, so that no bit of a member depends on the number of members.
         numbers = np.repeat(model.numbers_from(0.0, template.end)[None], self.count, axis=0)
         for k, parameter in enumerate(model.parameters):
             if parameter.name in self.robot or parameter.name not in self.parameters:
@@ -250,7 +250,7 @@ class MemberOptions:
         return numbers
 
     def _given(self, scene: Scene, numbers: Array | None) -> GivenStates:
-        """Return the initial states of all members: the scene's where they do not differ."""
+        """Return the initial states of all members; fields that do not differ are the scene's."""
         system, common_states = scene.system, scene.given
         states = dict(self.states)
         if self.seeds is not None:
@@ -263,7 +263,8 @@ class MemberOptions:
             if option in states:
                 converted = [read(row, system) for row in states.pop(option)]
                 states |= {
-                    n: np.array([getattr(part, field) for part in converted]) for n, field in fields
+                    n: np.array([getattr(state, field) for state in converted])
+                    for n, field in fields
                 }
 
         def rows(name: str, size: int, common: Array | None) -> Array | None:
@@ -287,7 +288,7 @@ class MemberOptions:
 
 
 def _parameter_values(system: System, parameters: Any, own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of parameters= by name; names alone have the values of the scene."""
+    """Return the values of parameters= by name; a name without value has the scene's value."""
     if parameters is None or isinstance(parameters, Mapping):
         return dict(parameters or {})
     values, others = requested(system, parameters)

@@ -1,4 +1,4 @@
-"""Trajectories: the motions of all members, as arrays, one by one, and in files."""
+"""Trajectories: the motions of all members, as arrays or one by one, and their files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Failure:
     Attributes:
         member: Index of the member.
         time: Last time that it reached [s].
-        reason: The cause, in words.
+        reason: Description of the cause.
     """
 
     member: int
@@ -45,16 +45,16 @@ class Failure:
 
 @dataclass(frozen=True)
 class Batch:
-    """Members that were integrated together under one kernel.
+    """Members that were integrated together with one kernel.
 
     Attributes:
-        members: Their indices, (N,) sorted.
-        flow: Their flow; None for members that were unpickled.
+        members: Sorted indices of the members, (N,).
+        flow: Flow of the members; None for unpickled members.
         method: Name of the integrator.
         y: Reduced states at the report times, (N, T, k); NaN at times that were not reached.
-        steps: Number of accepted steps of each, (N,).
-        evaluations: Number of evaluations of the vector field for each, (N,).
-        failures: Members that did not come to their end.
+        steps: Number of accepted steps of each member, (N,).
+        evaluations: Number of evaluations of the vector field for each member, (N,).
+        failures: Members that did not reach their end time.
         wall: Mean wall time of one member [s].
     """
 
@@ -69,10 +69,10 @@ class Batch:
 
 
 class Trajectories(OverTime):
-    """Motions of one system, member first: the fields of State are (N, T, …).
+    """Motions of one system; the fields of State have shape (N, T, …), with members first.
 
-    `trajectories[i]` is the Trajectory of one member.  Entries are NaN at times that a member has
-    not reached.
+    `trajectories[i]` is the Trajectory of one member.  Entries are NaN at times that a member did
+    not reach.
 
     Attributes:
         failures: Members that did not reach their end time.
@@ -86,19 +86,19 @@ class Trajectories(OverTime):
         failures: Sequence[Failure],
         outputs: State | ShapeState | None = None,
     ) -> None:
-        """Take the results of all members.
+        """Collect the results of all members.
 
         Args:
-            members: Number of members, and the function that returns the scene of one.
+            members: Number of members, and the function that returns the scene of a member.
             batches: Members that were integrated together.
             single: Trajectories of the members that were integrated one by one.
             failures: Members that did not reach their end time.
-            outputs: States of all members, if they are known already.
+            outputs: States of all members, if already computed.
         """
         self._count, self._scene_of = members
-        first = self._scene_of(0)
+        first_scene = self._scene_of(0)
         self._system, self._times, self._wanted = (
-            first.system, first.report_times, first.outputs == "all",
+            first_scene.system, first_scene.report_times, first_scene.outputs == "all",
         )  # fmt: skip
         self._batches, self._single, self.failures = tuple(batches), single, tuple(failures)
         self._failed = {failure.member: failure for failure in failures}
@@ -106,7 +106,7 @@ class Trajectories(OverTime):
             vars(self)["outputs"] = type(outputs)(**arrays_of(outputs))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Kernels cannot be pickled, so the states travel instead of the flows.
+        # Kernels cannot be pickled, so pickle the states instead of the flows.
         batches = [replace(batch, flow=None) for batch in self._batches]
         members, single = (self._count, self._scene_of), dict(self._single)
         return Trajectories, (members, batches, single, self.failures, self.outputs)
@@ -143,18 +143,18 @@ class Trajectories(OverTime):
 
     @cached_property
     def y(self) -> Array:
-        """Reduced states, (N, T, k); NaN past the end of those with fewer entries."""
-        pieces = [(batch.members, batch.y) for batch in self._batches]
+        """Reduced states, (N, T, k); padded with NaN for members with fewer entries."""
+        batches = [(batch.members, batch.y) for batch in self._batches]
         for member, traj in self._single.items():
             reached = self.t[self.t <= traj.scene.end]
             reduced = traj.motion.reduced(reached)
             missing = np.full((len(self.t) - len(reached), reduced.shape[1]), np.nan)
-            pieces.append((np.array([member]), np.concatenate([reduced, missing])[None]))
-        if len(pieces) == 1 and len(pieces[0][1]) == len(self):
-            return pieces[0][1]
-        width = max((y.shape[2] for _, y in pieces), default=0)
+            batches.append((np.array([member]), np.concatenate([reduced, missing])[None]))
+        if len(batches) == 1 and len(batches[0][1]) == len(self):
+            return batches[0][1]
+        width = max((y.shape[2] for _, y in batches), default=0)
         combined = np.full((len(self), len(self.t), width), np.nan)
-        for members, y in pieces:
+        for members, y in batches:
             combined[members, :, : y.shape[2]] = y
         return combined
 
@@ -168,8 +168,8 @@ class Trajectories(OverTime):
         """Return the motion of one member.
 
         Its states at the report times are those of the arrays.  For other times and for balances
-        it is simulated again at first use.  This agrees with the arrays within round-off times the
-        growth along the motion.
+        the member is simulated again at first use.  The repeated motion agrees with the arrays
+        within round-off times the growth along the motion.
 
         Args:
             member: Index of the member.
@@ -193,7 +193,7 @@ class Trajectories(OverTime):
         return Trajectory(scene, None, run, again, self._states(member))
 
     def save(self, path: str | Path) -> None:
-        """Write the states of all members to a file; nothing is left of a file that fails.
+        """Write the states of all members to a file; no partial file remains after a failure.
 
         The file contains `t`, (T,), one array (N, T, …) for each other field of State, and the
         robot as `Trajectory.save` writes it.  For each member there are `failure`, (N,), the reason
@@ -223,8 +223,8 @@ class Trajectories(OverTime):
             write_zarr(path, arrays)
 
     def _states(self, member: int) -> State | ShapeState:
-        """Return the states of one member at the report times; NaN where it has failed."""
-        if "outputs" in vars(self):  # Unpickled members have states, but no flows.
+        """Return the states of one member at the report times; NaN after the member has failed."""
+        if "outputs" in vars(self):  # Unpickled members have states but no flows.
             member_outputs = replace(self.outputs, t=np.broadcast_to(self.t, self.energy.shape))
             return map_arrays(lambda values: values[member], member_outputs)
         if member in self._single:
@@ -236,7 +236,7 @@ class Trajectories(OverTime):
         return batch.flow[k].states(self.t, batch.y[k])
 
     def _place(self, member: int) -> tuple[Batch, int]:
-        """Return the batch of a member, and its index there."""
+        """Return the batch of a member, and the index of the member in that batch."""
         for batch in self._batches:
             k = int(np.searchsorted(batch.members, member))
             if k < len(batch.members) and batch.members[k] == member:
@@ -262,12 +262,12 @@ def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State
 
 def _missing_states(system: System, t: Array, *, wanted: bool) -> State | ShapeState:
     """Return states at times (T,) that are all NaN, for a member that failed one by one."""
-    lengths, kind = axis_lengths(system), State if wanted else ShapeState
+    lengths, state_class = axis_lengths(system), State if wanted else ShapeState
     fields = {
         name: np.full((len(t), lengths[axis]) if (axis := FIELDS[name].axis) else len(t), np.nan)
-        for name in kind.__dataclass_fields__
+        for name in state_class.__dataclass_fields__
     }
-    return kind(**(fields | {"t": t}))
+    return state_class(**(fields | {"t": t}))
 
 
 def _scene_arrays(scenes: Sequence[Scene]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ def integrator(
     Args:
         flow: The flow of the plan.
         plan: The plan.
-        progress: Called after each step with the finished fraction of the time.
+        progress: Called after each step with the completed fraction of the time, 0 to 1.
     Returns:
         The function; its IntegrationError states the time and the entry of the reduced state.
     """
@@ -41,7 +41,7 @@ def integrator(
         parameters: Array,
         watch: Callable[[Segment], bool] | None = None,
     ) -> Segment:
-        if y0.size == 0:  # a single body that only translates
+        if y0.size == 0:  # a single body that only translates has no reduced state
             return Segment(
                 np.array([start, end]), lambda t: np.empty((len(t), 0)), parameters, 0, 0
             )
@@ -70,8 +70,9 @@ def integrator(
                 return so_far()
             if len(steps) >= MOST_STEPS:
                 raise IntegrationError(
-                    f"'{scene.system.name}' took {MOST_STEPS} steps to t = {solver.t:g} s of "
-                    f"{scene.end:g} s; shorten the scene or loosen the tolerance{lost()}"
+                    f"'{scene.system.name}' reached the limit of {MOST_STEPS} steps at t = "
+                    f"{solver.t:g} s, before the end at {scene.end:g} s; shorten the scene or "
+                    f"loosen the tolerance{lost()}"
                 )
             with np.errstate(over="ignore", invalid="ignore"):  # overflows are reported below
                 message = solver.step()

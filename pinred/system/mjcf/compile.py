@@ -214,7 +214,9 @@ def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
     """Add the size of a file to `size`.  depth: number of elements around it."""
     size.letters += len(text)
     if size.letters > _MOST_LETTERS:
-        raise LoadError(f"{plain_path(path)}: more than {_MOST_LETTERS} letters of MJCF in all")
+        raise LoadError(
+            f"{plain_path(path)}: more than {_MOST_LETTERS} characters of MJCF in total"
+        )
     if path.resolve() in size.reading or len(size.reading) > _DEEPEST_INCLUDES:
         raise LoadError(f"{plain_path(path)} includes itself, or too many files include each other")
     size.reading.append(path.resolve())

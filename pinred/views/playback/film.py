@@ -180,8 +180,8 @@ def check_frames(path: Path, count: int) -> None:
     if later:
         more = f" and {len(later) - 1} more" if len(later) > 1 else ""
         raise InputError(
-            f"a film of {count} frames would be followed by '{_frame_path(path, later[0])}'{more}, "
-            "of a longer one; remove its frames, or choose another name"
+            f"'{_frame_path(path, later[0])}'{more} of a longer film would follow the {count} new "
+            "frames; remove the old frames, or choose another name"
         )
 
 

@@ -13,7 +13,7 @@ from ..problems import Problem
 
 Order = tuple[int, int, int]
 ORDERS: tuple[Order, ...] = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
-_SAMPLES = 400  # times at which the motion is evaluated
+_SAMPLES = 400  # number of times at which the motion is evaluated
 
 
 def rotation_about(axis: int, angle: float) -> Array:
