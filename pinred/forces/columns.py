@@ -138,7 +138,7 @@ def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         s: Variables of the forces.
         number: Function that replaces a number by a symbol.
     Returns:
-        The terms.
+        The terms of this force.
     Raises:
         InputError: The force's function fails; the message says how to write it.
         PinredError: The force rejects its arguments.

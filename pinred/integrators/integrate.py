@@ -77,7 +77,7 @@ def integrate(
             momenta; and number of parameters that are components of the constant spatial momentum
             J, which enters the equations as q̄ J q.
     Returns:
-        The run.
+        The solution, with states at the report times and dense output.
     Raises:
         InputError: An argument is invalid.
         StepSizeUnderflow: The tolerance requires steps below round-off.
