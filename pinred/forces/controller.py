@@ -151,7 +151,7 @@ class Controller(Named):
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         """
         torque = {s.joint(name, self.name): number(0.0) for name in self.driven(s.names)}
         wrench = [number(0.0) for _ in range(s.mu.numel())] if self.wrench else None

@@ -82,7 +82,7 @@ class PotentialEnergy(Named):
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         """
         return Terms(potential=scalar(self.function(s.x), f"V(x) of {self.name}"))
 
@@ -122,7 +122,7 @@ class Torque(Named):
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         """
         if isinstance(self.function, Mapping):
             torque = {
@@ -188,7 +188,7 @@ class PD(_Tracking):
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         """
         references = motions(self.reference, s, number, self.name)
         torque = self._feedback(s, number, references)
@@ -221,7 +221,7 @@ class ComputedTorque(_Tracking):
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         Raises:
             InputError: The reference lacks a moving joint or contains a prescribed one.
         """
