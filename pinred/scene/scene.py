@@ -59,14 +59,14 @@ class Scene(SceneFields):
     The option `parameters` makes robot parameters inputs of the kernel.  For a link or joint
     "hand", the names are "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz about
     the centre of mass), "hand.log_cholesky", and "hand.payload.mass" with "hand.payload.at" for
-    a point mass on it.  For a joint: "elbow.placement" (x, y, z, roll, pitch, yaw) or
-    "elbow.translation"; for a locked joint "elbow.lock".  The names for gravity are
-    "gravity" (vector in the world frame) and "gravity.strength".  Names without values, or "all"
-    for inertias and placements, keep the present values.  So do parameters of the system
+    a point mass on the body.  For a joint "elbow", the names are "elbow.placement" (x, y, z, roll,
+    pitch, yaw) and "elbow.translation"; for a locked joint, "elbow.lock".  The names for gravity
+    are "gravity" (vector in the world frame) and "gravity.strength".  Names without values,
+    or "all" for inertias and placements, keep the present values.  So do parameters of the system
     (System.parameters).
 
     The scene converts its options: joint values by name to arrays, motions of prescribed joints
-    to Signals, and methods as text to methods.
+    to Signals, and names of methods to methods.
 
     Raises:
         InputError: an option is not valid, or the options contradict each other.
