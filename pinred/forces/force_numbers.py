@@ -129,7 +129,7 @@ class RobotSymbols:
 
     Attributes:
         freed: Parameters with symbols, including the frames of links used so far.
-        weighed: Whether an expression has used gravity.
+        weighed: Whether any expression uses gravity so far.
     """
 
     def __init__(
