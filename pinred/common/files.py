@@ -85,7 +85,7 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         if os.fstat(descriptor).st_nlink:
             break
-        os.close(descriptor)  # another process removed it before it was locked
+        os.close(descriptor)  # another process removed the file before it was locked
     try:
         yield Temporary(folder, name, descriptor)
     finally:

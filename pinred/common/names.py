@@ -15,8 +15,8 @@ _MOST = 8  # maximum number of names that a list shows
 def plain(name: str, longest: int = _LONGEST) -> str:
     """Shorten a name to one printable line.
 
-    Each run of whitespace becomes one space, and unprintable characters become escapes.  A long
-    name is cut in the middle.
+    Each run of whitespace becomes one space, and unprintable characters become escapes.  In a long
+    name, the middle is omitted.
 
     Args:
         name: The name.

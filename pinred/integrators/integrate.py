@@ -262,7 +262,7 @@ def failure(status: int, run: Runs, state: Array) -> IntegrationError:
 
 
 def check_kernel(address: int) -> None:
-    """Raise InputError if an address cannot be that of a kernel."""
+    """Raise InputError if an address cannot be the address of a kernel."""
     if isinstance(address, bool) or not isinstance(address, int) or address <= 0:
         raise InputError(f"address must be the address of a kernel, got {address!r}")
 

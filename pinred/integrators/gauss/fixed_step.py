@@ -108,7 +108,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # 
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Continue from the end of the step (hook)."""
+    """Start the next step at the end of this step (hook)."""
     continue_from_end(run, work)
     run.before = run.h
 

@@ -85,7 +85,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # 
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Continue from the end of the step (hook)."""
+    """Start the next step at the end of this step (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
 

@@ -31,7 +31,7 @@ class Effort:
         name: Name of the effort, stored in the record.
         rounds: Number of rounds, of which the median is reported.
         patience: Time limit [s]; after a longer run, finer tolerances of the method are skipped.
-        budget: Time for all rounds of one point [s].
+        budget: Time limit for all rounds of one method at one tolerance [s].
         every: Stride through the tolerances of a method; 1 measures all.
     """
 

@@ -12,14 +12,14 @@ from .problems import Problem
 
 @dataclass(frozen=True)
 class Drift:
-    """Relative change from start to end.
+    """Relative changes of conserved quantities from the start to the end of a motion.
 
     Attributes:
-        energy: Change of energy over the initial kinetic energy T, without the uniform motion of
-            the centre of mass.
-        momentum: Largest change of a conserved component over √(2mT), times the radius of
-            gyration for angular ones. Angular momentum is taken about the centre of mass if the
-            group translates, else about the pivot.
+        energy: Change of energy relative to the initial kinetic energy T, which excludes the
+            uniform motion of the centre of mass.
+        momentum: Largest change of a conserved component, relative to √(2mT); for angular
+            components, to √(2mT) times the radius of gyration. Angular momentum is taken about
+            the centre of mass if the group translates, else about the pivot.
     """
 
     energy: float

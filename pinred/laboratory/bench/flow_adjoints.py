@@ -49,7 +49,7 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
     Args:
         made: The flow.
         tolerance: Relative tolerance of CVODES.
-        timed: Whether to time both.
+        timed: Whether to measure the time of both adjoints.
     Returns:
         Both gradients and the time ratio.
     """

@@ -9,7 +9,7 @@ from typing import Any
 from ...common.arrays import Array
 from .problems import Problem
 
-ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
+ATOL = 0.01  # ratio of absolute to relative tolerance, for methods that use both
 UNKNOWN = float("nan")
 
 

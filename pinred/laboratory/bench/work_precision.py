@@ -44,7 +44,7 @@ class Point:
 
     @property
     def error(self) -> float:
-        """Largest of shape, rotation and position error [rad | m]; NaN if one is NaN."""
+        """Largest of shape, rotation and position error [rad | m]; NaN if any is NaN."""
         return float(np.max([self.shape, self.rotation, self.position]))
 
 

@@ -29,7 +29,7 @@ class Entry:
             "FAILED" (differs from ABA or MuJoCo); "error" (other exception, or a crash);
             "fragment" (only part of other files).
         reason: Reason of the outcome in one line.
-        about: Category of the reason.
+        about: Category of the reason, for the summary.
         due: Whether the description should work, see scope.py.
         why_not: Reason why the description need not work.
         choice: Option that had to be chosen to load the description, such as "root=arm".

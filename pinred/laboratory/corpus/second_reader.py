@@ -242,7 +242,7 @@ class _Pair:
     def _jacobian(self, q: Array) -> Array:
         """Return the Jacobian of the reference body in its own frame, (6, n)."""
         J = pin.computeFrameJacobian(self._system.model, self._pin, q, self._ref[0])
-        # Pinocchio returns a single column as a one-dimensional array.
+        # Pinocchio returns a matrix with a single column as a one-dimensional array.
         return np.asarray(J).reshape(6, self._system.model.nv)
 
     def _force_terms(self, T: Array, q: Array, v: Array, a: Array) -> Array:

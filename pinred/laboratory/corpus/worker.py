@@ -91,7 +91,7 @@ def _serve(pipe: Connection, options: TrialOptions, cache: str) -> None:
     """Try descriptions from a pipe until the pipe closes.  cache: folder for compiled kernels."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     os.environ["PINRED_CACHE_DIR"] = cache  # an empty cache, so that times include compilation
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # parsers print to both streams
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # silence the parsers, which print to both streams
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     while True:
         try:

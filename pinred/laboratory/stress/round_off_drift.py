@@ -1,6 +1,6 @@
 """Check that quaternions and momenta drift at most like a random walk of round-off.
 
-The momentum is computed by Pinocchio from (q, v), and the quaternion is checked by its norm.
+The momentum is computed with Pinocchio from (q, v), and the quaternion is checked by its norm.
 Without the base, DOP853 integrates the three components of μ. Their norm is a Casimir function,
 a constant of motion that DOP853 conserves up to its tolerance. Gauss methods lift μ to the
 quaternion.

@@ -32,7 +32,7 @@ def _cases(trial: Trial) -> Cases:
             "times": np.array([1.0]),
             **tolerance(_RTOL),
         }
-        # Both signs of 1e-16 … 1e3, and zero, in one sweep.
+        # The sweep contains 1e-16 … 1e3 with both signs, and zero.
         most = trial.pick(2, 3)
         sizes = 10.0 ** np.arange(-16, most + 1)
         sweep = np.concatenate([-sizes[::-1], [0.0], sizes])

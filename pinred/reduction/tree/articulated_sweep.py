@@ -65,7 +65,7 @@ class Swept:
         root_linear: Linear velocity of the root body.
         root_angular: Angular velocity of the root body.
         xdot: Shape rates.
-        pi: Canonical momenta; those of prescribed coordinates are computed by the sweep.
+        pi: Canonical momenta; the sweep computes the momenta of prescribed coordinates.
         pidot: Rates of the canonical momenta without forces.
     """
 

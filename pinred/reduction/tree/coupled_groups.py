@@ -98,8 +98,8 @@ class Groups:
         self._shares: list[dict[int, Scalar]] = []
         self._closing: list[list[int]] = []
         self._closed: list[list[Closed]] = []
-        self._inertia: dict[tuple[int, int], Scalar] = {}  # D, with ordered indices
-        self._momentum: dict[int, Scalar] = {}  # s
+        self._inertia: dict[tuple[int, int], Scalar] = {}  # inertia D, ordered group indices
+        self._momentum: dict[int, Scalar] = {}  # momentum s of each group
         self._rates: dict[int, Scalar] = {}
         self._links: list[Link] = []
 

@@ -47,7 +47,7 @@ class Freed:
 
     @property
     def size(self) -> int:
-        """Number of inputs: first those of all inertias, then of all steps, then of all links."""
+        """Number of inputs, ordered as inertias of all bodies, then all steps, then all links."""
         return self._links_at + LINK * len(self.links)
 
     @property

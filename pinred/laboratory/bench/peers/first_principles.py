@@ -126,7 +126,7 @@ def _root_rotation(group: Group, root: ca.SX) -> ca.SX:
     if group.plane:
         c, s = ca.cos(root[group.linear]), ca.sin(root[group.linear])
         return ca.sparsify(ca.blockcat([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
-    # A single axis is parallel to gravity (or there is none), so its angle has no effect.
+    # A single rotation axis is parallel to gravity (if any), so its angle has no effect.
     return ca.SX.eye(3)
 
 
