@@ -77,7 +77,7 @@ class Limit:
 def motions(
     reference: Reference, s: Symbols, number: Callable[[Any], Any], what: str
 ) -> dict[int, tuple[Any, Any, Any]]:
-    """Return the reference motion of each joint.
+    """Return the reference motion of each joint as expressions of time.
 
     Args:
         reference: Signal or number by joint name.
@@ -146,7 +146,7 @@ def limited(
     number: Callable[[Any], Any],
     what: str,
 ) -> dict[int, Any]:
-    """Apply a limit to torques, if there is one.
+    """Apply a limit to torques, or return them unchanged if the limit is None.
 
     Args:
         limit: The limit, or None.

@@ -76,7 +76,7 @@ class PotentialEnergy(Named):
         checked(self.name, "a function of x", self.function)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:  # noqa: ARG002
-        """Return the potential.
+        """Return the potential as an expression.
 
         Args:
             s: Variables of the forces.
@@ -96,8 +96,8 @@ class Torque(Named):
     Attributes:
         function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with symbols;
             or a function of one SeenState, which also has pose, twist and momenta of the base (see
-            force.py), with the same results; or {joint: Signal, number or (t, x, xdot, mu) →
-            expression}. x["hinge"] equals x[0] for the first joint "hinge".
+            system/force_interface.py), with the same results; or {joint: Signal, number or (t, x,
+            xdot, mu) → expression}. x["hinge"] equals x[0] for the first joint "hinge".
         limit: Bounds on the torques, or None.
         name: Name in messages and results.
     """
@@ -116,7 +116,7 @@ class Torque(Named):
         return signals_in(self.function.values()) if isinstance(self.function, Mapping) else ()
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques.
+        """Return the torques as expressions.
 
         Args:
             s: Variables of the forces.
@@ -182,7 +182,7 @@ class PD(_Tracking):
     name: str = "pd"
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques.
+        """Return the torques as expressions.
 
         Args:
             s: Variables of the forces.
@@ -215,7 +215,7 @@ class ComputedTorque(_Tracking):
     last: ClassVar[bool] = True
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques.
+        """Return the torques as expressions.
 
         Args:
             s: Variables of the forces.

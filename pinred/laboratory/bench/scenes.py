@@ -19,7 +19,7 @@ BARS = ("planar1", "planar5", "satellite", "solo12", "talos")
 CHAINS = {"planar": (2, 3, 5, 10, 20, 50), "spatial": (2, 3, 5, 10, 20, 50)}
 CHAIN_TIME = 2.0  # duration [s]; long chains become chaotic a few seconds later
 _EXAMPLES = {"solo12": (4.0, 1.0), "talos": (2.0, 2.0)}  # duration [s], factor of initial rates
-# Bundled robots with their initial rates multiplied by a factor.
+# Scene name → bundled robot, and the factor by which its initial rates are multiplied.
 _FASTER = {"planar5": ("planar_chain5", 2.0), "satellite": ("satellite_two_arms", 3.0)}
 _NO_GRAVITY = (0.0, 0.0, 0.0)
 

@@ -13,7 +13,7 @@ from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
 from ...kernels.object_cache import ObjectCache
 
-ROUNDS = 15  # default number of rounds, of which the median is reported
+ROUNDS = 15  # default number of rounds; the median over rounds is reported
 SPAN = 0.01  # least duration of an action in a round [s]; short actions are repeated
 LOADING = 20.0  # a first call below this time [s] is repeated, as it may include compilation
 FEWEST = 3  # least number of rounds of a slow action

@@ -167,7 +167,7 @@ class Trajectories(OverTime):
     def __getitem__(self, member: int) -> Trajectory:
         """Return the motion of one member.
 
-        Its states at the report times are those of the arrays.  For other times and for balances
+        The states at the report times are taken from the arrays.  For other times and for balances
         the member is simulated again at first use.  The repeated motion agrees with the arrays
         within round-off times the growth along the motion.
 
