@@ -128,7 +128,7 @@ class FloatingArm:
             axes: "local" or "world".
             pose: Pose of the base; None: the identity.
         Returns:
-            (6, m).
+            Rate of the generalised Jacobian, (6, m).
         """
         x, g = self._at(x, pose)
         system, r = self.system, self.system.r

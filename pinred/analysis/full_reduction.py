@@ -1,6 +1,6 @@
 """The reduction of a system, computed at one shape by Pinocchio, at many by compiled code.
 
-Levi-Civita connections are those of the reduced metric and of a left-invariant metric. For the
+Levi-Civita connections are computed for the reduced metric and for a left-invariant metric. For the
 reduced metric M(x) on shape space, with dM[a, b, c] = ∂_c M_ab:
 
     Γ_{d,ab} = ½ (∂_a M_db + ∂_b M_da − ∂_d M_ab),     Γ^c_ab = M⁻¹^{cd} Γ_{d,ab}
@@ -139,7 +139,7 @@ class Reduction(PointwiseReduction):
             pose: Pose coordinates of the base.
             x: Shape, (m,) [rad | m].
         Returns:
-            (r, n).
+            Matrix of the one-form, (r, n).
         """
         Ad = self.group.Ad(self.group.pose(pose))
         return np.hstack([Ad, Ad @ self.local_connection(x)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-_LISTED = 20  # number of kernels that are listed
+_LISTED = 20  # largest number of kernels that are listed
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:

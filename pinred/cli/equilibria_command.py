@@ -126,7 +126,7 @@ def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
 
 
 def _check(arguments: argparse.Namespace, *, is_range: bool) -> None:
-    """Raise InputError for options without effect; `is_range` states that branches are followed."""
+    """Raise InputError for options without effect; `is_range`: the command follows branches."""
     from ..common.files import check_path
 
     if is_range and arguments.play is not None:

@@ -1,4 +1,4 @@
-"""`pinred field`: draw or write the connection of a robot over two joints."""
+"""`pinred field`: draw or write the connection of a robot as a function of two joints."""
 
 from __future__ import annotations
 

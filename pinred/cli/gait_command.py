@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the stated options by their names in Python."""
+    """Return {Python name: value} of the options that the user passed."""
     from ..planning.gait_file import OPTIMISE
 
     options = options_in(arguments, OPTIMISE.keys)

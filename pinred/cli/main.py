@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command of the command line.
 
     Args:
-        arguments: Words after `pinred`; None for those of the process.
+        arguments: Words after `pinred`; None for the arguments of the process.
     Returns:
         0; 1 if a comparison or an integration fails; 2 on invalid input; 3 if a comparison
         cannot tell; 130 after Ctrl-C.
@@ -86,7 +86,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         say()
         return CODE
-    except BrokenPipeError:  # The reader of our output has ended, as in `pinred robots | head`.
+    except BrokenPipeError:  # The reading process has ended, as in `pinred robots | head`.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
@@ -114,7 +114,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _join_negative(arguments: Sequence[str]) -> list[str]:
-    """Join "--option" and a value such as "-1,2" with "="; argparse takes it for an option."""
+    """Join "--option" and a value such as "-1,2" with "=", because argparse requires it."""
     words: list[str] = []
     for argument in arguments:
         if words and _OPTION.fullmatch(words[-1]) and _NEGATIVE.match(argument):
@@ -125,7 +125,7 @@ def _join_negative(arguments: Sequence[str]) -> list[str]:
 
 
 def _parser(arguments: Sequence[str]) -> _Parser:
-    """Return the parser, with the options of the command that the arguments name."""
+    """Return the parser; add options only for the command that the arguments name."""
     parser = _Parser(
         prog="pinred",
         description="Reduce multibody systems with symmetry and compare with the full simulation.",
@@ -169,7 +169,7 @@ def showing_all() -> Iterator[None]:
     codecs.register_error(_ERRORS, _replaced)
     before: list[tuple[Any, str | None]] = []
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # A replaced stream may lack it.
+        if hasattr(stream, "reconfigure"):  # A replaced stream may lack this method.
             before.append((stream, stream.errors))
             stream.reconfigure(errors=_ERRORS)
     try:

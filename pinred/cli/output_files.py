@@ -55,7 +55,8 @@ def write_plan(
     Args:
         plan: The gait or motion.
         path: Path of a figure or of data; None to write nothing.
-        write_data: Called with the path if its suffix is that of data.
+        write_data: Function that writes data to the path, called if its suffix is not that of
+            a figure.
         compare: Whether to print the comparison.
     Returns:
         0, or the exit code of the comparison.

@@ -1,4 +1,4 @@
-"""`pinred phase`: compute the displacement of the base by a gait, cycle after cycle."""
+"""`pinred phase`: compute the displacement of the base that each cycle of a gait causes."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Raise InputError for another kind of motion, or for an option without effect."""
+    """Raise InputError for an unsupported kind of motion, or for an option without effect."""
     if Path(arguments.motion).suffix not in (".npz", ".toml"):
         raise InputError(f"play takes a .npz or a scene file (.toml), got '{arguments.motion}'")
     if arguments.out is not None and arguments.port is not None:

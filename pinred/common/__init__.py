@@ -1,4 +1,4 @@
 """Shared tools: arrays, errors, atomic files, progress bars, and HTML cards for notebooks.
 
-Imports no other package of pinred.
+This package imports no other package of pinred.
 """

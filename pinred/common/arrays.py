@@ -31,7 +31,8 @@ def as_floats(value: ArrayLike, what: str) -> Array:
     """
     try:
         array = np.asarray(value)
-        if array.dtype.kind not in "bcmMSU":  # NumPy would convert text, booleans and durations
+        # Text, booleans and durations are rejected below, because NumPy would convert them.
+        if array.dtype.kind not in "bcmMSU":
             return np.asarray(array, dtype=float)
     except OverflowError:
         raise ShapeError(f"{what} must be numbers of at most {_LARGEST:.1e}") from None
@@ -51,7 +52,7 @@ def entries_of(value: Any) -> list[Any] | None:
 
 
 def dimensions(value: Any) -> int:
-    """Return the number of array axes of a value; −1 for ragged lists."""
+    """Return the number of axes that a value has as an array; −1 for ragged lists."""
     try:
         return np.ndim(value)
     except (TypeError, ValueError):
@@ -101,7 +102,7 @@ def _hint(labels: Sequence[str]) -> str:
 
 
 def _finite(array: Array, what: str, labels: Sequence[str]) -> Array:
-    """Return a finite array unchanged.  Raises ShapeError that names the entry by its label."""
+    """Return a finite array unchanged.  Raises ShapeError that names the entry at fault."""
     finite = np.isfinite(array)
     if not finite.all():
         index = tuple(int(i) for i in np.argwhere(~finite)[0])

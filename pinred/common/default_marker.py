@@ -1,4 +1,4 @@
-"""Default values of options, distinguishable from equal values that the caller set."""
+"""Default values of options that differ from equal values set by the caller."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Any
 
 
 class Default(float):
-    """A default value of an option; it is a normal float otherwise."""
+    """A default value of an option.  Its type marks it as a default; it behaves as a float."""
 
     __slots__ = ()
 
 
 def is_given(value: Any) -> bool:
-    """Return whether the caller set an option, as opposed to its default."""
+    """Return whether the caller set an option, that is, its value is not a Default."""
     return not isinstance(value, Default)

@@ -1,4 +1,4 @@
-"""Derivatives by finite differences, as a reference for exact derivatives."""
+"""Finite differences, which serve as a reference for exact derivatives."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from .arrays import Array
 
-_WEIGHTS = ((1, 45.0 / 60.0), (2, -9.0 / 60.0), (3, 1.0 / 60.0))  # order 6
+_WEIGHTS = ((1, 45.0 / 60.0), (2, -9.0 / 60.0), (3, 1.0 / 60.0))  # (offset, weight) of order 6
 
 
 def central_differences(function: Callable[[Array], Array], x: Array, step: float) -> Array:

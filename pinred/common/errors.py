@@ -1,6 +1,6 @@
 """Exceptions and warnings of pinred.
 
-A message names the value, the expected value, and a way to fix the problem.
+A message states the value, the expected value, and a way to fix the problem.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ class PinredError(Exception):
 
 
 class LoadError(PinredError):
-    """A robot does not exist or cannot be read."""
+    """A robot file does not exist or cannot be read."""
 
 
 class ModelError(PinredError, ValueError):
-    """A robot was read, but pinred cannot reduce its model."""
+    """A robot file was read, but pinred cannot reduce its model."""
 
 
 class ChoiceError(ModelError):
-    """A robot file is ambiguous, and an option of `load` must decide.
+    """A robot file is ambiguous; set an option of `load` to resolve the ambiguity.
 
     Attributes:
         option: Name of the option.
@@ -69,7 +69,7 @@ class MissingPackageError(PinredError, ImportError):
 
 
 class OutputError(PinredError):
-    """A file could not be written; an older file of that name is unchanged."""
+    """A file could not be written; an existing file of this name is unchanged."""
 
 
 class IntegrationError(PinredError, ArithmeticError):
@@ -85,11 +85,11 @@ class UnsupportedOperationError(PinredError, NotImplementedError):
 
 
 class NotCopyable(PinredError, TypeError):  # noqa: N818
-    """An object exists in this process alone, and can be neither copied nor pickled."""
+    """An object is bound to this process, so it can be neither copied nor pickled."""
 
 
 class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
-    """A compiled kernel disagrees with Pinocchio and must not run."""
+    """A compiled kernel disagrees with Pinocchio, so pinred refuses to use it."""
 
 
 class _Stopped(IntegrationError):  # noqa: N818

@@ -1,7 +1,8 @@
-"""Files: tests of paths, temporary files, and atomic writing.
+"""File tools: tests of paths, temporary files, and atomic writing.
 
-A process locks its temporary file while it writes.  The lock ends with the process, so a file
-that can be locked belongs to no running process and may be removed.
+A process locks its temporary file while it writes.  The operating system releases the lock
+when the process ends.  A temporary file that can be locked therefore belongs to no running process
+and may be removed.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from .names import quoted_path
 
 
 def is_file(path: Path) -> bool:
-    """Return whether a path is a file; False for names that no file can have."""
+    """Return whether a path is a file; False for invalid file names."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -32,7 +33,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder; False for names that no folder can have."""
+    """Return whether a path is a folder; False for invalid folder names."""
     try:
         return path.is_dir()
     except (OSError, ValueError):
@@ -48,8 +49,8 @@ class Temporary:
     """A new, locked temporary file.
 
     Attributes:
-        folder: Descriptor of its folder.
-        name: Name in this folder.
+        folder: Descriptor of the folder that contains the file.
+        name: Name of the file in this folder.
         descriptor: Descriptor of the open file.
     """
 
@@ -80,11 +81,11 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
         descriptor = os.open(
             name, os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_LINKS, mode, dir_fd=folder
         )
-        with suppress(OSError):  # without file locks, no process sweeps this file system
+        with suppress(OSError):  # without file locks, `sweep` removes no files
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         if os.fstat(descriptor).st_nlink:
             break
-        os.close(descriptor)  # another process removed it before it was locked
+        os.close(descriptor)  # another process removed the file before it was locked
     try:
         yield Temporary(folder, name, descriptor)
     finally:
@@ -94,7 +95,7 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
 
 
 def sweep(folder: int) -> None:
-    """Remove the temporary files of ended processes in a folder."""
+    """Remove temporary files that ended processes have left in a folder."""
     with suppress(OSError):
         readable = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=folder)
         try:
@@ -117,7 +118,7 @@ def _remove_if_unlocked(folder: int, name: str) -> None:
 
 DATA = (".npz", ".csv")
 FIGURES = (".png", ".pdf", ".svg")
-_PATH = getattr(os, "O_PATH", os.O_RDONLY)  # opens folders without read permission, too
+_PATH = getattr(os, "O_PATH", os.O_RDONLY)  # flag that also opens folders without read permission
 
 
 def check_path(path: str | Path, suffixes: Sequence[str] = DATA) -> Path:
@@ -143,7 +144,7 @@ def check_path(path: str | Path, suffixes: Sequence[str] = DATA) -> Path:
             raise InputError(f"cannot write {name}: there is no folder {quoted_path(path.parent)}")
         if path.exists():
             _check_old(path, name)
-        # Try to write now, so that a long simulation does not fail at its end.
+        # Try to write before a long simulation starts, so that it does not fail at its end.
         with _folder(path) as folder, temporary(folder):
             return path
     except OSError as error:
@@ -151,14 +152,14 @@ def check_path(path: str | Path, suffixes: Sequence[str] = DATA) -> Path:
 
 
 def _check_old(path: Path, name: str) -> None:
-    """Reject a path whose present content would be lost or is protected."""
+    """Reject a path whose existing file or folder is protected or must not be replaced."""
     mode = path.stat().st_mode
     if stat.S_ISDIR(mode):
         raise InputError(f"cannot write {name}: it is a folder")
     if not stat.S_ISREG(mode):
         kind = "a FIFO" if stat.S_ISFIFO(mode) else "not a plain file"
         raise InputError(f"cannot write {name}: it is {kind}, which a file would replace")
-    # Rename would replace a read-only file, and root may write any file, so check the mode.
+    # Check the mode: a rename would replace a read-only file, and root may write any file.
     if not mode & 0o222 or not os.access(path, os.W_OK):
         raise OutputError(f"cannot write {name}: there is such a file, and it is read-only")
 

@@ -1,7 +1,7 @@
 """HTML elements for notebooks: escaped, without scripts, for light and dark themes.
 
-Text keeps the colour of the theme; verdicts use two colours of medium brightness and also say
-the result in words.  Long tables are folded.
+Text keeps the colour of the theme; verdicts use two colours of medium brightness and also state
+the result in words.  Long tables are collapsed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from .arrays import Array
 
-MOST_ROWS = 12  # tables with more rows are folded
+MOST_ROWS = 12  # number of rows above which a table is collapsed
 _GOOD, _BAD = "#2e9e5b", "#d9534f"
 _CELL = "padding:0.1em 0.7em;vertical-align:top"
 _LEFT, _RIGHT = f"{_CELL};text-align:left", f"{_CELL};text-align:right"
@@ -45,7 +45,7 @@ def line(*words: str) -> str:
 
 
 def verdict(passed: bool, good: str = "ok", bad: str = "FAILED") -> Raw:
-    """Format the result of a check in its colour.
+    """Format the result of a check as a coloured word.
 
     Args:
         passed: The result.
@@ -66,7 +66,7 @@ def table(title: str, head: Sequence[str], rows: Iterable[Sequence[str | float]]
         head: Column names.
         rows: Cells of each row: text, or numbers shown with six digits.
     Returns:
-        The table as HTML, folded if it is long; empty if there are no rows.
+        The table as HTML, collapsed if it is long; empty if there are no rows.
     """
     cells = [list(row) for row in rows]
     if not cells:

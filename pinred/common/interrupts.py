@@ -1,4 +1,4 @@
-"""Delayed Ctrl-C for compiled code that calls Python functions and would swallow exceptions."""
+"""Delay of Ctrl-C, because exceptions in callbacks from compiled code would be lost."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def held_interrupt() -> Iterator[Callable[[], bool]]:
     """Delay Ctrl-C until the end of the context.
 
     At the end, the previous handler runs; usually it raises KeyboardInterrupt.  Python receives
-    signals in the main thread alone.  In other threads, or without a Python handler, Ctrl-C is not
+    signals only in the main thread.  In other threads, or without a Python handler, Ctrl-C is not
     delayed.
 
     Yields:

@@ -1,8 +1,8 @@
 """Capture of the lines that C++ libraries print on standard error.
 
 A process has one standard error, so the output of other threads is captured, too.  Therefore
-one thread at a time captures, and all output of other origin is printed at the end.  A fork
-waits for that moment.
+only one thread captures at a time, and all output of other origin is printed at the end of the
+capture.  A fork waits until the capture ends.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ def library_output(own: re.Pattern[bytes]) -> Iterator[list[str]]:
     """Collect the output of a C++ library on standard error.
 
     Args:
-        own: Pattern that matches the library's texts.  All other output is printed at the end
+        own: Pattern that matches the library's output.  All other output is printed at the end
             of the context.
     Yields:
-        A list that contains the texts of the library when the context ends.
+        A list, to which the library's output is appended when the context ends.
     """
     texts: list[str] = []
     with _LOCK:

@@ -1,4 +1,4 @@
-"""Cached values: stored in their owner, or for the whole process."""
+"""Caches of computed values, stored in an owner object or for the whole process."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _P = ParamSpec("_P")
 def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
     """Return a value that is computed at the first call for an owner and key.
 
-    The value is stored in the owner, because a table with weak references would keep both alive
-    if the value refers to the owner.  If two threads call at once, both compute a value and both
-    receive the first one.
+    The value is stored in the owner.  In a table with weak references, a value that refers to its
+    owner would keep both alive forever.  If two threads call at once, both compute a value, and
+    both receive the value that was stored first.
 
     Args:
         owner: Object that stores the value.
@@ -31,7 +31,9 @@ def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
 
 
 def once_a_thread(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
-    """Return a value computed once per owner, key and thread, for values with work arrays.
+    """Return a value computed once per owner, key and thread.
+
+    Use this function for values with work arrays, which threads must not share.
 
     Args:
         owner: Object that stores the value.
@@ -44,9 +46,9 @@ def once_a_thread(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
 
 
 def once_for_all(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Cache a function's results, with one call per argument list across all threads.
+    """Cache a function's results, with one call for each argument list across all threads.
 
-    With functools.cache, two concurrent threads may both call the function.
+    With functools.cache alone, two concurrent threads could both call the function.
 
     Args:
         function: The function.

@@ -1,4 +1,4 @@
-"""Names and values in messages: short, printable, on one line, with suggestions."""
+"""Formatting of names and values in messages: short, printable, and on one line."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from .errors import InputError
 
 _LONGEST = 60  # maximum number of characters of a name
 _LONGEST_PATH = 200  # maximum number of characters of a path
-_MOST = 8  # names in a list before it is shortened
+_MOST = 8  # maximum number of names that a list shows
 
 
 def plain(name: str, longest: int = _LONGEST) -> str:
     """Shorten a name to one printable line.
 
-    Each run of whitespace becomes one space, and unprintable characters become escapes.  A long
-    name is cut in the middle.
+    Each run of whitespace becomes one space, and unprintable characters become escapes.  In a long
+    name, the middle is omitted.
 
     Args:
         name: The name.
@@ -24,7 +24,8 @@ def plain(name: str, longest: int = _LONGEST) -> str:
     Returns:
         The printable name.
     """
-    if len(name) > 8 * longest:  # only both ends are shown, so skip the middle of huge names
+    # Drop the middle of huge names early, because only both ends are shown.
+    if len(name) > 8 * longest:
         name = f"{name[: 4 * longest]}…{name[-4 * longest :]}"
     shown = "".join(c if c.isprintable() else _escaped(c) for c in " ".join(name.split()))
     if len(shown) <= longest:
@@ -57,16 +58,16 @@ def brief(value: object) -> str:
 
 
 def one_of(value: object, choices: Collection[str]) -> bool:
-    """Return whether a value is a string among some choices; arrays and lists are not."""
+    """Return whether a value is a string and one of the choices; False for arrays and lists."""
     return isinstance(value, str) and value in choices
 
 
 def listed(names: Collection[str], most: int = _MOST) -> str:
-    """Join names by commas.
+    """Join names with commas.
 
     Args:
         names: The names.
-        most: Maximum number of names; the message then states the number of omitted names.
+        most: Maximum number of listed names; the number of omitted names is appended.
     Returns:
         The list as text.
     """
@@ -79,8 +80,8 @@ def _escaped(character: str) -> str:
     return character.encode("unicode_escape", "backslashreplace").decode("ascii")
 
 
-_COMPARED = 200  # characters of a name that are compared
-_MOST_JOINTS = 60  # joints listed in a message
+_COMPARED = 200  # number of characters of a name that are compared
+_MOST_JOINTS = 60  # maximum number of joints listed in a message
 
 
 def nearest(name: str, known: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _by_symbol: WeakValueDictionary[int, Parameter] = (
     WeakValueDictionary()
-)  # by the hash of their symbol
+)  # Parameters by the hash of their symbol
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +28,8 @@ class Parameter:
 
     A Parameter replaces a number in any force or signal.  In expressions it acts as a CasADi
     symbol: `-gain * x["hinge"]`, `casadi.sin(gain)`.  Its value can change without a new
-    compilation, and flows compute derivatives with respect to it.  Two Parameters of one name in
-    a scene must be the same object.
+    compilation, and flows compute derivatives with respect to it.  If a scene
+    uses the same name twice, both must be the same Parameter object.
 
     Attributes:
         name: Name of the parameter.
@@ -39,7 +39,7 @@ class Parameter:
     name: str
     value: float
 
-    __array_ufunc__ = None  # NumPy then uses the operators below
+    __array_ufunc__ = None  # makes NumPy call the operators of this class
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
@@ -112,8 +112,7 @@ class Parameter:
 class Affine:
     """A number that depends linearly on parameters: base + Σ weight · parameter.
 
-    Without weights it is a constant of a formula, and the formula may be meaningless for other
-    values.
+    An Affine without weights is a constant of a formula that may be invalid for other values.
 
     Attributes:
         base: Constant term.

@@ -1,4 +1,4 @@
-"""A progress bar for terminals and notebooks, silent elsewhere."""
+"""A progress bar for terminals and notebooks; elsewhere it draws nothing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Progress: TypeAlias = Callable[[float], None]
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 
-_WIDTH = 30  # characters
+_WIDTH = 30  # width of the bar [characters]
 _EVERY = 0.1  # time between redraws [s]
 _PATIENCE = 0.5  # time before the first draw [s], so that short work shows no bar
 
@@ -26,7 +26,7 @@ class ProgressBar:
     """A progress bar that disappears when the work ends."""
 
     def __init__(self, title: str) -> None:
-        """Prepare a bar; it is drawn in terminals and notebooks alone."""
+        """Prepare a bar, which is drawn only in terminals and notebooks."""
         self._title = title
         self._screen = _screen()
         self._next = time.monotonic() + _PATIENCE
@@ -56,12 +56,13 @@ def shown(progress: Progress | bool | None, title: str) -> AbstractContextManage
     """Return a context that yields the function to call with the completed fraction.
 
     Args:
-        progress: True for a bar, None or False for none, or a function of the fraction.
+        progress: True for a bar, None or False for no bar, or a function that is called with the
+            completed fraction.
         title: Title of the bar.
     Returns:
         The context; it yields None if no progress is shown.
     Raises:
-        InputError: `progress` is none of these.
+        InputError: `progress` has another type.
     """
     if progress is True:
         return ProgressBar(title)
@@ -79,7 +80,7 @@ def one_by_one(
 
     Args:
         items: The items.
-        measure: Function of one item.
+        measure: Function that is applied to each item.
         progress: See `shown`.
         title: Title of the bar.
     Returns:
@@ -95,7 +96,7 @@ def one_by_one(
 
 
 def quiet(part: float) -> None:
-    """Ignore the completed fraction."""
+    """Ignore the completed fraction: a progress function that shows nothing."""
 
 
 class _Screen(Protocol):

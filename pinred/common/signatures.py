@@ -1,4 +1,4 @@
-"""Signatures that show the options a function accepts as `**options`.
+"""Decorators that show in a signature the options which a function accepts as `**options`.
 
 Type checkers and editors use `**options: Unpack[…]`.  For `help` and `inspect.signature`, the
 decorators below derive the signature and the descriptions from the same dataclass.
@@ -69,7 +69,7 @@ def _describe_options(function: Callable[..., Any], kind: type, names: Iterable[
 
 
 def _set_options(function: F, options: Iterable[Parameter]) -> F:
-    """Set a function's signature, with options instead of **options."""
+    """Replace **options in a function's signature with explicit keyword arguments."""
     signature = inspect.signature(function)
     plain = [p for p in signature.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
     function.__signature__ = signature.replace(parameters=[*plain, *options])  # type: ignore[attr-defined]

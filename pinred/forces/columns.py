@@ -76,7 +76,7 @@ def seen_of_base(system: System, everything: ca.SX, base: tuple[ca.SX, ...]) -> 
 
 
 def _column(system: System, what: str, on_joints: Callable[..., list[Any]]) -> Column:
-    """Return symbols of the shape or its rate, with expressions for follower joints."""
+    """Return the shape or its rate as symbols, with expressions for follower joints."""
     symbols = ca.SX.sym(what, system.m)
     if system.coupled is None:
         return Column(symbols, system.shape_names, what)
@@ -95,7 +95,7 @@ def torque_column(terms: Terms, system: System) -> ca.SX:
 
 
 def through(system: System, k: int) -> tuple[int, float]:
-    """Return the shape coordinate and the factor through which a torque on a joint acts.
+    """Return the shape coordinate on which a torque at a joint acts, and the factor of the torque.
 
     Args:
         system: The robot.
@@ -138,7 +138,7 @@ def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         s: Variables of the forces.
         number: Function that replaces a number by a symbol.
     Returns:
-        The terms.
+        The terms of this force.
     Raises:
         InputError: The force's function fails; the message says how to write it.
         PinredError: The force rejects its arguments.

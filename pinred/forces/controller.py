@@ -65,9 +65,9 @@ class Controller(Named):
     calling the function again.
 
     Attributes:
-        function: Called with numbers, as (t, x, xdot, mu) or with one SeenState (see force.py).
-            It returns {joint: torque}, one torque per joint, or a Command. x["hinge"] equals x[0]
-            for the first joint "hinge".
+        function: Called with numbers, as (t, x, xdot, mu) or with one SeenState (see
+            system/force_interface.py). It returns {joint: torque}, one torque per joint, or a
+            Command. x["hinge"] equals x[0] for the first joint "hinge".
         period: Sampling interval [s].
         joints: Joints on which the controller acts. None stands for all joints, or for no joint if
             the controller sets a wrench.
@@ -151,7 +151,7 @@ class Controller(Named):
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         """
         torque = {s.joint(name, self.name): number(0.0) for name in self.driven(s.names)}
         wrench = [number(0.0) for _ in range(s.mu.numel())] if self.wrench else None

@@ -77,7 +77,7 @@ class Limit:
 def motions(
     reference: Reference, s: Symbols, number: Callable[[Any], Any], what: str
 ) -> dict[int, tuple[Any, Any, Any]]:
-    """Return the reference motion of each joint.
+    """Return the reference motion of each joint as expressions of time.
 
     Args:
         reference: Signal or number by joint name.
@@ -114,7 +114,7 @@ def of_time(value: Any, s: Symbols, number: Callable[[Any], Any], what: str) -> 
 
 
 def signals_in(values: Iterable[Any]) -> list[Signal]:
-    """Return those of the values that are Signals."""
+    """Return the Signals that a collection of values contains."""
     return [value for value in values if isinstance(value, Signal)]
 
 
@@ -123,7 +123,7 @@ def checked(what: str, wanted: str, value: Any, *kinds: type) -> None:
 
     Args:
         what: Name of the value in messages.
-        wanted: Description of valid values.
+        wanted: Description of valid values, for the message.
         value: The value to convert or check.
         *kinds: Valid types.
     Raises:
@@ -146,7 +146,7 @@ def limited(
     number: Callable[[Any], Any],
     what: str,
 ) -> dict[int, Any]:
-    """Apply a limit to torques, if there is one.
+    """Apply a limit to torques, or return them unchanged if the limit is None.
 
     Args:
         limit: The limit, or None.
@@ -169,7 +169,7 @@ def limited(
 def per_joint(
     values: PerJoint, joints: Iterable[int], s: Symbols, what: str
 ) -> dict[int, float | Parameter]:
-    """Return the value for each joint, from one value for all or values by name.
+    """Return the value for each joint, given one value for all joints or values by joint name.
 
     Args:
         values: One value, or values by joint name.

@@ -38,7 +38,7 @@ _NEAR = 1e-2
 
 
 class ForceNumbers:
-    """The symbols and values of all numbers in forces and signals.
+    """Collection of all numbers in forces and signals, with their symbols and values.
 
     Attributes:
         symbols: One symbol per number, in the order of creation.
@@ -129,7 +129,7 @@ class RobotSymbols:
 
     Attributes:
         freed: Parameters with symbols, including the frames of links used so far.
-        weighed: Whether an expression has used gravity.
+        weighed: Whether any expression uses gravity so far.
     """
 
     def __init__(

@@ -76,13 +76,13 @@ class PotentialEnergy(Named):
         checked(self.name, "a function of x", self.function)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:  # noqa: ARG002
-        """Return the potential.
+        """Return the potential as an expression.
 
         Args:
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         """
         return Terms(potential=scalar(self.function(s.x), f"V(x) of {self.name}"))
 
@@ -96,8 +96,8 @@ class Torque(Named):
     Attributes:
         function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with symbols;
             or a function of one SeenState, which also has pose, twist and momenta of the base (see
-            force.py), with the same results; or {joint: Signal, number or (t, x, xdot, mu) →
-            expression}. x["hinge"] equals x[0] for the first joint "hinge".
+            system/force_interface.py), with the same results; or {joint: Signal, number or (t, x,
+            xdot, mu) → expression}. x["hinge"] equals x[0] for the first joint "hinge".
         limit: Bounds on the torques, or None.
         name: Name in messages and results.
     """
@@ -116,13 +116,13 @@ class Torque(Named):
         return signals_in(self.function.values()) if isinstance(self.function, Mapping) else ()
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques.
+        """Return the torques as expressions.
 
         Args:
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         """
         if isinstance(self.function, Mapping):
             torque = {
@@ -182,13 +182,13 @@ class PD(_Tracking):
     name: str = "pd"
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques.
+        """Return the torques as expressions.
 
         Args:
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         """
         references = motions(self.reference, s, number, self.name)
         torque = self._feedback(s, number, references)
@@ -215,13 +215,13 @@ class ComputedTorque(_Tracking):
     last: ClassVar[bool] = True
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques.
+        """Return the torques as expressions.
 
         Args:
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         Raises:
             InputError: The reference lacks a moving joint or contains a prescribed one.
         """

@@ -1,12 +1,12 @@
 """Wrenches on links, expressed as torques on the joints and a wrench on the base.
 
-A force F at a point p of a link and a moment N on it have the power F · v_p + N · ω. It is linear
-in the body twist ξ and the shape rate ẋ:
+A force F at a point p of a link and a moment N on it have the power F · v_p + N · ω. This power is
+linear in the body twist ξ and the shape rate ẋ:
 
     F · v_p + N · ω = f · ξ + τ · ẋ.
 
-Its derivatives are therefore the wrench f on the base and the torques τ on the joints. Follower
-joints contribute through the joints they follow.
+The derivatives of the power are therefore the wrench f on the base and the torques τ on the joints.
+Follower joints contribute through the joints they follow.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def _on_axes(system: System, entries: list[Scalar]) -> tuple[Vec, Vec]:
 
 
 def _into_root(system: System, pose: ca.SX, v: Vec) -> Vec:
-    """Convert a vector of the root joint's fixed frame to the sweep's frame of the root body."""
+    """Convert a vector from the root joint's fixed frame to the root body's frame in the sweep."""
     root_axes = bodies_of(system)[0].frame.rotation.T.tolist()
     return _rotate_back(system, pose, [dot(axis, v) for axis in root_axes])
 

@@ -87,7 +87,7 @@ class Wrench(Named):
             s: Variables of the forces.
             number: Function that replaces a number by a symbol.
         Returns:
-            The terms.
+            The terms of this force.
         """
         values = self._entries(s, number, s.mu.numel())
         if self.link is None and self.frame == "body":

@@ -77,7 +77,7 @@ def integrate(
             momenta; and number of parameters that are components of the constant spatial momentum
             J, which enters the equations as q̄ J q.
     Returns:
-        The run.
+        The solution, with states at the report times and dense output.
     Raises:
         InputError: An argument is invalid.
         StepSizeUnderflow: The tolerance requires steps below round-off.
@@ -262,7 +262,7 @@ def failure(status: int, run: Runs, state: Array) -> IntegrationError:
 
 
 def check_kernel(address: int) -> None:
-    """Raise InputError if an address cannot be that of a kernel."""
+    """Raise InputError if an address cannot be the address of a kernel."""
     if isinstance(address, bool) or not isinstance(address, int) or address <= 0:
         raise InputError(f"address must be the address of a kernel, got {address!r}")
 

@@ -106,7 +106,7 @@ def integrate_many(
         canonical: As for `integrate`.
         progress: Called with the finished fraction of the members.
     Returns:
-        The runs.
+        States, outcomes and statistics of all runs.
     Raises:
         InputError: An argument is invalid.
     """

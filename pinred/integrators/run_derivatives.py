@@ -124,7 +124,7 @@ def run_along(
     Returns:
         States and tangents.
     Raises:
-        NoConvergence: The equations of an implicit step were not solved.
+        NoConvergence: The equations of an implicit step did not converge.
     """
     params, knots, times = (read_only(array.view()) for array in (params, knots, times))
     if isinstance(method, Explicit):
@@ -173,7 +173,7 @@ def run_back(
     Returns:
         Derivatives with respect to the initial state and the parameters.
     Raises:
-        NoConvergence: The adjoint equations of an implicit step were not solved.
+        NoConvergence: The adjoint equations of an implicit step did not converge.
     """
     knots, stored = run.knots, run.stored
     n, p = len(covector), len(params)

@@ -13,8 +13,8 @@ ABA in body axes, which is large where the mass matrix is almost singular.
 
 Accelerations of the trajectory follow from the equations of the engine that computed it. At time t
 the engine gives the rate of the reduced state, ẏ = f(t, y), and the velocity v(t, y). The
-acceleration v̇ is the derivative of v along (1, ẏ), by central differences of order 8. It therefore
-follows from the equations alone, and is independent of the integrator.
+acceleration v̇ is the derivative of v along (1, ẏ), computed with central differences of order 8.
+The acceleration therefore follows from the equations alone, independent of the integrator.
 """
 
 from __future__ import annotations

@@ -235,14 +235,16 @@ def full_states(traj: Trajectory, full: FullState, times: Array) -> Array:
 
 
 def _sizes(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
-    """Return the units (n,) of defects for the tolerance, and those in which errors grow, (n,).
+    """Return the units of defects, (n,), and the units in which error growth is measured, (n,).
 
-    Both are the largest number of each kind at the step ends. Angles and quaternions count as 1 at
-    least, lengths as the radius of gyration. For positions the distance travelled counts, and the
-    distance from the origin where its round-off is larger. Rates count as atol/rtol at least for
-    the tolerance. For growth they count as a rate that covers an angle of 1 until the end, and each
-    joint has its own unit. The base's rotation rate counts by its initial value, like the
-    perturbation whose growth is measured.
+    Each unit is the largest number of its kind at the step ends. The unit of angles and quaternions
+    is at least 1, and the unit of lengths at least the radius of gyration. For positions, the unit
+    is the distance travelled, or larger if round-off of the distance from the origin requires it.
+
+    The two results differ for rates. For defects, the unit is at least atol/rtol. For growth, it is
+    at least atol/rtol or the rate that covers 1 rad until the end, whichever is smaller, and each
+    joint has its own unit. For growth, the unit of the base's rotation rate is limited to the
+    initial rate, like the perturbation whose growth is measured.
     """
     y = full_states(traj, full, traj.motion.knots)
     group, m, r = traj.system.group, full.joints, traj.system.r

@@ -50,7 +50,7 @@ class Differentiable:
         write: Function that builds the CasADi Function (a, b) → result from the reduced graph.
         sample: Function that draws random columns (a, b) for the validation.
         judge: Function that validates the machine code of the value.
-        limbs: Whether the adjoint computes identical branches in SIMD lanes.
+        limbs: Whether the adjoint computes identical branches of the robot in SIMD lanes.
     """
 
     kernel: Kernel
@@ -62,20 +62,20 @@ class Differentiable:
 
     @cached_property
     def value(self) -> NativeCode:
-        """Machine code (a, b, result)."""
+        """Machine code (a, b, result) of the function itself."""
         name = f"{self.name}_value"
         return self._code(name, lambda f: compile_object(_value(f), name), self.judge)
 
     @cached_property
     def tangent(self) -> NativeCode:
         """Machine code (a, b, directions of a, of b, result); entry i of direction j at 8 i + j."""
-        # Direction j is j times the first one, so that exchanged lanes are detected.
+        # Direction j is j times the first direction, so that the test detects exchanged lanes.
         sizes = np.arange(1.0, SEEDS + 1.0)
         return self._tangent_code(f"{self.name}_tangent", sizes, (2, 3))
 
     @cached_property
     def adjoint(self) -> NativeCode:
-        """Machine code (a, b, λ, result); the result is λᵀ∂/∂a, then λᵀ∂/∂b."""
+        """Machine code (a, b, λ, result) of the adjoint; result: λᵀ∂f/∂a, then λᵀ∂f/∂b."""
         name = f"{self.name}_adjoint"
         return self._adjoint_code(name, 1, self._compile_in_lanes if self.limbs else None)
 

@@ -149,7 +149,7 @@ def _initial_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
 
 
 def _entries(column: ca.SX) -> list[ca.SX]:
-    """Return the entries of a column; CasADi's vertsplit returns one entry for an empty column."""
+    """Return the entries of a column; for an empty column, ca.vertsplit would return one entry."""
     return [column[i] for i in range(column.numel())]
 
 

@@ -62,7 +62,7 @@ class CacheEntry(NamedTuple):
 
 
 class _DistrustError(Exception):
-    """A cache entry must not be used; the message states the reason."""
+    """A cache entry cannot be trusted and must not be used; the message states the reason."""
 
 
 def cache_key(*parts: bytes | str) -> str:
@@ -314,7 +314,7 @@ def _read(folder: int, name: str, key: str) -> bytes:
         FileNotFoundError: The entry does not exist.
         _DistrustError: The entry must not be used.
     """
-    # Do not follow links, and do not wait for pipes.
+    # Do not follow symbolic links, and do not block on named pipes.
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     descriptor = os.open(name, flags, dir_fd=folder)
     try:

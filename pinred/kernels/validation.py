@@ -257,7 +257,7 @@ def _validate_inverse_dynamics(kernel: Kernel, at: ReferenceState, v: Array) -> 
 
 
 def _forces_at(kernel: Kernel, at: ReferenceState, v: Array) -> tuple[Array, Array]:
-    """Return torques, (m,), and the base wrench, (r,), with link wrenches mapped by Pinocchio."""
+    """Return torques, (m,), and the base wrench, (r,); Pinocchio maps wrenches on links."""
     system, forces = kernel.system, kernel.forces
     if forces is None:
         return np.zeros(system.m), np.zeros(system.r)

@@ -1,4 +1,5 @@
 """Benchmarks, the stress suite and the corpus of robot files (the laboratory).
 
-Imports any package except `cli`. Only `cli` imports it, inside functions of its commands.
+The laboratory may import any package except `cli`. Only `cli` imports the laboratory, inside the
+functions of its commands.
 """

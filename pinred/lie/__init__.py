@@ -1,6 +1,6 @@
 """The symmetry groups, with operations on poses, twists, momenta and rotations.
 
-Imports `common` alone.
+This package imports only `common`.
 """
 
 from .group import Group as Group

@@ -33,7 +33,7 @@ class PoseError:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Group(ABC):
-    """A Lie group that moves the base: a subgroup of SE(3), in the frame of its root joint.
+    """A Lie group of base motions: a subgroup of SE(3), in the frame of the root joint.
 
     Twists are body twists ξ = g⁻¹ġ, and momenta are body momenta μ.  Both are ordered
     [linear; angular], as in Pinocchio.  Every method accepts leading axes: poses have shape
@@ -41,15 +41,15 @@ class Group(ABC):
 
     Attributes:
         name: Name of the group, as in `GROUPS`.
-        axes: Position of each twist entry among (v1, v2, v3, ω1, ω2, ω3).  Translations come
-            first.  With a single rotation, the last two translations are the pair that it
-            rotates into each other, in its positive sense.  A group with a single axis uses z
-            for every direction of that axis.
+        axes: Index of each twist entry in (v1, v2, v3, ω1, ω2, ω3).  Translations come first.  In
+            a group with a single rotation, the last two translations are the axes that the
+            positive rotation maps into each other.  A group with a single axis always calls
+            this axis z, whatever its direction.
         pose_names: Names of the pose coordinates: lengths, then an angle or a quaternion.
-        root: The root joint in words, for messages.
-        joints: Pinocchio's joint types with this motion, without the prefix "JointModel".
-            Parts of a composite joint are joined by "+".  A floating body gets the first type.
-        conserved: The conserved momentum in words.
+        root: Description of the root joint, for messages.
+        joints: Pinocchio's joint types that have this motion, without the prefix "JointModel".
+            Parts of a composite joint are joined by "+".  A floating body is given the first type.
+        conserved: Description of the conserved momentum, for messages.
         dim: Dimension r of the group: the number of twist entries.
         linear: Number of translations.
         turns: Number of rotations: 0, 1 or 3.
@@ -57,7 +57,7 @@ class Group(ABC):
         plane: Indices of the two translations that a single rotation rotates into each other,
             or empty.
         turns_about_com: Whether every rotation can leave the centre of mass at rest.  This
-            needs translations in all directions across the rotation axes.
+            requires translations in all directions perpendicular to the rotation axes.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Group(ABC):
 
     @property
     def is_pivot(self) -> bool:
-        """Whether the group is all rotations about one fixed point of the base."""
+        """Whether the group consists of all rotations about one fixed point of the base."""
         return self.turns == 3 and not self.linear
 
     @property
@@ -324,7 +324,7 @@ class Group(ABC):
         Returns:
             (size,): the pose, with a unit quaternion.
         Raises:
-            ShapeError: The shape is none of these, or an entry is not finite.
+            ShapeError: The value has another shape, or an entry is not finite.
             InputError: The value is not an element of the group.
         """
         array = as_floats(getattr(value, "homogeneous", value), f"a pose of {self.name}")

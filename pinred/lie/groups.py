@@ -17,8 +17,8 @@ returns the principal value.  All functions accept leading axes: poses (..., siz
 
 Groups are defined in the modules of this folder.  A new module with a `Group` instance is
 registered automatically.  The closed forms follow J. Solà, J. Deray, D. Atchuthan, "A micro Lie
-theory for state estimation in robotics", 2018, appendices.  They are arranged so that no
-formula loses digits near the identity or near half a turn.
+theory for state estimation in robotics", 2018, appendices.  They are rearranged so
+that no formula loses digits near the identity or near half a turn.
 """
 
 from __future__ import annotations

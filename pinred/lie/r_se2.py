@@ -1,7 +1,7 @@
 """ℝ × SE(2): planar motions with a translation along the normal (Schoenflies motions).
 
-Bodies that stay upright move this way: a ship in heave, a drone or blimp that keeps its
-attitude, a crane load, the hand of a SCARA robot.
+Bodies that stay upright have this group: for example a heaving ship, a drone or blimp without roll
+and pitch, a crane load, or the hand of a SCARA robot.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ class _RxSE2(Group):
 
     Pose: (z, x, y, θ) [m, m, m, rad], θ unwrapped.  Twist: (v3, v1, v2, ω) in the body frame
     [m/s, rad/s].  Momentum: (p3, p1, p2, L) in the body frame, L about its origin
-    [kg·m/s, kg·m²/s].  The vertical entry is first, as in the product ℝ × SE(2).  Pinocchio
-    keeps v1, v2, ω of a planar joint together, so translations stay first only in this order.
+    [kg·m/s, kg·m²/s].  The vertical entry is first, as in the product ℝ × SE(2).  In
+    Pinocchio, the entries v1, v2, ω of a planar joint are adjacent, so only this order puts all
+    translations first.
     """
 
     def identity(self) -> Array:

@@ -1,4 +1,4 @@
-"""Rotations in the plane and in space, as closed forms accurate to round-off.
+"""Functions for rotations in the plane and in space, accurate to round-off.
 
 Quaternions are (x, y, z, w), real part last.  All functions accept leading axes.
 """
@@ -63,7 +63,7 @@ def quaternion_exp(w: Array) -> Array:
 
 def quaternion_log(q: Array) -> Array:
     """Return the rotation vectors of unit quaternions, with norm at most π [rad]."""
-    q = np.where(q[..., 3:] < 0.0, -q, q)  # q and −q are the same rotation; use the shorter one
+    q = np.where(q[..., 3:] < 0.0, -q, q)  # q and −q are the same rotation; use the smaller angle
     n = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     w = q[..., 3:]
     small = n < 1e-4
@@ -82,7 +82,7 @@ def left_jacobian(w: Array) -> Array:
     t2 = theta**2
     small = theta < 0.1
     safe = np.where(small, 1.0, theta)
-    # Below 0.1 rad the series is accurate to round-off, and the closed form loses digits.
+    # Below 0.1 rad use the series, which is accurate to round-off; the closed form loses digits.
     c2 = np.where(
         small,
         1 / 6 - t2 / 120 * (1 - t2 / 42 * (1 - t2 / 72)),
@@ -128,6 +128,7 @@ def homogeneous(R: Array, p: Array) -> Array:
 
 def quaternion_from_matrix(matrix: Array) -> Array:
     """Return the quaternions of rotation matrices."""
-    from scipy.spatial.transform import Rotation  # a slow import, needed for matrices alone
+    # Import here, because the import is slow and rarely needed.
+    from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrix).as_quat())

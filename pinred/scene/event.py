@@ -34,14 +34,14 @@ EVENT_TABLE = Table(
 class Event:
     """A time at which an expression of the state crosses zero, also inside integration steps.
 
-    A crossing is a change of sign.  A zero at the start of the motion, and a zero without a
-    change of sign, are no crossings.  Each step is sampled at four times, so two crossings
+    A crossing is a change of sign.  A zero at the start of the motion does not count as a crossing,
+    nor does a zero without a change of sign.  Each step is sampled at four times, so two crossings
     within a quarter of a step are both missed.
 
     Attributes:
-        expression: A function of (t, x, xdot, mu), or of one SeenState (see pinred.forces),
-            which is called once with CasADi symbols.  Or a formula as text in t, x, xdot, mu,
-            and pose, xi, J of the base, such as "x['hinge'] - 0.5".
+        expression: A function of (t, x, xdot, mu), or of one SeenState (see pinred.forces); pinred
+            calls the function once, with CasADi symbols.  Alternatively, a formula as text in t, x,
+            xdot, mu, and pose, xi, J of the base, such as "x['hinge'] - 0.5".
         name: Name of the event in the results.
         terminal: Whether the motion ends at the event.
         direction: 1 for rising crossings, −1 for falling ones, 0 for both.
@@ -79,7 +79,7 @@ def watched_of(system: System, events: Sequence[Event], *, base: bool) -> Watche
     Returns:
         The expressions; None if there are no events.
     Raises:
-        InputError: an expression cannot be used, or observes a base that is not computed.
+        InputError: an expression is not valid, or observes a base that is not computed.
     """
     if not events:
         return None

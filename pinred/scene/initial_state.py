@@ -1,6 +1,6 @@
-"""Initial states: as stated in a scene, for one run or many, and completed with momenta.
+"""Initial states: as the scene options state them, and completed with momenta.
 
-Suspicious angles are reported: too large to be accurate, or perhaps meant in degrees.
+This module also reports suspicious angles: too large to be accurate, or perhaps in degrees.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..system.joints import joint_units
 from ..system.system import System
 
 _RESOLUTION = 1e-6  # largest spacing of floats at an accepted angle [rad]
-_TURN = 2.0 * math.pi  # rad
+_TURN = 2.0 * math.pi  # angle of a full turn [rad]
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from ..system.coordinates import Configuration, Velocity
 from ..system.coupling import following
 from ..system.system import System
 
-_UNIT = 1e-3  # tolerance on norm 1 of a cosine and sine, for values rounded to few decimals
+_UNIT = 1e-3  # tolerance for the unit norm of (cosine, sine), for values rounded to few decimals
 
 
 def order_by_joint(value: Any, system: System, what: str) -> Any:
@@ -146,8 +146,8 @@ def _check_followers(system: System, stated: Array, coupled: Array, what: str) -
 
     Args:
         system: The system.
-        stated: Value of the option.
-        coupled: The same with followers that obey their couplings.
+        stated: Configuration or velocity that the option states.
+        coupled: The same array, with followers computed from their couplings.
         what: Name of the option in messages.
     Raises:
         InputError: A follower violates its coupling.
@@ -219,10 +219,10 @@ def _method_of_text(text: str) -> Method | Literal["auto"]:
 
 
 def _parse_call(text: str) -> tuple[str, list[Any], dict[str, Any]]:
-    """Return name, positional and named options of a text NAME or NAME(1, key=2)."""
+    """Parse a text NAME or NAME(1, key=2); return name, positional and named options."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # A syntax warning counts as an error.
+            warnings.simplefilter("error")  # Treat syntax warnings as errors.
             node = ast.parse(text.strip(), mode="eval").body
         if isinstance(node, ast.Name):
             return node.id, [], {}
@@ -241,7 +241,7 @@ def _parse_call(text: str) -> tuple[str, list[Any], dict[str, Any]]:
 
 
 def _value(node: ast.expr) -> Any:
-    """Return a number or text; inf and nan are numbers, as in the repr of a method."""
+    """Return the number or text of a syntax node; inf and nan are numbers, as in repr."""
     if isinstance(node, ast.Name) and node.id in ("inf", "nan"):
         return float(node.id)
     return ast.literal_eval(node)

@@ -1,7 +1,7 @@
 """Checks of scene options that need more than the type of the value.
 
-They concern the seed, the keyframe, tolerances, report times, lists of forces, and the time span
-that signals and controllers cover.
+The options are the seed, the keyframe, tolerances, report times and lists of forces, and the time
+span that signals and controllers cover.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 EVEN_TIMES = 201  # number of report times if a scene states none; they are evenly spaced
 _COUNTS = np.arange(float(EVEN_TIMES))
-MOST_CALLS = 1_000_000  # calls of one controller in one scene; each call interrupts the integrator
+MOST_CALLS = 1_000_000  # largest number of calls of a controller in a scene; each interrupts steps
 
 
 def check_keyframe(system: System, name: str) -> str:
-    """Return the name of a keyframe of the robot's file; raise InputError if it has none such."""
+    """Return the name of a keyframe; raise InputError if the robot's file does not have it."""
     if not one_of(name, system.keyframes):
         valid = listed(list(system.keyframes), 60) or "none"
         raise InputError(
@@ -87,11 +87,11 @@ def compute_report_times(times: Any, duration: float | None, system: System) -> 
     """Return the report times of a scene, (T,) [s].
 
     Args:
-        times: Requested times, or None for EVEN_TIMES evenly spaced ones.
+        times: Requested times, or None for EVEN_TIMES evenly spaced times.
         duration: Duration of the scene [s], or None.
-        system: System whose own duration is used if neither is stated.
+        system: System whose own duration is used if neither times nor duration are stated.
     Returns:
-        (T,): increasing times from 0 or later [s].
+        Increasing times, (T,), not before 0 [s].
     Raises:
         InputError: the times do not increase, or are outside the duration.
         ShapeError: `times` is not a vector of finite numbers.

@@ -21,9 +21,9 @@ class GivenParameters:
     """The option `parameters` of a scene, joined with the parameters that its system has.
 
     Attributes:
-        values: {name: value} as stated.
-        requested: Names, without values, of Parameters in forces.
-        varied: The robot parameters among them; None if there are none.
+        values: {name: value} as stated in the option.
+        requested: Names of Parameters in forces that the option lists without values.
+        varied: The robot parameters in the option; None if there are none.
         numbers: {name: values} of the robot parameters, as arrays.
         system: The robot with these parameters.
     """
@@ -80,14 +80,14 @@ def given_parameters(system: System, parameters: Any) -> GivenParameters:
     Returns:
         The parameters, and the robot with their values.
     Raises:
-        InputError: a link or joint is unknown, a value is not physical, or two names set the
-            same number.
+        InputError: a link or joint is unknown, a value is not physical, or two names set
+            the same property.
     """
     original, present = nominal(system), system.parameters
     values, others = requested(original, parameters)
     if isinstance(parameters, Mapping):
         values = joined(present, values)
-    else:  # Names without values keep the numbers that the system has.
+    else:  # Names without values keep the values that the system has.
         values |= present
     varied = ModelParameters(original, list(values))
     numbers = varied.checked(values)

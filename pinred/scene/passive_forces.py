@@ -25,7 +25,7 @@ def check_passive(passive: Any, friction: Any) -> tuple[bool, float | None]:
 
 
 def acting_passive(system: System, *, passive: bool, friction: float | None) -> tuple[Force, ...]:
-    """Return the forces of the robot's file that act.
+    """Return the forces of the robot's file that act in a scene.
 
     Args:
         system: System with the forces of its file.

@@ -62,7 +62,7 @@ def _narrow(system: System, low: Array, high: Array) -> None:
         if j in coupled.leads or ratio == 0.0 or joint.nq != 1:
             continue
         limits = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
-        with np.errstate(over="ignore"):  # Joints without limits have huge ones.
+        with np.errstate(over="ignore"):  # Pinocchio stores huge limits for joints without limits.
             least, most = sorted((limit - b) / ratio for limit in limits)
         if max(low[k], least) < min(high[k], most):
             low[k], high[k] = max(low[k], least), min(high[k], most)

@@ -53,20 +53,20 @@ MOMENTUM_MARGIN = 10.0
 class Scene(SceneFields):
     """A system, its initial state, and how long and how accurately to simulate it.
 
-    Without an initial state, the scene starts from the state that the robot comes with.  rtol
-    and atol are also the scale of `compare`.  A method with equal steps uses them for nothing
-    else.
+    Without an initial state, the scene starts from the robot's own initial state.  `compare` uses
+    rtol and atol as its scale.  Methods with equal steps ignore both tolerances.
 
-    The option `parameters` makes robot parameters inputs of the kernel.  Their names are, for a
-    link or joint "hand": "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz about
+    The option `parameters` makes robot parameters inputs of the kernel.  For a link or joint
+    "hand", the names are "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz about
     the centre of mass), "hand.log_cholesky", and "hand.payload.mass" with "hand.payload.at" for
-    a point mass on it.  For a joint: "elbow.placement" (x, y, z, roll, pitch, yaw) or
-    "elbow.translation"; for a locked joint "elbow.lock".  Further "gravity" in the world frame,
-    or "gravity.strength".  Names without values, or "all" for inertias and placements, keep the
-    present values.  Parameters of the system (System.parameters) keep theirs, too.
+    a point mass on the body.  For a joint "elbow", the names are "elbow.placement" (x, y, z, roll,
+    pitch, yaw) and "elbow.translation"; for a locked joint, "elbow.lock".  The names for gravity
+    are "gravity" (vector in the world frame) and "gravity.strength".  Names without values,
+    or "all" for inertias and placements, keep the present values.  So do parameters of the system
+    (System.parameters).
 
     The scene converts its options: joint values by name to arrays, motions of prescribed joints
-    to Signals, and methods as text to methods.
+    to Signals, and names of methods to methods.
 
     Raises:
         InputError: an option is not valid, or the options contradict each other.
@@ -104,7 +104,7 @@ class Scene(SceneFields):
         self._keep("_given", self._resolve())
 
     def _check_conflicts(self) -> None:
-        """Raise InputError for options of the state that contradict each other, or for none."""
+        """Raise InputError if options of the initial state contradict each other or are missing."""
         stated = [name for name in SCENE_OPTIONS if getattr(self, name) is not None]
         for name in stated:
             option = SCENE_OPTIONS[name]
@@ -204,7 +204,7 @@ class Scene(SceneFields):
 
     @property
     def own_forces(self) -> tuple[Force, ...]:
-        """The springs, dampers and friction of the robot's file that act."""
+        """The springs, dampers and friction of the robot's file that act in the scene."""
         return acting_passive(self.system, passive=self.passive, friction=self.friction)
 
     @property
@@ -275,9 +275,9 @@ class Scene(SceneFields):
         return () if watched is None else watched.parameters
 
     def _check_parameters(self, known: Sequence[str]) -> None:
-        """Store the parameters as numbers; raise InputError for a name that nothing has.
+        """Store the parameters as numbers; raise InputError for an unknown name.
 
-        `known` are the names of the Parameters in forces and events.
+        `known` contains the names of the Parameters in forces and events.
         """
         parameters: GivenParameters = vars(self)["_parameters"]
         self._keep("parameters", MappingProxyType(parameters.checked(known)))

@@ -47,12 +47,13 @@ class Option(Key):
         node: Type of the value in scene files.
         text: Meaning, with unit.
         required: Not used; every option has a default.
-        default: Value without the option, in words.
+        default: Value that applies without the option, in words.
         formats: Accepted values in Python, beyond the annotated type.
         command: Name and value format on the command line, such as "--time T"; "" for none.
         table: Table of the option in scene files; "" for the top level.
-        replaces: Options that cannot be combined with this one, because it sets them too.
-        scope: The quantities that this option sets in their place.
+        replaces: Options that cannot be combined with this option, because it sets the same
+            quantities.
+        scope: The quantities that this option sets instead of the replaced options.
     """
 
     formats: str = ""
@@ -62,7 +63,7 @@ class Option(Key):
 
 
 def _option(node: Node, text: str, default: str = "none", **more: Any) -> dict[str, Option]:
-    """Return the metadata of a field; the arguments are those of Option."""
+    """Return the metadata of a field in SceneFields; the arguments are those of Option."""
     return {"option": Option(node, text, default=default, **more)}
 
 

@@ -145,8 +145,8 @@ class Watch:
         def value(t: float) -> float:
             return float(self._values(segment, np.array([t]))[k, 0])
 
-        first, last = value(a), value(b)
-        if a == b or first == 0.0 or (first > 0.0) == (last > 0.0):
+        value_a, value_b = value(a), value(b)
+        if a == b or value_a == 0.0 or (value_a > 0.0) == (value_b > 0.0):
             return float(a)
         return float(brentq(value, a, b, xtol=_EPS * max(abs(b), 1e-300), rtol=_EPS))
 
@@ -192,17 +192,17 @@ def cut_at_event(watch: Watch, segment: Segment, integrate: Integrate) -> list[S
     """
     if watch.end is None or watch.end.t >= segment.knots[-1]:
         return [segment]
-    end = watch.end.t
-    step_ends = segment.knots[segment.knots < end]
+    end_time = watch.end.t
+    step_ends = segment.knots[segment.knots < end_time]
     if not len(step_ends):
         return []
     steps = min(segment.steps, len(step_ends) - 1)
-    if end - step_ends[-1] <= _ROUND_OFF * end:
-        step_ends[-1] = end
+    if end_time - step_ends[-1] <= _ROUND_OFF * end_time:
+        step_ends[-1] = end_time
         return [replace(segment, knots=step_ends, steps=steps)] if steps else []
     y = segment.at(step_ends[-1:])[0]
-    last = integrate(float(step_ends[-1]), end, y, segment.parameters)
-    return [replace(segment, knots=step_ends, steps=steps), last] if steps else [last]
+    last_step = integrate(float(step_ends[-1]), end_time, y, segment.parameters)
+    return [replace(segment, knots=step_ends, steps=steps), last_step] if steps else [last_step]
 
 
 def crossings_by_event(

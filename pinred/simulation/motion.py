@@ -1,4 +1,4 @@
-"""Motion: the segments of an integrated scene, and the outcome of events and controllers.
+"""Motion: the segments of an integrated scene, with located events and controller calls.
 
 Integration stops where a force is not smooth, or where a controller is due.
 """
@@ -24,12 +24,12 @@ from .sample import Sample
 
 @dataclass(frozen=True)
 class Changes:
-    """Reduced states at times (T,) and their rates.
+    """Reduced states and their rates at times (T,).
 
     Attributes:
-        which: Index of the segment of each time, (T,).
+        which: Index of the segment that contains each time, (T,).
         y: Reduced states, (T, k).
-        rates: Their rates, (T, k).
+        rates: Time derivatives of the reduced states, (T, k).
     """
 
     which: Indices
@@ -45,7 +45,7 @@ class Motion:
         segments: Segments in order of time.
         actions: Calls of the controllers.
         crossings: Crossings of the events.
-        ended_by: The crossing that ended the motion, None if none did.
+        ended_by: The crossing that ended the motion, or None if no event ended it.
     """
 
     def __init__(
@@ -57,14 +57,14 @@ class Motion:
         actions: Sequence[ControlAction] = (),
         watch: Watch | None = None,
     ) -> None:
-        """Take a flow and its segments.
+        """Store a flow and its segments.
 
         Args:
             flow: The reduced flow.
             segments: Segments in order of time.
-            varies: Whether full states follow from reduced ones differently in each segment.
+            varies: Whether the map from reduced to full states changes from segment to segment.
             actions: Calls of the controllers.
-            watch: The search for events, None without events.
+            watch: Detection of events; None for scenes without events.
         """
         self.flow, self.segments, self._varies = flow, segments, varies
         self.actions = tuple(actions)
@@ -129,14 +129,14 @@ class Motion:
         return Changes(which, y, rates)
 
     def beside(self, t: Array, changes: Changes, s: Array) -> Array:
-        """Extrapolate reduced states at constant rates, and return the velocities there.
+        """Return the velocities at times t + s, with reduced states extrapolated linearly from t.
 
         Args:
             t: Times, (T,) [s].
-            changes: Reduced states and rates at these times.
+            changes: Reduced states and their rates at times t.
             s: Time differences, (T,) [s].
         Returns:
-            (T, n): body twist and shape rate at times t + s.
+            Body twist and shape rate at times t + s, (T, n).
         """
         y = changes.y + s[:, None] * changes.rates
         states = self._states(t + s, y, changes.which)
@@ -144,16 +144,16 @@ class Motion:
         return np.hstack([states.xi, states.xdot])
 
     def _states(self, t: Array, y: Array, which: Indices) -> State | ShapeState:
-        """Return the full states of reduced states that belong to several segments."""
+        """Compute full states from reduced states of several segments."""
         parts, order = [], []
         for segment, rows in self._by_segment(which):
             parts.append(self.flow.states(t[rows], y[rows], segment.parameters))
             order.append(np.flatnonzero(rows))
-        back = np.argsort(np.concatenate(order))
-        return map_arrays(lambda *columns: np.concatenate(columns)[back], *parts)
+        inverse_order = np.argsort(np.concatenate(order))
+        return map_arrays(lambda *columns: np.concatenate(columns)[inverse_order], *parts)
 
     def _by_segment(self, which: Indices) -> Iterator[tuple[Segment, NDArray[np.bool_]]]:
-        """Yield each segment among `which`, with the mask of its times."""
+        """Yield each segment that `which` contains, with a mask of the times in the segment."""
         for k in np.unique(which):
             yield self.segments[k], which == k
 
@@ -161,7 +161,7 @@ class Motion:
         return segment.parameters[self.flow.numbers_at]
 
     def _which(self, t: Array) -> Indices:
-        """Return the segment of each time; a stop belongs to the segment that ends there."""
+        """Return the index of the segment of each time; a stop belongs to the segment before it."""
         return np.minimum(np.searchsorted(self._ends, t, side="left"), len(self.segments) - 1)
 
 
@@ -170,7 +170,7 @@ def follow(plan: Plan, flow: ReducedFlow, integrate: Integrate) -> Motion:
 
     Args:
         plan: The plan of the scene.
-        flow: Its reduced flow.
+        flow: Reduced flow of the plan.
         integrate: The function that integrates the flow.
     Returns:
         The motion.

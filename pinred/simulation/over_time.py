@@ -21,7 +21,7 @@ from ..system.system import System
 
 
 class OverTime(StateArrays):
-    """A motion whose states are known at report times, as State fields with time first."""
+    """A motion with known states at the report times: fields of State, with time as first axis."""
 
     @property
     @abstractmethod

@@ -1,8 +1,8 @@
-"""The plan of a scene: everything that follows from it before integration.
+"""The plan of a scene: all quantities that can be computed before integration.
 
 A plan is made once for a scene and used everywhere.  It leaves open whether the angular momentum
 of the base is zero, because that depends on the initial state, and members of one plan may differ
-in it.  `Plan.kind` gives the equations of both cases.
+in it.  `Plan.kind` returns the equations of either case.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ..system.system import System
 from .choose_method import Choice, choose
 
 _NONE = read_only(np.empty(0))
-# Stops closer than this fraction of the duration are one stop.
+# Stops closer than this fraction of the duration are merged.
 _ROUND_OFF = 1e-12
 
 
@@ -48,13 +48,13 @@ class Kind:
 
     @cached_property
     def layout(self) -> Layout:
-        """Places of the integrated variables and of the parameters, computed at first access."""
+        """Indices of integrated variables and of parameters, computed at first access."""
         return layout_of(self.system, self.structure, self.forces)
 
 
 @dataclass(frozen=True)
 class MemberParameters:
-    """Parameters in which members differ from their plan; None for those of the plan.
+    """Parameters in which members differ from their plan; None for values of the plan.
 
     Attributes:
         numbers: Force parameters, (N, p).
@@ -69,7 +69,7 @@ class MemberParameters:
     fall: Array | None = None
 
     def __getitem__(self, members: Any) -> MemberParameters:
-        """Return the parameters of one or some of the members."""
+        """Return the parameters of the selected member or members."""
         columns = vars(self).values()
         return MemberParameters(*(None if rows is None else rows[members] for rows in columns))
 
@@ -84,8 +84,8 @@ class Span:
     Attributes:
         start: Start time [s].
         stop: End time [s].
-        rows: Indices of the report times that belong to it.
-        times: These report times from its start on, (T,) [s].
+        rows: Indices of the report times in the span.
+        times: These report times, counted from the start of the span, (T,) [s].
     """
 
     start: float
@@ -96,7 +96,7 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Acting:
-    """Properties of a system with its forces, which several scenes share; arrays are read-only.
+    """Properties of a system with its forces, shared by several scenes; arrays are read-only.
 
     Attributes:
         system: The system.
@@ -133,12 +133,12 @@ class Acting:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Everything that follows from a scene before integration; arrays are read-only.
+    """All quantities of a scene that are computed before integration; arrays are read-only.
 
     Attributes:
         scene: The scene.
-        acting: Properties of its system and forces.
-        stops: Times at which integration stops, the end of the scene last, (S,) [s].
+        acting: Properties of the scene's system and forces.
+        stops: Times at which integration stops, with the end of the scene as last, (S,) [s].
         numbers: Initial force parameters, (p,).
     """
 
@@ -164,7 +164,7 @@ class Plan:
 
     @cached_property
     def spans(self) -> list[Span]:
-        """The times between stops; a report time at a stop belongs to the span that ends there."""
+        """The time spans between stops; a report time at a stop belongs to the span before it."""
         reports, spans, first, start = self.scene.report_times, [], 0, 0.0
         for stop in self.stops.tolist():
             last = int(np.searchsorted(reports, stop, side="right"))
@@ -184,7 +184,7 @@ class Plan:
         return self.choice.method
 
     def kind(self, *, zero_momentum: bool, generic: bool = False) -> Kind:
-        """Return the equations with or without angular momentum, made once.
+        """Return the equations with or without angular momentum, cached.
 
         Args:
             zero_momentum: Whether the initial angular momentum of the base is exactly zero.
@@ -194,8 +194,8 @@ class Plan:
         """
         acting, varied = self.acting, self.scene.varied
         zero = zero_momentum and not acting.momentum_changes
-        # Symplectic methods integrate a constant angular momentum that rotates in the body by a
-        # quaternion.
+        # With symplectic methods, a quaternion is integrated to rotate the constant angular
+        # momentum into the body frame.
         constant = self.system.group.turns == 3 and not (zero or acting.momentum_changes)
         lifted = self.method.symplectic and constant
         any_gravity = generic and varied is not None and varied.gravity_name() == "gravity"
@@ -235,18 +235,18 @@ def stops_of(scene: Scene) -> Array:
         times.append(controller.period * np.arange(1, int(end / controller.period) + 1))
     stops = np.unique(np.concatenate(times))
     stops = stops[stops <= end]
-    # Times that differ by round-off are one stop, and the end has to remain.
+    # Merge times that differ by round-off, but keep the end of the scene.
     distinct = np.append(np.diff(stops) > _ROUND_OFF * end, True)
     return np.asarray(stops[distinct])
 
 
 def plan_of(scene: Scene) -> Plan:
-    """Return the plan of a scene, made once.
+    """Return the plan of a scene, cached.
 
     Args:
         scene: The scene.
     Returns:
-        Its plan.
+        The plan.
     Raises:
         SymmetryError: Gravity breaks the symmetry.
     """
@@ -270,12 +270,12 @@ def _acting(system: System, forces: ForceModel | None, varied: ModelParameters |
     pushed = forces is not None and forces.has_wrench
     cyclic = cyclic_of(system, touched_by(forces), pushed=pushed)
     if varied is not None:
-        # Other values of the parameters must leave joints cyclic and pivots balanced.
-        other = varied.system(varied.perturbed(np.random.default_rng(0)))
-        if not weight.any() and pivot_weight(other).any():
+        # Cyclic joints and balanced pivots must stay so for all values of variable parameters.
+        perturbed_system = varied.system(varied.perturbed(np.random.default_rng(0)))
+        if not weight.any() and pivot_weight(perturbed_system).any():
             gravity = system.model.jointPlacements[1].rotation.T @ system.gravity
             weight = system.mass * gravity
-        always = cyclic_of(other, touched_by(forces), pushed=pushed)
+        always = cyclic_of(perturbed_system, touched_by(forces), pushed=pushed)
         cyclic = tuple(k for k in cyclic if k in always)
     if weighed and weight.any():
         raise SymmetryError(

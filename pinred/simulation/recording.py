@@ -58,8 +58,8 @@ class Recording(OverTime):
         path: Path of the file.
         robot: Name of the robot.
         group: Name of its symmetry group, such as "SE3".
-        joints: Names of the shape joints, m of them.
-        content: State, or ShapeState if the base was left out; time first, read-only arrays.
+        joints: Names of the m shape joints.
+        content: State, or ShapeState if the base was left out; read-only, with time as first axis.
         origin: Arrays of the file that state how the robot was loaded.
         confirmed: Whether the user named the robot.  Otherwise only a robot known by name or a
             file in the folder of the recording is loaded.
@@ -79,7 +79,7 @@ class Recording(OverTime):
 
     @property
     def outputs(self) -> State | ShapeState:
-        """The states in the file, time first."""
+        """The states in the file, with time as first axis."""
         return self.content
 
     @property
@@ -131,7 +131,7 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
     Returns:
         The recorded states.
     Raises:
-        LoadError: The file cannot be read, or contains something else.
+        LoadError: The file cannot be read, or does not contain a motion.
     """
     path = Path(path)
     content = read_arrays(path)
@@ -158,9 +158,9 @@ def _read_states(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
         raise LoadError(f"{quoted_path(path)}: unknown group '{content['group']}'")
     group, m = GROUPS[str(content["group"])], np.size(content["joints"])
     lengths: dict[Axis, int] = {"joint": m, "twist": group.dim, "coordinate": group.size}
-    kind = State if State.__dataclass_fields__.keys() <= content.keys() else ShapeState
+    state_class = State if State.__dataclass_fields__.keys() <= content.keys() else ShapeState
     count, arrays = np.size(content["t"]), {}
-    for name in kind.__dataclass_fields__:
+    for name in state_class.__dataclass_fields__:
         array, axis = content[name], FIELDS[name].axis
         # q and v include follower joints, and the file does not state how many there are.
         is_full = axis in ("nq", "nv")
@@ -177,7 +177,7 @@ def _read_states(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
         arrays[name] = np.array(array, dtype=float)
     if count == 0 or (np.diff(arrays["t"]) <= 0.0).any():
         raise LoadError(f"{quoted_path(path)}: 't' must be increasing times, at least one")
-    return kind(**arrays)
+    return state_class(**arrays)
 
 
 def _load_robot(
@@ -194,7 +194,7 @@ def _load_robot(
     Returns:
         The system with the recorded gravity, locked joints and parameters.
     Raises:
-        LoadError: No source is stated, it must not be opened, or the robot cannot be loaded.
+        LoadError: No source is stated, the source is not trusted, or the robot cannot be loaded.
     """
     from ..system.load import load
 
@@ -299,10 +299,10 @@ def _check_sizes(name: str, archive: zipfile.ZipFile) -> None:
     """Check the stated sizes of an archive.
 
     Args:
-        name: The file in messages.
+        name: Name of the file, for messages.
         archive: The open archive.
     Raises:
-        LoadError: The archive is too large, or has other members than arrays.
+        LoadError: The archive is too large, or contains entries that are not arrays.
         ValueError: The header of an array does not match its size.
     """
     members = archive.infolist()

@@ -16,7 +16,7 @@ from .sample import Sample
 
 
 class ReducedFlow(Protocol):
-    """A vector field on reduced states, and the full states that follow from these."""
+    """A vector field on reduced states, and the map from reduced to full states."""
 
     @property
     def y0(self) -> Array:
@@ -45,8 +45,8 @@ class Segment:
     """The solution between two stops, during which the parameters are constant.
 
     Attributes:
-        knots: Times of the step ends, or of the ends of parts of long steps, (K,) [s].
-        at: Dense output, from times (T,) within the segment to reduced states (T, k).
+        knots: Times of the step ends, including the ends of the parts of long steps, (K,) [s].
+        at: Dense output: function from times (T,) within the segment to reduced states (T, k).
         parameters: Parameters of the vector field, (p,).
         steps: Number of accepted steps.
         evaluations: Number of evaluations of the vector field.
@@ -75,15 +75,16 @@ class Integrate(Protocol):
         parameters: Array,
         watch: Callable[[Segment], bool] | None = None,
     ) -> Segment:
-        """Return the segment from a reduced state at the start.
+        """Integrate from a reduced state at the start.
 
         Args:
             start: Start time [s].
             end: End time [s].
             y0: Reduced state at the start, (k,).
-            parameters: Parameters of the vector field, (p,); nobody changes them afterwards.
-            watch: Called with the segment so far, now and then and before a failure; if it
-                returns True, the integration stops there.
+            parameters: Parameters of the vector field, (p,); the caller must not change them
+                afterwards.
+            watch: Called repeatedly, and before a failure is raised, with the segment so far; if
+                `watch` returns True, the integration stops.
         Returns:
             The segment.
         Raises:

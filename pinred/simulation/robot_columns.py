@@ -28,7 +28,8 @@ from ..system.variants import in_gravity, nominal
 
 Slopes = dict[str, Array]
 
-# cos δ below which the angles of a step between bodies have no derivatives.
+# cos δ below which the angles between two bodies are near their singularity (δ = ±90°), where
+# they have no derivatives.
 _FLAT = 1e-6
 
 
@@ -58,7 +59,7 @@ class RobotColumns:
         self._gravity: tuple[Array, Array] | None = None
 
     def now(self, changes: Mapping[str, Any]) -> dict[str, Array]:
-        """Return all values with some replaced.  Raises InputError for unphysical values."""
+        """Return all values after the given changes.  Raises InputError for unphysical values."""
         return self._varied.checked(changes, self.values)
 
     def put(self, constants: Array, now: Mapping[str, Array], changed: Collection[str]) -> None:
@@ -86,7 +87,7 @@ class RobotColumns:
             now: Values of all parameters.
             changed: Names of the parameters whose values differ from the scene's.
         Yields:
-            The slice, the name, and the derivatives of the constants there.
+            The slice, the name, and the derivatives of the constants in the slice.
         """
         for place, _, derivatives in self._of_bodies(now, changed):
             for name, slope in derivatives().items():
@@ -134,7 +135,7 @@ class RobotColumns:
     def _links(
         self, now: Mapping[str, Array]
     ) -> Iterator[tuple[int, Body, pin.SE3, dict[str, Array]]]:
-        """Yield frame, body, placement and twists by name of each link that a force acts on."""
+        """Yield frame, body, placement, and {name: twists}, for each link that a force acts on."""
         links = self._layout.freed.links
         for k, (place, twists) in self._varied.places(now).items() if links else ():
             if k in links:
@@ -149,13 +150,13 @@ class RobotColumns:
         Returns:
             The components, and the acceleration of the centre of mass along the translations.
         Raises:
-            InputError: Gravity has other components.
+            InputError: Gravity has components along other axes.
             SymmetryError: Gravity breaks the symmetry.
         """
         system = in_gravity(self._system, g)
         acting, axes = acting_gravity(system), list(self._layout.gravity)
-        others = np.delete(acting, axes)
-        if others.any() or (axes and not acting.any()):
+        excluded = np.delete(acting, axes)
+        if excluded.any() or (axes and not acting.any()):
             raise InputError(
                 f"the flow was prepared for gravity along other axes than {g.tolist()}; make one "
                 "of a scene with a gravity like this, or with 'gravity' among wrt"
@@ -163,12 +164,12 @@ class RobotColumns:
         return acting[axes], falling(system)
 
     def _gravity_maps(self) -> tuple[Array, Array]:
-        """Compute the linear maps from gravity in the world frame to its components and the fall.
+        """Compute the linear maps from gravity in the world frame to the results of `_in_gravity`.
 
         Returns:
-            (axes, 3) and (k, 3), cached.
+            Maps to the components, (axes, 3), and to the free fall, (k, 3); cached.
         Raises:
-            InputError: All of gravity varies, and some direction breaks the symmetry.
+            InputError: The whole vector of gravity varies, and a direction breaks the symmetry.
         """
         if self._gravity is not None:
             return self._gravity
@@ -188,12 +189,12 @@ class RobotColumns:
                 acting = np.zeros(3)
             columns.append(acting[axes])
             falls.append(falling(system))
-        if not is_vector:  # Along a direction that keeps the symmetry the map is linear.
+        if not is_vector:  # The map is linear along directions that keep the symmetry.
             g = self._system.gravity
             acting = acting_gravity(self._system)[axes]
             columns = list(np.outer(g, acting) / (g @ g))
         elif self._system.group.is_pivot and axes:
-            columns = list(root)  # Row k is the image of the world's axis k.
+            columns = list(root)  # Entry k is the image of the world's axis k.
         self._gravity = (
             np.transpose(columns).reshape(len(axes), 3),
             np.transpose(falls).reshape(-1, 3),
@@ -202,7 +203,7 @@ class RobotColumns:
 
 
 def with_own(scene: Scene, names: Sequence[Any]) -> Scene:
-    """Return a scene in which the named robot parameters are variable, at their present values.
+    """Return a scene in which the named robot parameters are variable, with their present values.
 
     Raises InputError for bodies and joints that the robot does not have.
     """
@@ -221,7 +222,7 @@ def _map_slopes(matrix: Array, slopes: Slopes) -> Slopes:
 
 
 def _step_slopes(parent: Body, body: Body, twists: Slopes) -> Slopes:
-    """Return the derivatives of a step's entries by name.  Raises InputError at a right angle."""
+    """Return {name: derivatives} of a body-to-body step.  Raises InputError at a right angle."""
     if abs(body.delta[0]) < _FLAT:
         raise InputError(
             f"{next(iter(twists))} turns the joint by a right angle from the robot's placement, "

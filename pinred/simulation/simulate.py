@@ -38,10 +38,12 @@ def simulate(
     Args:
         scene: A System, or a Scene. Options that are passed replace those of the Scene.
         engine: "compiled": machine code compiled for the robot and the kind of scene, cached on
-            disk. "pinocchio": the same equations by Pinocchio, under SciPy's DOP853.
+            disk. "pinocchio": the same equations, evaluated with Pinocchio and
+            integrated with SciPy's DOP853.
         progress: True for a progress bar in a terminal or a notebook; or a function that is
             called with the completed fraction of the time, from 0 to 1.
-        explain: Print which terms the scene lets the simulation skip, and what is integrated.
+        explain: Whether to print the terms that the simulation skips and the variables that it
+            integrates.
         options: Fields of Scene.
     Returns:
         The trajectory.
@@ -88,7 +90,7 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
     if not isinstance(scene, Scene):
         return Scene(system=checked_system(scene, what), **options)
     parameters = options.get("parameters")
-    if isinstance(parameters, Mapping):  # keep the other parameters
+    if isinstance(parameters, Mapping):  # keep the parameters that the options do not replace
         options = {**options, "parameters": joined(scene.parameters, parameters)}
     return replace(scene, **options) if options else scene
 
@@ -123,12 +125,12 @@ def _integrate_plan(
     motion = follow(plan, flow, integrate)
     wall = time.perf_counter() - started
     run = Cost(engine, method, motion.steps, motion.evaluations, wall)
-    end = motion.ended_by
-    scene = plan.scene if end is None else _until(plan.scene, end.t)
+    terminal_crossing = motion.ended_by
+    scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
     return Trajectory(scene, motion, run, partial(simulate, plan.scene, engine=engine))
 
 
 def _until(scene: Scene, end: float) -> Scene:
-    """Return a scene that ends earlier and reports its end."""
+    """Return the scene with an earlier end, which is also a report time."""
     t = scene.report_times
     return replace(scene, duration=end, times=np.append(t[t < end], end))

@@ -35,10 +35,10 @@ def simulate_many(
 ) -> Trajectories:
     """Simulate many motions of one system with one kernel, in SIMD lanes and on threads.
 
-    With DOP853 and Tsit5, eight members are integrated at once (sixteen of small robots), each
-    with its own steps.  The results of a member do not depend, to the bit, on the other members,
-    on their order, or on the number of threads.  They agree with `simulate` within round-off times
-    the growth along the motion; with other methods they are equal to the bit.
+    With DOP853 and Tsit5, eight members are integrated at once (sixteen for small robots), each
+    with individual step lengths.  The results of a member do not depend, to the bit, on the other
+    members, on their order, or on the number of threads.  The results agree with `simulate` within
+    round-off times the growth along the motion; with other methods they are equal to the bit.
 
     Where `simulate` would choose AdaptiveGauss, DOP853 is used, which costs less for many members.
     Members with controllers, events, or prescribed joints whose plans have breaks are simulated
@@ -49,19 +49,19 @@ def simulate_many(
     differ between members.
 
     Args:
-        system: A System; or a Scene whose options are used where none are given; or a list of
-            Scenes of one System with equal report times, one for each member.
+        system: A System; or a Scene whose options apply unless `options` replaces them; or a list
+            of Scenes of one System with equal report times, one for each member.
         members: Values by name, (N, …): initial states, Parameters, parameters of the robot, and
             gravity, (N, 3), in the world frame [m/s²].
         seeds: Seeds of random initial states, (N,), one for each member.
         threads: Number of threads; as many as processors if None.
-        progress: As in `simulate`, with the finished fraction of the members.
+        progress: As in `simulate`, but called with the completed fraction of the members.
         explain: Whether to print how the members are integrated.
         options: Fields of Scene.
     Returns:
         The trajectories of all members.
     Raises:
-        InputError: The scenes or options are invalid, or do not belong together.
+        InputError: The scenes or options are invalid, or differ in system or report times.
         ShapeError: Arrays have different numbers of members.
     """
     if isinstance(system, (System, Scene)):
@@ -125,9 +125,9 @@ def _run(
     failures: list[Failure] = []
     done = 0
 
-    def report(part: float, share: int) -> None:
+    def report(report_part: float, share: int) -> None:
         if progress is not None:
-            progress((done + share * part) / members.count)
+            progress((done + share * report_part) / members.count)
 
     for group in members.groups:
         if group.one_by_one:
@@ -140,11 +140,13 @@ def _run(
                 done += 1
                 report(0.0, 0)
             continue
-        for some, flow in flows_of(group.plan, group.given, group.own):
-            part = None if progress is None else partial(report, share=len(some))
-            batch = integrate_members(flow, group.plan, group.members[some], threads, part)
+        for members_of_flow, flow in flows_of(group.plan, group.given, group.own):
+            report_part = None if progress is None else partial(report, share=len(members_of_flow))
+            batch = integrate_members(
+                flow, group.plan, group.members[members_of_flow], threads, report_part
+            )
             batches.append(batch)
             failures += batch.failures
-            done += len(some)
+            done += len(members_of_flow)
     failures.sort(key=lambda failure: failure.member)
     return Trajectories((members.count, members.scene_of), batches, single, failures)

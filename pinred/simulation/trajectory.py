@@ -50,7 +50,7 @@ class Trajectory(OverTime):
     """The motion of a scene: fields of State at the report times; call it for other times.
 
     Attributes:
-        scene: The scene; it ends at the event that has ended the motion, if one has.
+        scene: The scene; if an event ended the motion, the scene ends at that event.
         run: Cost of the integration, with engine, method, steps, evaluations and wall time [s].
     """
 
@@ -62,14 +62,14 @@ class Trajectory(OverTime):
         again: Callable[[], Trajectory] | None = None,
         outputs: State | ShapeState | None = None,
     ) -> None:
-        """Take a scene and its motion.
+        """Store a scene and its motion.
 
         Args:
             scene: The scene.
-            motion: Its motion; None if only the outputs are known.
+            motion: Motion of the scene; None if only the outputs are known.
             run: Cost of the integration.
-            again: Function that simulates the scene once more, for the motion if that is None.
-            outputs: States at the report times, if they are known already.
+            again: Function that simulates the scene again; called if `motion` is None.
+            outputs: States at the report times, if already computed.
         """
         self.scene = scene
         self.run = run
@@ -97,7 +97,7 @@ class Trajectory(OverTime):
 
     @property
     def plan(self) -> Plan:
-        """The plan of the scene: see Plan."""
+        """The plan of the scene; see Plan."""
         return plan_of(self.scene)
 
     @cached_property
@@ -123,9 +123,13 @@ class Trajectory(OverTime):
 
     @property
     def ended_by(self) -> str | None:
-        """Name of the terminal event that ended the motion, None if none did."""
-        end = self.motion.ended_by
-        return None if end is None else self.scene.events_given[end.event].name
+        """Name of the terminal event that ended the motion; None if no event ended it."""
+        terminal_crossing = self.motion.ended_by
+        return (
+            None
+            if terminal_crossing is None
+            else self.scene.events_given[terminal_crossing.event].name
+        )
 
     @property
     def actions(self) -> tuple[ControlAction, ...]:
@@ -136,7 +140,7 @@ class Trajectory(OverTime):
     def energy_balance(self) -> EnergyBalance:
         """Energy and the work of forces without potential at the report times.
 
-        It raises an InputError if the scene leaves out the base.
+        An InputError is raised if the scene leaves out the base.
         """
         from .balances import energy_balance
 
@@ -146,7 +150,7 @@ class Trajectory(OverTime):
     def momentum_balance(self) -> MomentumBalance:
         """Momentum and the impulse of wrenches and gravity at the report times.
 
-        It raises an InputError if the scene leaves out the base.
+        An InputError is raised if the scene leaves out the base.
         """
         from .balances import momentum_balance
 
@@ -201,8 +205,8 @@ class Trajectory(OverTime):
     def __call__(self, t: ArrayLike) -> State:
         """Compute the state at any time of the motion.
 
-        An InputError is raised outside the motion or if the base was left out, and a ShapeError
-        for other shapes.
+        An InputError is raised for times outside the motion or if the base was left out, and a
+        ShapeError if `t` is neither a time nor a vector.
 
         Args:
             t: A time, or times (T,), within the duration [s].

@@ -22,10 +22,10 @@ _GREEK = str.maketrans({"θ": "theta"})
 
 
 def save(traj: OverTime, path: str | Path) -> None:
-    """Write the states of a motion at its report times; nothing is left of a file that fails.
+    """Write the states of a motion at its report times; no partial file remains after a failure.
 
-    .npz contains one array for each field of State, time first, and `robot`, `group` and
-    `joints`.  The arrays `source`, `lock_joints`, `lock_values`, `gravity`, `root` and
+    .npz contains one array for each field of State, with time as first axis, and `robot`, `group`
+    and `joints`.  The arrays `source`, `lock_joints`, `lock_values`, `gravity`, `root` and
     `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the robot.
     .csv has a row for each time and columns such as `pose.x`, `x.hinge` and `energy`.
     .zarr is a folder with the arrays of .npz, and texts as its attributes.
@@ -54,9 +54,9 @@ def _arrays(traj: OverTime) -> dict[str, Any]:
 
 
 def robot_arrays(system: System) -> dict[str, Any]:
-    """Return the arrays that name a robot and state how load() finds it.
+    """Return the arrays that name a robot and record how load() finds it.
 
-    Gravity and locked joints are the present ones, whether the robot or a parameter gave them.
+    Gravity and locked joints are stored with their present values, including changes by parameters.
     """
     origin = system.origin
     lock = dict({} if origin is None else origin.lock)
@@ -133,7 +133,7 @@ def _quote_for_csv(name: str) -> str:
 
 
 def write_zarr(path: Path, arrays: dict[str, Any]) -> None:
-    """Write arrays to a zarr folder, which gets its name when it is complete.
+    """Write arrays to a zarr folder, which gets its final name only when it is complete.
 
     Args:
         path: Path of the folder, which must not exist.
@@ -155,7 +155,7 @@ def write_zarr(path: Path, arrays: dict[str, Any]) -> None:
             for name, array in arrays.items():
                 if array.ndim and array.dtype.kind == "f":
                     root.create_array(name, data=array)
-                else:  # Texts and their sizes.
+                else:  # Store texts, and sizes of parameters, as attributes.
                     root.attrs[name] = array.tolist()
             folder.rename(path)
     except OSError as error:

@@ -74,7 +74,7 @@ class Carried:
         joint: Name of the carrier in the reduced model; "" for the world or a new base.
         at: Placement of the joint on the carrier at joint value zero.
         moved: Placement of the joint's body on the carrier, at the joint's value.
-        twists: Derivatives of the placement with respect to the values of locked joints, as
+        twists: Derivatives of `moved` with respect to the values of locked joints, as
             twists in the carrier's frame at its origin, {locked joint: (6,)}.
     """
 
@@ -151,7 +151,7 @@ class LockedJoints:
         return any(joint in list(raw.supports[raw.getJointId(name)])[1:] for name in roots)
 
     def value(self, name: str, values: Mapping[str, float]) -> tuple[float, str, float]:
-        """Return the value of a locked joint, its independent leader, and dvalue/dleader.
+        """Return the value of a locked joint, the joint that determines it, and the derivative.
 
         Args:
             name: Name of the joint.

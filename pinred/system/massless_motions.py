@@ -146,10 +146,10 @@ def massless_twists(tree: Tree, x: Sequence[float], tolerance: float) -> list[Ar
 
 
 def bound_massless_twists(tree: Tree, tolerance: float) -> list[Array]:
-    """Return orthonormal bases, (6, k), of bounds: subspaces that contain N at every shape.
+    """Return bases, (6, k), of subspaces that contain the massless twists N at every shape.
 
-    The images of P under all motions of a joint are replaced by the smallest subspace that
-    contains P and is invariant under these motions.
+    The bases are orthonormal, one for each body.  The images of P under all motions of a joint are
+    replaced by the smallest subspace that contains P and is invariant under these motions.
     """
     N = list(tree.still)
     for i in range(len(N) - 1, 0, -1):

@@ -202,7 +202,7 @@ def joint_along(kinds: Sequence[type], axis: Array, tolerance: float = 0.0) -> p
 
     Args:
         kinds: Joint classes, PRISMATIC or REVOLUTE.
-        axis: Unit vector, (3,).
+        axis: Axis, (3,), of unit length up to the tolerance.
         tolerance: Largest deviation from x, y or z at which the aligned joint class is used.
     """
     k = int(np.argmax(np.abs(axis)))

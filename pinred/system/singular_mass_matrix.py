@@ -139,8 +139,9 @@ def _by_children(
 
     Joint i moves no mass if every child can cancel its twist.  `bounds` contain the massless
     twists at every shape.  If a bound has the dimension of the massless twists at a usual shape,
-    bound and massless twists agree at nearly all shapes, and the children decide alone.  A mass
-    matrix that is singular at nearly all shapes with given child values is singular at all.
+    bound and massless twists agree at nearly all shapes, and the children decide alone.  If
+    the mass matrix is singular at nearly all shapes with given child values, then by continuity
+    it is singular at all shapes with these values.
     """
     axes = intersect(bounds[i], tree.axes[i], NEARLY)
     if axes.shape[1] > 1:

@@ -380,7 +380,7 @@ def _momentum_range(problem: Problem, momentum: ArrayLike) -> tuple[float, float
         problem: Problem of the relative equilibria.
         momentum: Argument of `branches`.
     Returns:
-        (low, high).
+        Lowest and highest momentum, (low, high).
     Raises:
         InputError: The range is not two finite momenta in order, or not positive where J is |J|.
     """

@@ -245,7 +245,7 @@ class Connection:
         Args:
             x: Shape, (m,) [rad | m].
         Returns:
-            (r, r).
+            P_b, (r, r).
         """
         return read_only(self.locals_at(self._one(x))[2][0])
 

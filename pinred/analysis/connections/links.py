@@ -89,7 +89,7 @@ def summed(system: System, tensors: Sequence[Array], x: Array) -> Array:
         tensors: Tensors D (6, 6) of all bodies in their joint frames, root first.
         x: Shape, (m,).
     Returns:
-        (n, n).
+        Sum of the tensors on velocities (ξ, ẋ), (n, n).
     """
     model, data = system.model, system.data
     pin.computeJointJacobians(model, data, system.model_q(system.group.identity(), x))

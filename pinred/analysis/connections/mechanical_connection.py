@@ -1,4 +1,4 @@
-"""The mechanical connection: horizontal motions are those with zero momentum."""
+"""The mechanical connection: horizontal motions have zero momentum."""
 
 from __future__ import annotations
 

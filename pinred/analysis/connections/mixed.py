@@ -83,7 +83,7 @@ class MixedConnection:
         Args:
             x: Shape, (m,) [rad | m].
         Returns:
-            (r, r − k).
+            S(x), (r, r − k).
         """
         shape = vector(x, self.system.m, "x", self.system.shape_names)
         W = slip_matrix(self.system, self.slips, shape)
@@ -97,7 +97,7 @@ class MixedConnection:
             xdot: Shape rate, (m,) [rad/s | m/s].
             xi: Body twist, (r,) [m/s; rad/s].
         Returns:
-            (r − k,).
+            Momentum p, (r − k,).
         Raises:
             InputError: The wheels slip at these velocities.
         """

@@ -28,7 +28,7 @@ _SUSPICIOUS = 16.0
 class ShapeField:
     """The reduction at many shapes, with the leading axes of x first in every array.
 
-    Each array is computed at first use, cached, and read-only.  The names are those of
+    Each array is computed at first use, cached, and read-only.  The attributes are named as in
     `ReducedShape`.  Every array that needs the inertia raises SingularInertiaError, naming the
     shape, if the mass matrix is numerically singular at one of the shapes.
 

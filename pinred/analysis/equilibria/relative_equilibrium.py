@@ -237,7 +237,7 @@ class Equilibria(Sequence[RelativeEquilibrium]):
 
 
 def _row(equilibrium: RelativeEquilibrium) -> list[str]:
-    """Format amended potential, verdict, growth, frequencies and shape."""
+    """Format one row of a table: amended potential, verdict, growth, frequencies and shape."""
     swings = " ".join(f"{f:.5g}" for f in equilibrium.frequencies)
     shape = "(" + ", ".join(f"{value:.6g}" for value in equilibrium.x) + ")"
     if equilibrium.direction.size:

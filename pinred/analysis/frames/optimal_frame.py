@@ -366,7 +366,7 @@ def corrected_integral(
     Args:
         connection: Connection that lifts the gait.
         gait: Gait that is one Fourier series.
-        frame: Frame of the curvature, B′ = Ad_{h⁻¹}B; by default that of the base.
+        frame: Frame of the curvature, B′ = Ad_{h⁻¹}B; by default the base frame.
     Returns:
         Integral, phase and relative error.
     """

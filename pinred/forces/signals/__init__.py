@@ -1,7 +1,7 @@
 """Signals: scalar functions of time, as CasADi expressions and as numbers.
 
-A signal is a prescribed joint motion, the reference of a controller, or a torque. Its value, rate
-and acceleration are the function and its first two derivatives.
+A signal is a prescribed joint motion, the reference of a controller, or a torque. The value, rate
+and acceleration of a signal are the function and its first two derivatives.
 """
 
 from .formulas import Constant, Expression, Fourier

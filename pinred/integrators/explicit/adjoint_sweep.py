@@ -25,9 +25,9 @@ from .row_programs import Pullback, Rate, Sum, Terms, pullback_program, row_prog
 from .runge_kutta import digest
 from .tableau import Tableau
 
-# Rows of `work`: the state at the start of a step, the covector at its end, a state and a covector
-# of a stage. Three blocks follow: the rates of all stages, their z, and the terms of each g that
-# come from reports inside the step.
+# Rows of `work`: the state at the start of a step, the covector at the end of the step, the state
+# of a stage, and the covector of a stage. Three blocks with one row per stage follow: the rates k,
+# the covectors z, and the terms of g that come from report times inside the step.
 BEGIN, COVECTOR, STAGE, SEED, RATES = range(5)
 
 
@@ -37,10 +37,10 @@ BEGIN, COVECTOR, STAGE, SEED, RATES = range(5)
 STAGES = SIZE = 1  # numbers of stages of a step: without and with the stages of the dense output
 
 
-# Row programs: fill_rates fills the rates of the stages of a step h from row BEGIN, and
-# fill_dense_rates those of the additional stages of the dense output; pull_back fills z of the
-# stages (see the module's formulas), and pull_back_inside of all stages of a step with reports
-# inside it.
+# Row programs for a step of length h from row BEGIN. fill_rates computes the stage rates, and
+# fill_dense_rates the rates of the additional stages of the dense output. pull_back computes z of
+# the stages (see the module's formulas). pull_back_inside computes z of all stages of a step that
+# contains report times.
 fill_rates = fill_dense_rates = pull_back = pull_back_inside = unbound
 
 
@@ -70,7 +70,7 @@ def sweep_back(
         adjoint: Address of its adjoint kernel.
         params: Parameters, (p,).
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
-        dense: Weights of the dense output, see Weights.
+        dense: Weights of the stage rates in the dense output, see Weights.
         knots: Times of the step ends, (K,) [s].
         stored: States at the step ends, (K, n), or (K, n + S n) with the stage rates of each step.
         times: Sorted report times, (T,) [s].

@@ -37,7 +37,7 @@ class Weights:
 
 @once_for_all
 def weights_of(tableau: Tableau) -> Weights:
-    """Return the weights of a tableau, computed once."""
+    """Return the weights of a tableau, which are cached."""
     s, size = tableau.stages, len(tableau.A)
     end_weights = tableau.A[s]
     begin, end = np.zeros(size), np.zeros(size)
@@ -64,7 +64,7 @@ def fill_stages(
     Args:
         address: Address of the kernel.
         params: Parameters, (p,).
-        A: Weights, see Weights.
+        A: Weights of the stage rates in each stage state, see Weights.
         stages: Number of stages, without the step end.
         inside: Whether to add the stages of the dense output. Without these stages, the rate at the
             step end is not computed.
@@ -195,8 +195,8 @@ def forward(
         address: Address of the kernel.
         slopes: Address of its tangent kernel.
         params: Parameters, (p,).
-        A: Weights of the stages, see Weights.
-        dense: Weights of the dense output, see Weights.
+        A: Weights of the stage rates in each stage state, see Weights.
+        dense: Weights of the stage rates in the dense output, see Weights.
         stages: Number of stages, without the step end.
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
         knots: Times of the step ends, (K,) [s].

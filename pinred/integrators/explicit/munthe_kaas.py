@@ -69,7 +69,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Continue from the end of the step (hook)."""
+    """Start the next step at the end of this step (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[RATE, i] = work[LAST, i]
@@ -84,14 +84,14 @@ def load_step(
     end_states: Array,  # noqa: ARG001
     k: int,  # noqa: ARG001
 ) -> None:
-    """Repeat a stored step (hook)."""
+    """Recompute a stored step, so that states inside it can be written (hook)."""
     _rate(run.address, params, work, work[Y], RATE, run.quaternion)
     _step(run.address, params, work, run.quaternion, t_new - run.t)
 
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:  # noqa: ARG001
-    """Write a state in the step by cubic Hermite polynomials (hook)."""
+    """Write a state inside the step, computed with cubic Hermite polynomials (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
         _within(run.n, work, run.quaternion, time - run.t, t_new - run.t, out)
     return DONE

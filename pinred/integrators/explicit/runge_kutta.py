@@ -114,7 +114,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
 
 
 def accept_step(run: Run, work: Array, t_new: float) -> None:
-    """Continue from the end of the step, and choose the next length by the error (hook)."""
+    """Continue from the end of the step, and choose the next length from the error (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[BEGIN_RATE, i] = work[END_RATE, i]
@@ -148,13 +148,13 @@ def load_step(
     end_states: Array,  # noqa: ARG001
     k: int,  # noqa: ARG001
 ) -> None:
-    """Evaluate the rates at the start of a stored step (hook)."""
+    """Evaluate the rate at the start of a stored step; other rates follow when needed (hook)."""
     call(run.address, work[Y], params, work[BEGIN_RATE])
     unit(work[Y], work[BEGIN_RATE], run.quaternion)
 
 
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Write a state in the step by the dense-output polynomial, section II.6 (hook)."""
+    """Write a state inside the step, computed with the dense output of section II.6 (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
         h = t_new - run.t
         if run.known == ENDS:
@@ -195,7 +195,7 @@ def non_finite_entry(work: Array, n: int) -> int:
 
 @dataclass(frozen=True)
 class Steps:
-    """A tableau as linear combinations and evaluations on rows of `work`.
+    """The operations of a tableau: linear combinations and kernel calls on rows of `work`.
 
     Attributes:
         to_end: Steps that compute row NEW from row Y and its rate.
@@ -250,7 +250,7 @@ def steps_of(tableau: Tableau) -> Steps:
 def bind_formulas(
     prefix: str, order: int, tableau: Tableau, numbers: dict[str, Any], **programs: Any
 ) -> Bindings:
-    """Bind the step formulas to a tableau and a number type.
+    """Bind the step formulas to a tableau and a number type (scalars or SIMD vectors).
 
     Args:
         prefix: Unique start of the names of the compiled functions.

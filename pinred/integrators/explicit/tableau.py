@@ -61,5 +61,5 @@ class Tableau:
 
     @property
     def stages(self) -> int:
-        """Number of stages without the end of the step."""
+        """Number of stages, not counting the end of the step."""
         return int(self.errors.shape[1]) - 1

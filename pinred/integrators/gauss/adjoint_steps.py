@@ -5,11 +5,11 @@ propagated back by the same equations with μ transposed,
 
     Λ_j = λ₁ + Σ μ_ij Z_i,    Z_i = h b_i (∂f/∂y)ᵀ Λ_i,    λ = λ₁ + Σ Z_i
 
-(see `tables` for μ). Fixed-point iteration solves both to round-off, whatever tolerance the
-integrator used. The results are thus derivatives of the converged steps. The first guess of L is
-the L that the run has stored. If the run has stored none, it is extrapolated from the step treated
-before. The first guess of Z is extrapolated, too. All stages are evaluated at once, in SIMD lanes.
-A state inside a step is the end of a shorter step.
+(see `tables` for μ). Fixed-point iteration solves both equations to round-off, whatever tolerance
+the integrator used. The results are thus derivatives of the converged steps. The first guess of L
+is the L that the run has stored. If the run has stored none, it is extrapolated from the step
+treated before. The first guess of Z is extrapolated, too. All stages are evaluated at once, in SIMD
+lanes. A state inside a step is the end of a shorter step.
 """
 
 from __future__ import annotations

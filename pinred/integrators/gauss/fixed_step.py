@@ -108,7 +108,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # 
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Continue from the end of the step (hook)."""
+    """Start the next step at the end of this step (hook)."""
     continue_from_end(run, work)
     run.before = run.h
 
@@ -122,7 +122,7 @@ def load_step(
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Write a state in the step, as the end of a shorter step (hook)."""
+    """Write a state inside the step, computed as the end of a shorter step (hook)."""
     if write_inside_state(run, params, work, time, t_new, out):
         return DONE
     return WANTED if run.solver == AUTO and run.tangent == 0 else DIVERGED
@@ -176,8 +176,8 @@ def find_stages_by_newton(
         params: Parameters, (p,).
         work: Work rows.
         row: Row of the stage increments L, which contains a first guess.
-        which: Factors to use, MAIN or REPORT.
-        fresh: Whether to compute these factors first.
+        which: Factorisation to use, MAIN or REPORT.
+        fresh: Whether to compute this factorisation first.
         h: Length of the step [s].
     Returns:
         The number of iterations, or NO_SOLUTION.
@@ -267,7 +267,7 @@ def _write_by_segments(run: Run, params: Array, work: Array, h: float, out: Arra
 
 @compiled
 def _sum(work: Array, row: int, i: int, lanes: int) -> float:
-    """Return the change of entry i over a step."""
+    """Return the change of entry i over a step: the sum of its stage increments."""
     total = 0.0
     for j in range(lanes):
         total += work[row, i * lanes + j]

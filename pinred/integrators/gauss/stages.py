@@ -79,8 +79,8 @@ def refreshment(lanes: int) -> Callable[..., float]:
 
     It sets the stage row `row` to h weights · rate and returns Σ (change · scale)². `last` contains
     the changes of the previous iteration. Positions and momenta may change alternately, so the
-    larger of two successive changes is compared: `best` contains its minimum so far. The vector
-    after the stages of `best` counts the numbers for which this minimum has improved.
+    larger of two successive changes is compared, and `best` contains its minimum so far. The vector
+    after the stages of `best` counts the entries whose minimum has improved.
     """
 
     @make_intrinsic
@@ -217,7 +217,7 @@ def refresh(work: Array, row: int, n: int, lanes: int, h: float) -> float:
         lanes: Number of SIMD lanes.
         h: Length of the step [s].
     Returns:
-        The norm.
+        The norm, the square root of Σ (change · scale)².
     """
     if lanes == 4:
         total = _refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)
@@ -277,7 +277,7 @@ def prepare_guess(
 ) -> None:
     """Compute the table that extrapolates the stage increments of one step to those of another.
 
-    The rates of the other step are those of the polynomial through the stage rates of the first.
+    The polynomial through the stage rates of the first step gives the rates of the other step.
 
     Args:
         work: Work rows.

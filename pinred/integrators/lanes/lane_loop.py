@@ -1,8 +1,8 @@
 """The loop over members in SIMD lanes: each lane has its own step length.
 
-All threads take members from one queue, as many at a time as there are lanes, and evaluate their
-initial rates and first steps together. A lane computes with its own numbers only, so the result
-of a member depends neither on the lane nor on the other members.
+All threads take members from one queue. A thread takes as many members at a time as it has lanes,
+and computes their initial rates and first steps together. A lane uses only its own values, so the
+result of a member depends neither on the lane nor on the other members.
 """
 
 from __future__ import annotations

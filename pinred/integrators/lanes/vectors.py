@@ -1,6 +1,6 @@
 """Vectors and masks in compiled code: one number, or one truth value, per SIMD lane.
 
-Expressions such as `a + b`, `a <= b`, `sqrt(a)` and `choose` apply to all lanes at once. The
+Expressions such as `a + b`, `a <= b`, `sqrt(a)` and `choose` are computed in all lanes at once. The
 result in a lane depends on the operands in that lane only. A row stores the value of entry i in
 lane j as number i·width + j. Kernels that evaluate several states at once use the same layout.
 """

@@ -34,7 +34,7 @@ def option(about: str, **more: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Method(ABC):
-    """An integrator with its options.
+    """Base class of integrators; an instance holds the options of a method.
 
     Attributes:
         about: Short description.

@@ -68,7 +68,7 @@ def load_step(
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Write a state in the step by the corrected stage polynomial (hook)."""
+    """Write a state inside the step, computed with the corrected stage polynomial (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
         if run.known < DENSE:
             run.known = DENSE
@@ -94,7 +94,7 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
 
 @compiled
 def _fill_corrections(run: Run, params: Array, work: Array, h: float) -> None:
-    """Fill the corrections of the stage polynomial: hẏ at the start, h²ÿ at both ends."""
+    """Compute the corrections of the stage polynomial: hẏ at the start, h²ÿ at both ends."""
     n, system, pivots = run.n, MATRIX + 4 * run.n, work[PIVOTS + 2]
     seeds, slopes = work[ALONG:SLOPES], work[SLOPES:MATRIX]
     directions, second_derivatives = seeds.reshape(-1), slopes.reshape(-1)

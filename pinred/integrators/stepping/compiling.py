@@ -96,12 +96,12 @@ class Bindings:
     def add(
         self, function: Any, compile_as: Callable[[Any], Any] = inlined, name: str | None = None
     ) -> Any:
-        """Bind a function to the values so far, and bind its copy to a name.
+        """Bind a function to the current values, and add the bound copy to the values.
 
         Args:
             function: The function.
             compile_as: `inlined` or `compiled`.
-            name: Global name of the copy, that of the function if None.
+            name: Global name of the copy; None for the name of the function.
         Returns:
             The copy.
         """

@@ -25,7 +25,7 @@ def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:
 
 @make_intrinsic
 def call_tangent(typing: Any, address: Any, y: Any, params: Any, directions: Any, out: Any) -> Any:
-    """Fill `out` with ∂ẏ/∂y · directions, SEEDS consecutive values per entry."""
+    """Write ∂ẏ/∂y · directions to `out`, with SEEDS consecutive values for each entry."""
     return _calling(y, params, directions, out)
 
 
@@ -33,13 +33,13 @@ def call_tangent(typing: Any, address: Any, y: Any, params: Any, directions: Any
 def call_slopes(
     typing: Any, address: Any, y: Any, params: Any, along_y: Any, along_params: Any, out: Any
 ) -> Any:
-    """Fill `out` with derivatives along y and params, SEEDS consecutive values per entry."""
+    """Write the derivatives along directions of y and params to `out`, SEEDS values per entry."""
     return _calling(y, params, along_y, along_params, out)
 
 
 @make_intrinsic
 def call_adjoint(typing: Any, address: Any, y: Any, params: Any, covector: Any, out: Any) -> Any:
-    """Fill `out` with the derivatives of covector · ẏ with respect to y, then the parameters."""
+    """Write the derivatives of covector · ẏ with respect to y, then the parameters, to `out`."""
     return _calling(y, params, covector, out)
 
 

@@ -24,7 +24,7 @@ def jacobian(
     first: int,
     n: int,
 ) -> None:
-    """Fill n rows of an array with the Jacobian ∂ẏ/∂y of a kernel.
+    """Compute the Jacobian ∂ẏ/∂y of a kernel in n rows of an array.
 
     Args:
         tangent: Address of the tangent kernel.

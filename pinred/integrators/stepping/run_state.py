@@ -96,7 +96,7 @@ _FIRST: dict[str, Any] = {
 
 
 def new_run(**numbers: float) -> Runs:
-    """Return the registers of a run before its first step, with the given values."""
+    """Return the registers of a run before its first step; `numbers` sets registers by name."""
     first = {**_FIRST, "budget": EVALUATIONS_BETWEEN_PAUSES, **numbers}
     # Assigning the fields is twice as fast as building the array from a tuple.
     return np.frombuffer(bytearray(_PACKED.pack(*first.values())), LAYOUT)

@@ -85,7 +85,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # 
 
 @inlined
 def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Continue from the end of the step (hook)."""
+    """Start the next step at the end of this step (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
 
@@ -99,7 +99,7 @@ def load_step(
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Write a state in the step, as the end of a shorter step (hook)."""
+    """Write a state inside the step, computed as the end of a shorter step (hook)."""
     if copy_an_end(run, work, time, t_new, out):
         return DONE
     _begin(run, params, work, SUB, time - run.t)

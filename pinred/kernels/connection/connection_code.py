@@ -1,4 +1,4 @@
-"""Machine code of a connection, compiled at first use, compared with its reference, and cached."""
+"""Machine code of a connection: compiled at first use, validated, and cached."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ _NONE = np.zeros(1)
 
 @dataclass(frozen=True)
 class Velocities:
-    """Horizontal motion at N shapes and shape rates.
+    """Horizontal motions at N shapes and shape rates.
 
     Attributes:
-        xi: Body twists −A ẋ, (N, r).
-        health: Distance of P_b from singular, (N,); see `graphs.health`.
-        square: ẋᵀ M ẋ, (N,); NaN without a metric.
+        xi: Body twists ξ = −A ẋ, (N, r).
+        health: Distance of P_b from singularity, (N,); see `connection_form.health`.
+        square: Squared norm ẋᵀ M ẋ in the metric M, (N,); NaN if the form defines no metric.
     """
 
     xi: Array
@@ -53,13 +53,13 @@ class Velocities:
 
 @dataclass(frozen=True)
 class Locals:
-    """The connection at N shapes.
+    """The connection, and its metric if it has one, at N shapes.
 
     Attributes:
-        matrix: The matrix of the form F, (N, r, n), or (N, n, n) if it is symmetric.
+        matrix: The matrix of the form F, (N, r, n), or (N, n, n) if F is symmetric.
         A: Local connection, (N, r, m).
-        health: Distance of P_b from singular, (N,); see `graphs.health`.
-        M: Metric, (N, m, m), or None.
+        health: Distance of P_b from singularity, (N,); see `connection_form.health`.
+        M: Metric on shape space, (N, m, m), or None if F is not symmetric.
     """
 
     matrix: Array
@@ -69,7 +69,7 @@ class Locals:
 
     @property
     def P(self) -> Array:
-        """P_b, (N, r, r): the columns of the form for body twists."""
+        """The block P_b of the form that multiplies body twists, (N, r, r)."""
         r = self.A.shape[1]
         return self.matrix[:, :r, :r]
 
@@ -81,7 +81,7 @@ class Curvatures:
     Attributes:
         exterior: ∂_αA_β − ∂_βA_α, (N, r, m, m).
         bracket: [A_α, A_β], (N, r, m, m).
-        health: Distance of P_b from singular, (N,); see `graphs.health`.
+        health: Distance of P_b from singularity, (N,); see `connection_form.health`.
     """
 
     exterior: Array
@@ -91,7 +91,10 @@ class Curvatures:
 
 @dataclass(frozen=True, eq=False)
 class ConnectionCode:
-    """Machine code of one form.  Shapes x and shape rates ẋ are (N, m) [rad | m], [rad/s | m/s]."""
+    """Machine code of one connection form.
+
+    Shapes x are (N, m) [rad | m], and shape rates ẋ are (N, m) [rad/s | m/s].
+    """
 
     form: ConnectionForm
 
@@ -104,9 +107,9 @@ class ConnectionCode:
         return Velocities(values[:, :r], values[:, r], square)
 
     def velocity_slopes(self, x: Array, xdot: Array) -> Array:
-        """Return the derivative of (ξ, ẋᵀ M ẋ) by (x, ẋ), (N, r + 1, 2m).
+        """Return the derivative of (ξ, ẋᵀ M ẋ) with respect to (x, ẋ), (N, r + 1, 2m).
 
-        Without a metric, it has r rows.
+        Without a metric, the derivative is that of ξ, (N, r, 2m).
         """
         form, code = self.form, self._code("slope", velocity_slope_graph, validate_slope)
         rows, columns = form.r + form.symmetric, 2 * form.m
@@ -126,14 +129,14 @@ class ConnectionCode:
             xddot: Shape accelerations, (N, m).
             along: Weights λ, (N, m).
         Returns:
-            f (N, m), and the derivatives of λᵀf by (x, ẋ, ẍ), (N, 3m).
+            f (N, m), and the derivatives of λᵀf with respect to (x, ẋ, ẍ), (N, 3m).
         """
         code, m = self._code("covariant", covariant_graph, validate_covariant), self.form.m
         values = evaluate(code.address, _NONE, np.hstack([x, xdot, xddot, along]), 4 * m)
         return values[:, :m], values[:, m:]
 
     def locals(self, x: Array) -> Locals:
-        """Compute the matrix of the form, A and M."""
+        """Compute the matrix of the form, the local connection A, and the metric M."""
         r, m, symmetric = self.form.r, self.form.m, self.form.symmetric
         rows, metric = (r + m, m) if symmetric else (r, 0)
         matrix, A = np.empty((len(x), rows, r + m)), np.empty((len(x), r, m))
@@ -144,13 +147,13 @@ class ConnectionCode:
         return Locals(matrix, A, health, M if symmetric else None)
 
     def curvatures(self, x: Array) -> Curvatures:
-        """Compute the curvature in its two terms."""
+        """Compute the two terms of the curvature separately."""
         exterior, bracket = np.zeros((2, len(x), self.form.r, self.form.m, self.form.m))
         health = self._add_curvature(x, exterior, bracket, 1.0)
         return Curvatures(exterior, bracket, health)
 
     def curvature(self, x: Array) -> tuple[Array, Array]:
-        """Return the curvature (N, r, m, m) and the health of P_b, (N,)."""
+        """Return the curvature, (N, r, m, m), and the health of P_b, (N,)."""
         B = np.zeros((len(x), self.form.r, self.form.m, self.form.m))
         return B, self._add_curvature(x, B, B, -1.0)
 
@@ -161,7 +164,7 @@ class ConnectionCode:
         return _matrices(evaluate(code.address, _NONE, np.hstack([x, omega]), r * m), r, m)
 
     def _add_curvature(self, x: Array, exterior: Array, bracket: Array, sign: float) -> Array:
-        """Add both terms of the curvature to zeros, the bracket times sign; return the health."""
+        """Write the exterior and sign · bracket term to arrays of zeros; return P_b's health."""
         r, m = self.form.r, self.form.m
         name = "column_derivatives"
         code = self._code(name, column_derivative_graph, validate_column_derivatives, wide=True)
@@ -181,7 +184,7 @@ class ConnectionCode:
         *,
         wide: bool = False,
     ) -> NativeCode:
-        """Return machine code; wide: of a function of directions, compiled for SIMD lanes."""
+        """Return validated machine code; if wide, one SIMD lane computes each direction."""
 
         def make() -> NativeCode:
             code = cached_code(self.form.key, name, lambda: graph(self.form), wide=wide)
@@ -197,9 +200,10 @@ def cached_code(
     """Return machine code from the cache on disk, or compile it.
 
     Args:
-        key: Identifies the graph.
+        key: Key that identifies the graph.
         name: Name of the compiled function.
-        graph: Returns the Function to compile, of (x, none), or (x, none, u) if wide.
+        graph: Function that returns the CasADi Function to compile.  Its inputs are (x, none), or
+            (x, none, u) if wide.
         wide: Whether the last input is one of WIDTH directions, evaluated in SIMD lanes.
     Returns:
         The code.  The caller must validate it.
@@ -216,7 +220,7 @@ def cached_code(
 def _unpack(columns: Array, matrix: Array, A: Array, health: Array, M: Array) -> None:
     """Fill the terms of `Locals` from the outputs of `column_graph`.
 
-    Symmetric matrices are symmetric up to round-off there, and exactly so here.
+    There, symmetric matrices are symmetric only up to round-off; here they are symmetrised.
     """
     r, m, rows, metric = A.shape[1], A.shape[2], matrix.shape[1], M.shape[1]
     for k in range(len(columns)):
@@ -243,11 +247,11 @@ def _unpack(columns: Array, matrix: Array, A: Array, health: Array, M: Array) ->
 def _antisymmetrise(
     columns: Array, entries: NDArray[np.intp], factors: Array, exterior: Array, bracket: Array
 ) -> None:
-    """Fill both terms of the curvature, which are zero, from columns A_α and ∂A_α.
+    """Compute both terms of the curvature from the columns A_α and their derivatives ∂A_α.
 
     columns: (N, m, r + 1 + r m), with entry (i, β) of ∂_β A_iα at r + 1 + r β + i.  entries,
     factors: indices (a, i, b) and values of the structure constants.  The outputs may be one array,
-    which then holds the sum.
+    which then contains the sum.  They must be zero initially.
     """
     r, m = exterior.shape[1], exterior.shape[2]
     for k in range(len(exterior)):
@@ -269,5 +273,5 @@ def _antisymmetrise(
 
 
 def _matrices(flat: Array, rows: int, columns: int) -> Array:
-    """Return matrices (N, rows, columns) from their entries by columns, (N, rows · columns)."""
+    """Reshape column-major entries, (N, rows · columns), to matrices, (N, rows, columns)."""
     return np.swapaxes(flat.reshape(len(flat), columns, rows), 1, 2)

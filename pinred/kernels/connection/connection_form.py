@@ -1,8 +1,9 @@
 """The linear form of velocities that defines a connection, and the expressions derived from it.
 
 A connection on G × B is given by a form F(x) (ξ, ẋ) = P_b(x) ξ + P_s(x) ẋ with r rows: momenta,
-drag forces, or the slip of wheels.  It vanishes on horizontal motions, so ξ = −A ẋ with
-A = P_b⁻¹ P_s.  A symmetric form, such as momenta or drag, also has m rows for the shape.  Its full
+drag forces, or the slip of wheels.  Horizontal motions are those on which F vanishes,
+so ξ = −A ẋ with A = P_b⁻¹ P_s.  A symmetric form, such as momenta or drag, has m additional rows
+for the shape.  Its full
 matrix G defines a metric on shape space, M = G_ss − Aᵀ P_b A.
 """
 
@@ -20,19 +21,19 @@ from ...reduction.tree.scalars import factor_ldl, solve_factored
 
 @dataclass(frozen=True, eq=False)
 class ConnectionForm:
-    """A form F of velocities v = (ξ, ẋ) on G × B, as CasADi expressions and by Pinocchio.
+    """A form F of velocities v = (ξ, ẋ) on G × B, as CasADi expressions with a reference.
 
     Attributes:
         group: The group G.
         joints: Names of the shape coordinates, (m,).
         units: Units of the shape coordinates, (m,).
-        what: Short description for messages.
+        what: Short description of the form, for messages.
         values: Function (x, v) → F(x) v, (r,), or (n,) if the form is symmetric.
-        locked: Function x → P_b by columns, (r²,).
+        locked: Function x → P_b in column-major order, (r²,).
         reference: Returns the matrix of F at a shape, (r, n) or (n, n), independently of the
             expressions.  Machine code is validated against it.
-        symmetric: Whether the form is symmetric, so that there is a metric.
-        momentum: Whether F is a momentum, whose spatial form is conserved.
+        symmetric: Whether the form is symmetric and thus defines a metric on shape space.
+        momentum: Whether F is a momentum, so that the spatial momentum is conserved.
     """
 
     group: Group
@@ -57,7 +58,7 @@ class ConnectionForm:
 
     @property
     def key(self) -> bytes:
-        """Key of its machine code in the cache: the serialised expressions."""
+        """Key of the form's machine code in the cache: the serialised expressions."""
         axes = f"{self.group.name} {self.group.axes} {self.symmetric}"
         return f"{axes} {self.values.serialize()} {self.locked.serialize()}".encode()
 
@@ -74,18 +75,19 @@ def form_of(
     momentum: bool = False,
     locked: Callable[[ca.SX], ca.SX] | None = None,
 ) -> ConnectionForm:
-    """Return a form from functions of CasADi symbols; see `ConnectionForm`.
+    """Create a ConnectionForm from functions of CasADi symbols.
 
     Args:
         group: The group G.
         joints: Names of the shape coordinates, (m,).
         units: Units of the shape coordinates, (m,).
-        what: Short description for messages.
-        values: Returns F(x) v for symbols x and v.
-        reference: Returns the matrix of F at a shape.
+        what: Short description of the form, for messages.
+        values: Function that returns F(x) v for symbols x and v.
+        reference: Function that returns the matrix of F at a shape; see `ConnectionForm`.
         symmetric: Whether the form is symmetric.
         momentum: Whether F is a momentum.
-        locked: Returns P_b, (r, r), if that takes fewer operations than the derivative of `values`.
+        locked: Function that returns P_b, (r, r), for a symbol x.  It is useful if it takes fewer
+            operations than the default, the derivative of `values`.
     Returns:
         The form.
     """
@@ -120,7 +122,7 @@ def velocity_graph(form: ConnectionForm) -> ca.Function:
 
 
 def velocity_slope_graph(form: ConnectionForm) -> ca.Function:
-    """Return (x, ẋ) → the derivative of (ξ, ẋᵀ M ẋ) by (x, ẋ), by columns."""
+    """Return (x, ẋ) → the derivative of (ξ, ẋᵀ M ẋ) in (x, ẋ), in column-major order."""
     y = ca.SX.sym("y", 2 * form.m)
     values = velocity_graph(form)(y, ca.SX.sym("none"))
     without_health = [*range(form.r), *range(form.r + 1, values.numel())]
@@ -129,9 +131,10 @@ def velocity_slope_graph(form: ConnectionForm) -> ca.Function:
 
 
 def column_graph(form: ConnectionForm) -> ca.Function:
-    """Return x, joint rates u → F(x) (0, u), A u, P_b by columns, its health, and M u.
+    """Return (x, joint rates u) → F(x) (0, u), A u, P_b by columns, health of P_b, and M u.
 
-    M u is missing without a metric.  Evaluated at unit rates, these are columns of F, A and M.
+    M u is omitted if there is no metric.  At unit rates u, these outputs contain columns of the
+    matrices F, A and M.
     """
     r, m = form.r, form.m
     x, u = ca.SX.sym("x", m), ca.SX.sym("u", m)
@@ -145,7 +148,7 @@ def column_graph(form: ConnectionForm) -> ca.Function:
 
 
 def column_derivative_graph(form: ConnectionForm) -> ca.Function:
-    """Return x, joint rates u → A u, the health of P_b, and ∂(A u)/∂x by columns, (r m,).
+    """Return (x, joint rates u) → A u, the health of P_b, and ∂(A u)/∂x by columns, (r m,).
 
     From P_b A u = P_s u, the derivative is P_b⁻¹ ∂F/∂x at the constant velocity (−A u, u).
     """
@@ -167,11 +170,11 @@ def locked_derivative_graph(form: ConnectionForm) -> ca.Function:
 
 
 def covariant_graph(form: ConnectionForm) -> ca.Function:
-    """Return (x, ẋ, ẍ, λ) → the force f (m,), then the derivative of λᵀf by (x, ẋ, ẍ), (3m,).
+    """Return (x, ẋ, ẍ, λ) → the force f, (m,), then the derivative of λᵀf in (x, ẋ, ẍ), (3m,).
 
-    A motion of a shape with the Lagrangian ½ ẋᵀMẋ needs f_α = d/dt (M ẋ)_α − ½ ẋᵀ ∂_αM ẋ, M times
-    its covariant acceleration.  If M is the reduced metric of inertia and nothing else acts, f are
-    the joint torques at zero momentum.
+    With the Lagrangian ½ ẋᵀMẋ, a motion requires the force f_α = d/dt (M ẋ)_α − ½ ẋᵀ ∂_αM ẋ, which
+    is M times the covariant acceleration.  If M is the reduced metric of inertia and no other
+    forces act, f are the joint torques at zero momentum.
     """
     m, none = form.m, ca.SX.sym("none")
     motion, along = ca.SX.sym("motion", 3 * m), ca.SX.sym("along", m)
@@ -195,7 +198,7 @@ def _solved(form: ConnectionForm, P: ca.SX, right: ca.SX) -> ca.SX:
     if not k:
         return ca.SX(r, 0)
     if not form.symmetric:
-        # Cramer's rule needs no pivots.
+        # Use Cramer's rule for small matrices, because it needs no pivoting.
         return ca.densify(ca.adj(P) @ right / ca.det(P)) if r <= 3 else ca.solve(P, right)
     L, _, inverse = factor_ldl(_rows(P))
     columns = [solve_factored(L, inverse, column) for column in _rows(right.T)]
@@ -204,16 +207,16 @@ def _solved(form: ConnectionForm, P: ca.SX, right: ca.SX) -> ca.SX:
 
 
 def _rows(P: ca.SX) -> list[list[ca.SX | float]]:
-    """Return the entries of a matrix, constants as floats: products with 0 and 1 vanish."""
+    """Return the entries of a matrix, constants as floats, so that products with 0 vanish."""
     rows = [[P[i, j] for j in range(P.shape[1])] for i in range(P.shape[0])]
     return [[float(entry) if entry.is_constant() else entry for entry in row] for row in rows]
 
 
 def health(form: ConnectionForm, P: ca.SX) -> ca.SX:
-    """Return the distance of P from singular: 0 if it is singular, at best 1, or ±1.
+    """Return a scaled distance of P from singularity: 0 if P is singular, at most 1 in magnitude.
 
-    If the form is symmetric, this is the least pivot of P, relative to its diagonal entry.
-    Otherwise it is det P divided by the product of the norms of the rows, and has a sign.
+    If the form is symmetric, the result is the smallest pivot of P, relative to the diagonal
+    entry.  Otherwise it is det P divided by the product of the row norms, which may be negative.
     """
     if form.symmetric:
         _, D, _ = factor_ldl(_rows(P))
@@ -228,12 +231,12 @@ def health(form: ConnectionForm, P: ca.SX) -> ca.SX:
 
 
 def _directional_function(name: str, x: ca.SX, u: ca.SX, outputs: list[ca.SX]) -> ca.Function:
-    """Return the Function of (x, no parameters, u); its machine code takes several u at once."""
+    """Return a Function (x, no parameters, u), to be compiled for several directions u."""
     column = ca.densify(ca.vertcat(*outputs))
     return ca.Function(name, [x, ca.SX.sym("none"), u], [column], {"cse": True})
 
 
 def _function(name: str, y: ca.SX, outputs: list[ca.SX]) -> ca.Function:
-    """Return the Function of (y, no parameters), with its outputs in one column."""
+    """Return a Function (y, no parameters) → all outputs in one column."""
     column = ca.densify(ca.vertcat(ca.SX(0, 1), *outputs))
     return ca.Function(name, [y, ca.SX.sym("none")], [column], {"cse": True})

@@ -1,4 +1,4 @@
-"""Validation of a connection's machine code against its reference matrix, by Pinocchio."""
+"""Validation of a connection's machine code against an independent reference matrix."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ..machine.native import NativeCode
 from ..validation import require_agreement
 from .connection_form import ConnectionForm
 
-_TRIALS = 2  # shapes to compare
-_MOST_DRAWS = 100  # random shapes tried until enough of them are regular
-# Near a singular shape both sides are round-off, so a trial shape needs this much of cond(P_b)⁻¹.
+_TRIALS = 2  # number of shapes at which values are compared
+_MOST_DRAWS = 100  # largest number of random shapes drawn to find these
+# Smallest cond(P_b)⁻¹ of a trial shape: near singular shapes, both sides are only round-off.
 _LEAST_CONDITION = 1e-3
-_STEP = 1e-3  # rad or m, of central differences; round-off of a term grows by 1/_STEP
+_STEP = 1e-3  # step of central differences [rad | m]; it amplifies round-off by 1/_STEP
 _TOLERANCE = 1e-7  # relative tolerance of comparisons with differences
 
 
 def validate_velocity(form: ConnectionForm, code: NativeCode) -> None:
-    """Compare ξ and ẋᵀ M ẋ.  Raises KernelMismatch."""
+    """Compare ξ and ẋᵀ M ẋ with the reference.  Raises KernelMismatch."""
     r = form.r
     for x, rng in trial_shapes(form):
         xdot = rng.normal(size=form.m)
@@ -35,7 +35,7 @@ def validate_velocity(form: ConnectionForm, code: NativeCode) -> None:
 
 
 def validate_slope(form: ConnectionForm, code: NativeCode) -> None:
-    """Compare derivatives by x with differences, and those by ẋ with A and M.
+    """Compare derivatives in x with finite differences, and derivatives in ẋ with A and M.
 
     Raises KernelMismatch.
     """
@@ -56,7 +56,7 @@ def validate_slope(form: ConnectionForm, code: NativeCode) -> None:
 
 
 def validate_columns(form: ConnectionForm, code: NativeCode) -> None:
-    """Compare the matrix of the form, A and M.  Raises KernelMismatch."""
+    """Compare the matrix of the form, A and M with the reference.  Raises KernelMismatch."""
     r, m = form.r, form.m
     rows = r + m * form.symmetric
     for x, _ in trial_shapes(form):
@@ -73,7 +73,7 @@ def validate_columns(form: ConnectionForm, code: NativeCode) -> None:
 
 
 def validate_column_derivatives(form: ConnectionForm, code: NativeCode) -> None:
-    """Compare A, and ∂A with differences of the reference.  Raises KernelMismatch."""
+    """Compare A with the reference, ∂A with differences of it.  Raises KernelMismatch."""
     r, m = form.r, form.m
     for x, _ in trial_shapes(form):
         columns = _evaluate_columns(code, x, r + 1 + r * m)[:m]
@@ -101,7 +101,10 @@ def validate_locked_derivative(form: ConnectionForm, code: NativeCode) -> None:
 
 
 def validate_covariant(form: ConnectionForm, code: NativeCode) -> None:
-    """Compare the covariant force with differences of the metric, and its gradient with its own.
+    """Compare the covariant force and its gradient with finite differences.
+
+    The reference of the force uses differences of the metric, and the reference of its gradient
+    uses differences of the force.
 
     Raises KernelMismatch.
     """
@@ -142,7 +145,7 @@ def trial_shapes(form: ConnectionForm) -> Iterator[tuple[Array, np.random.Genera
 
 
 def _reference_terms(form: ConnectionForm, x: Array) -> tuple[Array, Array, float]:
-    """Return A and M from the reference, and the size of the terms that sum to A."""
+    """Return A and M of the reference, and the magnitude of the terms that sum to A."""
     r = form.r
     G = form.reference(x)
     A = np.asarray(np.linalg.solve(G[:r, :r], G[:r, r:]))
@@ -152,7 +155,7 @@ def _reference_terms(form: ConnectionForm, x: Array) -> tuple[Array, Array, floa
 
 
 def _reference_derivatives(form: ConnectionForm, x: Array) -> tuple[Array, Array]:
-    """Return ∂A (r, m, m) and ∂M (m, m, m) by differences of the reference, ∂ last."""
+    """Return ∂A, (r, m, m), and ∂M, (m, m, m), from finite differences of the reference."""
     r, m = form.r, form.m
 
     def terms(y: Array) -> Array:
@@ -168,7 +171,7 @@ def _evaluate_one(code: NativeCode, y: Array, size: int) -> Array:
 
 
 def _evaluate_columns(code: NativeCode, x: Array, size: int) -> Array:
-    """Return the outputs at all unit rates, (max(m, 1), size), at one shape."""
+    """Return the outputs for all unit joint rates at one shape, (max(m, 1), size)."""
     ((_, outputs),) = columns_at(code.address, x[None], size)
     return np.asarray(outputs[0])
 
@@ -181,7 +184,7 @@ def _require(
     scale: float = 0.0,
     tolerance: float | None = None,
 ) -> None:
-    """Raise KernelMismatch if values differ from the reference; scale: of terms that cancel."""
+    """Raise KernelMismatch if values differ; scale: magnitude of the terms that may cancel."""
     who = f"the machine code of {form.what}"
     options = () if tolerance is None else (tolerance,)
     require_agreement(who, term, values.ravel(), expected.ravel(), scale, *options)

@@ -1,1 +1,1 @@
-"""Compilation of CasADi Functions to machine code: lowering, vector sines, and loading."""
+"""Compilation of CasADi Functions to machine code: translation to LLVM IR, and loading."""

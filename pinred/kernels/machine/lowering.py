@@ -1,9 +1,9 @@
 """Translation of CasADi Functions to LLVM IR.
 
-Each instruction becomes one line: registers become SSA values, so no stack is needed.
-Operations on values in lanes become vector instructions.  Sine and cosine by libm are too slow:
-the lowering collects angles that are known at the same time into batches, and each batch is one
-vector computation of both functions.
+Each instruction becomes one line of IR.  Registers become SSA values, so no stack is needed.
+Operations on values in lanes become vector instructions.  Calls of libm for
+sine and cosine are too slow.  Therefore angles that are available at the same time form a batch,
+and one vector computation evaluates both functions of a batch.
 
 The floating-point flags are `contract` and `reassoc`, and `arcp` in divisions.  With `arcp`, two
 quotients of one divisor may become products with 1/y, which differs where 1/y overflows
@@ -27,15 +27,15 @@ _UNLIKELY = '!0 = !{!"branch_weights", i32 100000, i32 1}'
 
 
 class _Writer:
-    """The lines of one function, grouped into stages.
+    """The lines of IR of one function, grouped into stages.
 
-    Stage 0 needs no sine or cosine.  The sines and cosines of its values are computed after it,
-    and stage 1 uses these, and so on.  Most kernels have two stages.
+    Stage 0 needs no sine or cosine.  After each stage, the sines and cosines of its values are
+    computed for use in the next stage.  Most kernels have two stages.
 
     Attributes:
         stages: Lines of each stage.
         angles: Arguments of the sines and cosines of each stage.
-        numbers: Index of each angle.
+        numbers: Index of each angle in the order of registration.
     """
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class _Writer:
 
         Args:
             value: Name of the angle.
-            stage: Stage in which it is known.
+            stage: Stage in which the angle is available.
         Returns:
             Index of the angle.
         """
@@ -61,7 +61,7 @@ class _Writer:
         return self.numbers[value]
 
     def body(self) -> tuple[list[str], set[int]]:
-        """Return all lines, and the sizes of the batches of angles."""
+        """Return all lines of IR, and the set of batch sizes that occur."""
         lines: list[str] = []
         widths = set()
         for stage, angles in zip(self.stages, self.angles, strict=True):
@@ -99,16 +99,16 @@ class _Writer:
 
 
 class _Lowering:
-    """The IR of one Function, written instruction by instruction.
+    """The translation of one Function to IR, instruction by instruction.
 
-    Values are names of SSA values, or constants.  Each value has a width (the number of lanes)
-    and a stage from which it is known.  Constants are known in all stages.
+    A value is the name of an SSA value, or a constant.  Each value has a width (the number of
+    lanes) and the first stage in which it is available.  Constants are available in all stages.
 
     Attributes:
-        writer: The lines.
-        width: Width of values with more than one lane.
-        stage: Stage of values that are unknown in stage 0.
-        used: Operations that occur.
+        writer: The lines of IR written so far.
+        width: Width of each value that has more than one lane.
+        stage: First stage of each value that is not available in stage 0.
+        used: CasADi operations that occur in the Function.
         both: Indices of the angles with lanes.
     """
 
@@ -118,19 +118,19 @@ class _Lowering:
         self.stage: dict[str, int] = {}
         self.used: set[int] = set()
         self.both: dict[str, int] = {}
-        self._copies: dict[tuple[str, int], str] = {}  # numbers copied to all lanes
-        self._sums: set[int] = set()  # widths of the sums over lanes
+        self._copies: dict[tuple[str, int], str] = {}  # (scalar, width) → the scalar in all lanes
+        self._sums: set[int] = set()  # widths of the sums over lanes that occur
         self._marks = marks
-        self._operands: list[str] = []  # operands of the next mark
-        self._marked: list[str] = []  # values of the marks so far
+        self._operands: list[str] = []  # operands read so far for the next Mark
+        self._marked: list[str] = []  # names of the results of the Marks so far
 
     def put(self, new: str, width: int, text: str, *operands: str) -> str:
-        """Write a value in the first stage that knows all its operands.
+        """Write a value in the first stage in which all its operands are available.
 
         Args:
             new: Name of the value.
             width: Number of lanes.
-            text: Right-hand side of the line.
+            text: Right-hand side of the line of IR.
             operands: Names of the operands.
         Returns:
             Name of the value.
@@ -145,7 +145,7 @@ class _Lowering:
         Args:
             new: Name of the value.
             op: CasADi's operation.
-            template: Line of the operation.
+            template: Line of IR of the operation, with placeholders.
             operands: Names of the operands.
         Returns:
             Name of the value.
@@ -161,7 +161,7 @@ class _Lowering:
         return self.put(new, width, template.format(*operands, T=vector(width), one=one), *operands)
 
     def _operate_per_lane(self, new: str, template: str, operands: list[str], width: int) -> str:
-        """Write an operation without vector form, one lane after another."""
+        """Write an operation that LLVM has no vector form of, one lane after another."""
         packed, T = "poison", vector(width)
         for lane in range(width):
             numbers = [
@@ -190,7 +190,7 @@ class _Lowering:
         return self._register(f"%{letter}{self.writer.angle(angle, at)}", 1, at + 1)
 
     def operand(self, value: str) -> None:
-        """Add the next operand of the marks; the last operand of a mark completes its value."""
+        """Add the next operand of a Mark; the last operand of a Mark completes its result."""
         mark = self._marks[len(self._marked)]
         self._operands.append(value)
         if len(self._operands) == len(mark.operands):
@@ -198,13 +198,13 @@ class _Lowering:
             self._operands = []
 
     def marked(self, k: int) -> str:
-        """Return the value of the k-th mark."""
+        """Return the name of the result of the k-th Mark."""
         return self._marked[k]
 
     def declarations(self, angles: set[int]) -> list[str]:
-        """Return the declarations of called functions; angles: sizes of the batches of angles."""
+        """Return the declarations of called functions; angles: batch sizes that occur."""
         calls = {CALLS[op] for op in self.used & CALLS.keys()}
-        if 1 in angles:  # the code of a single angle declares these two
+        if 1 in angles:  # the code for a batch of one angle declares sine and cosine
             calls -= {CALLS[ca.OP_FABS], CALLS[ca.OP_COPYSIGN]}
         return [
             *(declaration(*call) for call in sorted(calls)),
@@ -233,7 +233,7 @@ class _Lowering:
         return self.put(new, 1, call, packed)
 
     def _pack(self, new: str, operands: list[str]) -> str:
-        """Return a value with one operand per lane; constants are set first."""
+        """Pack one operand into each lane, constants first; return the name of the vector."""
         width = len(operands)
         lanes = [v if _is_constant(v) else "poison" for v in operands]
         packed = f"<{', '.join(f'double {v}' for v in lanes)}>"
@@ -245,7 +245,7 @@ class _Lowering:
         return packed
 
     def in_lanes(self, value: str, width: int) -> str:
-        """Return a value in lanes; a single number is copied to all lanes."""
+        """Return a value as a vector; a scalar is copied to all lanes."""
         if self.width.get(value, 1) == width:
             return value
         if _is_constant(value):
@@ -290,7 +290,7 @@ def lower(
         UnsupportedOperationError: The Function contains an operation without machine code.
     """
     low = _Lowering(marks or ())
-    value: dict[int, str] = {}  # contents of the registers at the current instruction
+    value: dict[int, str] = {}  # value currently stored in each register
     loads: dict[tuple[int, int], str] = {}
     lines_of = templates()
     inputs = function.n_in() if marks is None else function.n_in() - 1

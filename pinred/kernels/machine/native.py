@@ -1,7 +1,7 @@
-"""Machine code of CasADi Functions by LLVM, without a C compiler.
+"""Compilation of CasADi Functions to machine code with LLVM, without a C compiler.
 
 The only LLVM pass is the inlining of helpers.  Code generation eliminates common
-subexpressions; the default pipeline takes a third longer and gives no faster code.
+subexpressions; LLVM's default pipeline takes a third longer, and its code is not faster.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ...reduction.tree.identical_branches import Mark
 from .lowering import lower
 from .operations import RESERVED
 
-_IDENTITY = 16  # bytes that encode format, word size and byte order
+_IDENTITY = 16  # number of bytes that encode format, word size and byte order
 
 _LOCK = Lock()
 
@@ -90,10 +90,10 @@ def compile_object(
 
 
 def load_object(code: bytes, name: str) -> NativeCode:
-    """Load object code of `compile_object` into memory.
+    """Load object code created by `compile_object` into memory.
 
-    The same code may be loaded repeatedly, by any thread.  Foreign code can do anything, so load
-    only code that was compiled here or read from an ObjectCache.
+    The same code may be loaded repeatedly, by any thread.  The code runs with all rights of the
+    process, so load only code that was compiled here or read from an ObjectCache.
 
     Args:
         code: The object code.
@@ -101,7 +101,7 @@ def load_object(code: bytes, name: str) -> NativeCode:
     Returns:
         The function.
     Raises:
-        InputError: The bytes are no object code of this machine, or have no such function.
+        InputError: The bytes are not object code for this machine, or the function is missing.
     """
     with _LOCK:
         if code[:_IDENTITY] != _identity():
@@ -129,7 +129,7 @@ def _target() -> llvm.Target:
 def _create_machine() -> llvm.TargetMachine:
     """Create a target machine for this CPU.
 
-    The code model allows code far from its constants and from libm.
+    The code model permits code at addresses far from its constants and from libm.
 
     Returns:
         The machine; MCJIT takes ownership, so each call creates a new one.
@@ -144,7 +144,7 @@ def _create_machine() -> llvm.TargetMachine:
 
 @cache
 def _identity() -> bytes:
-    """Return the first bytes of all object files of this machine; LLVM crashes on others."""
+    """Return the first bytes of all object files of this machine; others would crash LLVM."""
     header: bytes = _create_machine().emit_object(llvm.parse_assembly(""))
     return header[:_IDENTITY]
 

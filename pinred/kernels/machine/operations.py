@@ -1,4 +1,4 @@
-"""The LLVM IR of CasADi's operations on numbers: single lines, calls, and helper functions."""
+"""LLVM IR of CasADi's scalar operations: single lines, calls, and helper functions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import casadi as ca
 FLAGS = "contract reassoc"
 NAMES = {getattr(ca, key): key[3:].lower() for key in dir(ca) if key.startswith("OP_")}
 
-# Operations with one line of IR: {} are the operands, T their type.
+# Operations that take one line of IR: {} stands for an operand, T for the type of the operands.
 LINES = {
     ca.OP_ADD: f"fadd {FLAGS} {{T}} {{}}, {{}}",
     ca.OP_SUB: f"fsub {FLAGS} {{T}} {{}}, {{}}",
@@ -34,7 +34,8 @@ CALLS = {
     ca.OP_ASINH: ("asinh", 1), ca.OP_ACOSH: ("acosh", 1), ca.OP_ATANH: ("atanh", 1),
     ca.OP_ERF: ("erf", 1), ca.OP_FMOD: ("fmod", 2), ca.OP_REMAINDER: ("remainder", 2),
 }  # fmt: skip
-# Operations with several lines.  Truth values are 1 or 0; all numbers except ±0 are true, NaN too.
+# Operations that take several lines.  Results are 1 (true) or 0 (false).  As operands, all numbers
+# except ±0 are true, including NaN.
 _TRUTH = {
     ca.OP_LT: ["%t = fcmp olt double %a, %b"],
     ca.OP_LE: ["%t = fcmp ole double %a, %b"],
@@ -68,7 +69,7 @@ RESERVED = {name for name, _ in CALLS.values()} | {"sin", "cos", "sincos"}
 
 @cache
 def templates() -> dict[int, str]:
-    """Return the line of each operation with one result."""
+    """Return the template line of IR of each operation, by CasADi's operation code."""
     calls = {op: (f"@{name}", count) for op, (name, count) in CALLS.items()}
     calls |= {op: (f"@pinred.{NAMES[op]}", 1 if op in _UNARY else 2) for op in BODIES}
     return LINES | {
@@ -78,12 +79,12 @@ def templates() -> dict[int, str]:
 
 
 def declaration(name: str, count: int) -> str:
-    """Return the declaration of a function of `count` numbers."""
+    """Return the LLVM declaration of a function of `count` numbers."""
     return f"declare double @{name}({', '.join(['double'] * count)}) {PURE}"
 
 
 def helper(op: int) -> str:
-    """Return the function of an operation with several lines."""
+    """Return the LLVM function that implements an operation of several lines."""
     arguments = "double %a" if op in _UNARY else "double %a, double %b"
     body = "\n".join(BODIES[op])
     return (

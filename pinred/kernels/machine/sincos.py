@@ -1,20 +1,20 @@
 """Sine and cosine of several angles at once, as LLVM IR.
 
 For |x| < 2²⁰ the angle is reduced to |r| ≤ π/4 by three parts of π/2 (Cody and Waite).  With a
-fused multiply-add the first step is exact; the rounding errors of the other steps are kept and
-added to the result.  Then fdlibm's polynomials are evaluated.  Larger angles, inf and NaN branch
-to libm, each in its lane, so that no lane depends on the others.  CPUs without a fused
-multiply-add use libm for all angles.
+fused multiply-add the first step is exact; the rounding errors of the other steps are stored
+and added to the result.  Then fdlibm's polynomials are evaluated.  Larger angles, inf and NaN
+branch to libm lane by lane, so that the result of a lane does not depend on other lanes.  CPUs
+without a fused multiply-add use libm for all angles.
 """
 
 from __future__ import annotations
 
 import struct
 
-LANES = (8, 4, 2, 1)  # supported numbers of angles, the widest first
+LANES = (8, 4, 2, 1)  # supported numbers of angles per batch, in decreasing order
 
-_LIMIT = 2.0**20  # larger angles branch to libm [rad]
-_MAGIC = 1.5 * 2.0**52  # adding it rounds a number to an integer in the lowest bits
+_LIMIT = 2.0**20  # angle above which libm is called [rad]
+_MAGIC = 1.5 * 2.0**52  # adding this number rounds to an integer in the lowest bits
 _TWO_OVER_PI = float.fromhex("0x1.45f306dc9c883p-1")
 # π/2 in parts of 53, 33 and 53 bits, so that 20 bits times the second part are exact.
 _PARTS = (
@@ -34,7 +34,7 @@ _COS = (
 
 
 def constant(value: float) -> str:
-    """Format a number as LLVM reads it without rounding."""
+    """Format a number such that LLVM reads it without rounding."""
     (bits,) = struct.unpack("<Q", struct.pack("<d", value))
     return f"0x{bits:016X}"
 

@@ -20,18 +20,18 @@ from .solver import PreparedRun, Solver
 from .timing import alternating, repeated
 from .work_precision import Point, WorkPrecision
 
-YARDSTICK = "pinred"  # method in every run, so that ratios compare times of the same run
+YARDSTICK = "pinred"  # method that is part of every run, so that time ratios stay within one run
 
 
 @dataclass(frozen=True)
 class Effort:
-    """The time that a benchmark may take.
+    """Time limits and repetitions of a benchmark.
 
     Attributes:
         name: Name of the effort, stored in the record.
         rounds: Number of rounds, of which the median is reported.
-        patience: Longest run [s]; after a longer one, finer tolerances of the method are skipped.
-        budget: Time for all rounds of one point [s].
+        patience: Time limit [s]; after a longer run, finer tolerances of the method are skipped.
+        budget: Time limit for all rounds of one method at one tolerance [s].
         every: Stride through the tolerances of a method; 1 measures all.
     """
 
@@ -65,7 +65,7 @@ def bench_accuracy(
     Args:
         problems: Problems; `scenes.BARS` if None.
         methods: Methods; SOLVERS if None.
-        tolerances: Relative tolerances for methods with step control; their defaults if None.
+        tolerances: Relative tolerances for methods with step control; default tolerances if None.
         effort: Time that the measurement may take.
         progress: True for a progress bar, or a function of the completed fraction.
     Returns:
@@ -105,7 +105,7 @@ def bench_problem(
     Args:
         problem: The problem.
         methods: Methods to measure; those that cannot run here are listed as missing.
-        tolerances: Relative tolerances for methods with step control; their defaults if None.
+        tolerances: Relative tolerances for methods with step control; default tolerances if None.
         effort: Time that the measurement may take.
         run: Name of the run.
         progress: Called with the completed fraction.
@@ -168,7 +168,7 @@ def _first_runs(
         try:
             prepared = method.prepare(problem, tolerance)
             result, wall = _run_timed(prepared)
-            if wall > effort.patience:  # the first run may have compiled or loaded code
+            if wall > effort.patience:  # may include time to compile or load code
                 result, wall = _run_timed(prepared)
             point = _point(problem, reference, method.name, tolerance, prepared, result)
         except PinredError as error:
@@ -196,7 +196,7 @@ def _point(
     prepared: PreparedRun,
     result: object,
 ) -> Point:
-    """Return the errors of a first run, without its time; raise IntegrationError if not finite."""
+    """Return the errors of a first run, not its time; raise IntegrationError if not finite."""
     end = prepared.end(result)
     if not all(np.isfinite(values).all() for values in (end.x, end.q, end.v)):
         raise IntegrationError("the final state is not finite")

@@ -1,7 +1,7 @@
 """Trajectories per second on one thread, for batches of members at a requested error.
 
-Processor time is measured instead of wall time: calls take milliseconds, and wall time would mostly
-show other work of the machine.
+Processor time is measured instead of wall time: calls take milliseconds, and other processes on
+the machine would distort their wall time.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .scenes import problems_named
 MEMBERS, ROUNDS, ERROR = 512, 5, 1e-8
 JUDGED = 2  # number of members whose final state is compared with Pinocchio's ABA
 BATCH_SOLVERS = (*OWN, *HEYOKA_BATCH, *ROLLOUT)
-_BUDGET = 10.0  # processor time [s] after which a solver runs in no further round
+_BUDGET = 10.0  # processor time [s] after which a solver skips the remaining rounds
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class ManyTiming:
         members: Number of members.
         duration: Duration of each motion [s].
         rates: Results of the solvers.
-        missing: Reasons why solvers were left out or did not reach the error.
+        missing: Reasons why solvers were left out or did not reach the requested error.
     """
 
     problem: str
@@ -142,7 +142,7 @@ def _processor_seconds(actions: Sequence[Callable[[], object]], rounds: int) -> 
     """Return the median processor time of each action [s], measured in alternating rounds."""
     seconds: list[list[float]] = [[] for _ in actions]
     for action in actions:
-        action()  # compilation and loading do not count
+        action()  # run once before timing, to exclude compilation and loading
     for _ in range(rounds):
         for spent, action in zip(seconds, actions, strict=True):
             if sum(spent) < _BUDGET:

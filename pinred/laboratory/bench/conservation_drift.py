@@ -12,14 +12,14 @@ from .problems import Problem
 
 @dataclass(frozen=True)
 class Drift:
-    """Relative change from start to end.
+    """Relative changes of conserved quantities from the start to the end of a motion.
 
     Attributes:
-        energy: Change of energy over the initial kinetic energy T, without the uniform motion of
-            the centre of mass.
-        momentum: Largest change of a conserved component over √(2mT), times the radius of
-            gyration for angular ones. Angular momentum is taken about the centre of mass if the
-            group translates, else about the pivot.
+        energy: Change of energy relative to the initial kinetic energy T, which excludes the
+            uniform motion of the centre of mass.
+        momentum: Largest change of a conserved component, relative to √(2mT); for angular
+            components, to √(2mT) times the radius of gyration. Angular momentum is taken about
+            the centre of mass if the group translates, else about the pivot.
     """
 
     energy: float
@@ -27,7 +27,7 @@ class Drift:
 
 
 def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
-    """Compute the drift of a motion of a problem that ends at q (nq,) and v (n,)."""
+    """Compute the drift between the start of a problem and a final state q (nq,), v (n,)."""
     full, system, start = problem.full, problem.system, problem.start
     k = system.group.linear
     q0, v0 = problem.q0, problem.v0

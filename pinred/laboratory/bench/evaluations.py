@@ -1,4 +1,4 @@
-"""Number of sequential evaluations that published methods need for an error.
+"""Number of sequential evaluations that published methods need to reach a requested error.
 
 Methods of SciPy and, if installed, of extensisq run over the compiled vector field, called from
 Python; only evaluations are counted, not time. AdaptiveGauss evaluates eight stages at once, so its
@@ -58,7 +58,7 @@ _EXTENSISQ = {
 
 @dataclass(frozen=True)
 class Evaluations:
-    """Evaluations needed for errors on one problem.
+    """Number of evaluations that each method needs for each error on one problem.
 
     Attributes:
         problem: Name and description of the problem.
@@ -83,7 +83,7 @@ class Evaluations:
 def bench_evaluations(
     scenes: Sequence[str] = FEW_SCENES, *, progress: Progress | bool | None = None
 ) -> list[Evaluations]:
-    """Count the evaluations that errors cost on scenes.
+    """Count the evaluations that each method needs for each error, on each scene.
 
     Args:
         scenes: Names of scenes in SCENES.
@@ -124,7 +124,7 @@ def _count_evaluations(problem: Problem) -> Evaluations:
 
 
 def _at_errors(points: list[tuple[float, float]]) -> tuple[float, ...]:
-    """Return the least evaluations of points (error, evaluations) that reach each of ERRORS."""
+    """Return the fewest evaluations for each of ERRORS, from points (error, evaluations)."""
     return tuple(
         min((count for error, count in points if error <= target), default=np.nan)
         for target in ERRORS
@@ -134,7 +134,7 @@ def _at_errors(points: list[tuple[float, float]]) -> tuple[float, ...]:
 def _run_pinred(
     problem: Problem, truth: FullMotion, method: Any, stages: int
 ) -> tuple[float, float]:
-    """Return error and sequential evaluations of a method of pinred."""
+    """Return the error and the number of sequential evaluations of a method of pinred."""
     from ...simulation.simulate import simulate
 
     traj = simulate(problem.scene(method=method))
@@ -180,7 +180,7 @@ def _solve(
 def _run_scipy(
     problem: Problem, truth: FullMotion, kind: Any, norm: Norm, tol: float
 ) -> tuple[float, float]:
-    """Return error and evaluations of a SciPy method; (inf, NaN) if it fails."""
+    """Return the error and number of evaluations of a SciPy method; (inf, NaN) if it fails."""
     scene = problem.scene()
     flow = CompiledFlow.of_plan(plan_of(scene))
     try:

@@ -1,4 +1,4 @@
-"""Floquet multipliers of relative equilibria by three routes, against the closed form e^{λT}.
+"""Floquet multipliers of relative equilibria, computed in three ways and compared with e^{λT}.
 
 A relative equilibrium is periodic with any period T. Its multipliers follow from the eigenvalues λ
 of the linearised flow. The routes are `pinred.floquet`, which integrates the linearised flow in
@@ -31,7 +31,7 @@ from ...simulation.simulate import simulate
 from ...system.load import load
 from .timing import alternating, repeated
 
-# Robots with one rotation axis, and their momentum J.
+# Robots with one rotation axis, and their angular momentum J [N·m·s].
 PROBLEMS = {"double_spherical_pendulum": 2.0, "planar_chain5": 1.0}
 ROUTES = ("pinred.floquet", "differences of pinred.simulate", "SciPy's DOP853 over the kernel")
 _ROUNDS = 5
@@ -68,7 +68,7 @@ class FloquetTiming:
 def bench_floquet(
     *, rounds: int = _ROUNDS, progress: Progress | bool | None = None
 ) -> list[FloquetTiming]:
-    """Time the routes on the relative equilibrium of least energy of each robot in PROBLEMS.
+    """Time the routes on the lowest-energy relative equilibrium of each robot in PROBLEMS.
 
     Args:
         rounds: Number of rounds, of which the median is reported.
@@ -104,12 +104,14 @@ def _sort_by_angle(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 
 def _differences(least: RelativeEquilibrium, T: float) -> Array:
-    """Return the monodromy (2m, 2m) by central differences of simulations."""
+    """Compute the monodromy matrix, (2m, 2m), from central differences of simulations."""
     system, red = least.system, PointwiseReduction(least.system)
     r, m = system.r, system.m
     start = red.mass_matrix(least.x) @ np.concatenate([least.xi, least.xdot])
     scene = least.scene(duration=T)
-    mu = np.zeros(r)  # without linear momentum, so independent of the reference point
+    mu = np.zeros(
+        r
+    )  # the linear momentum is zero, so the angular momentum needs no reference point
     mu[-1] = least.momentum
 
     def final_state(change: Array) -> Array:
@@ -124,7 +126,7 @@ def _differences(least: RelativeEquilibrium, T: float) -> Array:
 
 
 def _by_scipy(scene: Scene, T: float) -> Array:
-    """Return the monodromy (k, k) by SciPy's DOP853 over the kernel and its Jacobian."""
+    """Compute the monodromy matrix, (k, k), with SciPy's DOP853 over kernel and Jacobian."""
     flow = CompiledFlow.of_plan(plan_of(without_base(scene)))
     n = len(flow.y0)
 

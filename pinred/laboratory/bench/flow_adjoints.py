@@ -15,8 +15,8 @@ from ...kernels.reduced_graph import ReducedGraph
 from ...simulation.flow_map.flow import Flow
 from .timing import alternating, repeated
 
-_MOST = 1_000_000  # steps
-_LONGEST = 3.0  # total time for each of the two [s]
+_MOST = 1_000_000  # largest number of steps of CVODES
+_LONGEST = 3.0  # total time for each of the two adjoints [s]
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Adjoints:
     """Gradients of λ · y at the end with respect to the initial reduced state and parameters.
 
     Attributes:
-        cvodes: Gradient by CVODES, (n + p,).
-        own: Gradient by pinred, (n + p,).
+        cvodes: Gradient computed by CVODES, (n + p,).
+        own: Gradient computed by pinred, (n + p,).
         slower: Ratio of CVODES's time to pinred's, forward run included; the fastest of several
             alternating rounds. NaN if not timed.
     """
@@ -41,7 +41,7 @@ class Adjoints:
 
 
 def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoints:
-    """Compute the adjoint of a flow by pinred and by CVODES.
+    """Compute the gradient of a flow with the adjoints of pinred and of CVODES.
 
     The flow must use an explicit method over a single segment. The component along a quaternion's
     length is excluded: the flow normalises quaternions, CVODES does not.
@@ -49,7 +49,7 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
     Args:
         made: The flow.
         tolerance: Relative tolerance of CVODES.
-        timed: Whether to time both.
+        timed: Whether to measure the time of both adjoints.
     Returns:
         Both gradients and the time ratio.
     """
@@ -88,7 +88,7 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
 
 
 def _cvodes(made: Flow, tolerance: float) -> Any:
-    """Return (y₀, parameters, λ) → gradient by y₀ and parameters, by CasADi's CVODES."""
+    """Return the function (y₀, parameters, λ) → gradient, computed by CasADi's CVODES."""
     kernel = made.propagator.kernel
     rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
     y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))

@@ -25,8 +25,8 @@ from .timing import alternating, repeated
 
 BUNDLED = ("planar_chain5", "satellite_two_arms")
 EXAMPLES = ("solo12", "talos")
-_SPAN = 2.0  # s
-_COUNT = 200  # evaluations in one timed call
+_SPAN = 2.0  # duration of the motion [s]
+_COUNT = 200  # number of evaluations in one timed call
 _ROUNDS, _BURST = 300, 1e-3  # many short rounds [s], so that some are not interrupted
 
 
@@ -34,7 +34,7 @@ _ROUNDS, _BURST = 300, 1e-3  # many short rounds [s], so that some are not inter
 class FlowTiming:
     """Cost of one robot's flow: the fastest of several alternating rounds.
 
-    Every call of a flow uses another initial shape.
+    Every call of a flow uses a different initial shape.
 
     Attributes:
         robot: Name of the robot.
@@ -43,20 +43,21 @@ class FlowTiming:
         call: Time of a call of the flow, including access to x [µs].
         simulate: Time of simulate with the same scene [µs].
         step: Time of one step with its Jacobians [µs].
-        gradient: Time of a gradient by initial shape, rates and twist, in forward runs; includes
-            the forward run.
-        inertias: The same with the masses and centres of mass of all bodies as further inputs.
+        gradient: Time of a gradient with respect to initial shape, rates and twist, including
+            its forward run, relative to a forward run.
+        inertias: As `gradient`, with the masses and centres of mass of all bodies as more inputs.
         gauss: As `gradient`, with AdaptiveGauss at tolerance 1e-10.
         jax: Additional time of a call through JAX [µs]; NaN without JAX.
         jax_gradient: Additional time of a gradient through JAX [µs]; NaN without JAX.
-        cvodes: Ratio of the time of CVODES's adjoint (CasADi, same tolerance) to the gradient's.
-        apart: Relative difference of the two gradients.
-        adjoint: Time of an evaluation of the adjoint kernel, in evaluations of the rate.
-        free: Time of a rate with all inertias as inputs, relative to the folded kernel.
-        placed: The same with all placements as inputs, with their pattern of zeros.
-        generic: The same with arbitrary placements as inputs.
-        knots: Bytes per step stored for a gradient, without stages.
-        stages: Bytes per step stored for a gradient, with stages.
+        cvodes: Time of CVODES's adjoint (CasADi, same tolerance) relative to pinred's gradient.
+        apart: Relative difference of the gradients of CVODES and pinred.
+        adjoint: Time of an adjoint kernel evaluation, relative to a rate evaluation.
+        free: Time of a rate evaluation with all inertias as inputs, relative to a kernel with
+        constant inertias.
+        placed: As `free`, with all placements as inputs that keep their pattern of zeros.
+        generic: As `free`, with arbitrary placements as inputs.
+        knots: Bytes stored per step for a gradient, if only step ends are stored.
+        stages: Bytes stored per step for a gradient, if stage derivatives are stored too.
     """
 
     robot: str

@@ -38,7 +38,7 @@ class ForcesTiming:
         torque: Ratio to `free` with torques that depend on attitude and angular velocity.
         wrench: Ratio to `free` with a constant wrench.
         full: Ratio to `free` with a wrench that depends on pose and twist.
-        numbers: Number of integrated states of the four kernels.
+        numbers: Number of integrated states of each of the four kernels.
     """
 
     robot: str
@@ -82,7 +82,7 @@ def _bench(name: str) -> ForcesTiming:
     system = load(name, gravity=(0.0, 0.0, 0.0))
     kernels = [_kernel(system, force) for force in (None, *_forces(system))]
     times = alternating([evaluations(kernel) for kernel in kernels], rounds=_ROUNDS, span=_SPAN)
-    # Differences of a few percent are visible only in rounds without interruption.
+    # A few percent can only be measured in rounds that the operating system does not interrupt.
     fastest = times.min(axis=0)
     torque, wrench, full = (fastest[1:] / fastest[0]).tolist()
     numbers = tuple(kernel.layout.size for kernel in kernels)
@@ -90,7 +90,7 @@ def _bench(name: str) -> ForcesTiming:
 
 
 def _kernel(system: System, force: Any) -> Kernel:
-    # Without forces on them, cyclic joints would be skipped; here all kernels integrate all joints.
+    # A kernel skips cyclic joints without forces. For comparison, all kernels integrate all joints.
     forces = None if force is None else ForceModel(system, [force], {})
     return build_kernel(system, Structure(zero_momentum=False), forces)
 

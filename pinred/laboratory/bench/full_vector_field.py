@@ -1,8 +1,8 @@
-"""Pinocchio's ABA on the full state as a fast vector field for SciPy.
+"""Pinocchio's ABA on the full state, as a fast vector field for SciPy's integrators.
 
 The state is (root, x, v) as in judge/reference_solution.py. The judge's vector field takes ten
-times as long as `pin.aba` and would make SciPy's methods look slow. This one allocates no array
-except its result and computes the kinematics of the root with Python floats.
+times as long as `pin.aba` and would make SciPy's methods look slow. The field here allocates no
+array except its result and computes the kinematics of the root with Python floats.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def full_vector_field(system: System) -> Callable[[float, Array], Array]:
 
 
 def _circles(system: System) -> list[bool]:
-    """Return for each coordinate of (root, x) whether Pinocchio stores its cosine and sine."""
+    """Return for each coordinate of (root, x) whether Pinocchio stores it as cosine and sine."""
     joints = system.model.joints
     root = [False] * system.group.size
     root[-1] = joints[1].nq > system.group.size

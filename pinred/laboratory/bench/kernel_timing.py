@@ -44,7 +44,7 @@ class KernelTiming:
 
     @property
     def ratio(self) -> float:
-        """Time of `pin.aba` called from Python over that of the kernel."""
+        """Time of `pin.aba` called from Python divided by the time of the kernel."""
         return self.aba / self.kernel
 
     @staticmethod

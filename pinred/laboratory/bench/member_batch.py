@@ -23,7 +23,7 @@ from .problems import Problem
 from .solver import End
 
 _TOLERANCES = tuple(10.0 ** (-k / 3) for k in range(18, 40))
-_SPREAD = 0.05  # standard deviation of members: of rates (relative) and of shapes [rad | m]
+_SPREAD = 0.05  # standard deviation of the rates (relative) and shapes [rad | m] of members
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class BatchSolver:
             solvers with fixed steps.
         prepare: Prepares a run of some members at a tolerance.
         missing: Returns why the solver cannot run a problem; "" if it can.
-        most: Largest number of members that it gets.
+        most: Largest number of members that the solver is timed with.
     """
 
     name: str
@@ -62,7 +62,7 @@ class BatchSolver:
 
 
 def generate_members(problem: Problem, count: int) -> list[Problem]:
-    """Generate members with random initial states near that of a problem."""
+    """Generate members with random initial states near the initial state of a problem."""
     rng, start, members = np.random.default_rng(0), problem.start, []
     for _ in range(count):
         factors = [1.0 + _SPREAD * rng.normal(size=len(v)) for v in (start.xdot, start.xi)]
@@ -77,7 +77,7 @@ def generate_members(problem: Problem, count: int) -> list[Problem]:
 
 
 def compile_members(members: Sequence[Problem]) -> CompiledFlow:
-    """Return reduced initial states and parameters of members with momentum."""
+    """Return the reduced initial states and the parameters of members with momentum."""
     (group,) = of_scenes([member.scene(method="DOP853") for member in members]).groups
     ((_, flows),) = flows_of(group.plan, group.given)
     return flows

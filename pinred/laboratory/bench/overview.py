@@ -15,8 +15,8 @@ Table: TypeAlias = tuple[str, list[tuple[str, list[str]]]]  # title, and (name, 
 
 ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)
 LOOSEST, TIGHTEST = 1e-4, 1e-13  # range of tolerances for the ratio error / tolerance
-FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods with that ratio
-_SIDE_BY_SIDE = 6  # scenes in one table
+FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods whose ratio is listed
+_SIDE_BY_SIDE = 6  # largest number of scenes in one table
 
 
 def overview(results: Sequence[WorkPrecision]) -> str:
@@ -72,14 +72,14 @@ def _run(results: Sequence[WorkPrecision], scene: str, method: str) -> WorkPreci
 
 
 def _time(error: float, result: WorkPrecision, name: str) -> str:
-    """Format pinred's wall time [ms], or the ratio of another method's time to it."""
+    """Format pinred's wall time [ms], or the ratio of another method's time to that time."""
     is_pinred = name == YARDSTICK
     value = 1e3 * result.wall_at(name, error) if is_pinred else result.ratio_at(name, error)
     return "—" if np.isnan(value) else f"{value:.3g}"
 
 
 def _following(result: WorkPrecision, method: str) -> str:
-    """Format the range of error / tolerance, for errors above the reference's."""
+    """Format the range of error / tolerance, for errors above the error of the reference."""
     if method not in FOLLOWING:
         return "—"
     ratios = [

@@ -24,7 +24,7 @@ class Problem:
         name: Name of the problem.
         about: Description in one line.
         system: The system.
-        start: Initial shape x, shape rate, body twist, and the duration.
+        start: Initial shape x, initial shape rate, initial body twist, and the duration [s].
     """
 
     name: str

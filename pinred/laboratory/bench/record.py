@@ -27,7 +27,7 @@ COLUMNS = (*_ABOUT, "about", *_POINT, "error")
 
 
 def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> None:
-    """Write results to a csv file; on failure the old file stays.
+    """Write results to a csv file; on failure an existing file is kept.
 
     Args:
         path: The file.
@@ -50,11 +50,11 @@ def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> N
 
 
 def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
-    """Read the results of a csv file, in their order.
+    """Read the results from a csv file, in the order of the file.
 
     Args:
         path: The file.
-        effort: Required effort of the measurement; any if None.
+        effort: Required effort of the measurement; None accepts any effort.
     Returns:
         The results.
     Raises:

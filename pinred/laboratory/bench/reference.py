@@ -1,8 +1,9 @@
 """Reference solution for the final state of a problem, with an estimate of its error.
 
-With heyoka it is Taylor's method in quadruple precision on pinred's reduced equations. It runs at
-two tolerances, and from an initial state that differs by round-off. Without heyoka it is Hairer's
-DOP853 on the full state. In both cases Pinocchio's ABA on the full state confirms it.
+With heyoka, Taylor's method solves pinred's reduced equations in quadruple precision. To estimate
+the error, it runs at two tolerances, and from an initial state that differs by round-off. Without
+heyoka, Hairer's DOP853 solves the equations of the full state. In both cases the result is compared
+with Pinocchio's ABA on the full state.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from .taylor import has_heyoka, reduced_graph, taylor_expressions
 
 _QUAD = (1e-23, 1e-20)  # tolerances in quadruple precision
 _EPS = float(np.finfo(float).eps)
-CONFIRMED = 1e-9  # rad | m; a larger distance from ABA counts as the error of the reference
+CONFIRMED = 1e-9  # a larger distance from ABA [rad | m] counts as the error of the reference
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
             raise IntegrationError(f"heyoka stopped with {outcome.name} at t = {float(ta.time):g}")
         return np.array(ta.state)
 
-    if not flow.y0.size:  # a single body in pure translation
+    if not flow.y0.size:  # a single body in pure translation has no reduced state
         return Reference(aba, _EPS, 0.0, "closed form")
     ends = [propagate(integrator(_QUAD[0]), flow.y0)]
     coarse = integrator(_QUAD[1])
@@ -101,7 +102,7 @@ def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
     perturbed = propagate(coarse, flow.y0 * (1.0 + _EPS * rng.choice([-1.0, 1.0], flow.y0.size)))
     converged = max(float(abs(a - b)) for a, b in zip(*ends, strict=True))
     truth = end(ends[0])
-    # Round-off of the initial momenta and of the final state limits even an exact integration.
+    # Even an exact integration has the round-off of the initial momenta and of the final state.
     rounding = max(problem.apart(truth, end(perturbed)), 4.0 * _EPS)
     independent = problem.apart(truth, aba)
     error = max(converged, rounding)

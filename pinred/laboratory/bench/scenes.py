@@ -19,7 +19,7 @@ BARS = ("planar1", "planar5", "satellite", "solo12", "talos")
 CHAINS = {"planar": (2, 3, 5, 10, 20, 50), "spatial": (2, 3, 5, 10, 20, 50)}
 CHAIN_TIME = 2.0  # duration [s]; long chains become chaotic a few seconds later
 _EXAMPLES = {"solo12": (4.0, 1.0), "talos": (2.0, 2.0)}  # duration [s], factor of initial rates
-# Bundled robots with their initial rates multiplied by a factor.
+# Scene name → bundled robot, and the factor by which its initial rates are multiplied.
 _FASTER = {"planar5": ("planar_chain5", 2.0), "satellite": ("satellite_two_arms", 3.0)}
 _NO_GRAVITY = (0.0, 0.0, 0.0)
 
@@ -44,7 +44,7 @@ def bundled(name: str) -> Problem:
 
 
 def faster(name: str) -> Problem:
-    """Return a bundled robot with its default initial state, with all rates multiplied."""
+    """Return a bundled robot with its default initial state, but with multiplied rates."""
     robot, factor = _FASTER[name]
     slow = bundled(robot)
     about = f"{robot} from its default state with rates times {factor:g}"
@@ -91,7 +91,7 @@ def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], l
     Args:
         names: Names in SCENES; BARS if None.
     Returns:
-        The problems, and one sentence for each that needs a package that is not installed.
+        The problems, and one message for each problem that needs a missing package.
     Raises:
         InputError: Unknown name.
     """

@@ -9,7 +9,7 @@ from typing import Any
 from ...common.arrays import Array
 from .problems import Problem
 
-ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
+ATOL = 0.01  # ratio of absolute to relative tolerance, for methods that use both
 UNKNOWN = float("nan")
 
 
@@ -75,7 +75,7 @@ def decades(first: int, last: int, by: int = 1) -> tuple[float, ...]:
 
 
 def halvings(first: int, count: int) -> tuple[float, ...]:
-    """Return step lengths relative to the duration: 1/first, each half the one before."""
+    """Return step lengths relative to the duration: 1/first, then repeatedly halved."""
     return tuple(1.0 / (first * 2**k) for k in range(count))
 
 

@@ -15,14 +15,14 @@ from .pinred_methods import OWN
 from .solver import Solver
 
 SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)
-# Includes methods that take minutes to prepare.
+# ALL_SOLVERS includes methods that take minutes to prepare.
 ALL_SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA_SLOW)
 
 
 def solvers_named(
     names: Sequence[str] | None, among: Sequence[Solver] = SOLVERS
 ) -> tuple[Solver, ...]:
-    """Return the methods with these names, all if None; raise InputError for an unknown name."""
+    """Return the named methods, or all if None; raise InputError for an unknown name."""
     if names is None:
         return tuple(among)
     by_name = {method.name: method for method in among}

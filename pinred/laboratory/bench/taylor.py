@@ -42,7 +42,7 @@ def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list
     Returns:
         Pairs (yᵢ, dyᵢ/dt).
     Raises:
-        UnsupportedOperationError: heyoka has no such operation.
+        UnsupportedOperationError: heyoka lacks an operation of the function.
     """
     hy = import_module("heyoka")
     y = [hy.expression(f"y{k}") for k in range(function.numel_in(0))]
@@ -98,7 +98,7 @@ def taylor_integrator(
 
 @cache
 def _operations() -> dict[int, Any]:
-    """Return CasADi operation code → function of numbers or heyoka expressions."""
+    """Return a mapping: CasADi operation code → function of numbers or heyoka expressions."""
     hy = import_module("heyoka")
 
     def function(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""Speedup by threads in simulate_many(), and its memory use."""
+"""Speedup of simulate_many() with threads, and its memory use."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .timing import alternating, repeated
 
 Counts = NDArray[np.int64]
 
-DURATION = 2.0  # s
+DURATION = 2.0  # default duration of each motion [s]
 MEMBERS = 1000
 FEW = 0.25  # fraction of the members in the smaller of two memory measurements
 ROUNDS = 5
@@ -36,8 +36,8 @@ class ThreadsTiming:
         duration: Duration of each motion [s].
         wall: Median wall times with one thread and with two, (2,) [s].
         speedup: Median over rounds of the ratio of the two times.
-        sizes: Numbers of members of the two calls whose memory was measured, (2,).
-        results: Bytes of their reduced states, (2,).
+        sizes: Numbers of members in the two calls whose memory was measured, (2,).
+        results: Bytes of the reduced states in the results of these two calls, (2,).
         kept: Bytes kept by the trajectories, reduced states included, (2,).
         extra: Peak bytes in addition to `kept`, (2,).
     """
@@ -87,7 +87,8 @@ def bench_threads(
 
     Args:
         system: The system.
-        members: Number of members, at least 4. Memory is measured with all, and with a quarter.
+        members: Number of members, at least 4. Memory is measured with all members and
+            with a quarter.
         duration: Duration of each motion [s].
         rounds: Number of rounds, of which the median is reported.
         progress: True for a progress bar, or a function of the completed fraction.

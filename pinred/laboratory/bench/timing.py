@@ -13,9 +13,9 @@ from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
 from ...kernels.object_cache import ObjectCache
 
-ROUNDS = 15  # default number of rounds, of which the median is reported
+ROUNDS = 15  # default number of rounds; the median over rounds is reported
 SPAN = 0.01  # least duration of an action in a round [s]; short actions are repeated
-LOADING = 20.0  # a shorter first call [s] may include compilation, and is repeated
+LOADING = 20.0  # a first call below this time [s] is repeated, as it may include compilation
 FEWEST = 3  # least number of rounds of a slow action
 
 
@@ -66,7 +66,7 @@ def alternating(
     for k in range(rounds):
         for j, (action, count) in enumerate(zip(actions, counts, strict=True)):
             n = numbers_of_rounds[j]
-            if k * n // rounds < (k + 1) * n // rounds:  # n of the rounds, evenly spread
+            if k * n // rounds < (k + 1) * n // rounds:  # select n of the rounds, evenly spread
                 seconds[k, j] = _seconds(action, count) / count
         progress((k + 2) / (rounds + 1))
     return seconds

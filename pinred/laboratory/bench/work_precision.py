@@ -24,10 +24,10 @@ class Point:
         evaluations: Evaluations of the vector field; steps for Taylor methods.
         shape: Largest |Δx| [rad | m].
         rotation: Norm of the rotational part of log(g⁻¹ĝ) of the base [rad].
-        position: Norm of its translational part [m].
+        position: Norm of the translational part of log(g⁻¹ĝ) [m].
         energy: Relative drift of energy, see conservation_drift.py.
         momentum: Relative drift of momentum.
-        failure: Why the method failed; the numbers are then NaN.
+        failure: Reason why the method failed; if it did, the numbers are NaN.
     """
 
     method: str
@@ -44,7 +44,7 @@ class Point:
 
     @property
     def error(self) -> float:
-        """Largest of shape, rotation and position error [rad | m]; NaN if one is NaN."""
+        """Largest of shape, rotation and position error [rad | m]; NaN if any is NaN."""
         return float(np.max([self.shape, self.rotation, self.position]))
 
 
@@ -58,11 +58,11 @@ class WorkPrecision:
         duration: Duration of the motion [s].
         reference_error: Estimated error of the reference [rad | m]; smaller errors cannot be
             resolved.
-        about: Method → description of its timed work.
+        about: Mapping from each method to a description of its timed work.
         points: Results of all methods and tolerances.
         description: Description of the problem.
         reference: Description of the reference solution.
-        missing: Method → why it could not run.
+        missing: Mapping from each missing method to the reason why it could not run.
         run: Name of the run; times of different runs must not be compared.
     """
 
@@ -115,7 +115,7 @@ class WorkPrecision:
         return float(np.exp(np.interp(np.log(error), errors, walls)))
 
     def only(self, methods: Iterable[str]) -> WorkPrecision:
-        """Select some methods.
+        """Return the results of some methods only.
 
         Args:
             methods: Names of the methods.
@@ -151,14 +151,14 @@ class WorkPrecision:
         return [min(names, key=wall) for names in tools.values()]
 
     def ratio_at(self, peer: str, error: float, method: str = "pinred") -> float:
-        """Return the ratio of a peer's wall time to that of a method at equal error.
+        """Return the ratio of a peer's wall time to a method's wall time at equal error.
 
         Args:
             peer: Name of the peer's method.
             error: Error [rad | m].
             method: Name of the method to compare with.
         Returns:
-            The ratio; NaN if one does not reach the error.
+            The ratio; NaN if either method does not reach the error.
         """
         return self.wall_at(peer, error) / self.wall_at(method, error)
 

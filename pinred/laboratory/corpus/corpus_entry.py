@@ -29,18 +29,18 @@ class Entry:
             "FAILED" (differs from ABA or MuJoCo); "error" (other exception, or a crash);
             "fragment" (only part of other files).
         reason: Reason of the outcome in one line.
-        about: Category of the reason.
+        about: Category of the reason, for the summary.
         due: Whether the description should work, see scope.py.
-        why_not: Why it need not work.
-        choice: Option that had to be chosen to load it, such as "root=arm".
+        why_not: Reason why the description need not work.
+        choice: Option that had to be chosen to load the description, such as "root=arm".
         group: Symmetry group of the system.
         joints: Number of joints m.
         duration: Duration of the motion [s].
         aba: Largest error against ABA, relative to the motion's size.
         allowed: Largest `aba` that passes.
         mass: Largest relative error of the mass matrix against MuJoCo's reading; NaN if none.
-        forces: The same for forces.
-        second: Why there is no comparison with MuJoCo's reading.
+        forces: Largest relative error of the forces against MuJoCo's reading; NaN if none.
+        second: Reason why there is no comparison with MuJoCo's reading.
         load: Time for loading [s].
         simulate: Time for the first simulation [s].
         wall: Total time [s].
@@ -68,7 +68,7 @@ class Entry:
 
     @property
     def good(self) -> bool:
-        """Whether it was loaded and simulated, and agrees with ABA and MuJoCo."""
+        """Whether the description was loaded and simulated, and agrees with ABA and MuJoCo."""
         return self.outcome in GOOD
 
 

@@ -20,7 +20,7 @@ _MOST_BYTES = 256_000_000
 class Description:
     """A robot description: a file, or the name of a robot.
 
-    included: whether another file of the folders includes it.
+    included: whether another file in the folders includes this file.
     """
 
     file: str
@@ -47,10 +47,10 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class _Header:
-    """Facts that classify a file.
+    """Properties of an XML file that determine its kind.
 
-    tag: root element.  xacro: whether it needs xacro.  has_bodies: whether it has links or bodies.
-    includes: files that it includes.
+    tag: root element.  xacro: whether the file needs xacro.  has_bodies: whether the file has links
+    or bodies.  includes: other files that this file includes.
     """
 
     tag: str
@@ -65,7 +65,7 @@ def find_descriptions(folders: Iterable[str | Path]) -> SearchResult:
     Args:
         folders: Folders or files.
     Returns:
-        The descriptions, and the numbers of other files.
+        The descriptions, and the number of files of each other kind.
     Raises:
         LoadError: A folder is missing.
     """
@@ -102,7 +102,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _read_header(path: Path) -> _Header | None:
-    """Classify a file by its XML up to the first error; None if it is neither URDF nor MJCF."""
+    """Read the XML up to its first error; return None if it is neither URDF nor MJCF."""
     first: list[tuple[str, bool]] = []
     includes: list[Path] = []
     has_bodies = False
@@ -134,7 +134,7 @@ def _has_macros(path: Path) -> bool:
 
 
 def _content_hash(path: Path, headers: dict[Path, _Header], including: set[Path]) -> str:
-    """Hash a file with its includes; `including` are the files that include it."""
+    """Hash a file with the files it includes; `including`: chain of files that include it."""
     content = hashlib.sha256()
     with suppress(OSError):
         content.update(path.read_bytes())

@@ -1,4 +1,4 @@
-"""Run of the corpus: try all descriptions and build the table of outcomes."""
+"""Corpus run: try all descriptions and build the table of outcomes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Corpus:
         return "\n\n".join(filter(None, (self.summary(), self.reasons(), self.slowest())))
 
     def summary(self) -> str:
-        """Format the number of outcomes by kind, and the success rate of those that should work."""
+        """Format the count of each outcome, and the success rate of descriptions that are due."""
         kinds = [kind for kind in ("urdf", "mjcf", "name") if self._of(kind)]
         rows = [f"{'':<38}" + "".join(f"{kind:>8}" for kind in kinds)]
 
@@ -74,7 +74,7 @@ class Corpus:
         return [e for e in self.entries if e.kind == kind and e.outcome != "fragment"]
 
     def reasons(self) -> str:
-        """Format the reasons of failures by category, with an example each."""
+        """Format the reasons of failures by category, with one example for each category."""
         bad = [e for e in self.entries if not e.good and e.outcome != "fragment"]
         groups: dict[tuple[str, str], list[Entry]] = {}
         for entry in bad:
@@ -116,7 +116,7 @@ def corpus(
 
     Args:
         folders: Folders or files.
-        robots: Also try all robots with names (`pinred robots`).
+        robots: Also try all robots that have a name (listed by `pinred robots`).
         duration: Duration of the motions [s].
         patience: Time limit for one description [s].
         out: A csv file, updated regularly and at the end, also on interruption.
@@ -124,7 +124,7 @@ def corpus(
     Returns:
         The table of outcomes.
     Raises:
-        InputError: No descriptions, or a limit that is not positive.
+        InputError: There are no descriptions, or a limit is not positive.
         LoadError: A folder is missing.
         OutputError: `out` cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Decision which descriptions should work, made without pinred's readers.
+"""Decide which descriptions should work, without using pinred's readers.
 
 A URDF should work if Pinocchio or MuJoCo opens it, if it is one open tree, and if its mass matrix
 is positive definite at zero and at some random shapes. An MJCF file should work if MuJoCo compiles
@@ -23,7 +23,7 @@ _REGULAR = 1e-13  # least eigenvalue of a regular mass matrix, scaled to a unit 
 
 
 def why_not_due(file: str, kind: str) -> str:
-    """Return why a description need not work, in a few words; empty if it should."""
+    """Return a short reason why a description need not work; "" if it should work."""
     reason = _urdf(Path(file)) if kind == "urdf" else _mjcf(file)
     return " ".join(reason.split())[:200]
 
@@ -51,7 +51,7 @@ def _urdf(path: Path) -> str:
 
 
 def _by_mujoco(path: Path, message: str) -> str:
-    """Return why a URDF that Pinocchio cannot open need not work; empty if MuJoCo opens it.
+    """Return why a URDF that Pinocchio rejects need not work; "" if MuJoCo opens it.
 
     message: Pinocchio's error message.
     """
@@ -62,7 +62,7 @@ def _by_mujoco(path: Path, message: str) -> str:
             for element in (*spec.geoms, *spec.meshes):
                 spec.delete(element)
             spec.compile()
-    except Exception:  # the parsers raise any type; or MuJoCo is not installed
+    except Exception:  # parsers raise various types, and MuJoCo may not be installed
         return f"Pinocchio does not open it: {message}"
     return ""
 
@@ -72,7 +72,7 @@ def _build(path: Path, root: pin.JointModel | None) -> pin.Model | None:
         if root is None:
             return pin.buildModelFromUrdf(str(path))
         return pin.buildModelFromUrdf(str(path), root)
-    except Exception:  # the parsers raise any type
+    except Exception:  # parsers raise exceptions of various types
         return None
 
 
@@ -104,7 +104,7 @@ def _mjcf(file: str) -> str:
     with library_output(EVERYTHING), warnings_kept():
         try:
             model = mj.MjModel.from_xml_path(file)
-        except Exception as error:  # the parsers raise any type
+        except Exception as error:  # parsers raise exceptions of various types
             return f"MuJoCo does not compile it: {str(error).splitlines()[0]}"
     tops = _tops(model)
     if not tops:
@@ -114,13 +114,13 @@ def _mjcf(file: str) -> str:
 
 
 def _tops(model: Any) -> list[list[int]]:
-    """Return for each moving child of the world the joints of its subtree."""
+    """Return the joints of the subtree of each moving child of the world."""
     roots = model.body_rootid[model.jnt_bodyid]
     return [np.flatnonzero(roots == top).tolist() for top in np.unique(roots)]
 
 
 def _why_closed(mj: Any, model: Any, joints: list[int]) -> str:
-    """Return why joints are not an open tree of hinge and slide joints; empty if they are."""
+    """Return why joints do not form an open tree of hinges and slides; "" if they do."""
     first_body = int(model.jnt_bodyid[joints[0]])
     ball = int(mj.mjtJoint.mjJNT_BALL)
     top = _root_of(model, first_body)
@@ -136,7 +136,7 @@ def _why_closed(mj: Any, model: Any, joints: list[int]) -> str:
 
 
 def _welded_roots(mj: Any, model: Any, k: int) -> set[int]:
-    """Return the root bodies of both ends of a connect or weld constraint; 0 is the ground."""
+    """Return the root body at each end of a connect or weld constraint; 0 is the ground."""
     ends = [int(model.eq_obj1id[k]), int(model.eq_obj2id[k])]
     if int(model.eq_objtype[k]) == int(mj.mjtObj.mjOBJ_SITE):
         ends = [int(model.site_bodyid[end]) for end in ends]

@@ -2,8 +2,8 @@
 
 MuJoCo reads the file itself; bodies and joints are matched by name. At random MuJoCo coordinates
 the pose of pinred's group follows from the position of one body by Newton's method, and velocities
-follow from its Jacobian. So only the compared model comes from pinred's reader. If the file fixes a
-base that pinred lets float, MuJoCo gets a free joint there.
+follow from its Jacobian. So pinred's reader contributes only the model that is compared. If the
+file fixes a base that floats in pinred, the MuJoCo model gets a free joint at that base.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from ...system.system import System
 STATES = 3
 # Springs and dampers stay enabled, because MuJoCo disables gravity compensation with them.
 _OFF = ("CONSTRAINT", "EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT", "ACTUATION")
-_NEWTON = 60  # iterations
-_CANCELS = 1e-3  # fraction of cancelling moments that counts as a unit of forces
-_ROUND_OFF = 1e-12  # relative step of a position at which Newton's method has converged
+_NEWTON = 60  # largest number of Newton iterations for the pose
+_CANCELS = 1e-3  # fraction of the cancelling moments that is added to the scale of force errors
+_ROUND_OFF = 1e-12  # relative position step below which Newton's method has converged
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Differences:
         places: Difference of body positions, relative to the robot's reach.
         mass: Difference of the mass matrix, relative to its largest entry.
         forces: Difference of bias forces and of forces at random accelerations, relative to the
-            terms that they are sums of.
+            magnitudes of the terms in their sums.
     """
 
     places: float
@@ -83,7 +83,7 @@ def differences(
 
 
 def _read(system: System, file: str, kind: str, root: str | None) -> Any:
-    """Read a file by MuJoCo; add a free joint to the base if pinred lets it float."""
+    """Read a file with MuJoCo; add a free joint to the base if it floats in pinred."""
     mj = mujoco_package()
     spec = mj.MjSpec.from_file(file)
     spec.compiler.fusestatic = False
@@ -108,7 +108,7 @@ def _read(system: System, file: str, kind: str, root: str | None) -> Any:
     except Exception:
         if kind == "urdf":
             raise
-        return compiled(spec)  # without missing meshes that define no mass
+        return compiled(spec)  # compile without missing meshes that define no mass
 
 
 def _top_bodies(spec: Any, system: System) -> list[Any]:
@@ -135,7 +135,7 @@ class _Pair:
         world = robot_in(model, root)
         self._felt = gravity_of(world)
         ids = {world.joint_names[j]: j for body in world.bodies for j in world.joints(body)}
-        # Followers move independently here, in both readings, so all joints are matched.
+        # In both readings, followers move independently here, so all joints are matched.
         names = [str(name) for name in system.model.names[2:]]
         if missing := [name for name in names if name not in ids]:
             raise LoadError(f"MuJoCo has no joint '{missing[0]}'")
@@ -152,7 +152,7 @@ class _Pair:
         moving = [pair for pair in self._bodies if frames[pair[0]].parentJoint > 0]
         if not moving:
             raise LoadError("MuJoCo has no body of the same name")
-        # The body nearest to the root has the smallest round-off of its position.
+        # The position of the body nearest to the root has the smallest round-off.
         self._ref = min(moving, key=lambda pair: frames[pair[0]].parentJoint)
 
     def at_random(self, rng: np.random.Generator) -> Differences:
@@ -193,7 +193,7 @@ class _Pair:
         )
 
     def _configuration(self, x: Array) -> Array:
-        """Return the q that puts the reference body at MuJoCo's pose, by Newton's method."""
+        """Solve by Newton's method for the q that places the reference body as in MuJoCo."""
         system, model, data = self._system, self._system.model, self._pin
         group, (frame, body) = system.group, self._ref
         d = self._data
@@ -242,13 +242,13 @@ class _Pair:
     def _jacobian(self, q: Array) -> Array:
         """Return the Jacobian of the reference body in its own frame, (6, n)."""
         J = pin.computeFrameJacobian(self._system.model, self._pin, q, self._ref[0])
-        # Pinocchio returns a single column as a one-dimensional array.
+        # Pinocchio returns a matrix with a single column as a one-dimensional array.
         return np.asarray(J).reshape(6, self._system.model.nv)
 
     def _force_terms(self, T: Array, q: Array, v: Array, a: Array) -> Array:
         """Return the sum of magnitudes of the terms in each coordinate's force, (n,).
 
-        The terms of a body are its mass times those of its acceleration, and its moments of
+        The terms of a body are its mass times the terms of its acceleration, and its moments of
         inertia times angular acceleration and squared rate, projected on all axes that move it.
         MuJoCo sums moments about the robot's centre of mass, where the moments of a distant small
         heavy wheel cancel. Therefore a fraction of these moments is added.
@@ -274,7 +274,7 @@ class _Pair:
 
 def _dofs(world: World) -> Array:
     """Return the indices of a robot's degrees of freedom in MuJoCo."""
-    model, sizes = world.model, (6, 3, 1, 1)  # of mjtJoint
+    model, sizes = world.model, (6, 3, 1, 1)  # degrees of freedom by mjtJoint
     return np.array(
         [
             int(model.jnt_dofadr[j]) + k

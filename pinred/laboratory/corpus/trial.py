@@ -28,11 +28,11 @@ from .description_files import Description
 from .scope import why_not_due
 from .second_reader import Differences, differences
 
-_MASS = 1e-12  # largest passing error, relative to the mass matrix's largest entry
-_FORCES = 1e-11  # largest passing error, relative to the terms that forces are sums of
-_PLACES = 1e-10  # largest passing error, relative to the robot's reach
-_SHORTER = 0.1  # factor of the duration where the verdict is CANNOT TELL
-_CHOICES = 5  # number of choices that are tried
+_MASS = 1e-12  # largest passing error of the mass matrix, relative to its largest entry
+_FORCES = 1e-11  # largest passing error of forces, relative to the magnitudes of their terms
+_PLACES = 1e-10  # largest passing error of positions, relative to the robot's reach
+_SHORTER = 0.1  # factor that shortens the motion if the verdict is CANNOT TELL
+_CHOICES = 5  # largest number of choices that are tried per file
 _WEIGHTLESS = (0.0, 0.0, 0.0)
 
 
@@ -48,14 +48,16 @@ class TrialOptions:
 
 
 def run_trial(description: Description, options: TrialOptions) -> Entry:
-    """Try a description; any exception becomes an outcome."""
+    """Try a description, and convert any exception to an outcome."""
     began = time.perf_counter()
     entry = Entry(file=description.file, kind=description.kind, outcome="passed")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             entry = _try_description(description, options, entry)
-    except Exception as error:  # a defect of pinred, which the table shall show
+    except (
+        Exception
+    ) as error:  # any other exception is a defect of pinred, so the table must show it
         entry = replace(
             entry, outcome="error", reason=f"{type(error).__name__}: {_line(error)}",
             about="exception that is not pinred's",
@@ -130,7 +132,7 @@ def _worse(entry: Entry, outcome: Any) -> Any:
 
 
 def _load_with_choices(file: str, options: Mapping[str, Any]) -> tuple[System, dict[str, Any]]:
-    """Load a file, trying choices where it is ambiguous; return the system and all options used."""
+    """Load a file, trying choices if it is ambiguous; return the system and the load options."""
     try:
         return load(file, **options), dict(options)
     except ChoiceError as error:
@@ -196,7 +198,7 @@ def _refused(entry: Entry, error: PinredError) -> Entry:
     return replace(entry, outcome="refused", reason=_line(error), about=about(error))
 
 
-_CATEGORIES = (  # words of an error message, and its category
+_CATEGORIES = (  # words in an error message, and the category they indicate
     ("follows", "impossible coupling"),
     ("closes a loop", "closed loop"),
     ("closed loop", "closed loop"),

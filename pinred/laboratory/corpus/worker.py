@@ -1,6 +1,6 @@
 """A child process that tries descriptions one by one, and is replaced when it fails.
 
-So a file that crashes a parser or exceeds the time limit affects only its own row of the table.
+A file that crashes a parser or exceeds the time limit affects only its own row of the table.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Worker:
         self._cache.cleanup()
 
     def run_trial(self, description: Description) -> Entry:
-        """Try a description; the outcome is "stopped" on timeout, "error" on a crash."""
+        """Try a description; the outcome is "stopped" after a timeout and "error" after a crash."""
         pipe, patience = self._ready()
         failure: tuple[Outcome, str, str]
         began = time.perf_counter()
@@ -64,7 +64,7 @@ class Worker:
         return Entry(description.file, description.kind, outcome, reason, about, wall=wall)
 
     def _ready(self) -> tuple[Connection, float]:
-        """Return the pipe to a running process, and the time to wait for its answer [s]."""
+        """Return the pipe to a running process, and the time limit for its answer [s]."""
         if self._pipe is not None:
             return self._pipe, self._patience
         # Threads and open libraries of the parent do not survive a fork.
@@ -88,10 +88,10 @@ class Worker:
 
 
 def _serve(pipe: Connection, options: TrialOptions, cache: str) -> None:
-    """Try descriptions from a pipe until it closes.  cache: folder for compiled kernels."""
+    """Try descriptions from a pipe until the pipe closes.  cache: folder for compiled kernels."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     os.environ["PINRED_CACHE_DIR"] = cache  # an empty cache, so that times include compilation
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # parsers print to both streams
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # silence the parsers, which print to both streams
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     while True:
         try:

@@ -1,4 +1,4 @@
-"""Reference solution of a scene by Pinocchio's ABA on the full state."""
+"""Reference solution of a scene, integrated with Pinocchio's ABA on the full state."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class AbaReference:
     Attributes:
         full: Full simulation of the scene.
         motion: Reference solution at the times.
-        size: Units of its errors.
+        size: Size of the motion, which serves as the unit of errors.
         growth: Factor by which a small perturbation grows until the last time.
     """
 
@@ -40,7 +40,7 @@ class AbaReference:
 
 
 def aba_reference(scene: Scene, times: Array) -> AbaReference:
-    """Integrate a scene by ABA at times (T,); raise IntegrationError if that is impossible."""
+    """Integrate a scene with ABA at times (T,); raise IntegrationError if the integration fails."""
     full, start = FullState(scene), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     motion = full.run(y0, times, *FINEST)

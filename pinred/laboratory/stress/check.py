@@ -15,7 +15,7 @@ from ...simulation.trajectory import Trajectory
 
 T = TypeVar("T")
 _TIGHT = 1e-8  # largest relative tolerance for the `adaptive` methods
-_ANY = 10**12  # limit on steps that no run reaches
+_ANY = 10**12  # step limit that no run reaches
 Effort: TypeAlias = Literal["short", "usual", "full"]
 
 
@@ -27,7 +27,7 @@ class Trial:
         effort: Number and length of cases.
         simulate: Function under test, with the signature of pinred's simulate.
         simulate_many: Function under test, with the signature of pinred's simulate_many.
-        fixed: Functions from a step [s] to methods with fixed steps.
+        fixed: Functions that create a method with fixed steps from a step length [s].
         adaptive: Functions that create methods for tight tolerances, in addition to DOP853.
     """
 
@@ -38,7 +38,7 @@ class Trial:
     adaptive: tuple[Callable[[], Method], ...] = (AdaptiveGauss,)
 
     def methods(self, rtol: float) -> list[Method]:
-        """Return the adaptive methods for a relative tolerance."""
+        """Return the methods with step control that a relative tolerance is tested with."""
         further = self.adaptive if rtol <= _TIGHT else ()
         return [DOP853(max_steps=_ANY), *(make() for make in further)]
 
@@ -78,7 +78,7 @@ Cases: TypeAlias = Iterator[Case]
 
 @dataclass(frozen=True)
 class Check:
-    """A check.
+    """A check of the stress suite.
 
     Attributes:
         name: Name of the check.
@@ -131,7 +131,7 @@ class Outcome:
 
 
 def tolerance(rtol: float) -> dict[str, float]:
-    """Return the options of a scene for a relative tolerance with a smaller absolute one."""
+    """Return scene options for a relative tolerance, with a smaller absolute tolerance."""
     return {"rtol": rtol, "atol": 1e-2 * rtol}
 
 
@@ -141,7 +141,7 @@ def dop853(rtol: float, atol: float) -> DOP853:
 
 
 # Bounds in units of the tolerance; docs/stress.md derives them.
-DEFECT = 3.0  # defect of one step
-PER_RADIAN = 3.0  # error per radian of rotation
-PER_GROWTH = 100.0  # final error over the growth of a small perturbation
+DEFECT = 3.0  # largest defect of one step
+PER_RADIAN = 3.0  # largest error per radian of rotation
+PER_GROWTH = 100.0  # largest ratio of the final error to the growth of a small perturbation
 EPS = 2.220446049250313e-16

@@ -1,4 +1,4 @@
-"""Closed forms of motions, with which simulations are compared."""
+"""Closed-form solutions with which simulated motions are compared."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def euler_top(moments: Array, omega: Array, times: Array) -> tuple[Array, float]
 
     Args:
         moments: Increasing, distinct principal moments of inertia, (3,) [kg·m²].
-        omega: Body rates at time 0, not on a separatrix, (3,) [rad/s].
+        omega: Body rates at time 0, (3,) [rad/s], not on a separatrix.
         times: Times, (T,) [s].
     Returns:
         Body rates (T, 3) [rad/s], and their period [s].
@@ -22,7 +22,7 @@ def euler_top(moments: Array, omega: Array, times: Array) -> tuple[Array, float]
     a, b, c = moments
     energy2, square = float(moments @ omega**2), float(moments**2 @ omega**2)
     order = [0, 1, 2]
-    if square < energy2 * b:  # rotation about the axis of the least moment: axes are exchanged
+    if square < energy2 * b:  # the body rotates about the axis of least moment, so exchange axes
         order, (a, c) = [2, 1, 0], (c, a)
     w1, w2, w3 = omega[order]
     most = np.sqrt(
@@ -110,7 +110,7 @@ def cartpole_period(mass: float, lever: float, moment: float, gravity: float, mo
         lever: Mass of the pole times the distance of its centre from the hinge [kg·m].
         moment: Moment of inertia of the pole about the hinge [kg·m²].
         gravity: Gravitational acceleration [m/s²].
-        most: Amplitude, where both are at rest [rad].
+        most: Amplitude [rad], at which cart and pole are at rest.
     Returns:
         The period [s].
     """

@@ -7,7 +7,7 @@ from ...system.catalogue import bundled_robots
 from ...system.load import load
 from .check import Case, Cases, Check, Trial, tolerance
 
-_BOUND = 50.0  # tolerances; dense output has a lower order, and step control ignores its error
+_BOUND = 50.0  # largest defect in tolerances; dense output has lower order and no error control
 
 
 def _cases(trial: Trial) -> Cases:

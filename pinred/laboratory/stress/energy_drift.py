@@ -1,4 +1,4 @@
-"""Energy over up to a million periods: bounded for symplectic methods, drifting for others.
+"""Check of energy over up to a million periods: bounded for symplectic methods, else drifting.
 
 Pinocchio computes the energies of states at random times, so that no phase is preferred. The drift
 is the slope of a fitted line, with its standard deviation.
@@ -24,8 +24,8 @@ from .closed_forms import cartpole_period, euler_top
 _RTOL = 1e-11
 _SAMPLES = 500
 _SIGMAS = 4.0  # significance of a slope, in standard deviations
-_DRIFTING = 10_000  # largest number of periods for methods that lose energy
-_STEPS = 59.3  # steps in a period; not an integer, to avoid resonance of steps and motion
+_DRIFTING = 10_000  # largest number of periods for methods with an energy drift
+_STEPS = 59.3  # steps per period; not an integer, so that steps and motion do not resonate
 _ROUNDING = 10.0  # bound in units of eps times the square root of the number of steps
 
 
@@ -136,7 +136,7 @@ def _fit_line(trial: Trial, swing: Swing, method: Method, periods: int) -> Line:
 
 
 def _energies(system: System, q: Array, v: Array) -> tuple[Array, Array]:
-    """Compute total and kinetic energies (T,) by Pinocchio."""
+    """Compute total and kinetic energies, (T,) each, with Pinocchio."""
     model, data = system.model, system.model.createData()
     kinetic = np.array([pin.computeKineticEnergy(model, data, *s) for s in zip(q, v, strict=True)])
     height = np.array([pin.computePotentialEnergy(model, data, row) for row in q])

@@ -1,4 +1,4 @@
-"""Errors relative to tolerances from 1e-4 to 1e-13 on every bundled robot."""
+"""Check of errors relative to tolerances from 1e-4 to 1e-13 on every bundled robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Spins up to 1e4 rad/s of a single body, of reaction wheels, and of a robot."""
+"""Check of spins up to 1e4 rad/s of a single body, of reaction wheels, and of a robot."""
 
 from __future__ import annotations
 

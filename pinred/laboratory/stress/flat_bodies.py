@@ -1,4 +1,4 @@
-"""Bodies with extreme inertia: plates at the limit of the triangle inequality, and thin rods."""
+"""Check of extreme inertias: plates at the limit of the triangle inequality, and thin rods."""
 
 from __future__ import annotations
 

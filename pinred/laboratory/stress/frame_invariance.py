@@ -1,4 +1,4 @@
-"""The same motion in 100 frames of the world and of the base: only the frame may differ.
+"""Check that a motion does not depend on the frames of the world and of the base.
 
 With fixed steps, motions differ by round-off alone. Step control amplifies round-off, because an
 error estimate that consists of round-off determines the step length.
@@ -51,7 +51,7 @@ def _cases(trial: Trial) -> Cases:
 
 
 def _error_in_world(trial: Trial, reference: Trajectory, frame: pin.SE3) -> float:
-    """Compare the motion with the one from a rotated and translated initial pose."""
+    """Compare the reference with a motion from a rotated and translated initial pose."""
     start = reference.scene.start
     transformed = trial.simulate(
         reference.system,
@@ -66,7 +66,7 @@ def _error_in_world(trial: Trial, reference: Trajectory, frame: pin.SE3) -> floa
 
 
 def _error_on_base(trial: Trial, reference: Trajectory, robot: System, frame: pin.SE3) -> float:
-    """Compare the motion with that of the robot with another frame on its base."""
+    """Compare the reference with a motion of the robot with another frame on its base."""
     start = reference.scene.start
     transformed = trial.simulate(
         robot,
@@ -86,7 +86,7 @@ def _frame(rng: np.random.Generator) -> pin.SE3:
 
 
 def _with_base_frame(system: System, frame: pin.SE3) -> System:
-    """Return the robot with its base frame moved to `frame` in the old one."""
+    """Return the robot with its base frame moved to the pose `frame` in the old base frame."""
     model = system.model.copy()
     inverse = frame.inverse()
     model.inertias[1] = inverse.act(model.inertias[1])
@@ -97,7 +97,7 @@ def _with_base_frame(system: System, frame: pin.SE3) -> System:
 
 
 def _difference(a: Trajectory, b: Trajectory, world: pin.SE3, base: pin.SE3) -> float:
-    """Return the largest distance of b from a, with a's world and base frames transformed."""
+    """Return the largest difference of motions, after a is expressed in b's frames."""
     worst = float(np.abs(a.x - b.x).max())
     for p, q in zip(a.pose, b.pose, strict=True):
         expected = world * pin.XYZQUATToSE3(p) * base

@@ -19,7 +19,8 @@ def serial(name: str, links: Sequence[Link]) -> System:
 
     Args:
         name: Name of the robot.
-        links: Joint, its position on the previous link [m], and body of each link. The first
+        links: For each link, its joint, the joint position on the previous link [m], and the
+            body. The first
             joint is the root.
     Returns:
         The chain.
@@ -47,7 +48,7 @@ def tumbling_arm(name: str, bodies: Sequence[pin.Inertia]) -> System:
     return serial(name, [(j, position, link) for j, link in zip(joints, bodies, strict=True)])
 
 
-TUMBLING = {  # initial state of that arm
+TUMBLING = {  # initial state of `tumbling_arm`
     "x0": [0.3, -0.5, 0.4],
     "xdot0": [0.6, -0.4, 0.8],
     "xi0": [0.1, 0.2, -0.1, 0.3, -0.2, 0.4],

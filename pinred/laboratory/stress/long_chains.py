@@ -1,4 +1,4 @@
-"""Chains of up to 200 joints, planar and spatial."""
+"""Check of chains of up to 200 joints, planar and spatial."""
 
 from __future__ import annotations
 

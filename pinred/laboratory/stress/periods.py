@@ -1,4 +1,4 @@
-"""Periodic motions: the state returns after whole periods, which are known in closed form."""
+"""Check that periodic motions return to their initial state after each closed-form period."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from .check import Case, Cases, Check, Trial, tolerance
 from .energy_drift import swings
 
 _RTOL = 1e-12
-_PER_PERIOD = 10.0  # tolerances per period: energy may drift by the tolerance in each step
-_PER_SQUARE = 1.0  # tolerances per squared period: a drift of energy changes the phase
+_PER_PERIOD = (
+    10.0  # error bound per period, in tolerances: energy may drift by a tolerance per step
+)
+_PER_SQUARE = 1.0  # error bound per squared period, in tolerances: energy drift shifts the phase
 
 
 def _cases(trial: Trial) -> Cases:

@@ -1,8 +1,9 @@
-"""Drift of quaternions and momenta over up to ten million steps: at most a round-off random walk.
+"""Check that quaternions and momenta drift at most like a random walk of round-off.
 
-The momentum is computed by Pinocchio from (q, v), and the quaternion is checked by its norm.
-Without the base, DOP853 integrates the three components of μ. Their norm is a Casimir, which DOP853
-conserves up to its tolerance. Gauss methods lift μ to the quaternion.
+The momentum is computed with Pinocchio from (q, v), and the quaternion is checked by its norm.
+Without the base, DOP853 integrates the three components of μ. Their norm is a Casimir function,
+a constant of motion that DOP853 conserves up to its tolerance. Gauss methods lift μ to the
+quaternion.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def _fixed_dop853(h: float) -> Method:
 
 
 def _casimir(trial: Trial, count: int) -> Case:
-    """Check |μ| of a body integrated without its attitude by DOP853."""
+    """Check the drift of |μ| if DOP853 integrates a body without its attitude."""
     xi0, h = _STARTS["rigid_body"]
     end = count * h
     mu = trial.simulate_many(
@@ -69,10 +70,10 @@ def _casimir(trial: Trial, count: int) -> Case:
 def _momenta(system: System, q: Array, v: Array) -> Array:
     """Compute the angular momentum about the centre of mass with Pinocchio.
 
-    The base is moved to the origin, because round-off grows with its distance.
+    The base is moved to the origin, because round-off grows with the distance from it.
 
     Returns:
-        (T, 3).
+        (T, 3) angular momentum [N·m·s].
     """
     model, data = system.model, system.model.createData()
     centred = q.copy()

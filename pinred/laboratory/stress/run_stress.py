@@ -57,7 +57,7 @@ CHECKS: dict[str, Check] = {
 
 
 def select_checks(names: Sequence[str]) -> list[Check]:
-    """Return the checks with these names, all if empty; raise InputError for an unknown name."""
+    """Return the named checks, or all if `names` is empty; raise InputError for an unknown name."""
     unknown = [name for name in names if name not in CHECKS]
     if unknown:
         raise InputError(f"no check '{unknown[0]}'; the checks are {', '.join(CHECKS)}")
@@ -67,7 +67,7 @@ def select_checks(names: Sequence[str]) -> list[Check]:
 def run_checks(
     checks: Iterable[Check], trial: Trial, *, on_case: Callable[[Check, int], None] | None = None
 ) -> Iterator[Outcome]:
-    """Run checks in sequence.  on_case: called with a check and its number of finished cases."""
+    """Run checks in order.  on_case: called with a check and the number of its finished cases."""
     for check in checks:
         yield run_check(check, trial, on_case)
 
@@ -80,7 +80,7 @@ def run_check(
     cases: list[Case] = []
     stopped = ""
     try:
-        # Overflow fails the bound, so numpy's warnings add nothing.
+        # A result that overflows fails its bound, so numpy's warnings are redundant.
         with np.errstate(all="ignore"):
             for case in check.cases(trial):
                 cases.append(case)

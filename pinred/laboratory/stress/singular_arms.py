@@ -1,4 +1,4 @@
-"""Motions through singular shapes of an arm: gimbal lock, and a stretched arm."""
+"""Check of motions through singular shapes of an arm: gimbal lock, and a stretched arm."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ class SprungDiscs:
 
     Attributes:
         moments: Moments of inertia, (m + 1,) [kg·m²].
-        stiffness: Stiffness of the springs, which are at rest untwisted, (m,) [N·m/rad].
+        stiffness: Stiffness of the springs, which are relaxed at zero twist, (m,) [N·m/rad].
         x0: Initial twists of the springs, (m,) [rad].
         rates: Initial rates of the first disc and of the twists, (m + 1,) [rad/s].
         times: Times at which the motion is compared, (T,) [s].

@@ -1,4 +1,4 @@
-"""Light links on stiff springs: fast small motions superposed on slow large ones."""
+"""Check of light links on stiff springs: fast small motions superposed on slow large ones."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _cases(trial: Trial) -> Cases:
 
 
 def _check_discs(trial: Trial, stiff: float) -> Case:
-    """Compare a light disc on a stiff spring and a heavy one on a soft spring with closed forms."""
+    """Compare a light disc on a stiff spring, and a heavy disc on a soft one, with closed forms."""
     discs = SprungDiscs(
         moments=np.array([1.0, 1e-3, 1.0]),
         stiffness=np.array([stiff, 1.0]),

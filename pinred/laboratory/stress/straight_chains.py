@@ -1,4 +1,4 @@
-"""Nearly straight chains of thin rods on a pivot, whose locked inertia is almost singular."""
+"""Check of nearly straight chains of thin rods, whose locked inertia is almost singular."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
 from .generated_robots import body, serial
 
 _RTOL = 1e-10
-_ROUNDING = 10.0  # bound on round-off in units of eps times the condition of the locked inertia
+_ROUNDING = 10.0  # bound on round-off in units of eps times the locked inertia's condition number
 
 
 def _cases(trial: Trial) -> Cases:
     for thin in trial.pick((1e-2, 1e-8), (1e-2, 1e-4, 1e-6, 1e-8)):
         system = _chain(thin)
         for bend in trial.pick((1e-1, 1e-4), (1e-1, 1e-2, 1e-4)):
-            # Without initial spin about the chain's axis, except through the bends.
+            # The spin axis is normal to the chain, so only the bends cause spin along the chain.
             traj = trial.simulate(
                 system,
                 x0=bend * np.array([1.0, -0.7, 0.4]),
@@ -39,7 +39,7 @@ def _cases(trial: Trial) -> Cases:
 
 
 def _condition(system: System, q: Array) -> float:
-    """Compute the condition number of the locked inertia by Pinocchio's CRBA."""
+    """Compute the condition number of the locked inertia with Pinocchio's CRBA."""
     upper = pin.crba(system.model, system.model.createData(), q)[:3, :3]
     return float(np.linalg.cond(symmetric(upper)))
 

@@ -1,4 +1,4 @@
-"""Very short and very long time scales, together in one motion and separately."""
+"""Check of very short and very long time scales, together in one motion and separately."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OMEGA = np.array([0.5, 0.7, 1.6])
 def _cases(trial: Trial) -> Cases:
     for ratio in trial.pick((1e2,), (1e2, 1e3, 1e4)):
         yield _check_two_scales(trial, ratio)
-    # The same rotation within very short and very long times.
+    # Each case rotates by the same angle, within a very short or very long time.
     for seconds in trial.pick((1e-9, 1e9), (1e-12, 1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9, 1e12)):
         times = seconds * np.linspace(0.0, 10.0, 21)
         omega = _OMEGA / seconds

@@ -1,4 +1,4 @@
-"""The same motion in other systems of units, such as g, mm and ms."""
+"""Check that a motion does not depend on the system of units, such as g, mm and ms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .check import EPS, Case, Cases, Check, Trial, dop853
 _ROUNDING = 50.0  # bound in units of eps times the growth times the square root of the steps
 _RTOL = 1e-11
 _NO_ATOL = 1e-30  # an absolute tolerance would depend on the units
-# Without it, an angle that starts at zero would require a first step of zero length.
+# Without any absolute tolerance, an angle that starts at zero would need a first step of length 0.
 _POSES = {"falling_cat": None, "cartpole": None, "planar_chain5": [0.0, 0.0, 0.5]}
 
 
@@ -47,7 +47,7 @@ def _cases(trial: Trial) -> Cases:
     systems_of_units = [Units(*10.0 ** rng.uniform(-4.0, 4.0, 3)) for _ in range(99)]
     for name in trial.pick(("falling_cat",), tuple(_POSES)):
         system = load(name)
-        # Each system of units needs a separate kernel; that of a cartpole is compiled quickly.
+        # Each system of units needs a separate kernel; a cartpole kernel compiles quickly.
         selected = systems_of_units[: trial.pick(2, 99 if name == "cartpole" else 12, 99)]
         times = np.linspace(0.0, 2.0, 21)
         pose0 = _POSES[name]
@@ -89,7 +89,7 @@ def _error(reference: Trajectory, trial: Trial, units: Units) -> float:
 
 
 def _lengths(system: System) -> Array:
-    """Return 1 for velocities with the unit length/time, else 0, (n,)."""
+    """Return 1 for each velocity with the unit length/time, else 0; (n,)."""
     is_length = np.zeros(system.n)
     is_length[: system.group.linear] = 1.0
     for i in range(2, system.model.njoints):

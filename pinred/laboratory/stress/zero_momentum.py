@@ -1,4 +1,4 @@
-"""Momentum swept through zero: kernels with and without momentum must agree in the limit."""
+"""Sweep of momenta through zero: kernels with and without momentum must agree in the limit."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def _cases(trial: Trial) -> Cases:
             "times": np.array([1.0]),
             **tolerance(_RTOL),
         }
-        # Both signs of 1e-16 … 1e3, and zero, in one sweep.
+        # The sweep contains 1e-16 … 1e3 with both signs, and zero.
         most = trial.pick(2, 3)
         sizes = 10.0 ** np.arange(-16, most + 1)
         sweep = np.concatenate([-sizes[::-1], [0.0], sizes])
         many = trial.simulate_many(system, momentum=sweep[:, None] * direction, **options)
         ends = [many[k] for k in range(len(sweep))]
         at_zero = ends[len(sizes)]
-        # The effect of smaller momenta is bounded by that of 1e-3, measured by ABA.
+        # The effect of smaller momenta is bounded by the effect of 1e-3, which ABA measures.
         effect = _effect_by_aba(Scene(system=system, momentum=1e-3 * direction, **options), options)
         for k in np.flatnonzero(np.abs(sweep) <= 1e-3):
             jump = float(np.abs(ends[k].x - at_zero.x).max())
@@ -57,7 +57,7 @@ def _cases(trial: Trial) -> Cases:
 
 
 def _effect_by_aba(scene: Scene, options: dict[str, Any]) -> float:
-    """Return the distance of the final shape from that without momentum, by ABA."""
+    """Compute with ABA the change of the final shape that the momentum causes."""
     at_zero = Scene(system=scene.system, momentum=0, **options)
     a, b = (_final_shape_by_aba(each) for each in (at_zero, scene))
     return float(np.abs(a - b).max())

@@ -52,7 +52,7 @@ class Optimum:
 
 
 def group_optima(optima: list[Optimum]) -> tuple[Optimum, ...]:
-    """Merge optima of equal merit; return them best first, with their numbers of starts."""
+    """Merge optima of equal merit; return the distinct optima, best first, with start counts."""
     distinct: list[Optimum] = []
     for optimum in sorted(optima, key=lambda optimum: -optimum.merit):
         if distinct and distinct[-1].merit - optimum.merit <= SAME * abs(distinct[-1].merit):
@@ -115,7 +115,7 @@ class BestGait:
     def trajectory(self) -> Trajectory:
         """One cycle, simulated at zero momentum with all joints prescribed.
 
-        Its `driving_torques` are the torques that the loop needs.
+        The trajectory's `driving_torques` are the joint torques that the loop requires.
 
         Raises:
             InputError: The connection is not mechanical, or the loop has corners.

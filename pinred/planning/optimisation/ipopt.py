@@ -150,7 +150,7 @@ class _Function(ca.Callback):
         self.construct("gait", {})
 
     def at(self, z: Array) -> tuple[Array, Array]:
-        """Return values and derivatives; NaN after Ctrl-C, which stops IPOPT."""
+        """Return values and derivatives; after Ctrl-C return NaN, which stops IPOPT."""
         if self._last is None or not np.array_equal(self._last[0], z):
             values, slopes = self._problem.evaluate(z)
             self._last = z.copy(), (values, slopes)
@@ -176,7 +176,7 @@ class _Function(ca.Callback):
         return True
 
     def get_jacobian(self, name: str, *_: Any) -> Any:
-        self._jacobian = _Jacobian(name, self)  # keep a reference, because CasADi keeps none
+        self._jacobian = _Jacobian(name, self)  # store a reference, because CasADi stores none
         return self._jacobian
 
 

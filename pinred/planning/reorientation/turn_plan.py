@@ -56,7 +56,7 @@ class TurnPlan:
     def trajectory(self) -> Trajectory:
         """The motion, simulated with a free base.
 
-        Its `driving_torques` are the torques that the plan needs.
+        The trajectory's `driving_torques` are the joint torques that the plan requires.
         """
         rtol, atol = TOLERANCES
         return simulate(

@@ -1,4 +1,4 @@
 """Sums over the bodies of a tree: articulated and composite inertias, momenta, body frames.
 
-Written once for numbers and for CasADi's symbols.
+The same code evaluates numbers and builds CasADi expressions.
 """

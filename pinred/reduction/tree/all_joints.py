@@ -1,6 +1,7 @@
-"""Values, rates and momenta of all tree joints from those of the shape, x = G y + b.
+"""Map shape coordinates to tree joints, x = G y + b, and momenta of the joints back.
 
-The shape has m coordinates, and the tree has M ≥ m joints if some follow others (see coupling.py).
+The shape has m coordinates y.  The tree has M ≥ m joints x, because some joints may follow others
+(see coupling.py).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def joint_rates(system: System, xdot: Sequence[Scalar]) -> list[Scalar]:
 
 
 def on_shape(system: System, momenta: Sequence[Scalar]) -> list[Scalar]:
-    """Return the shape momenta or forces Gᵀ p, (m), from those of all M joints."""
+    """Map momenta or forces p of all M joints to shape momenta or forces Gᵀ p, (m)."""
     coupled = system.coupled
     if coupled is None:
         return list(momenta)

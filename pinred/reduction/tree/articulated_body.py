@@ -1,4 +1,4 @@
-"""Articulated inertias, and the steps between body frames that transform them."""
+"""Articulated inertias, and the transformations ("steps") between body frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Articulated:
     The momentum is (M v + Bᵀ ω + lin, B v + I ω + ang).
 
     Attributes:
-        M: Linear momentum per linear velocity, symmetric.
+        M: Linear momentum per linear velocity, symmetric (3, 3).
         B: Angular momentum per linear velocity.
         I: Angular momentum per angular velocity, symmetric.
         lin: Constant linear momentum, (3,).
@@ -34,9 +34,9 @@ class Step:
     """The transformation from a parent's frame to a body's frame at a joint value.
 
     Attributes:
-        turns: Rotations from the parent's axes to the body's, by β, α, δ and θ.
+        turns: Rotations from the parent's axes to the body's axes, by the angles β, α, δ and θ.
         shift: Translation r in the parent's axes.
-        slide: Translation along the body's z by a prismatic joint.
+        slide: Translation of a prismatic joint along the body's z axis.
     """
 
     turns: list[Turn]
@@ -45,17 +45,17 @@ class Step:
 
     @property
     def slides(self) -> bool:
-        """Whether there is a translation along the body's z."""
+        """Whether the step includes a translation along the body's z axis."""
         return not (isinstance(self.slide, float) and self.slide == 0.0)
 
     @property
     def fixed(self) -> Step:
-        """The constant part of the step, before the joint moves."""
+        """The constant factor of the step, which precedes the motion of the joint."""
         return Step(self.turns[:-1], self.shift, 0.0)
 
     @property
     def moving(self) -> Step:
-        """The motion of the joint, after the constant part."""
+        """The factor of the step that the joint moves; it follows the constant factor."""
         return Step(self.turns[-1:], [0.0, 0.0, 0.0], self.slide)
 
     def inward(self, lin: Vec, ang: Vec) -> tuple[Vec, Vec]:
@@ -79,7 +79,7 @@ class Step:
 
 
 def rigid(body: Body) -> Articulated:
-    """Return the inertia of one body, without constant momentum."""
+    """Return the inertia of one rigid body, with zero constant momentum."""
     x, y, z = body.moment
     m = body.mass
     return Articulated(
@@ -92,7 +92,7 @@ def rigid(body: Body) -> Articulated:
 
 
 def carried(a: Articulated, step: Step) -> Articulated:
-    """Transform the inertia of a subtree to the axes and origin before a step."""
+    """Transform the inertia of a subtree from the body's frame to the parent's frame."""
     M, B, I = a.M, a.B, a.I
     if step.slides:
         B, I = shifted(M, B, I, [0.0, 0.0, step.slide])
@@ -104,15 +104,15 @@ def carried(a: Articulated, step: Step) -> Articulated:
 
 
 def shifted(M: Sym, B: Mat, I: Sym, r: Vec) -> tuple[Mat, Sym]:
-    """Return the inertia about a point at −r: B′ = B + r̂M, and I − B r̂ + r̂ B′ᵀ.
+    """Shift the reference point of an inertia by −r: B′ = B + r̂M, I′ = I − B r̂ + r̂ B′ᵀ.
 
     Args:
-        M: Linear from linear.
-        B: Angular from linear.
-        I: Angular from angular.
-        r: Position of the present point from the new one, (3,).
+        M: Linear momentum per linear velocity.
+        B: Angular momentum per linear velocity.
+        I: Angular momentum per angular velocity.
+        r: Position of the old reference point relative to the new point, (3,).
     Returns:
-        The new B and I.
+        B′ and I′ about the new reference point.
     """
     if all(isinstance(c, float) and c == 0.0 for c in r):
         return B, I
@@ -147,5 +147,5 @@ def momentum_of_rate(body: Body, a: Articulated) -> tuple[Vec, Vec]:
 
 
 def along_joint(body: Body, lin: Vec, ang: Vec) -> Scalar:
-    """Return the component of a momentum along the joint's axis, in its body's frame."""
+    """Return a momentum's component along the joint axis, in the frame of the joint's body."""
     return (lin if body.prismatic else ang)[2]

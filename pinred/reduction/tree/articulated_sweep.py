@@ -1,14 +1,15 @@
-"""Solution of H(x) [ξ; ẋ] = [μ; π], and π̇, in one sweep over the tree: O(n), no mass matrix.
+"""Solve H(x) [ξ; ẋ] = [μ; π] and compute π̇ in one O(n) sweep, without the mass matrix.
 
-Inward, each joint is eliminated from the articulated inertia of its subtree, as in
-Featherstone's algorithm.  There are no bias forces, because only momenta are needed.  At the
-root a linear system of the group's dimension is solved.  Then the twists are computed outward.
+The inward pass, from the leaves to the root, eliminates each joint from the articulated inertia of
+its subtree, as in Featherstone's algorithm.  There are no bias forces, because only momenta are
+needed.  At the root a linear system of the group's dimension is solved.  The outward pass, from the
+root to the leaves, then computes the twists.
 The momentum h_j of a subtree is its articulated inertia times the twist before its joint moves,
 so that
 
     π̇_j = (v_j × S_j) · h_j
 
-needs no second inward sweep, and only two or four entries of h_j.  Joints that follow a common
+needs no second inward pass, and only two or four entries of h_j.  Joints that follow a common
 coordinate are eliminated together (see coupled_groups.py).  Source: R. Featherstone, "Rigid Body
 Dynamics Algorithms", 2008, ch. 7.
 """
@@ -39,14 +40,14 @@ from .scalars import INDEX, Scalar, Turn, Vec, add, dot, mul, solve_ldl, sub
 
 @dataclass
 class Eliminated:
-    """An eliminated joint, for the outward sweep, in its body's frame at joint value zero.
+    """Data of an eliminated joint for the outward pass, in its body's frame at joint value zero.
 
     Attributes:
         inner: Inertia of the subtree with the joint's velocity eliminated.
-        gain: U/D, linear.
-        gain_angular: U/D, angular.
-        drive: u/D.
-        step: Step from the parent.
+        gain: Linear part of U/D, (3,); the joint rate is drive − gain · v − gain_angular · ω.
+        gain_angular: Angular part of U/D, (3,).
+        drive: Joint rate u/D at zero twist.
+        step: Step from the parent's frame to the body's frame.
     """
 
     inner: Articulated
@@ -64,8 +65,8 @@ class Swept:
         root_linear: Linear velocity of the root body.
         root_angular: Angular velocity of the root body.
         xdot: Shape rates.
-        pi: Canonical momenta; those of prescribed coordinates are computed by the sweep.
-        pidot: Their rates without forces.
+        pi: Canonical momenta; the sweep computes the momenta of prescribed coordinates.
+        pidot: Rates of the canonical momenta without forces.
     """
 
     root_linear: Vec
@@ -86,7 +87,7 @@ def sweep(
     lanes: Lanes | None = None,
     coupled: Coupled | None = None,
 ) -> Swept:
-    """Solve H v = p, and compute π̇ without forces.
+    """Solve H v = (μ, π) for the velocities, and compute π̇ without forces.
 
     Args:
         bodies: Bodies of the tree, root first.
@@ -94,10 +95,11 @@ def sweep(
         pi: Canonical momenta of the shape coordinates.
         mu: Body momentum, (r,).
         axes: Axes of the group (see Group).
-        root_armature: Armature that is added to SO(2)'s locked inertia.
+        root_armature: Armature of the root joint, added to the locked inertia of SO(2).
         rates: Rates of the prescribed coordinates, by index; their π is not read.
-        lanes: If given, identical branches are computed together in SIMD lanes and marked here.
-        coupled: How joints follow others, if some do.
+        lanes: Record of SIMD lanes in which identical branches are computed together;
+            None: no lanes.
+        coupled: Coupling of joints that follow others; None if no joint follows another.
     Returns:
         Velocities, momenta and rates.
     """
@@ -111,7 +113,7 @@ def sweep(
         link, k = links[i], links[i].lanes[0]
         groups.close(i, inertia[i], pi)
         step = _packed_step(link, bodies, x, lanes)
-        # The joint's motion is separated from the rest of the step, since it leaves its axis
+        # The joint's motion is separated from the rest of the step, since it leaves the joint axis
         # fixed: the division by D then need not wait for sine and cosine of the joint angle.
         inner = carried(inertia[i], step.moving)
         groups.carry(i, step.moving)
@@ -177,7 +179,7 @@ def sweep(
 
 
 def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated:
-    """Eliminate a joint's velocity by its momentum equation; a: inertia of the subtree."""
+    """Eliminate a joint's rate with its momentum equation; a: inertia of the subtree."""
     U, Ua = momentum_of_rate(body, a)
     D = add(along_joint(body, U, Ua), body.armature)
     u = sub(pi, along_joint(body, a.lin, a.ang))
@@ -206,7 +208,7 @@ def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated
 
 
 def _drive(body: Body, a: Articulated, rate: Scalar, step: Step) -> Eliminated:
-    """Prescribe a joint's rate: its momentum is added to that of the subtree, of inertia a."""
+    """Prescribe a joint's rate: add its momentum to the subtree's; a: inertia of the subtree."""
     U, Ua = momentum_of_rate(body, a)
     lin = [add(a.lin[k], mul(U[k], rate)) for k in range(3)]
     ang = [add(a.ang[k], mul(Ua[k], rate)) for k in range(3)]
@@ -220,7 +222,7 @@ def step_of(body: Body, x: Scalar) -> Step:
 
 
 def _packed_step(link: Link, bodies: list[Body], x: list[Scalar], lanes: Lanes) -> Step:
-    """Return the step to a link from its parent, packed into lanes; x: of all joints."""
+    """Return the step to a link from its parent, packed into lanes; x: values of all joints."""
     values = [x[k - 1] for k in link.lanes]
     pairs = [_cosine_and_sine(bodies[k], x) for k, x in zip(link.lanes, values, strict=True)]
     c, s = (lanes.pack(numbers) for numbers in zip(*pairs, strict=True))
@@ -237,7 +239,7 @@ def _cosine_and_sine(body: Body, x: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def _step(body: Body, angle: tuple[Scalar, Scalar], slide: Scalar) -> Step:
-    """Return a step; angle: cosine and sine of the angle about the body's z."""
+    """Return the step of a body; angle: cosine and sine of the angle about the body's z."""
     return Step(
         turns=[Turn(2, *body.beta), Turn(0, *body.alpha), Turn(1, *body.delta), Turn(2, *angle)],
         shift=body.r,
@@ -246,7 +248,7 @@ def _step(body: Body, angle: tuple[Scalar, Scalar], slide: Scalar) -> Step:
 
 
 def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
-    """Add the inertia of a subtree to its parent's, summed over the lanes."""
+    """Add the inertia of a subtree, summed over the lanes, to the inertia of its parent."""
 
     def both(p: Vec, q: Vec) -> Vec:
         return [add(x, lanes.sum(y, width)) for x, y in zip(p, q, strict=True)]
@@ -259,7 +261,7 @@ def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
 def _solve_root(
     a: Articulated, mu: list[Scalar], axes: list[tuple[int, int]], armature: float
 ) -> tuple[Vec, Vec]:
-    """Return the root's twist (linear, angular) from its momentum.
+    """Return the root's twist (linear, angular), solved from its momentum.
 
     axes: entries of the group's twists, each as (0 for linear or 1 for angular, axis).
     """

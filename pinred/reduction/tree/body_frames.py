@@ -1,10 +1,10 @@
-"""Body frames that minimise the operations of the sweep: Denavit–Hartenberg's, for a tree.
+"""Body frames that minimise the operations of the sweep: Denavit–Hartenberg frames of a tree.
 
 Every shape joint rotates about, or slides along, the z axis of its body's frame.  The step from the
 parent is Rz(β) Rx(α) after a shift r.  A frame may still be rotated about its joint axis and moved
-along it.  This freedom makes β zero for the heaviest child of each joint, because its parent's
-angle takes it over, and removes one component of r.  Constants that are 0 or ±1 up to round-off are
-set exactly, so that arithmetic with them is simplified.
+along it.  This freedom makes β zero for the heaviest child of each joint, because the
+parent's joint angle absorbs β, and removes one component of r.  Constants that are 0 or ±1 up to
+round-off are set exactly, so that arithmetic with them is simplified.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from ...system.variants import nominal
 from .scalars import Scalar, Sym, Vec
 
 _SNAP = 4e-16  # round-off of the entries of a rotation matrix
-_ANGLE = 4e-15  # round-off of an angle of a product of rotations [rad]
+_ANGLE = 4e-15  # rad, round-off of an angle that is computed from a product of rotations
 
 
 @dataclass(frozen=True)
 class Body:
-    """One body in its frame.
+    """Constants of one body, expressed in its body frame of the sweep.
 
     Attributes:
         parent: Index of the parent body, −1 for the root.
@@ -36,12 +36,12 @@ class Body:
         alpha: Cosine and sine of the angle of Rx(α), from the parent's frame at joint value zero.
         beta: Cosine and sine of the angle of Rz(β), which is applied first.
         r: Shift from the parent's origin, (3,) [m].
-        offset: Angle that is added to the joint's [rad].
+        offset: Angle that is added to the joint angle [rad].
         mass: Mass [kg].
         moment: Mass times centre of mass, (3,) [kg m].
         inertia: Inertia about the frame's origin [kg m²].
-        armature: Inertia that is added to the joint's.
-        frame: This frame in Pinocchio's joint frame.
+        armature: Rotor inertia that is added to the joint [kg m² | kg].
+        frame: Placement of this body frame in Pinocchio's joint frame.
         delta: Cosine and sine of a further rotation Ry(δ) after Rx(α), if the joint's placement
             was changed after loading.
     """
@@ -89,8 +89,8 @@ def step_at(parent: Body, body: Body, old: pin.SE3, place: pin.SE3) -> dict[str,
     Args:
         parent: Parent body.
         body: The body with its old placement.
-        old: Old placement.
-        place: New placement.
+        old: Placement of the body's joint before the change.
+        place: Placement of the body's joint after the change.
     Returns:
         The fields of the body that change.
     """
@@ -119,7 +119,7 @@ def step_at(parent: Body, body: Body, old: pin.SE3, place: pin.SE3) -> dict[str,
 
 
 def _make_bodies(system: System) -> list[Body]:
-    """Choose the frames, and return the bodies in them."""
+    """Choose the body frames, and return the bodies expressed in these frames."""
     model = system.model
     count = model.njoints - 1
     parents = [model.parents[i + 1] - 1 for i in range(count)]
@@ -159,7 +159,7 @@ def _make_bodies(system: System) -> list[Body]:
 
 
 def _inertia_in(frame: pin.SE3, inertia: pin.Inertia) -> dict[str, Any]:
-    """Return the mass, moment and inertia of a body about a frame's origin, in its axes."""
+    """Return a body's mass, first moment and inertia in a frame, about its origin."""
     Y = frame.actInv(inertia)
     moment = _snap(Y.mass * Y.lever, Y.mass)
     about = Y.inertia + Y.mass * (Y.lever @ Y.lever * np.eye(3) - np.outer(Y.lever, Y.lever))
@@ -172,7 +172,7 @@ def _inertia_in(frame: pin.SE3, inertia: pin.Inertia) -> dict[str, Any]:
 
 
 def _heaviest_children(parents: list[int]) -> dict[int, int]:
-    """Return the child with the most bodies in its subtree, for each body."""
+    """Return, for each body, the child with the most bodies in its subtree."""
     size = [1] * len(parents)
     for i in range(len(parents) - 1, 0, -1):
         size[parents[i]] += size[i]
@@ -193,7 +193,7 @@ def _root_frame(system: System, S: Array) -> pin.SE3:
 
 
 def _beta(parent: pin.SE3, placement: pin.SE3, axis: Array) -> float:
-    """Return the angle about the parent's z that brings a child's axis, or origin, to its plane."""
+    """Return the angle about the parent's z to the plane of the child's axis, or its origin."""
     step = parent.actInv(placement)
     z = step.rotation @ axis
     if np.hypot(z[0], z[1]) > 1e-12:
@@ -208,7 +208,8 @@ def _place(
 ) -> tuple[tuple[float, float, Array], pin.SE3]:
     """Return the step (α, β, r) to a child, and the child's frame in its joint frame.
 
-    parent: frame of the parent in its joint frame.  placement, axis: of the child's joint.
+    parent: frame of the parent in its joint frame.  placement, axis: placement and axis of the
+    child's joint.
     """
     step = parent.actInv(placement)
     z = step.rotation @ axis
@@ -258,7 +259,7 @@ def _snap_unit(value: float) -> float:
 
 
 def _snap_angle(angle: float, tolerance: float = 4 * _SNAP) -> float:
-    """Return the nearest quarter turn if the angle is within the tolerance of it."""
+    """Round an angle to the nearest quarter turn if they differ by less than the tolerance."""
     quarter = round(angle / (np.pi / 2)) * np.pi / 2
     return quarter if abs(angle - quarter) <= tolerance else angle
 

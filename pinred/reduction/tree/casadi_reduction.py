@@ -12,7 +12,7 @@ from .momenta import bracket, momenta
 
 @dataclass(frozen=True)
 class CasadiReduction:
-    """Expressions of the reduction.
+    """CasADi expressions of the terms of the reduction.
 
     Attributes:
         x: Shape symbols, (m, 1).
@@ -32,7 +32,7 @@ class CasadiReduction:
 
 
 def casadi_reduction(system: System, x: ca.SX | None = None) -> CasadiReduction:
-    """Return the expressions of a system at shape symbols x (m, 1), new ones if not given."""
+    """Return the expressions of a system at shape symbols x (m, 1); None: new symbols."""
     r, m = system.r, system.m
     x, v = ca.SX.sym("x", m) if x is None else x, ca.SX.sym("v", system.n)
     H = ca.jacobian(momenta(system, x, v), v)

@@ -1,9 +1,9 @@
-"""Groups of joints that follow a common coordinate, eliminated together by the sweep.
+"""Groups of joints that follow a common coordinate; the sweep eliminates each group at once.
 
-The joints j of a group move at k_j ẏ.  In the inward sweep, a group is open from its first member
-on.  A subtree then has, beside its articulated inertia and momentum, the momentum u per unit of ẏ,
-and the group has an inertia D and a momentum s, so that the subtree's part of π = ∂L/∂ẏ is
-u · v + D ẏ + s.  At a member with axis S,
+The joints j of a group move at rates k_j ẏ.  In the inward pass, a group is open from its first
+member until it is eliminated.  In addition to its articulated inertia and momentum, a subtree then
+has the momentum u per unit of ẏ, and the group has an inertia D and a momentum s.  The subtree's
+part of π = ∂L/∂ẏ is u · v + D ẏ + s, with the twist v of its root body.  At a member with axis S,
 
     D += 2 k S·u + k² (S·I S + armature),   s += k S·p,   u += k I S,
 
@@ -44,9 +44,9 @@ class Closed:
 
     Attributes:
         group: Index of the group's coordinate.
-        gain: u/D.
-        drive: Rate at zero twist.
-        shares: Coupling to each open group.
+        gain: Coefficient u/D of the body's twist v.
+        drive: Rate ẏ at zero twist and zero rates of the open groups.
+        shares: Coefficient of the rate ẏ of each open group.
     """
 
     group: int
@@ -73,7 +73,7 @@ class Groups:
         Args:
             bodies: Bodies of the tree, root first.
             rates: Rates of the prescribed coordinates, by index.
-            coupled: How joints follow others, if some do.
+            coupled: Coupling of joints that follow others; None if no joint follows another.
         """
         count = range(1, len(bodies))
         self.of = [-1, *(k - 1 for k in count)]
@@ -98,13 +98,13 @@ class Groups:
         self._shares: list[dict[int, Scalar]] = []
         self._closing: list[list[int]] = []
         self._closed: list[list[Closed]] = []
-        self._inertia: dict[tuple[int, int], Scalar] = {}  # D, with ordered indices
-        self._momentum: dict[int, Scalar] = {}  # s
+        self._inertia: dict[tuple[int, int], Scalar] = {}  # inertia D, ordered group indices
+        self._momentum: dict[int, Scalar] = {}  # momentum s of each group
         self._rates: dict[int, Scalar] = {}
         self._links: list[Link] = []
 
     def leads(self, body: int) -> bool:
-        """Return whether the joint of a body follows no other."""
+        """Return whether the joint of a body follows no other joint."""
         return body in self._leads
 
     def meet(self, links: list[Link]) -> None:
@@ -118,14 +118,14 @@ class Groups:
         for k, home in self._homes.items():
             self._closing[at[home]].append(k)
 
-    # Inward.
+    # Inward pass: from the leaves to the root.
 
     def close(self, i: int, a: Articulated, pi: list[Scalar]) -> None:
         """Eliminate the groups whose members are all in the subtree of link i.
 
         Args:
             i: Index of the link.
-            a: Its inertia in its frame, which is changed.
+            a: Inertia of the link's subtree in the link's frame; changed in place.
             pi: Canonical momenta of the shape coordinates.
         """
         for k in self._closing[i]:
@@ -157,7 +157,7 @@ class Groups:
             self._momentum[k] = add(self._momentum[k], momentum)
 
     def join(self, i: int, body: Body, a: Articulated) -> None:
-        """Add a member to its group; the first one opens it.  a: inertia of its subtree."""
+        """Add a member to its group; the first member opens it.  a: inertia of the subtree."""
         number = self._links[i].lanes[0]
         k, ratio, columns = self.members[number], self.ratio[number], self._open[i]
         U, Ua = momentum_of_rate(body, a)
@@ -181,7 +181,7 @@ class Groups:
 
         Args:
             i: Index of the link.
-            body: Its body.
+            body: Body of the link.
             a: Inertia of the subtree before the elimination.
             drive: Rate of the joint at zero twist.
         """
@@ -194,11 +194,11 @@ class Groups:
         self._eliminate_rate(i, along, Column(U, Ua), inverse, drive)
         self._shares[i] = {g: mul(share, inverse) for g, share in along.items()}
         if isinstance(body.armature, float) and body.armature == 0.0:
-            for column in columns.values():  # exactly zero along the axis
+            for column in columns.values():  # the remainder is exactly zero along the joint axis
                 (column.lin if body.prismatic else column.ang)[2] = 0.0
 
     def add_to_parent(self, i: int, parent: int, step: Step) -> None:
-        """Add the columns of link i to those of its parent; step: from the parent."""
+        """Add the columns of link i to its parent's columns; step: step from parent to link."""
         columns = self._open[parent]
         for k, column in self._open[i].items():
             lin, ang = step.inward(column.lin, column.ang)
@@ -206,7 +206,7 @@ class Groups:
                 lin, ang = plus(columns[k].lin, lin), plus(columns[k].ang, ang)
             columns[k] = Column(lin, ang)
 
-    # Outward.
+    # Outward pass: from the root to the leaves.
 
     def find_rates(self, i: int, v: Vec, w: Vec) -> None:
         """Compute the rates of the groups that were eliminated at link i, from its twist."""
@@ -218,7 +218,7 @@ class Groups:
             self._rates[closed.group] = rate
 
     def rate(self, i: int, alone: Scalar) -> Scalar:
-        """Return the rate of the joint of link i; alone: its rate without open groups."""
+        """Return the joint rate of link i; alone: joint rate at zero rates of the open groups."""
         number = self._links[i].lanes[0]
         if number in self.members:
             return mul(self.ratio[number], self._rates[self.members[number]])

@@ -1,8 +1,8 @@
-"""Bodies with variable inertias, steps and links: parameters that are inputs of a kernel.
+"""Bodies whose inertias, steps or links are variable parameters, that is, inputs of a kernel.
 
-In the frames of the sweep, inertias are linear in those in the joint's frame.  A kernel therefore
-takes inertias in the sweep's frames, without divisions or trigonometric functions.  Of a step, it
-takes cosines and sines.
+Inertias in the body frames of the sweep depend linearly on inertias in the joint frames.  A kernel
+takes inertias in the frames of the sweep, and cosines and sines of the angles of a step, so that it
+needs no divisions or trigonometric functions for its parameters.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ NUMBERS = 10  # parameters of an inertia: mass, moment (3,), inertia about the o
 STEP = 8  # parameters of a step: cosine and sine of α and of δ, the joint's offset, shift (3,)
 LINK = 12  # parameters of a link's placement on its body: rotation, row by row, and origin (3,)
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_ANGLES, _OFFSET, _SHIFT = (slice(0, 2), slice(2, 4)), slice(4, 5), slice(5, 8)  # in a step
-_FOLDED = {"0": 0.0, "+": 1.0, "-": -1.0}  # constants by their letters
+_ANGLES, _OFFSET, _SHIFT = (slice(0, 2), slice(2, 4)), slice(4, 5), slice(5, 8)  # slices of a step
+_FOLDED = {"0": 0.0, "+": 1.0, "-": -1.0}  # constant for each pattern character
 _FOLDED_AS = {number: letter for letter, number in _FOLDED.items()}
 
 
@@ -36,8 +36,8 @@ class Freed:
     Attributes:
         inertias: Indices of the bodies with variable inertias, 0 for the root.
         steps: Indices of the bodies with variable steps from their parents, each with a pattern of
-            STEP letters: "x" for an input, "0", "+" and "-" for 0, 1 and −1, "n" for the robot's
-            number.
+            STEP characters: "x" for an input, "0", "+" and "-" for the constants 0, 1 and −1,
+            "n" for the robot's own value.
         links: Frames of the model, on which forces act, with variable placements on their bodies.
     """
 
@@ -47,7 +47,7 @@ class Freed:
 
     @property
     def size(self) -> int:
-        """Number of inputs: first those of all inertias, then of all steps, then of all links."""
+        """Number of inputs, ordered as inertias of all bodies, then all steps, then all links."""
         return self._links_at + LINK * len(self.links)
 
     @property
@@ -86,16 +86,16 @@ def freed_of(
     *,
     generic: bool,
 ) -> Freed:
-    """Return the inputs of a kernel for some bodies and links.
+    """Select the kernel inputs that make some bodies and links variable.
 
     Args:
         system: The system.
         inertias: Bodies with variable inertias.
         placed: Bodies with variable joint placements.
-        turned: Bodies among `placed` whose axes rotate.
+        turned: Bodies among `placed` whose joint axes change direction.
         links: Frames with variable placements.
-        generic: Whether placements may take any value.  Otherwise the pattern is that of the
-            system's numbers.
+        generic: Whether placements may take any value.  Otherwise the patterns
+            follow from the present placements of the system.
     Returns:
         The inputs.
     """
@@ -108,7 +108,7 @@ def freed_of(
 
 
 def _pattern(body: Body, original: Body) -> str:
-    """Return the pattern of a step's numbers.  original: the body as it was loaded."""
+    """Return the pattern of a step's parameters.  original: the body as it was loaded."""
     step, original_step, letters = step_of_body(body), step_of_body(original), _letters(body)
     return "".join(
         "n" * (block.stop - block.start) if block is not _SHIFT and same else letters[block]
@@ -118,13 +118,13 @@ def _pattern(body: Body, original: Body) -> str:
 
 
 def pattern_of(system: System, body: int) -> str:
-    """Return the pattern in which all numbers of a body's step except 0 and ±1 are inputs."""
+    """Return the pattern in which all parameters of a step except 0 and ±1 are inputs."""
     letters = _letters(bodies_of(system)[body])
     return letters[: _OFFSET.start] + "n" + letters[_SHIFT]
 
 
 def _letters(body: Body) -> str:
-    """Return the pattern of a step all of whose numbers have changed."""
+    """Return the pattern of a step whose parameters have all changed."""
     step, letters = step_of_body(body), ""
     for angle in _ANGLES:  # quarter turns are constants
         pair = [_FOLDED_AS.get(number, "x") for number in step[angle].tolist()]
@@ -161,7 +161,7 @@ def total_mass(bodies: Sequence[Body]) -> Scalar:
 def frame_map(body: Body) -> Array:
     """Return the map, (10, 10), from inertial parameters in the joint frame to the body's frame.
 
-    They are m, m c, and the inertia about the frame's origin, xx, xy, xz, yy, yz, zz.
+    The parameters are m, m c, and the inertia xx, xy, xz, yy, yz, zz about the frame's origin.
     """
     R, p = np.asarray(body.frame.rotation), np.asarray(body.frame.translation)
     columns = np.zeros((NUMBERS, NUMBERS))
@@ -179,9 +179,9 @@ def frame_map(body: Body) -> Array:
 
 
 def step_slopes(parent: Body, body: Body) -> Array:
-    """Return the derivatives, (STEP, 6), of a body's step by a twist of its joint's placement.
+    """Return the derivatives (STEP, 6) of a step with respect to a twist of the placement.
 
-    body: with its present placement.  The twist is in the frame of the parent's joint, about its
+    `body` has its present placement.  The twist is in the frame of the parent's joint, about its
     origin.
     """
     (ca, sa), (cd, sd) = body.alpha, body.delta
@@ -206,12 +206,12 @@ def _step_of(body: Body) -> list[Scalar]:
 
 
 def other_placement(parent: Body, body: Body, pattern: str, rng: np.random.Generator) -> pin.SE3:
-    """Return a random placement of a body's joint that differs as the pattern of its step allows.
+    """Return a random placement of a body's joint within the pattern of its step.
 
     Args:
         parent: Parent body.
         body: The body.
-        pattern: Pattern of its step, see `Freed`.
+        pattern: Pattern of the body's step, see `Freed`.
         rng: Random generator.
     Returns:
         The placement.
@@ -243,20 +243,20 @@ def of_bodies(bodies: Sequence[Body], freed: Freed) -> list[Scalar]:
 
 
 def link_numbers(body: Body, place: pin.SE3) -> Array:
-    """Return the parameters (LINK,) of a link; place: in the frame of its body's joint."""
+    """Return the parameters (LINK,) of a link; place: placement in its body's joint frame."""
     in_frame = body.frame.actInv(place)
     return np.concatenate([np.asarray(in_frame.rotation).ravel(), in_frame.translation])
 
 
 def link_slopes(body: Body, place: pin.SE3, twists: Array) -> Array:
-    """Return the derivatives (LINK, N) of a link's parameters by twists of its placement.
+    """Return the derivatives of a link's parameters along N twists of its placement.
 
     Args:
-        body: Its body.
-        place: Its placement in the frame of the body's joint.
+        body: Body of the link.
+        place: Placement of the link in the frame of the body's joint.
         twists: Twists in this frame, about its origin, (6, N).
     Returns:
-        (LINK, N).
+        Derivatives, (LINK, N).
     """
     R, derivatives = body.frame.rotation.T, np.empty((LINK, twists.shape[1]))
     for k, (v, w) in enumerate(zip(twists[:3].T, twists[3:].T, strict=True)):

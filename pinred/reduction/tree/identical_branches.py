@@ -2,8 +2,9 @@
 
 The sweep is written once for branches with equal joints, in symbols that stand for one number per
 branch.  CasADi does not distinguish such packed symbols from others.  Therefore a list of marks
-records where numbers are packed into lanes, and where lanes become plain numbers again: one lane,
-or the sum over all.  `lowering` generates vector instructions for packed expressions.
+(see `Mark`) records where numbers are packed into lanes, and where lanes become plain numbers
+again: one lane, or the sum over all.  `lowering` generates vector instructions for packed
+expressions.
 """
 
 from __future__ import annotations
@@ -16,18 +17,18 @@ import casadi as ca
 from .body_frames import Body
 from .scalars import Scalar
 
-WIDEST = 4  # lanes; a 256-bit register has 4 numbers
+WIDEST = 4  # largest number of lanes; a 256-bit register holds 4 doubles
 
 
 @dataclass(frozen=True)
 class Mark:
-    """The definition of a symbol.
+    """The definition of a symbol that enters or leaves packed form.
 
     Attributes:
         kind: "pack" (one number per lane), "lane" (the number in lane `lane`) or "sum" (the sum
             over all lanes).
         width: Number of lanes.
-        operands: Numbers to pack, or the packed symbol.
+        operands: Scalars to pack, or the packed symbol.
         lane: Index of the lane.
     """
 
@@ -53,7 +54,7 @@ class Link:
 
 
 class Lanes:
-    """The marks of one graph.
+    """The marks of one CasADi graph.
 
     Attributes:
         marks: The marks that each Function needs, by its name.
@@ -89,8 +90,8 @@ class Lanes:
 
         Args:
             name: Name of the Function.
-            inputs: Its inputs.
-            output: Its output.
+            inputs: Inputs of the Function.
+            output: Output of the Function.
         Returns:
             The Function.  Its further input has the symbols of the marks that it needs, each after
             its operands; its further output has the operands of these marks, in the same order.
@@ -127,10 +128,10 @@ def links_of(
 
     Args:
         bodies: Bodies of the tree, root first.
-        lanes: Where identical branches are marked; if None, every body is a link.
+        lanes: Record of the packed symbols; None: every body is its own link.
         driven: Bodies whose joints have a prescribed rate.
-        coupled: Bodies whose joints follow a common coordinate.  Branches that have one are not
-            combined.
+        coupled: Bodies whose joints follow a common coordinate.  Branches with such a body
+            are not combined.
     Returns:
         The links.
     """
@@ -171,7 +172,7 @@ def _branch_kinds(
 
 
 def _combine(branches: list[int], kinds: list[int]) -> list[tuple[int, ...]]:
-    """Return branches in groups of one kind that fit into the lanes."""
+    """Group branches of the same kind, with at most as many branches as SIMD lanes."""
     groups: dict[int, list[int]] = {}
     for branch in branches:
         groups.setdefault(kinds[branch], []).append(branch)
@@ -183,7 +184,7 @@ def _combine(branches: list[int], kinds: list[int]) -> list[tuple[int, ...]]:
 
 
 def _merged(bodies: list[Body], lanes: Lanes) -> Body:
-    """Return one body with the constants of all lanes."""
+    """Return one body whose constants are packed from the bodies of all lanes."""
     if len(bodies) == 1:
         return bodies[0]
 

@@ -1,4 +1,4 @@
-"""Expressions of momenta, locked inertia and centre of mass of a tree, and of group brackets.
+"""CasADi expressions of a tree's momenta, locked inertia and centre of mass, and brackets.
 
 Tensors, points and frames fixed to bodies are transformed to the body frames of the sweep.
 """
@@ -58,10 +58,10 @@ def momenta(
         v: Velocity symbols (ξ, ẋ), (n,).
         tensors: Tensors that replace the inertias, such as drag, each in its body's frame, root
             first.
-        bodies: Bodies with other inertias than the system's.
+        bodies: Bodies that replace the system's bodies, with other inertias; None: the system's.
         rotors: Whether joints have armature.
     Returns:
-        (μ, π).
+        Momenta (μ, π), (n,).
     """
     group, r = system.group, system.r
     bodies = bodies_of(system) if bodies is None else bodies
@@ -83,7 +83,7 @@ def momenta(
         wrenches[body.parent] = plus(lin0, up), plus(ang0, about)
     lin, ang = wrenches[0]
     mu = [[*lin, *ang][axis] for axis in group.axes]
-    if rotors:  # only a root joint with one axis has armature
+    if rotors:  # among root joints, only a joint with one axis has armature
         mu[0] = add(mu[0], mul(float(system.model.armature[0]), v[0]))
     column: ca.SX = ca.vertcat(*mu, *on_shape(system, pi))
     return column
@@ -133,7 +133,7 @@ def locked(
 
 
 def steps_at(system: System, bodies: Sequence[Body], x: ca.SX) -> list[Step]:
-    """Return the steps from parent to body at shape x (m,); the root's is the identity."""
+    """Return each body's step from its parent at shape x (m,); the root has the identity."""
     joints = joint_values(system, [x[k] for k in range(system.m)])
     identity = Step([], [0.0, 0.0, 0.0], 0.0)
     return [identity, *(step_of(bodies[i], joints[i - 1]) for i in range(1, len(bodies)))]
@@ -146,11 +146,11 @@ def twists_of(
 
     Args:
         bodies: Bodies of the tree, root first.
-        steps: Steps from their parents.
+        steps: Steps of the bodies from their parents.
         root: Twist of the root body, linear and angular.
         rates: Rates of all tree joints.
     Returns:
-        Linear and angular velocities.
+        Linear and angular velocity of each body.
     """
     twists = [root]
     for i in range(1, len(bodies)):
@@ -167,7 +167,7 @@ def _momentum(body: Body, v: Vec, w: Vec) -> tuple[Vec, Vec]:
 
 
 def _apply(tensor: Articulated, v: Vec, w: Vec) -> tuple[Vec, Vec]:
-    """Return a tensor times a twist: force and moment, or momentum."""
+    """Return a tensor times a twist: force and moment of drag, or momentum of an inertia."""
     return (
         [linear_row(tensor, k, v, w) for k in range(3)],
         [angular_row(tensor, k, v, w) for k in range(3)],
@@ -175,7 +175,7 @@ def _apply(tensor: Articulated, v: Vec, w: Vec) -> tuple[Vec, Vec]:
 
 
 def bracket(group: Group, a: ca.SX, b: ca.SX) -> ca.SX:
-    """Return [a, b] in the group's algebra, a subalgebra of se(3)."""
+    """Return the Lie bracket [a, b] in the group's algebra, a subalgebra of se(3)."""
     (v, w), (dv, dw) = in_space(group, a), in_space(group, b)
     linear = [sub(p, q) for p, q in zip(cross(w, dv), cross(dw, v), strict=True)]
     twist = [*linear, *cross(w, dw)]
@@ -194,7 +194,7 @@ def in_space(group: Group, xi: ca.SX) -> tuple[Vec, Vec]:
 def tensors_of(system: System, tensors: Sequence[Array]) -> list[Articulated]:
     """Return the tensors of all bodies in the body frames of the sweep, root first.
 
-    tensors: symmetric, (6, 6), each in the joint frame of its body.
+    tensors: symmetric tensors (6, 6), each in the joint frame of its body.
     """
     transformed = []
     for body, tensor in zip(bodies_of(system), tensors, strict=True):
@@ -233,7 +233,7 @@ def speed_along(body: Body, twist: tuple[Vec, Vec], direction: Array, point: Arr
 
     Args:
         body: The body.
-        twist: Its twist in its frame.
+        twist: Twist of the body in the body's frame.
         direction: Direction, (3,), in the joint frame of the body.
         point: Point, (3,) [m], in the joint frame of the body.
     Returns:
@@ -255,10 +255,10 @@ def root_twist(
         x: Shape symbols, (m,).
         number: Index of the body, 0 for the root.
         placement: Placement of the frame in the body's joint frame.
-        xi: Body twist of the frame, (r,); all its motions are in the group.
+        xi: Body twist of the frame, (r,); all motions of the frame are in the group.
         xdot: Shape rate, (m,).
     Returns:
-        (r,).
+        Body twist of the root, (r,).
     """
     bodies, r = bodies_of(system), system.r
     steps = steps_at(system, bodies, x)
@@ -279,7 +279,7 @@ def root_twist(
 
 
 def _to_outer_frame(placement: pin.SE3, v: Vec, w: Vec) -> tuple[Vec, Vec]:
-    """Transform a twist (v, w) to the frame in which its frame has the given placement."""
+    """Transform a twist (v, w) from a frame to the outer frame in which `placement` places it."""
     R = [[float(c) for c in row] for row in placement.rotation]
     p: Vec = [float(c) for c in placement.translation]
     v, w = [dot(row, v) for row in R], [dot(row, w) for row in R]

@@ -1,7 +1,7 @@
 """Scalar arithmetic of the sweep: small vectors, symmetric matrices, rotations about an axis.
 
-Entries are floats or CasADi SX scalars.  Products with 0 and 1 are simplified, so that constants of
-a robot and the zeros of a planar one cost no operations.
+Entries are floats or CasADi SX scalars.  Products with 0 and 1 are simplified, so that constants 0
+and 1 of a robot, and the zeros of a planar robot, cost no operations.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 Scalar: TypeAlias = Any  # float or casadi.SX
-Vec: TypeAlias = list[Scalar]  # 3
-Sym: TypeAlias = list[Scalar]  # xx, xy, xz, yy, yz, zz
-Mat: TypeAlias = list[list[Scalar]]  # 3 × 3
+Vec: TypeAlias = list[Scalar]  # vector, (3,)
+Sym: TypeAlias = list[Scalar]  # symmetric 3 × 3 matrix: xx, xy, xz, yy, yz, zz
+Mat: TypeAlias = list[list[Scalar]]  # 3 × 3 matrix, by rows
 
 INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # index of entry (i, j) in Sym
 
@@ -32,7 +32,7 @@ def mul(a: Scalar, b: Scalar) -> Scalar:
 
 
 def add(a: Scalar, b: Scalar) -> Scalar:
-    """Return a + b, or one of them if the other is exactly zero."""
+    """Return a + b, without an operation if one summand is exactly zero."""
     if isinstance(a, float) and a == 0.0:
         return b
     if isinstance(b, float) and b == 0.0:
@@ -41,7 +41,7 @@ def add(a: Scalar, b: Scalar) -> Scalar:
 
 
 def sub(a: Scalar, b: Scalar) -> Scalar:
-    """Return a − b, or a or −b if the other is exactly zero."""
+    """Return a − b; if one operand is exactly zero, return a or −b."""
     if isinstance(b, float) and b == 0.0:
         return a
     if isinstance(a, float) and a == 0.0:
@@ -77,7 +77,7 @@ def plus(a: Vec, b: Vec) -> Vec:
 
 
 class Turn:
-    """A rotation R about a coordinate axis, by the cosine and sine of its angle."""
+    """A rotation R about a coordinate axis, stored as the cosine and sine of its angle."""
 
     def __init__(self, axis: int, c: Scalar, s: Scalar) -> None:
         """Store the axis (0, 1, 2) and cosine and sine of the angle."""
@@ -92,14 +92,14 @@ class Turn:
         return constant and self.s == 0.0 and self.c == 1.0
 
     def vector(self, v: Vec) -> Vec:
-        """Return R v: from the rotated frame to the fixed one."""
+        """Return R v, which transforms v from the rotated frame to the fixed frame."""
         rotated = list(v)
         rotated[self.x] = sub(mul(self.c, v[self.x]), mul(self.s, v[self.y]))
         rotated[self.y] = add(mul(self.s, v[self.x]), mul(self.c, v[self.y]))
         return rotated
 
     def back(self, v: Vec) -> Vec:
-        """Return Rᵀ v: from the fixed frame to the rotated one."""
+        """Return Rᵀ v, which transforms v from the fixed frame to the rotated frame."""
         return Turn(self.z, self.c, mul(-1.0, self.s)).vector(v)
 
     def _block(self, xx: Scalar, xy: Scalar, yy: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -110,7 +110,7 @@ class Turn:
         return add(xx, sk), mul(-1.0, add(mul(self.c, k), xy)), sub(yy, sk)
 
     def symmetric(self, m: Sym) -> Sym:
-        """Return R m Rᵀ."""
+        """Return R m Rᵀ for a symmetric matrix m."""
         x, y, z = self.x, self.y, self.z
         rotated = list(m)
         xx, xy, yy = self._block(m[INDEX[x][x]], m[INDEX[x][y]], m[INDEX[y][y]])
@@ -121,7 +121,7 @@ class Turn:
         return rotated
 
     def matrix(self, m: Mat) -> Mat:
-        """Return R m Rᵀ for a full matrix."""
+        """Return R m Rᵀ for a general matrix m."""
         x, y, z = self.x, self.y, self.z
         rotated = [list(row) for row in m]
         # As in _block: a rotation keeps the difference of the two off-diagonal entries.
@@ -137,7 +137,7 @@ class Turn:
 
 
 def times(m: Sym, v: Vec) -> Vec:
-    """Return m v for a symmetric matrix."""
+    """Return m v for a symmetric matrix m."""
     return [dot([m[INDEX[i][j]] for j in range(3)], v) for i in range(3)]
 
 
@@ -159,13 +159,13 @@ def factor_ldl(A: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scalar],
 
 
 def solve_ldl(A: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
-    """Return A⁻¹ b for a symmetric positive definite A, by LDLᵀ."""
+    """Solve A x = b for a symmetric positive definite A with an LDLᵀ factorisation."""
     L, _, inverse = factor_ldl(A)
     return solve_factored(L, inverse, b)
 
 
 def solve_factored(L: list[list[Scalar]], inverse: list[Scalar], b: list[Scalar]) -> list[Scalar]:
-    """Return A⁻¹ b for A = L D Lᵀ; L: below its diagonal of ones.  inverse: 1/D."""
+    """Return A⁻¹ b for A = L D Lᵀ.  L: entries below the unit diagonal; inverse: 1/D."""
     n = len(b)
     y = list(b)
     for i in range(n):

@@ -1,7 +1,7 @@
-"""Mass matrix and centre of mass with first and second derivatives, at many shapes at once.
+"""Compute mass matrix and centre of mass with two derivatives at many shapes at once.
 
 All terms are in the frame of the root body.  S_k is the screw of joint k, J_k the inertia (6 × 6)
-of the composite body of its subtree, F_j = J_j S_j its momentum at unit rate, and
+of the composite body of its subtree, and F_j = J_j S_j the momentum of this body at unit rate:
 
     H_ij = S_i · F_j,     i from the root to j.
 
@@ -33,11 +33,11 @@ class InertiaDerivatives:
 
     Attributes:
         H: Mass matrix, (N, n, n), base rows first.
-        dH: Its derivative, (N, n, n, m), derivative index last.
-        d2H: Its second derivative, (N, n, n, m, m), derivative indices last.
+        dH: Derivative of H, (N, n, n, m), derivative index last.
+        d2H: Second derivative of H, (N, n, n, m, m), derivative indices last.
         com: Centre of mass in the root body's frame, (N, 3) [m].
-        dcom: Its derivative, (N, 3, m).
-        d2com: Its second derivative, (N, 3, m, m).
+        dcom: Derivative of the centre of mass, (N, 3, m).
+        d2com: Second derivative of the centre of mass, (N, 3, m, m).
     """
 
     H: Array
@@ -156,11 +156,11 @@ class _Tree:
         """Yield the joints b on whose angle F_j depends, with ∂_b F_j, (N, 6, 1).
 
         Args:
-            j: Joint.
+            j: Index of the joint.
             ad: ad of all screws, (N, M + 1, 6, 6).
-            dJ: Derivative of each composite inertia by its joint.
+            dJ: Derivative of each composite inertia with respect to its joint.
             S: Screw of joint j, (N, 6, 1).
-            F: Its momentum at unit rate, (N, 6, 1).
+            F: Momentum of joint j's subtree at unit rate, (N, 6, 1).
         """
         for b in range(1, self._count + 1):
             if b in self._paths[j]:
@@ -169,7 +169,7 @@ class _Tree:
                 yield b, dJ[b] @ S
 
     def _composites(self, x: Array) -> tuple[Array, Array]:
-        """Return screws (N, M + 1, 6) and composite inertias (N, M + 1, 6, 6); x: all joints."""
+        """Return screws (N, M + 1, 6) and composite inertias (N, M + 1, 6, 6) at joint values x."""
         N, M = len(x), self._count
         R, p = np.zeros((N, M + 1, 3, 3)), np.zeros((N, M + 1, 3))
         R[:, 0] = np.eye(3)
@@ -193,12 +193,13 @@ class _Tree:
         return screws, inertias
 
     def _on_shape(self, H: Array, dH: Array, d2H: Array, *com: Array) -> InertiaDerivatives:
-        """Return derivatives by the shape from those by all joints, x = G y + b."""
+        """Convert derivatives by all joints x = G y + b to derivatives by the shape y."""
         coupled, r = self._system.coupled, self._root.shape[1]
         c, dc, d2c = com[0][:, 0, 0], np.moveaxis(com[1][:, 0], 1, -1), np.moveaxis(com[2], 3, 1)
         if coupled is None:
             return InertiaDerivatives(H, dH, d2H, c, dc, d2c)
-        # Coupling acts on the last axes, so the derivative axes are moved to the front and back.
+        # `coupled` acts on the last axes, so the derivative axes are moved to the front and
+        # afterwards back.
         move = np.moveaxis
         H = coupled.matrix(H, r)
         dH = move(coupled.matrix(move(coupled.forces(dH, 0), -1, 1), r), 1, -1)
@@ -208,7 +209,7 @@ class _Tree:
 
 
 def _inertia_change(ad: Array, J: Array) -> Array:
-    """Return X J = −(adᵀ J + J ad), (N, 6, 6), for a symmetric J."""
+    """Return the change X J = −(adᵀ J + J ad) of a symmetric inertia J, (N, 6, 6)."""
     half = J @ ad
     return np.asarray(-(half + np.swapaxes(half, -1, -2)))
 
@@ -226,7 +227,7 @@ def _in_root(J: Array, R: Array, p: Array) -> Array:
 
     R, p: rotations (N, 3, 3) and positions (N, 3) of the body.
     """
-    to_body = np.zeros((len(p), 6, 6))  # twists of the root's frame in the body's
+    to_body = np.zeros((len(p), 6, 6))  # maps twists from the root's to the body's frame
     to_body[:, :3, :3] = to_body[:, 3:, 3:] = T = np.swapaxes(R, 1, 2)
     x, y, z = p.T
     zero = np.zeros_like(x)

@@ -53,9 +53,9 @@ def read_columns(path: Path, columns: Sequence[str | int]) -> Array:
 
     Args:
         path: The file.
-        columns: Names in the header, or indices from 0.
+        columns: Column names in the header, or column indices from 0.
     Returns:
-        (rows, len(columns)).
+        Values of the columns, (rows, len(columns)).
     Raises:
         LoadError: The file cannot be read.
         InputError: A column is missing or a cell is not a number.

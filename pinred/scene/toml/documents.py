@@ -40,11 +40,11 @@ def read_document(path: str | Path, table: Table, kind: str) -> tuple[dict[str, 
 
 
 def _parsed(text: str, place: Place, what: str) -> dict[str, Any]:
-    """Parse a TOML text.  Raises LoadError, with `what` the file should be, if it is not TOML."""
+    """Parse a TOML text.  Raises LoadError if it is not TOML; `what` names the expected content."""
     if _LONG_KEY.search(text):
         raise LoadError(f"{place.file}: not {what}: a key of more than 50 parts")
     try:
-        return tomllib.loads(text + "\n")  # A last line break gives every error a line number.
+        return tomllib.loads(text + "\n")  # A final line break gives every error a line number.
     except tomllib.TOMLDecodeError as error:
         match = re.fullmatch(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", str(error))
         problem, where = match.groups() if match else (str(error), None)

@@ -14,7 +14,7 @@ from ...common.errors import InputError, PinredError
 from ...common.names import nearest
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
-_SHOWN = 40  # largest number of characters of a value in a message
+_SHOWN = 40  # largest number of characters of a value that a message shows
 _SCANNED = 500  # number of lines at the top of a file in which the line of a key is searched
 
 
@@ -25,7 +25,7 @@ class Place:
     Attributes:
         file: Path of the file.
         text: Text of the file.
-        keys: Path of keys and list indices (from 0) that leads to the place.
+        keys: Keys and list indices (from 0) on the path to the place.
     """
 
     file: str
@@ -82,7 +82,7 @@ class Place:
 def naming(place: Place, prefix: str = "") -> Iterator[None]:
     """Prepend a place to the message of every pinred error that is raised in the block.
 
-    `prefix` is removed from the start of the message, if it repeats the place.
+    `prefix` is removed from the start of the message, because the place already says it.
     """
     try:
         yield
@@ -91,7 +91,7 @@ def naming(place: Place, prefix: str = "") -> Iterator[None]:
 
 
 def one_line(error: Exception) -> str:
-    """Return the message of an error as one line, without the marks under a formula."""
+    """Return the message of an error as one line, without the position markers under a formula."""
     lines = [line.strip() for line in str(error).splitlines()]
     return "; ".join(line for line in lines if line.strip("^"))
 
@@ -103,7 +103,7 @@ def unknown(name: str, kind: str, valid: Iterable[str], title: str) -> str:
         name: The unknown name.
         kind: The kind of name, such as "key" or "joint".
         valid: The valid names.
-        title: Words in front of the list of valid names.
+        title: Text before the list of valid names.
     Returns:
         The message.
     """

@@ -16,7 +16,7 @@ from .schema import ByName, Flag, Key, ListOf, Node, Table, Tagged, Text
 from .signal_tables import ACTION, NUMBER, NUMBERS, PER_JOINT, POSITIVE, SIGNAL
 
 FunctionFormat: TypeAlias = Literal["of the shape", "by joint", "on the base"]
-KeyTexts: TypeAlias = Mapping[str, tuple[Node, str]]  # {key: type of the value, meaning}
+KeyTexts: TypeAlias = Mapping[str, tuple[Node, str]]  # {key: (type of the value, meaning)}
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ def _force_kind(
 
     Args:
         force: Class of the force.
-        words: Its description.
-        texts: {field: type and meaning}; `limit` and `name` are known.
+        words: Description of the force.
+        texts: {field: (type, meaning)}; the fields `limit` and `name` need no entry.
         function: See ForceKind.
-        defaults: {field: default in words} where the default of the class does not say enough;
+        defaults: {field: default in words} for fields whose default value needs an explanation;
             "" makes the key required.
     Returns:
         The kind of force.

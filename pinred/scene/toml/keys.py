@@ -61,7 +61,7 @@ FILE_OPTIONS: Mapping[str, Option] = {**SCENE_OPTIONS, **RUN_OPTIONS}
 
 
 def scene_table(options: Mapping[str, Option]) -> Table:
-    """Return the keys of a scene file that has these options."""
+    """Return the table of keys of a scene file with these options."""
 
     def keys_in(table: str) -> dict[str, Key]:
         return {name: option for name, option in options.items() if option.table == table}

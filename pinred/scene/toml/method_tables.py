@@ -11,7 +11,7 @@ from .signal_tables import POSITIVE
 
 
 def _method_table(method: type[Method]) -> Table:
-    """Return the table of a method's options."""
+    """Return the table (keys of a scene file) for a method's options."""
     keys = {
         option.name: Key(
             _option_node(option),
@@ -33,7 +33,7 @@ def _option_node(option: Option) -> Node:
 
 
 def _default_of(option: Option) -> str:
-    """Return the default of an option in words; a tolerance defaults to a tenth of the scene's."""
+    """Describe the default of an option; a tolerance defaults to a tenth of the scene's."""
     if not isinstance(option.default, Default):
         return "" if option.required else _in_words(option.default)
     other = {"rtol": "atol", "atol": "rtol"}[option.name]

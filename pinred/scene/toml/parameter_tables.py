@@ -1,7 +1,7 @@
 """Parameters in files: robot parameters, and parameters of formulas, by name.
 
-A name with dots, such as hand.mass, is a nested table in TOML, or a key in quotes.  Both forms
-mean the same.
+A name with dots, such as hand.mass, may be written in TOML as nested tables or as a quoted key.
+Both forms have the same meaning.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def with_robot_parameters(
         parameters: The parameters of the file.
         place: Place of the top level of the document.
     Returns:
-        The robot with its parameters, and the parameters that are not the robot's.
+        The robot with its parameters, and the remaining parameters, which belong to formulas.
     Raises:
         InputError: a value is not physical; the message names the key.
     """

@@ -1,4 +1,4 @@
-"""Scenes from TOML files: validated key by key, and built.  Nothing in a file is executed."""
+"""Read scenes from TOML files, with validation of every key.  No text in a file is executed."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class _Builder:
             self._option_place("method").fail("engine 'pinocchio' has an integrator of its own")
         try:
             scene = Scene(system=self.system, **options)
-            _ = scene.start  # Its errors should name the file too.
+            _ = scene.start  # Evaluate here, so that errors name the file too.
         except PinredError as error:
             self._explain(error, options)
         return SceneFile(scene, engine)
@@ -128,7 +128,7 @@ class _Builder:
         return by_name
 
     def _method(self, value: str | dict[str, Any], place: Place) -> Any:
-        """Return the integrator of a text or a table, or "auto"."""
+        """Return the integrator that a text or a table describes, or "auto"."""
         with naming(place):
             if isinstance(value, str):
                 return parse_method(value)
@@ -184,13 +184,13 @@ class _Builder:
             return kind.make(**options)
 
     def _action(self, value: Any, place: Place) -> Any:
-        """Return a number, a Signal, or the formula of the state in a text."""
+        """Convert a number, a signal table, or the text of a formula of the state."""
         if isinstance(value, str):
             return self._formula(value, place)
         return self.signals.value(value, place)
 
     def _formula(self, text: str, place: Place) -> Formula:
-        """Return a formula after evaluating it once.  Raises InputError."""
+        """Parse a formula and evaluate it once, to detect errors.  Raises InputError."""
         formula = Formula(text, self._parameter_symbols())
         with naming(place):
             formula(self.symbols)
@@ -203,7 +203,7 @@ class _Builder:
             return Event(expression, **options)
 
     def _potential(self, text: str, place: Place) -> Callable[[Any], Any]:
-        """Return a function of x that evaluates the formula of a potential."""
+        """Return a function of the shape x that evaluates the formula of a potential."""
         with naming(place):
             parse(text, {"x": self._shape(self.symbols.x)} | self._parameter_symbols())
         return lambda x: parse(text, {"x": self._shape(x)} | self._parameter_symbols())

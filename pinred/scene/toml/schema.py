@@ -1,4 +1,4 @@
-"""Value types of TOML files: each one validates a value and describes it as JSON Schema."""
+"""Value types of TOML files: each type validates a value and describes it as JSON Schema."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Node(ABC):
 
     @abstractmethod
     def _schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return the JSON Schema itself."""
+        """Return the JSON Schema without a reference to `defs`."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Number(Node):
     """A finite number.
 
     Attributes:
-        positive: Whether it must be above zero.
+        positive: Whether the number must be above zero.
     """
 
     positive: bool = False
@@ -202,7 +202,7 @@ class ByName(Node):
 
 @dataclass(frozen=True)
 class Either(Node):
-    """One of several value types; the type of the value decides which one."""
+    """One of several value types; the Python type of the value selects the value type."""
 
     nodes: tuple[Node, ...]
     name: str = ""
@@ -230,7 +230,7 @@ class Key:
         node: Type of the value.
         text: Meaning, with unit.
         required: Whether the key must be present.
-        default: Value without the key, in words.
+        default: Value that applies if the key is missing, in words.
         command: Name and value format on the command line, such as "--time T"; "" for none.
     """
 
@@ -256,7 +256,7 @@ class Table(Node):
 
     Attributes:
         keys: {name: key}.
-        words: The table in words, for messages.
+        words: Description of the table, for messages.
         apart: Pairs of keys that exclude each other.
         needs: {key: another key that it requires}.
         one_of: Keys of which exactly one must be present; no restriction if empty.
@@ -315,7 +315,7 @@ class Tagged(Node):
     Attributes:
         tag: Name of the key that selects the table.
         tables: {value of the tag: table of the other keys}.
-        words: The table in words, for messages.
+        words: Description of the table, for messages.
         refused: {value of the tag: reason why it is rejected}.
     """
 

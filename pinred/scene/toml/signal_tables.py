@@ -21,7 +21,7 @@ _TABULATED: dict[str, Callable[..., Signal]] = {"spline": Spline, "linear": Line
 
 
 def _tabulated(words: str, **more: Key) -> Table:
-    """Return the table of a signal through points that stand in the scene or in a csv file."""
+    """Return the table (keys) of a signal through points from the scene file or a csv file."""
     columns = ListOf(Either((Text((), "a name"), Whole())), 2)
     keys = {
         "times": Key(NUMBERS, "strictly increasing times [s], at most 1000"),
@@ -65,14 +65,14 @@ ACTION = Either((NUMBER, _FORMULA, SIGNAL_TABLE), "action")
 
 
 class SignalReader:
-    """A reader of the signals in one file, which remembers the place of each signal.
+    """A reader of the signals in one file, which stores the place of each signal for messages.
 
     Args:
         folder: Folder to which the names of csv files are relative.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Store the folder."""
+        """Create a reader without signals."""
         self._folder = folder
         self._places: list[tuple[Signal, Place]] = []
 

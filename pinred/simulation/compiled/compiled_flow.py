@@ -112,9 +112,9 @@ class CompiledFlow:
         """
         system, where = self.kernel.system, self.kernel.where
         outputs = self.outputs(t, y, parameters)
-        kind = State if self.kernel.layout.base_requested else ShapeState
+        state_class = State if self.kernel.layout.base_requested else ShapeState
         fields = {name: where.read_field(name, outputs, system) for name in where.fields}
-        return kind(t=t.copy(), **fields)
+        return state_class(t=t.copy(), **fields)
 
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
         """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if needed."""

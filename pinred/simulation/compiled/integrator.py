@@ -110,7 +110,7 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
         kernel: The kernel.
         plan: The plan.
         states: Reduced states, (T, k).
-        times: Their times, (T,) [s].
+        times: Times of the states, (T,) [s].
     Returns:
         The fault as a sentence, or "" if there is no fault.
     """

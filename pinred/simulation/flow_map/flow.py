@@ -133,7 +133,9 @@ class Flow:
         """
         run = self.run(inputs)
         slopes = self.propagator.along(run, self._rows, *self.input_map.basis(run.given))
-        return {name: self._shaped(part) for name, part in self.input_map.by_name(slopes).items()}
+        return {
+            name: self._shaped(columns) for name, columns in self.input_map.by_name(slopes).items()
+        }
 
     def vjp(self, covector: Any, /, **inputs: Any) -> dict[str, Array]:
         """Compute the derivatives of covector · outputs with respect to each input.
@@ -258,10 +260,10 @@ class Flow:
         """
         columns = self.input_map.given(inputs)
         key = columns.state.tobytes() + columns.constants.tobytes()
-        last = self._last
-        if last is None or last[0] != key:
-            last = self._last = (key, self.propagator.run(columns, stages=stages))
-        return last[1]
+        last_run = self._last
+        if last_run is None or last_run[0] != key:
+            last_run = self._last = (key, self.propagator.run(columns, stages=stages))
+        return last_run[1]
 
     def _covectors(self, covector: Any) -> Array:
         """Return a covector as (T, rows)."""

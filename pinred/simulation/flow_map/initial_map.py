@@ -54,13 +54,13 @@ class InitialMap:
 
     def of_many(self, states: Array, constants: Array) -> CompiledFlow:
         """Return the flow of N inputs, rows of states and constants.  Raises InputError."""
-        rest, falls = self._split(constants.T)
-        known = np.ascontiguousarray(self._with_path(rest, None).T)
-        outputs = evaluate(self._address, known, states, self._size)
+        other_constants, falls = self._split(constants.T)
+        kernel_constants = np.ascontiguousarray(self._with_path(other_constants, None).T)
+        outputs = evaluate(self._address, kernel_constants, states, self._size)
         _refuse_overflow(outputs)
         y, head, start = self._pieces(outputs.T)
         path = np.vstack([start, falls])
-        parameters = np.vstack([head, self._with_path(rest, path)])
+        parameters = np.vstack([head, self._with_path(other_constants, path)])
         return CompiledFlow(
             self._kernel, *(np.ascontiguousarray(columns.T) for columns in (y, parameters, path))
         )
@@ -79,8 +79,10 @@ class InitialMap:
             Derivatives of the reduced state (n, N), the parameters (p, N) and the path (3k, N).
         """
         constants, falls = self._split(constants)
-        known, directions = self._known(given), self._with_path(constants, None)
-        derivatives = self._function.forward(given.state, known, state, directions, self._size)
+        kernel_constants, directions = self._known(given), self._with_path(constants, None)
+        derivatives = self._function.forward(
+            given.state, kernel_constants, state, directions, self._size
+        )
         y, head, start = self._pieces(derivatives)
         path = _moved_back(t, np.vstack([start, falls]), self._fall)
         parameters = np.vstack([head, self._with_path(constants, path)])

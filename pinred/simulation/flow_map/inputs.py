@@ -69,7 +69,7 @@ class Inputs:
             "pose0": initial.pose[0], "x0": initial.x[0], "xdot0": initial.xdot[0],
             twist: initial.motion[0],
         }  # fmt: skip
-        self._places = _slices({name: len(part) for name, part in initial_parts.items()})
+        self._places = _slices({name: len(values) for name, values in initial_parts.items()})
         self._parameters = {} if model is None else {p.name: p.value for p in model.parameters}
         self._slopes = np.zeros((0, 0)) if model is None else model.slopes
         numbers = np.empty(0) if model is None else model.numbers
@@ -123,9 +123,9 @@ class Inputs:
         changed = self._robot_values.keys() & values.keys() if self._robot_values else ()
         robot = _NONE
         if changed and self._robot is not None:
-            now = self._robot.now({name: values[name] for name in changed})
-            self._robot.put(constants, now, changed)
-            robot = {name: now[name] for name in changed}
+            robot_values = self._robot.now({name: values[name] for name in changed})
+            self._robot.put(constants, robot_values, changed)
+            robot = {name: robot_values[name] for name in changed}
         for name, value in values.items():
             if name in changed:
                 continue

@@ -57,8 +57,8 @@ def jax_function(columns: Columns) -> Callable[..., Any]:
 def _xla_functions(columns: Columns) -> list[xla_call.Function]:
     """Return the functions that XLA calls: value, jvp and vjp.
 
-    The arguments of jvp are the inputs and their directions, those of vjp the inputs and a covector
-    of the output.
+    The arguments of jvp are the inputs and their directions; the arguments of vjp are the inputs
+    and a covector of the output.
     """
     batched, count, n = Batched(columns), len(columns.sizes), sum(columns.sizes)
 

@@ -192,7 +192,7 @@ class Propagator:
 
         Args:
             run: The evaluation.
-            rows: Indices of the outputs.
+            rows: Names of the outputs.
             state: Directions of the inputs' state, (…, N).
             constants: Directions of the inputs' constants, (…, N).
         Returns:
@@ -223,15 +223,15 @@ class Propagator:
 
         Args:
             run: The evaluation.
-            rows: Indices of the outputs.
+            rows: Names of the outputs.
             covectors: Cotangents of the outputs, (T, rows).
         Returns:
             Cotangents of `state` and of `constants`.
         """
         layout = self.kernel.layout
-        back = self._backs.get(rows)
-        if back is None:
-            back = self._backs[rows] = OutcomeAdjoint(self.kernel, rows)
+        adjoint = self._backs.get(rows)
+        if adjoint is None:
+            adjoint = self._backs[rows] = OutcomeAdjoint(self.kernel, rows)
         p = layout.parameters
         by_rest = np.zeros(p + len(run.flow.path))
         covector = np.zeros(self._n)
@@ -239,7 +239,7 @@ class Propagator:
             at_times = np.zeros((len(span.times), self._n))
             if len(span.times):
                 constants = np.concatenate([solution.params, run.flow.path])
-                back(
+                adjoint(
                     span.start, span.times, solution.y, constants, covectors[span.rows], at_times,
                     by_rest,
                 )  # fmt: skip
@@ -265,7 +265,7 @@ class Propagator:
             given: The inputs, with the state at the start of the step.
             h: Length of the step [s].
             t: Start time of the step [s].
-            rows: Indices of the outputs.
+            rows: Names of the outputs.
             columns: N directions of the inputs' state and constants, (…, N); None to skip
                 derivatives.
         Returns:
@@ -292,15 +292,15 @@ class Propagator:
             raise IntegrationError(
                 f"a step of {h:g} s of '{kernel.system.name}' is not finite: take shorter ones"
             )
-        end = self._state(flow, t + h, step.y[0], parameters)
-        if columns is None or not isinstance(end, State):
-            return end, np.zeros((0, 0))
-        a = np.concatenate([step.y[0, : layout.size], [t + h], end.pose])
+        end_state = self._state(flow, t + h, step.y[0], parameters)
+        if columns is None or not isinstance(end_state, State):
+            return end_state, np.zeros((0, 0))
+        a = np.concatenate([step.y[0, : layout.size], [t + h], end_state.pose])
         b = np.concatenate([parameters, flow.path])
         a_along = np.zeros((len(a), state.shape[1]))
         a_along[: layout.size] = step.slopes[0][: layout.size]
         b_along = np.vstack([parameters_along, path_along])
-        return end, outcome_of(kernel, rows).forward(a, b, a_along, b_along, self._size(rows))
+        return end_state, outcome_of(kernel, rows).forward(a, b, a_along, b_along, self._size(rows))
 
     def _state(
         self, flow: CompiledFlow, t: float, y: Array, parameters: Array

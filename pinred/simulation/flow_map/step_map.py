@@ -114,12 +114,12 @@ class StepMap:
         at = self._own if state is None else state
         inputs: dict[str, Any] = dict(parameters)
         for name, field in STATE.items():
-            part = getattr(at, field, None)
-            if part is None:
+            field_value = getattr(at, field, None)
+            if field_value is None:
                 raise InputError(
                     f"a step map takes a State, with pose, x, xdot and xi; got {brief(state)}"
                 )
-            inputs[name] = np.asarray(part)
-        end, slopes = self._flow.one_step(inputs, self.h, float(t), derivatives=derivatives)
-        assert isinstance(end, State)
-        return LinearStep(end, slopes[:, : self.ndx], slopes[:, self.ndx :])
+            inputs[name] = np.asarray(field_value)
+        end_state, slopes = self._flow.one_step(inputs, self.h, float(t), derivatives=derivatives)
+        assert isinstance(end_state, State)
+        return LinearStep(end_state, slopes[:, : self.ndx], slopes[:, self.ndx :])

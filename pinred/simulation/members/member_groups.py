@@ -123,18 +123,18 @@ def _structure(plan: Plan) -> Hashable:
     forces, states = plan.forces, plan.scene.given
     varied = plan.scene.varied
     robot = None if varied is None else (varied.names, plan.acting.gravity.astype(bool).tobytes())
-    pieces: Hashable = (plan.stops.tobytes(), robot)
+    stop_key: Hashable = (plan.stops.tobytes(), robot)
     if forces is not None and forces.held:
-        pieces = id(plan)  # Controllers have states, so each member has its own.
-    return (None if forces is None else forces.key, plan.method, pieces, states.mu is None)
+        stop_key = id(plan)  # Controllers have states, so each member has its own.
+    return (None if forces is None else forces.key, plan.method, stop_key, states.mu is None)
 
 
 def _group(members: Indices, plans: Sequence[Plan]) -> Group:
     columns: dict[str, Any] = {
         name: None
-        if part is None
+        if values is None
         else np.concatenate([getattr(p.scene.given, name) for p in plans])
-        for name, part in vars(plans[0].scene.given).items()
+        for name, values in vars(plans[0].scene.given).items()
     }
     parameters = MemberParameters(numbers=np.array([plan.numbers for plan in plans]))
     varied = plans[0].scene.varied

@@ -28,7 +28,7 @@ from ..simulate import as_scene
 from .member_groups import Group, Members, members_plan
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
-# Options that follow from a configuration, a velocity, or a random state, with its fields.
+# (option, field of State) that q0 and v0 determine, and fields that a random state determines.
 _OF_Q = (("pose0", "pose"), ("x0", "x"))
 _OF_V = (("xi0", "xi"), ("xdot0", "xdot"))
 _OF_SEED = ("x", "xdot", "xi")
@@ -46,7 +46,7 @@ class MemberOptions:
         states: Initial states by option, (N, …).
         parameters: Values of parameters by name, (N,) or (N, k).
         gravity: Gravity in the world frame, (N, 3) [m/s²], or None.
-        robot: Number of entries of each robot parameter that differs between members, by name.
+        robot: Number of entries of each robot parameter that the call states, by name.
         count: Number of members.
     """
 
@@ -173,7 +173,7 @@ class MemberOptions:
                     f"{kinds_near(self.system, name, [*STATES, *names])}; of the scenes "
                     f"{_OPTIONS}: {listed(names, 60) or 'none'}"
                 )
-        first = self.scene(0)  # validates the options that all members share
+        first_scene = self.scene(0)  # validates the options that all members share
         varying = [name for name in self.robot if name in self.parameters]
         if varying:
             template = with_own(template, varying)
@@ -182,7 +182,7 @@ class MemberOptions:
         numbers = self._numbers(template)
         states = self._given(template, numbers)
         parameters = MemberParameters(numbers, self._robot_numbers(template) if varying else None)
-        scene_of = partial(self._scene_by, members_plan(first).scene.method)
+        scene_of = partial(self._scene_by, members_plan(first_scene).scene.method)
         if self.gravity is None:
             groups = [Group(np.arange(self.count), members_plan(template), states, parameters)]
         else:
@@ -263,7 +263,8 @@ class MemberOptions:
             if option in states:
                 converted = [read(row, system) for row in states.pop(option)]
                 states |= {
-                    n: np.array([getattr(part, field) for part in converted]) for n, field in fields
+                    n: np.array([getattr(state, field) for state in converted])
+                    for n, field in fields
                 }
 
         def rows(name: str, size: int, common: Array | None) -> Array | None:

@@ -96,9 +96,9 @@ class Trajectories(OverTime):
             outputs: States of all members, if already computed.
         """
         self._count, self._scene_of = members
-        first = self._scene_of(0)
+        first_scene = self._scene_of(0)
         self._system, self._times, self._wanted = (
-            first.system, first.report_times, first.outputs == "all",
+            first_scene.system, first_scene.report_times, first_scene.outputs == "all",
         )  # fmt: skip
         self._batches, self._single, self.failures = tuple(batches), single, tuple(failures)
         self._failed = {failure.member: failure for failure in failures}
@@ -144,17 +144,17 @@ class Trajectories(OverTime):
     @cached_property
     def y(self) -> Array:
         """Reduced states, (N, T, k); padded with NaN for members with fewer entries."""
-        pieces = [(batch.members, batch.y) for batch in self._batches]
+        batches = [(batch.members, batch.y) for batch in self._batches]
         for member, traj in self._single.items():
             reached = self.t[self.t <= traj.scene.end]
             reduced = traj.motion.reduced(reached)
             missing = np.full((len(self.t) - len(reached), reduced.shape[1]), np.nan)
-            pieces.append((np.array([member]), np.concatenate([reduced, missing])[None]))
-        if len(pieces) == 1 and len(pieces[0][1]) == len(self):
-            return pieces[0][1]
-        width = max((y.shape[2] for _, y in pieces), default=0)
+            batches.append((np.array([member]), np.concatenate([reduced, missing])[None]))
+        if len(batches) == 1 and len(batches[0][1]) == len(self):
+            return batches[0][1]
+        width = max((y.shape[2] for _, y in batches), default=0)
         combined = np.full((len(self), len(self.t), width), np.nan)
-        for members, y in pieces:
+        for members, y in batches:
             combined[members, :, : y.shape[2]] = y
         return combined
 
@@ -167,7 +167,7 @@ class Trajectories(OverTime):
     def __getitem__(self, member: int) -> Trajectory:
         """Return the motion of one member.
 
-        Its states at the report times are those of the arrays.  For other times and for balances
+        The states at the report times are taken from the arrays.  For other times and for balances
         the member is simulated again at first use.  The repeated motion agrees with the arrays
         within round-off times the growth along the motion.
 
@@ -262,12 +262,12 @@ def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State
 
 def _missing_states(system: System, t: Array, *, wanted: bool) -> State | ShapeState:
     """Return states at times (T,) that are all NaN, for a member that failed one by one."""
-    lengths, kind = axis_lengths(system), State if wanted else ShapeState
+    lengths, state_class = axis_lengths(system), State if wanted else ShapeState
     fields = {
         name: np.full((len(t), lengths[axis]) if (axis := FIELDS[name].axis) else len(t), np.nan)
-        for name in kind.__dataclass_fields__
+        for name in state_class.__dataclass_fields__
     }
-    return kind(**(fields | {"t": t}))
+    return state_class(**(fields | {"t": t}))
 
 
 def _scene_arrays(scenes: Sequence[Scene]) -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""The readable engine: the reduced equations by Pinocchio, under SciPy's DOP853."""
+"""The readable engine: Pinocchio evaluates the reduced equations, SciPy's DOP853 integrates."""

@@ -1,4 +1,4 @@
-"""The reduced flow of a scene by Pinocchio: its vector field, and full states from reduced ones.
+"""The reduced flow evaluated with Pinocchio: vector field, and map to full states.
 
 The reduced state is (x, π, b): positions and canonical momenta of the joints that are not
 prescribed, in the frame of the centre of mass, and the integrated variables b of the base.
@@ -24,12 +24,12 @@ from ..sample import Sample
 
 
 class PinocchioFlow:
-    """The reduced flow of a scene, evaluated by Pinocchio.  Not thread-safe.
+    """The reduced flow of a scene, evaluated with Pinocchio.  Not thread-safe.
 
     Attributes:
         y0: Initial reduced state, (k,).
         parameters: Force parameters, (p,).
-        numbers_at: Indices of the force parameters among them, which is all.
+        numbers_at: Indices of the force parameters among `parameters`, which has no others.
         base: The motion of the base.
     """
 
@@ -54,7 +54,7 @@ class PinocchioFlow:
         return np.array([self.rate(time, row, numbers) for time, row in rows]).reshape(y.shape)
 
     def rate(self, t: float, y: Array, numbers: Array | None = None) -> Array:
-        """Return dy/dt, (k,), with force parameters (p,); the initial ones if None."""
+        """Return dy/dt, (k,), with force parameters (p,); None for the initial parameters."""
         numbers = self.parameters if numbers is None else numbers
         system, form, free, r = self._system, self._form, self._free, self._system.r
         k = system.group.linear
@@ -89,7 +89,7 @@ class PinocchioFlow:
         return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b), base)
 
     def _in_space(self, t: float, b: Array, x: Array, v: Array, com: Array) -> BaseInSpace:
-        """Return the base relative to the world; v: (n,) relative to the centre of mass."""
+        """Return the base as seen from the world; v, (n,), is relative to the centre of mass."""
         system, times = self._system, np.array([t])
         r = system.r
         pose = self.base.pose(b[None], com[None], times)[0]
@@ -99,7 +99,7 @@ class PinocchioFlow:
         return BaseInSpace(pose, xi, mu, system.group.spatial_momentum(pose, mu))
 
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
-        """Return the full states behind reduced ones.
+        """Compute full states from reduced states.
 
         Args:
             t: Times, (T,) [s].
@@ -180,12 +180,12 @@ class Base:
 
     Attributes:
         parts: The integrated variables.
-        b0: Their initial values, (parts.size,).
+        b0: Initial values of the integrated variables, (parts.size,).
         axes: Directions of the translations, (3, k).
         spin: Constant angular momentum in the fixed frame, (parts.spin,) [N·m·s].
         relative_twist0: Initial body twist relative to the centre of mass, (r,).
         has_momentum: Whether the equations have terms with angular momentum.
-        turns: Number of components of the angular momentum.
+        turns: Number of angular momentum components.
     """
 
     def __init__(self, plan: Plan, start: Start) -> None:
@@ -208,9 +208,9 @@ class Base:
         self._v0 = group.turned(attitude, P / system.mass)
         self.spin = self._fixed(attitude, about)[: self.parts.spin]
         down = self._body(attitude, weight / np.linalg.norm(weight)) if self.parts.down else weight
-        pieces = [attitude[: self.parts.attitude], down[: self.parts.down]]
-        pieces += [about[: self.parts.momentum], np.zeros(self.parts.push)]
-        self.b0 = np.concatenate(pieces)
+        initial_values = [attitude[: self.parts.attitude], down[: self.parts.down]]
+        initial_values += [about[: self.parts.momentum], np.zeros(self.parts.push)]
+        self.b0 = np.concatenate(initial_values)
         self.relative_twist0 = start.xi - np.append(P / system.mass, np.zeros(self.turns))
         self._none = np.zeros(system.r)
 
@@ -226,7 +226,7 @@ class Base:
         return out
 
     def body_weight(self, b: Array) -> Array:
-        """Return the gravity force that turns the base, in its frame, (3,) [N]; else zero."""
+        """Return gravity's force (3,) [N] in the body frame if gravity turns the base, else 0."""
         if not self._weight.any():
             return self._weight
         attitude, down, _, _ = self.parts.split(b)
@@ -240,29 +240,29 @@ class Base:
         Args:
             b: Integrated variables of the base, (parts.size,).
             xi: Body twist relative to the centre of mass, (r,).
-            moment: Moment about the centre of mass, that of gravity about the pivot, in the body
+            moment: Moment about the centre of mass (for gravity, about the pivot), in the body
                 frame [N·m].
             force: Force on the centre of mass in the body frame, (k,) [N].
         Returns:
-            (parts.size,).
+            Time derivative of b, (parts.size,).
         """
         attitude, down, momentum, push = self.parts.split(b)
         omega = xi[self._k :]
-        out = []
+        rates = []
         if self.parts.attitude == 1:
-            out.append(omega)
+            rates.append(omega)
         elif self.parts.attitude:
-            out.append(quaternion_rate(attitude, omega))
+            rates.append(quaternion_rate(attitude, omega))
         if self.parts.down:
-            out.append(np.cross(down, omega))
+            rates.append(np.cross(down, omega))
         if self.parts.momentum == 3:
-            out.append(np.cross(momentum, omega) + moment)
+            rates.append(np.cross(momentum, omega) + moment)
         elif self.parts.momentum:
-            out.append(moment)
+            rates.append(moment)
         if self.parts.push:
             turned = self._group.turned(self._normal(attitude), force)
-            out += [push[self._k :] / self._mass, turned]
-        return np.concatenate(out) if out else np.empty(0)
+            rates += [push[self._k :] / self._mass, turned]
+        return np.concatenate(rates) if rates else np.empty(0)
 
     def pose(self, b: Array, com: Array, t: Array) -> Array:
         """Return poses (T, size) from b (T, …), body-frame centres of mass (T, 3), times (T,)."""
@@ -271,13 +271,13 @@ class Base:
         return np.concatenate([p, attitude], axis=1)
 
     def twist(self, b: Array, xi: Array, t: Array) -> Array:
-        """Return body twists (T, r) from those relative to the centre of mass."""
+        """Return body twists (T, r) from twists xi relative to the centre of mass."""
         if not self._k:
             return xi
-        out = xi.copy()
+        twists = xi.copy()
         carried = self._linear(b, t) / self._mass
-        out[:, : self._k] += self._group.turned_back(self._attitude(b), carried)
-        return out
+        twists[:, : self._k] += self._group.turned_back(self._attitude(b), carried)
+        return twists
 
     def base_energy(self, b: Array, com: Array, t: Array) -> Array:
         """Return the energy ½ m |ċ|² − m g · c, or −m g · R c_b of a pivoted base, (T,) [J]."""
@@ -328,7 +328,7 @@ class Base:
 
 
 def _into_body(q: Array, J: Array) -> Array:
-    """Return Rᵀ J, (3,), for a quaternion of any length, by scalar code for speed."""
+    """Return Rᵀ J, (3,), for a quaternion of any length.  Scalar code is faster than NumPy here."""
     x, y, z, w = q.tolist()
     a, b, c = J.tolist()
     scale = 2.0 / (x * x + y * y + z * z + w * w)

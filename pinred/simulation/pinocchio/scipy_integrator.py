@@ -26,7 +26,7 @@ def integrator(
     Args:
         flow: The flow of the plan.
         plan: The plan.
-        progress: Called after each step with the finished fraction of the time.
+        progress: Called after each step with the completed fraction of the time, 0 to 1.
     Returns:
         The function; its IntegrationError states the time and the entry of the reduced state.
     """
@@ -41,7 +41,7 @@ def integrator(
         parameters: Array,
         watch: Callable[[Segment], bool] | None = None,
     ) -> Segment:
-        if y0.size == 0:  # a single body that only translates
+        if y0.size == 0:  # a single body that only translates has no reduced state
             return Segment(
                 np.array([start, end]), lambda t: np.empty((len(t), 0)), parameters, 0, 0
             )

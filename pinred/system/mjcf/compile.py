@@ -1,7 +1,7 @@
 """Compilation of an MJCF file or an MjSpec by MuJoCo, and checks of the compiled numbers.
 
-The text of a file is measured first, because MuJoCo expands some short texts to millions of
-elements.
+The size of a file is estimated from its text first, because MuJoCo expands some short texts to
+millions of elements.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from .package import is_mujoco, mujoco_package, warnings_kept
 
 # Lines that MuJoCo's XML reader prints itself.
 _PRINTED = re.compile(rb"^WARNING: XML contains [^\n]*\n?", re.MULTILINE)
-# Sizes for which MuJoCo reserves memory.  None is needed here, so they are set to the defaults.
+# Sizes for which MuJoCo reserves memory.  They are set to their defaults, because pinred does not
+# simulate with MuJoCo.
 _SIZES = (
     *("memory", "nstack", "njmax", "nconmax", "nkey", "nuserdata"),
     *("nuser_body", "nuser_jnt", "nuser_geom", "nuser_site", "nuser_cam"),
@@ -36,12 +37,12 @@ _FINITE = (
     *("jnt_pos", "jnt_axis", "dof_armature", "qpos0", "key_qpos", "key_qvel"),
 )
 
-_DEEPEST = 450  # nested elements; MuJoCo refuses 500
-_DEEPEST_INCLUDES = 50  # nested files
-_MOST = 100_000  # expanded elements; the largest files in use have a tenth of that
-_CELLS = 100  # cells of a height field that need as much memory as one element
-_MOST_ATTRIBUTES = 100  # attributes of one element; MuJoCo's schema has half as many
-_MOST_LETTERS = 64_000_000  # characters of all files together
+_DEEPEST = 450  # largest depth of nested elements; MuJoCo refuses 500
+_DEEPEST_INCLUDES = 50  # largest depth of nested includes
+_MOST = 100_000  # largest number of expanded elements; the largest known files have a tenth
+_CELLS = 100  # number of height-field cells that need as much memory as one element
+_MOST_ATTRIBUTES = 100  # largest number of attributes per element; MuJoCo's schema has half
+_MOST_LETTERS = 64_000_000  # largest number of characters of all files together
 
 
 def compiled(source: Any, *, shapes: bool = False) -> Any:
@@ -73,8 +74,8 @@ def compiled(source: Any, *, shapes: bool = False) -> Any:
 
 
 def _guarded(what: str, compile_source: Callable[[], Any]) -> Any:
-    """Return a compiled model.  Raises LoadError for every error and bad warning of MuJoCo."""
-    # MuJoCo's XML reader prints by itself, and its warnings share one handler for all threads.
+    """Return a compiled model.  Raises LoadError for MuJoCo's errors and serious warnings."""
+    # MuJoCo's XML reader prints to the console, and all threads share one warning handler.
     with library_output(_PRINTED), warnings_kept() as warnings:
         try:
             model = compile_source()
@@ -97,18 +98,18 @@ def _one_line(error: Exception) -> str:
 
 
 def _compile(spec: Any, *, shapes: bool) -> Any:
-    """Compile a spec with all its bodies and without pictures; the spec is changed."""
+    """Compile a spec, keep all its bodies and drop textures; the spec is modified."""
     mj = mujoco_package()
     fresh = mj.MjSpec()
     for size in _SIZES:
         setattr(spec, size, getattr(fresh, size))
-    spec.compiler.fusestatic = False  # A base fixed to the world stays a body.
+    spec.compiler.fusestatic = False  # Keep a base that is fixed to the world as a body.
     spec.compiler.discardvisual = False
-    # MuJoCo would simulate muscles for their ranges, but actuators are not used here.
+    # MuJoCo would simulate muscles to find their ranges, but pinred uses no actuators.
     spec.compiler.LRopt.mode = int(mj.mjtLRMode.mjLRMODE_NONE)
     _refuse_negative(spec)
     _drop_pictures(spec)
-    needed = set()  # names of meshes
+    needed = set()  # names of the meshes that MuJoCo must read
     for geom in spec.geoms:
         if geom.type == mj.mjtGeom.mjGEOM_HFIELD or (
             geom.meshname and not (shapes or _may_have_mass(mj, geom))
@@ -135,7 +136,7 @@ def _refuse_negative(spec: Any) -> None:
 
 
 def _drop_pictures(spec: Any) -> None:
-    """Delete textures and skins, for which files would be read, and the elements that use them."""
+    """Delete textures and skins, whose files are not needed, and the elements that use them."""
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
     for light in spec.lights:
@@ -173,7 +174,7 @@ def _replace_by_point(mj: Any, geom: Any) -> None:
 
 @dataclass
 class _Open:
-    """An open element.  before: number of elements ahead of it."""
+    """An XML element that is open.  before: number of elements ahead of this element."""
 
     tag: str
     attributes: dict[str, str]
@@ -182,7 +183,7 @@ class _Open:
 
 @dataclass
 class _Measure:
-    """The size of a file and its includes, as far as they were read.
+    """The size of the part of a file and its includes that has been read so far.
 
     Attributes:
         top: Folder of the file.
@@ -190,7 +191,7 @@ class _Measure:
         letters: Number of characters.
         named: Number of elements in each named body or frame.
         models: Number of elements in each attached file, by its model name.
-        reading: Open files, each included by the one before.
+        reading: Open files; each file is included by the file before.
     """
 
     top: Path
@@ -202,9 +203,9 @@ class _Measure:
 
 
 def check_text(path: Path, text: str) -> None:
-    """Refuse an MJCF file, with its text, that is too large or too deep for a parser.
+    """Refuse an MJCF file whose text is too large or too deeply nested for a parser.
 
-    Raises LoadError with the file at fault.
+    Raises LoadError, which names the file at fault.
     """
     _measure(path, text, _Measure(path.parent), 0)
 
@@ -270,26 +271,26 @@ def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
 def _measure_named(
     path: Path, attributes: dict[str, str], tag: str, size: _Measure, depth: int
 ) -> None:
-    """Measure a file that is included, or attached as a model, in every folder it may be in."""
+    """Measure an included or attached file, in every folder where MuJoCo may find it."""
     before = size.count
     name, last = attributes["file"], Path(attributes["file"]).name
     folders = dict.fromkeys((size.top, path.parent))
     files = [folder / name for folder in folders]
-    # With strippath="true" only the last component of a name counts.  It may name an open file,
-    # which MuJoCo does not include again.
+    # With strippath="true", MuJoCo uses only the last component of a name.  If that is the name
+    # of an open file, MuJoCo does not include it again.
     stripped = [folder / last for folder in folders if name != last]
     if tag == "include":
         stripped = [file for file in stripped if file.resolve() not in size.reading]
     for file in dict.fromkeys([*files, *stripped]):
         if is_file(file):
             _measure(file, read_text(file), size, depth)
-    if tag == "model":  # Its elements count where it is attached.
+    if tag == "model":  # Elements of a model are counted where it is attached.
         name = attributes.get("name", Path(attributes["file"]).stem)
         size.models[name], size.count = size.count - before, before
 
 
 def _product(counts: str) -> int:
-    """Return the product of the whole numbers in a text, at least 1 and bounded above."""
+    """Return the product of the integers in a text, at least 1 and bounded above."""
     product = 1.0
     for word in counts.split():
         try:
@@ -300,16 +301,17 @@ def _product(counts: str) -> int:
 
 
 def _mesh_vertices(attributes: dict[str, str]) -> int:
-    """Return about how many vertices a mesh has that MuJoCo generates from parameters."""
+    """Estimate the number of vertices of a mesh that MuJoCo generates from parameters."""
     if "builtin" not in attributes:
         return 0
     first, *more = attributes.get("params", "").split() or [""]
-    # Superquadrics are divided along both directions by the first parameter.
+    # The first parameter of a superquadric divides it along both directions.
     twice = attributes["builtin"].startswith("super")
     return _product(f"{first} {first if twice else more[0] if more else ''}")
 
 
-# Number of elements to which MuJoCo expands one element.  A cell of a height field is one number.
+# Number of elements to which MuJoCo expands one element.  A height-field cell stores one number
+# only, so _CELLS cells count as one element.
 _EXPANSIONS: dict[str, Callable[[dict[str, str]], int]] = {
     "flexcomp": lambda attributes: (
         _product(attributes.get("count", "")) + _product(attributes.get("cellcount", ""))

@@ -1,7 +1,7 @@
 """Forces in a MuJoCo model: passive ones at shape joints, and actions that are not simulated.
 
 MuJoCo's force at a hinge or slide is −(k₁ y + k₂ y² + k₃ y³) − v (d₁ + d₂ |v| + d₃ v²), with y
-measured from springref and the rate v.  Dry friction adds at most `frictionloss`.
+measured from springref, and v the rate.  Dry friction adds at most `frictionloss`.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from .world import World
 
 
 def passive_forces(tree: Tree) -> tuple[Force, ...]:
-    """Return the springs, dampers and dry friction of the shape, joint by joint."""
+    """Return the springs, dampers and dry friction at shape joints, joint by joint."""
     return tuple(force for joint in _shape_joints(tree) for force in _forces_at(tree.world, joint))
 
 
 def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> Iterator[LeftOut]:
     """Yield the actions on a robot that are not simulated, by kind.
 
-    Forces at the base would change the momentum, so they are left out.  So are plastic springs,
-    whose force depends on the past.
+    Forces at the base would change the momentum, so they are not simulated.  Plastic springs are
+    not simulated either, because their force depends on the past.
 
     Args:
         tree: Robot.
@@ -86,7 +86,8 @@ def moving_tendons(tree: Tree) -> list[int]:
     tendons = []
     for tendon in range(model.ntendon):
         first = int(model.tendon_adr[tendon])
-        # Joints of the bodies at its ends; negative numbers stand for moving joints and others.
+        # Joints of the bodies that the tendon connects.  −1 and −2 together represent a moving
+        # joint on which the tendon acts directly, −3 a body outside the robot.
         ends = set()
         for wrap in range(first, first + int(model.tendon_num[tendon])):
             kind, target = int(model.wrap_type[wrap]), int(model.wrap_objid[wrap])
@@ -95,7 +96,7 @@ def moving_tendons(tree: Tree) -> list[int]:
             elif kind in body_of:
                 body = int(body_of[kind][target])
                 ends.add(tree.carriers[body].joint if body in tree.carriers else -3)
-        if len(ends) > 1:  # It connects bodies that move against each other.
+        if len(ends) > 1:  # The tendon connects bodies that move relative to each other.
             tendons.append(tendon)
     return tendons
 
@@ -119,12 +120,12 @@ def _forces_at(world: World, joint: int) -> Iterator[Force]:
 
 
 def _is_active(world: World, numbers: Mapping[str, Iterable[float]]) -> bool:
-    """Return whether any number is not zero and its kind of force is not disabled."""
+    """Return whether any coefficient is nonzero and its kind of force is enabled."""
     return any(any(values) and not world.disabled(kind) for kind, values in numbers.items())
 
 
 def _joint_numbers(model: Any, joint: int) -> dict[str, list[float]]:
-    """Return the numbers of springs, dampers and friction at a joint, by MuJoCo's flags."""
+    """Return {MuJoCo flag: coefficients of the spring, damper or friction at a joint}."""
     v = int(model.jnt_dofadr[joint])
     return {
         "SPRING": [float(model.jnt_stiffness[joint]), *map(float, model.jnt_stiffnesspoly[joint])],
@@ -134,7 +135,7 @@ def _joint_numbers(model: Any, joint: int) -> dict[str, list[float]]:
 
 
 def _tendon_numbers(model: Any, tendon: int) -> dict[str, list[float]]:
-    """Return the numbers of forces along a tendon, by MuJoCo's flags."""
+    """Return {MuJoCo flag: coefficients of the forces along a tendon}."""
     return {
         "SPRING": [model.tendon_stiffness[tendon], *model.tendon_stiffnesspoly[tendon]],
         "DAMPER": [model.tendon_damping[tendon], *model.tendon_dampingpoly[tendon]],
@@ -144,13 +145,13 @@ def _tendon_numbers(model: Any, tendon: int) -> dict[str, list[float]]:
 
 
 def _is_plastic(world: World, joint: int) -> bool:
-    """Return whether the spring at a joint yields."""
+    """Return whether the spring at a joint is plastic."""
     spring = {"SPRING": _joint_numbers(world.model, joint)["SPRING"]}
     return _is_active(world, spring) and bool(world.model.jnt_springyield[joint])
 
 
 def _without_zeros(coefficients: Iterable[float]) -> tuple[float, ...]:
-    """Return coefficients without the zeros at their end."""
+    """Return coefficients without trailing zeros."""
     kept = list(coefficients)
     while kept and kept[-1] == 0.0:
         kept.pop()
@@ -158,7 +159,7 @@ def _without_zeros(coefficients: Iterable[float]) -> tuple[float, ...]:
 
 
 def _touching_shapes(tree: Tree) -> list[str]:
-    """Return the geoms of moving bodies that can touch others."""
+    """Return the names of geoms on moving bodies that can touch other geoms."""
     world, model = tree.world, tree.world.model
     if world.disabled("CONTACT"):
         return []
@@ -172,7 +173,7 @@ def _touching_shapes(tree: Tree) -> list[str]:
 
 
 def _actuators(tree: Tree) -> list[str]:
-    """Return the actuators that act on the robot."""
+    """Return the names of the actuators that act on the robot."""
     world, model, kinds = tree.world, tree.world.model, mujoco_package().mjtTrn
     if world.disabled("ACTUATION"):
         return []

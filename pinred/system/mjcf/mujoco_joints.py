@@ -19,12 +19,12 @@ class Joint:
     Attributes:
         name: Name of the joint.
         kind: "free", "ball", "slide" or "hinge".
-        point: Point about which it turns, (3,) [m].
+        point: Point about which the joint rotates, (3,) [m].
         axis: Unit axis, (3,).
-        q0: Coordinate at which the file draws it, MuJoCo's qpos0 [rad | m].
+        q0: Coordinate in the reference configuration of the file, MuJoCo's qpos0 [rad | m].
         q_at: Index of its first coordinate in qpos.
         v_at: Index of its first velocity in qvel.
-        armature: Inertia of rotors, (nv,) [kg m² | kg], with actuators and their gears.
+        armature: Rotor inertia, (nv,) [kg m² | kg], including actuators with their gears.
     """
 
     name: str
@@ -43,15 +43,15 @@ class Joint:
 
     @property
     def at_point(self) -> pin.SE3:
-        """Frame of the body, moved to the point about which the joint turns."""
+        """Frame of the body, translated to the point about which the joint rotates."""
         return translation(self.point)
 
     def motion(self, value: float) -> pin.SE3:
-        """Return how a slide or hinge at a coordinate moves its body, in the body's frame."""
+        """Return the displacement of the body by a slide or hinge at a coordinate, in body axes."""
         return self.at_point * self.displaced(value - self.q0) * self.at_point.inverse()
 
     def displaced(self, amount: float) -> pin.SE3:
-        """Return the motion of a slide or hinge by an amount, about its point."""
+        """Return the displacement by a slide or hinge through `amount` [m | rad]."""
         if amount == 0.0:
             return pin.SE3.Identity()
         if self.kind == "slide":
@@ -59,13 +59,13 @@ class Joint:
         return pin.SE3(pin.exp3(amount * self.axis), np.zeros(3))
 
     def twist(self, rate: float) -> pin.Motion:
-        """Return the twist that a slide or hinge gives its body, in the body's frame."""
+        """Return the body's twist, in the body's frame, for a rate of a slide or hinge."""
         if self.kind == "slide":
             return pin.Motion(rate * self.axis, np.zeros(3))
         return pin.Motion(rate * np.cross(self.point, self.axis), rate * self.axis)
 
     def model(self) -> pin.JointModel:
-        """Return Pinocchio's joint along or about the axis of a slide or hinge."""
+        """Return the Pinocchio joint with the axis of a slide or hinge."""
         return joint_along(PRISMATIC if self.kind == "slide" else REVOLUTE, self.axis)
 
 
@@ -89,7 +89,7 @@ def joint_of(world: World, joint: int) -> Joint:
 
 
 def _actuator_armature(world: World, joint: int) -> float:
-    """Return the armature that actuators add to a joint, each times its gear squared."""
+    """Return the armature that actuators add to a joint: rotor inertia times gear ratio squared."""
     model, armature = world.model, 0.0
     for actuator in np.flatnonzero(model.actuator_armature):
         if acts_on_joint(world, int(actuator)) and model.actuator_trnid[actuator, 0] == joint:
@@ -99,8 +99,8 @@ def _actuator_armature(world: World, joint: int) -> float:
 
 
 def acts_on_joint(world: World, actuator: int) -> bool:
-    """Return whether an actuator acts on a joint, in the frame of the joint or of its parent."""
-    return int(world.model.actuator_trntype[actuator]) in (0, 1)  # mjTRN_JOINT, JOINTINPARENT
+    """Return whether an actuator's transmission is a joint (in the joint or the parent frame)."""
+    return int(world.model.actuator_trntype[actuator]) in (0, 1)  # mjTRN_JOINT, mjTRN_JOINTINPARENT
 
 
 def translation(by: Array) -> pin.SE3:
@@ -109,6 +109,6 @@ def translation(by: Array) -> pin.SE3:
 
 
 def frame(position: Array, quaternion: Array) -> pin.SE3:
-    """Return the frame at a position with MuJoCo's quaternion (w, x, y, z), of any length."""
+    """Return the frame at a position with orientation (w, x, y, z), a quaternion of any norm."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return pin.SE3(pin.Quaternion(w, x, y, z).toRotationMatrix(), np.array(position))

@@ -1,4 +1,4 @@
-"""The package mujoco, which the extra `mjcf` installs and which is imported only when needed."""
+"""Import of the package mujoco, only when needed; the extra `mjcf` installs it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def is_mujoco(source: object, kind: str) -> bool:
 
 @contextmanager
 def warnings_kept() -> Iterator[list[str]]:
-    """Collect MuJoCo's warnings, which it would write into a file in the current folder."""
+    """Collect MuJoCo's warnings; by default, MuJoCo writes them to a file in the current folder."""
     mj = mujoco_package()
     messages: list[str] = []
     before = mj.get_mju_user_warning()

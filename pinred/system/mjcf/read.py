@@ -1,6 +1,7 @@
-"""An MJCF file, an MjSpec or an MjModel, read as a pin.Model and its further contents.
+"""Read an MJCF file, an MjSpec or an MjModel as a pin.Model and its other contents.
 
-Of its equality constraints, loops are refused, and proportional joints are coupled.
+Equality constraints that couple joints in proportion become couplings.  Those that close loops are
+refused.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ class MujocoRobot:
 
     Attributes:
         name: Name of the model.
-        model: Model on the root in the file; without a root, its first body is fixed.
-        contents: Returns the further contents of the file, for the group of the root.
+        model: Model with the root joint of the file; without a root joint, its first body is fixed.
+        contents: Function from the group of the root to the other contents of the file.
     """
 
     name: str
@@ -45,13 +46,13 @@ class MujocoRobot:
 def read_mujoco(
     source: Any, *, root: str | None, lock: Mapping[str, float], gravity: Array | None
 ) -> MujocoRobot:
-    """Return the robot in a path, an MjSpec or an MjModel.
+    """Read the robot from a path, an MjSpec or an MjModel.
 
     Args:
         source: Path, MjSpec or MjModel.
-        root: Body of the world that carries the robot, if several can move.
+        root: Name of the body attached to the world that carries the robot, if several can move.
         lock: Joints to freeze, with their values [rad | m].
-        gravity: Gravity instead of the file's, (3,) [m/s²].
+        gravity: Gravity that replaces the file's, (3,) [m/s²]; None for the file's.
     Returns:
         The robot.
     Raises:
@@ -97,8 +98,8 @@ class Gravity:
     """The gravity of a model.
 
     Attributes:
-        effective: Gravity, (3,) [m/s²], less the compensation that all bodies share.
-        is_uneven: Whether bodies differ in their compensation, which is then not subtracted.
+        effective: Gravity, (3,) [m/s²], minus the compensation (gravcomp) that all bodies share.
+        is_uneven: Whether the compensation differs between bodies; it is then not subtracted.
     """
 
     effective: Array
@@ -121,12 +122,12 @@ def gravity_of(world: World) -> Gravity:
 def keyframes_of(
     tree: Tree, group: Group, couplings: Sequence[Coupling] = ()
 ) -> dict[str, Keyframe]:
-    """Return the keyframes by name; those without a name are called key0, key1 and so on.
+    """Return the keyframes by name; unnamed keyframes are called key0, key1 and so on.
 
     Args:
         tree: Robot.
-        group: Group of the base.  Without motion in the file, the base rests at the identity.
-        couplings: Couplings of followers, whose values in the file are not used.
+        group: Group of the base.  If the file fixes the base, it rests at the identity.
+        couplings: Couplings of followers; the file's values of followers are ignored.
     """
     followers = {coupling.follower for coupling in couplings}
     joints = [joint for joint in tree.shape if joint.name not in followers]
@@ -149,7 +150,7 @@ class Constraints:
     """The active equality constraints of a robot.
 
     Attributes:
-        couplings: Joints that follow others in proportion.
+        couplings: Couplings of followers in proportion to their leaders.
         outside: Names of constraints that tie the robot to other bodies, or act on tendons or
             flexible bodies.
     """
@@ -166,7 +167,7 @@ class _Constraint:
         kind: Kind, such as "weld".
         name: Name in the file, or kind and number.
         objects: Ids of its two objects; the second is −1 if there is only one.
-        coefficients: Coefficients of its polynomial, (5,).
+        coefficients: Coefficients of the constraint's polynomial, (5,).
         on_sites: Whether the objects are sites instead of bodies.
     """
 
@@ -181,8 +182,8 @@ def constraints_of(tree: Tree) -> Constraints:
     """Return the constraints that act on a robot.
 
     Raises:
-        ModelError: A constraint closes a loop, holds a joint, or couples joints otherwise than in
-            proportion.
+        ModelError: A constraint closes a loop, fixes a joint, or couples joints by a law that is
+            not proportional.
     """
     couplings: list[Coupling] = []
     outside: list[str] = []
@@ -216,8 +217,8 @@ def _ties_outside(tree: Tree, constraint: _Constraint) -> bool:
     """Return whether a constraint ties the robot to a body that is not part of it.
 
     Raises:
-        ModelError: It ties bodies of the robot, or one of them and the ground, that move against
-            each other.
+        ModelError: The constraint connects two bodies of the robot, or one body and the ground,
+            that move relative to each other.
     """
     world, model = tree.world, tree.world.model
     bodies = list(constraint.objects)
@@ -230,7 +231,7 @@ def _ties_outside(tree: Tree, constraint: _Constraint) -> bool:
     if len(on_robot) + len(ground) < 2:
         return True
     ends = {tree.carriers[body].joint for body in on_robot} | ({0} if ground else set())
-    if len(ends) == 1:  # The two bodies do not move against each other.
+    if len(ends) == 1:  # The two bodies do not move relative to each other.
         return False
     names = " and ".join(f"'{world.body_names[body] or 'world'}'" for body in bodies)
     raise ModelError(
@@ -241,7 +242,7 @@ def _ties_outside(tree: Tree, constraint: _Constraint) -> bool:
 
 
 def _is_ground(tree: Tree, body: int) -> bool:
-    """Return whether a body neither moves nor is moved by the user (a mocap body)."""
+    """Return whether a body is fixed: it has no motion and is no mocap body."""
     model = tree.world.model
     while body:
         if body in tree.carriers or model.body_jntnum[body] or model.body_mocapid[body] >= 0:
@@ -251,12 +252,12 @@ def _is_ground(tree: Tree, body: int) -> bool:
 
 
 def _coupling(tree: Tree, constraint: _Constraint) -> Sequence[Coupling]:
-    """Return the coupling of a constraint between joints, if the follower can move.
+    """Return the coupling that a joint constraint defines, if the follower is not frozen.
 
-    MuJoCo's polynomial is in displacements from the position at which the file draws the joints.
+    MuJoCo's polynomial applies to displacements from the reference configuration (qpos0).
 
     Raises:
-        ModelError: The constraint holds a joint, is not proportional, or its leader is frozen.
+        ModelError: The constraint fixes a joint, is not proportional, or its leader is frozen.
     """
     world, free = tree.world, tree.free_joints
     first, second = constraint.objects
@@ -270,7 +271,7 @@ def _coupling(tree: Tree, constraint: _Constraint) -> Sequence[Coupling]:
             f"a joint that is held is not supported: {words}; lock it there "
             f"(lock={{'{follower.name}': {follower.q0 + c0:g}}}), or remove the constraint"
         )
-    if first not in free:  # The follower is frozen, and so would be its leader.
+    if first not in free:  # The follower is frozen, so the constraint would freeze its leader.
         return ()
     leader = joint_of(world, second)
     if any(higher):
@@ -296,9 +297,9 @@ def _proportional(follower: Joint, leader: Joint, constraint: _Constraint) -> Co
 def locked_with_followers(
     world: World, lock: Mapping[str, float]
 ) -> tuple[dict[str, float], dict[str, Tie]]:
-    """Return locks that include the followers of locked joints, and how these follow.
+    """Return locks that include the followers of locked joints, and the ties of these followers.
 
-    Followers may use any polynomial.
+    Followers of locked joints may use any polynomial.
 
     Raises:
         InputError: A proportional follower is locked without its leader.
@@ -330,7 +331,7 @@ def locked_with_followers(
 
 
 def refuse_heavy_tendons(tree: Tree, tendons: Sequence[int]) -> None:
-    """Refuse tendons with armature among those that act on a robot.  Raises ModelError."""
+    """Refuse tendons with armature that act on a robot.  Raises ModelError."""
     model = tree.world.model
     for tendon in tendons:
         if model.tendon_armature[tendon] or _has_rotors(model, tendon):

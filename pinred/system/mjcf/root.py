@@ -1,8 +1,8 @@
-"""The joints of the body that carries all others, read as one motion of a symmetry group.
+"""Conversion of the joints of the body that carries all others to one joint of a symmetry group.
 
-MuJoCo has no planar joint: a file moves a body in a plane by three joints, which become SE(2).
-With a slide across the plane they become ℝ × SE(2).  Three slides with a ball, or with three
-hinges, become SE(3).  In all other cases the first joint alone is the root.
+MuJoCo has no planar joint: a file moves a body in a plane with three joints, which become SE(2).
+With an additional slide normal to the plane they become ℝ × SE(2).  Three slides with a ball, or
+with three hinges, become SE(3).  In all other cases the first joint alone is the root.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from ..joints import root_joint
 from . import rotors
 from .mujoco_joints import Joint, frame
 
-_EXACT = 1e-12  # sines, cosines and lengths [m] below which a number is round-off
-# Displacements from the drawn position at which a plane of joints is tested [rad | m].
+_EXACT = 1e-12  # sines, cosines and lengths [m] below this value count as zero
+# Displacements from the reference configuration at which planar joints are tested [rad | m].
 _GENERIC = (0.7, -0.4, 1.1, 0.2)
 
 
 @dataclass(frozen=True, eq=False)
 class RootMotion:
-    """The motion of the carrying body in the world.
+    """The motion of the body that carries all others, relative to the world.
 
     Attributes:
-        joints: Joints that make the motion.
-        model: Pinocchio's joint.
-        before: Fixed frame of the joint, on the body as the file draws it.
-        behind: Frame of the body, on the moving frame of the joint.
-        rotors: Inertia of the joints' rotors, on the moving frame.
-        pose: Returns the pose of the group for qpos.
-        twist: Returns the body twist for qpos and qvel.
-        armature: Armature that Pinocchio adds, (nv,) [kg m² | kg]; None for zero.
-        in_world: Whether `before` is a frame of the world instead.
+        joints: MuJoCo joints that produce the motion.
+        model: Pinocchio joint with the same motion.
+        before: Fixed frame of the joint, relative to the body in the reference configuration.
+        behind: Frame of the body, relative to the moving frame of the joint.
+        rotors: Inertia of the joints' rotors, in the moving frame.
+        pose: Function from qpos to the pose in the group.
+        twist: Function from qpos and qvel to the body twist.
+        armature: Armature of the Pinocchio joint, (nv,) [kg m² | kg]; None for zero.
+        in_world: Whether `before` is relative to the world instead of the body.
     """
 
     joints: tuple[Joint, ...]
@@ -59,16 +59,16 @@ class RootMotion:
 
 
 def root_motion(joints: Sequence[Joint], gravity: Array, turn: Array) -> RootMotion:
-    """Return the motion that the first joints of the carrying body make together.
+    """Return the group motion that the first joints of the root body produce together.
 
     Args:
         joints: Joints of the body.
         gravity: Gravity in the world frame, (3,) [m/s²].
-        turn: Rotation from the axes of the body, as the file draws it, to the world's, (3, 3).
+        turn: Rotation, (3, 3), from body axes in the reference configuration to world axes.
     Returns:
         The motion.
     Raises:
-        ModelError: Rotors break the symmetry of the base.
+        ModelError: Armature breaks the symmetry of the base.
     """
     kinds, first = [joint.kind for joint in joints], joints[0]
     in_body = turn.T @ gravity
@@ -84,7 +84,7 @@ def root_motion(joints: Sequence[Joint], gravity: Array, turn: Array) -> RootMot
 
 
 def _single(joint: Joint, gravity: Array) -> RootMotion:
-    """Return the motion of a slide or a hinge, whose coordinate is MuJoCo's."""
+    """Return the motion of a slide or a hinge; its coordinate is unchanged."""
     slides = joint.kind == "slide"
     return RootMotion(
         joints=(joint,),
@@ -99,7 +99,7 @@ def _single(joint: Joint, gravity: Array) -> RootMotion:
 
 
 def _ball(joint: Joint) -> RootMotion:
-    """Return rotation about a point.  MuJoCo's angular velocity is in body axes, too."""
+    """Return the motion of a ball joint.  MuJoCo's angular velocity is in body axes too."""
     return RootMotion(
         joints=(joint,),
         model=pin.JointModelSpherical(),
@@ -112,7 +112,7 @@ def _ball(joint: Joint) -> RootMotion:
 
 
 def _free(joint: Joint, gravity: Array) -> RootMotion:
-    """Return free motion.  Its pose is in the world, and so is its linear velocity."""
+    """Return the motion of a free joint.  MuJoCo's pose and linear velocity are in world axes."""
     q, v = joint.q_at, joint.v_at
 
     def twist(qpos: Array, qvel: Array) -> Array:
@@ -132,7 +132,7 @@ def _free(joint: Joint, gravity: Array) -> RootMotion:
 
 
 def _slides_and_ball(joints: Sequence[Joint], gravity: Array) -> RootMotion:
-    """Return the motion of three slides, then a ball."""
+    """Return the motion of three slides followed by a ball."""
     *slides, ball = joints
     axes = np.array([joint.axis for joint in slides]).T
 
@@ -157,9 +157,10 @@ def _slides_and_ball(joints: Sequence[Joint], gravity: Array) -> RootMotion:
 
 
 def _is_spatial(joints: Sequence[Joint]) -> bool:
-    """Return whether three slides and three hinges move a body freely from where it is drawn.
+    """Return whether three slides and three hinges can move a body in all directions.
 
-    Rotors on them break the symmetry, except on slides ahead of hinges through one point.
+    The test is in the reference configuration.  Armature of these joints breaks the symmetry,
+    except on slides ahead of hinges whose axes meet in one point.
     """
     kinds = [joint.kind for joint in joints]
     if sorted(kinds) != ["hinge"] * 3 + ["slide"] * 3:
@@ -186,10 +187,12 @@ def _spatial(joints: Sequence[Joint], gravity: Array) -> RootMotion:
 
 
 def _planar(joints: Sequence[Joint], plane: _Plane, gravity: Array) -> RootMotion:
-    """Return the motion of slides and hinges in a plane, and of one across it, in any order.
+    """Return the motion of planar slides and hinges, and perhaps a slide normal to the plane.
 
-    The joint's frame has z along the hinges' normal and x along the first slide in the plane, if
-    there is one.  Its origin is on the first hinge.
+    The joints may be in any order.
+
+    The joint's frame has z along the hinge axes and x along the first slide in the plane, if there
+    is such a slide.  Its origin is on the first hinge.
     """
     W = pin.SE3(_axes(plane.hinges[0].axis, plane.slides), plane.hinges[0].point)
     axes = list(plane.group.axes)
@@ -213,16 +216,18 @@ def _combined(
     weight: pin.Inertia,
     pose_of: Callable[[pin.SE3, Array], Array],
 ) -> RootMotion:
-    """Return the motion of several slides and hinges.
+    """Combine several slides and hinges of one body into a single Pinocchio joint.
 
     Args:
         joints: Joints of the body.
-        W: Frame of the joint, on the body.  With MuJoCo's motion P of the body, the pose of the
-            group is W⁻¹ P W.
-        model: Pinocchio's joint.
-        axes: Components of a twist in which the group moves.
-        weight: Inertia of the rotors.
-        pose_of: Returns coordinates of the group for W⁻¹ P W and qpos.
+        W: Frame of the Pinocchio joint, relative to the body.  If MuJoCo displaces the body by P,
+            the pose of the joint is W⁻¹ P W.
+        model: Pinocchio joint with the combined motion.
+        axes: Indices of the twist components that the joint can produce.
+        weight: Inertia of the rotors, in the joint's frame.
+        pose_of: Function from W⁻¹ P W and qpos to the coordinates of the pose in the group.
+    Returns:
+        The combined motion.
     """
     inverse = W.inverse()
 
@@ -242,7 +247,7 @@ def _combined(
 
 @dataclass(frozen=True)
 class _Plane:
-    """Joints that move a body in a plane, and perhaps across it.
+    """Joints that move a body in a plane, and perhaps along its normal.
 
     Attributes:
         group: SE(2), or ℝ × SE(2).
@@ -256,7 +261,7 @@ class _Plane:
 
 
 def _plane(joints: Sequence[Joint]) -> _Plane | None:
-    """Return the plane in which joints move a body freely, or None."""
+    """Return the planar motion that the joints produce, or None if it is not planar."""
     hinges = tuple(joint for joint in joints if joint.kind == "hinge")
     if len(joints) not in (3, 4) or {j.kind for j in joints} - {"slide", "hinge"} or not hinges:
         return None
@@ -266,7 +271,7 @@ def _plane(joints: Sequence[Joint]) -> _Plane | None:
     slides = tuple(j for j in joints if j.kind == "slide" and abs(j.axis @ z) <= _EXACT)
     if len(lifts) != len(joints) - 3 or len(normal) + len(slides) != len(joints):
         return None
-    # Three hinges can be drawn in one line and still move in all directions elsewhere.
+    # Three collinear hinges are singular in the reference configuration only, so test another one.
     values = [joint.q0 + by for joint, by in zip(joints, _GENERIC, strict=False)]
     if not _moves_freely(joints, values):
         return None
@@ -274,7 +279,7 @@ def _plane(joints: Sequence[Joint]) -> _Plane | None:
 
 
 def _axes(z: Array, slides: Sequence[Joint]) -> Array:
-    """Return the rotation to axes with a given z, and x along the first slide if there is one."""
+    """Return the rotation whose z axis is `z`, with x along the first slide if there is one."""
     x = slides[0].axis if slides else np.eye(3)[np.argmin(np.abs(z))]
     y = np.cross(z, x)
     y /= np.linalg.norm(y)
@@ -282,7 +287,7 @@ def _axes(z: Array, slides: Sequence[Joint]) -> Array:
 
 
 def _twist(joints: Sequence[Joint], values: Sequence[float], rates: Sequence[float]) -> pin.Motion:
-    """Return the body twist that joints at values and with rates make together."""
+    """Compute the body twist of a chain of joints with these values and rates."""
     twist = pin.Motion.Zero()
     for joint, value, rate in zip(joints, values, rates, strict=True):
         twist = joint.motion(value).actInv(twist) + joint.twist(rate)
@@ -290,7 +295,7 @@ def _twist(joints: Sequence[Joint], values: Sequence[float], rates: Sequence[flo
 
 
 def _moves_freely(joints: Sequence[Joint], values: Sequence[float]) -> bool:
-    """Return whether the twists of joints at values are independent."""
+    """Return whether the joint twists are linearly independent at these joint values."""
     twists = [_twist(joints, values, rates).vector for rates in np.eye(len(joints)).tolist()]
     return _rank(twists) == len(joints)
 
@@ -300,7 +305,7 @@ def _rank(vectors: Sequence[Array]) -> int:
 
 
 def _wxyz(values: Array) -> Array:
-    """Return MuJoCo's quaternion at the front of coordinates; length zero counts as identity."""
+    """Return the leading quaternion (w, x, y, z) of joint coordinates; zero becomes identity."""
     quaternion = values[:4]
     return quaternion if quaternion.any() else np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -310,6 +315,6 @@ def _rotation(values: Array) -> Array:
 
 
 def _quaternion(values: Array) -> Array:
-    """Return the unit quaternion with the real part last; MuJoCo's begins with the real part."""
+    """Convert MuJoCo's quaternion (w, x, y, z) to a unit quaternion (x, y, z, w)."""
     quaternion = _wxyz(values)
     return np.asarray(np.roll(quaternion, -1) / np.linalg.norm(quaternion))

@@ -1,8 +1,9 @@
 """Rotors of the base's joints (armature) as an equivalent inertia on the base.
 
 Pinocchio adds armature to the diagonal of the mass matrix, which is wrong for several joints at
-a root.  Rotors that resist equally in all directions equal a mass, or a moment of inertia, on
-the base.  That is exact if gravity does not act on the mass.  Other rotors break the symmetry.
+a root.  Rotors with equal armature in all directions act like a mass, or a moment of inertia, on
+the base.  This equivalence is exact if gravity does not act on the mass.  Other rotors break the
+symmetry.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from ...common.arrays import Array
 from ...common.errors import ModelError
 from .mujoco_joints import Joint
 
-_EXACT = 1e-12  # cosines and relative sizes below which a number is round-off
+_EXACT = 1e-12  # cosines and relative sizes below this value count as zero
 
 
 def of_slides(slides: Sequence[Joint], gravity: Array) -> pin.Inertia:
-    """Return the rotors of slides ahead of all other joints, at the joints' origin.
+    """Return the rotor inertia of slides ahead of all other joints, at the joints' origin.
 
     gravity: (3,) [m/s²], in the frame of the slides' axes.  Raises ModelError.
     """
@@ -37,7 +38,10 @@ def of_slides(slides: Sequence[Joint], gravity: Array) -> pin.Inertia:
 
 
 def of_ball(joint: Joint) -> pin.Inertia:
-    """Return the rotors of a ball or of a free joint's rotation, without gyroscopic moment."""
+    """Return the rotor inertia of a ball, or of a free joint's rotation.
+
+    It must be the same in all directions, so that it causes no gyroscopic moment.
+    """
     angular = joint.armature[-3:]
     if np.ptp(angular) != 0.0:
         _refuse([joint], "it must be the same in all directions")
@@ -45,7 +49,7 @@ def of_ball(joint: Joint) -> pin.Inertia:
 
 
 def of_free(joint: Joint, gravity: Array) -> pin.Inertia:
-    """Return the rotors of a free joint.  gravity: (3,) in the world frame."""
+    """Return the rotor inertia of a free joint.  gravity: (3,) [m/s²], in the world frame."""
     linear = joint.armature[:3]
     if np.ptp(linear) != 0.0:
         _refuse([joint], "it must be the same in all directions")
@@ -55,7 +59,7 @@ def of_free(joint: Joint, gravity: Array) -> pin.Inertia:
 
 
 def of_plane(joints: Sequence[Joint], gravity: Array) -> pin.Inertia:
-    """Return the rotors of slides and hinges that move in a plane, on axes with z normal to it.
+    """Return the rotor inertia of planar slides and hinges, in axes with z normal to the plane.
 
     gravity: (3,) [m/s²], in the frame of the joints' axes.  Raises ModelError.
     """
@@ -79,7 +83,7 @@ def _rotors(joints: Sequence[Joint]) -> Array:
 
 
 def _refuse_falling(joints: Sequence[Joint], gravity: Array, axes: Array) -> None:
-    """Refuse rotors if gravity acts along the axes: armature has inertia but no weight."""
+    """Refuse armature if gravity acts along the axes, because armature has no weight."""
     if np.abs(axes @ gravity).max() > _EXACT * np.linalg.norm(gravity):
         _refuse(joints, "gravity acts along them, but armature has no weight")
 

@@ -1,4 +1,4 @@
-"""The bodies and joints of a compiled MuJoCo model as a pin.Model with MuJoCo's numbers."""
+"""Conversion of the bodies and joints of a compiled MuJoCo model to a pin.Model."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .mujoco_joints import Joint, frame, joint_of
 from .root import RootMotion, root_motion
 from .world import World
 
-# Values of mjtSameFrame for which MuJoCo ignores the position, or the rotation, of the inertial
-# frame on the body, because it is nearly the body's.
+# Values of mjtSameFrame for which MuJoCo replaces the position (_SAME_PLACE) or the rotation
+# (_SAME_TURN) of a body's inertial frame by that of the body frame, because they nearly agree.
 _SAME_PLACE, _SAME_TURN = (1,), (1, 3)
 
 
@@ -31,18 +31,18 @@ class Carrier:
 
 @dataclass
 class Tree:
-    """A robot as a pin.Model, on the root in its file, if there is one.
+    """A robot as a pin.Model under construction, with the root joint of its file, if any.
 
     Attributes:
         world: The robot in the compiled model.
         builder: Builder of the model.
         gravity: Gravity that acts on rotors of the base, (3,) [m/s²].
-        carriers: Carriers by body.
-        root: Motion of the joints of the carrying body.  None if the file fixes that body, or if
-            several bodies are attached to fixed ones.
-        shape: Joints of the shape.
+        carriers: {body id: carrier}.
+        root: Motion of the joints of the body that carries all others.  None if the file fixes
+            this body, or if no single body carries all others.
+        shape: Shape joints.
         locked: Values of frozen joints by id [rad | m].
-        keep_frozen: Whether frozen joints whose value may vary stay joints of the model.
+        keep_frozen: Whether frozen joints whose value may vary remain joints of the model.
     """
 
     world: World
@@ -73,13 +73,13 @@ class Tree:
 def tree_of(
     world: World, lock: Mapping[str, float], gravity: Array, *, keep_frozen: bool = False
 ) -> Tree:
-    """Return the robot's bodies on their joints.
+    """Build the robot's model from its bodies and joints.
 
     Args:
         world: The robot in the compiled model.
         lock: Joints to freeze, with their values [rad | m].
         gravity: Gravity that acts on rotors of the base, (3,) [m/s²].
-        keep_frozen: Whether frozen joints behind the root stay joints of the model.
+        keep_frozen: Whether frozen joints behind the root remain joints of the model.
     Returns:
         The tree.
     Raises:
@@ -119,7 +119,7 @@ def _place_in_world(world: World, body: int) -> pin.SE3:
 
 
 def _locked(world: World, lock: Mapping[str, float]) -> dict[int, float]:
-    """Return the values of joints to freeze by id.  Raises InputError."""
+    """Return {joint id: value} for the joints to freeze.  Raises InputError."""
     ids = {world.joint_names[joint]: joint for joint in world.all_joints}
     values = {}
     for name, value in lock.items():
@@ -135,10 +135,10 @@ def _locked(world: World, lock: Mapping[str, float]) -> dict[int, float]:
 
 
 def _root_body(tree: Tree) -> int | None:
-    """Return the body whose joints are the root: it carries all moving bodies.
+    """Return the body whose joints form the root, because it carries all moving bodies.
 
-    None if the file fixes a body with mass to the world, which then floats, or if no single body
-    carries all others.
+    Return None if the file fixes a body with mass to the world (this body then floats), or if no
+    single body carries all others.
     """
     world, fixed, carrying = tree.world, {0}, []
     for body in world.bodies:
@@ -153,13 +153,13 @@ def _root_body(tree: Tree) -> int | None:
 
 
 def _add_root(tree: Tree, at: Carrier, joints: list[int]) -> tuple[Carrier, list[int]]:
-    """Add the root joint; return the carrier of the body, and its further joints."""
+    """Add the root joint; return the carrier of its body, and the body's remaining joints."""
     world = tree.world
     place = at.at
-    # Frozen joints ahead of the first free one only shift the placement.
+    # Frozen joints ahead of the first free joint only shift the placement.
     while joints and joints[0] in tree.locked:
         place, joints = place * _frozen_motion(tree, joints[0]), joints[1:]
-    # A frozen joint among the others breaks the pattern of a root of several joints.
+    # If any joint is frozen, several joints cannot form one root joint together.
     count = 1 if any(joint in tree.locked for joint in joints) else len(joints)
     candidates = [joint_of(world, joint) for joint in joints[:count]]
     root = root_motion(candidates, tree.gravity, place.rotation)
@@ -183,7 +183,7 @@ def _add_joint(tree: Tree, at: Carrier, id_: int) -> Carrier:
             f"degrees of freedom; lock it (lock=[{quoted(joint.name)}]), or write three "
             "hinges in its place"
         )
-    # Pinocchio's coordinate equals MuJoCo's, which is q0 where the file draws the joint.
+    # Use MuJoCo's coordinate for Pinocchio; it is q0 in the reference configuration.
     place = at.at * joint.at_point * joint.displaced(-joint.q0)
     model = tree.world.model
     limits = model.jnt_range[id_].reshape(2, 1) if model.jnt_limited[id_] else None
@@ -196,7 +196,7 @@ def _add_joint(tree: Tree, at: Carrier, id_: int) -> Carrier:
 
 
 def _stays_joint(tree: Tree, joint: int, at: Carrier, root_body: int | None) -> bool:
-    """Return whether a frozen joint stays one: it is neither a ball nor ahead of the root."""
+    """Return whether a frozen joint remains a joint: it is no ball and not ahead of the root."""
     return (
         tree.keep_frozen
         and tree.world.kind(joint) in ("slide", "hinge")
@@ -205,7 +205,7 @@ def _stays_joint(tree: Tree, joint: int, at: Carrier, root_body: int | None) -> 
 
 
 def _frozen_motion(tree: Tree, id_: int) -> pin.SE3:
-    """Return how a frozen joint moves its body, in the body's frame."""
+    """Return the displacement of the body by a frozen joint, in the body's frame."""
     joint = joint_of(tree.world, id_)
     return joint.motion(tree.locked[id_]) if joint.nv == 1 else pin.SE3.Identity()
 

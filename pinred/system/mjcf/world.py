@@ -15,21 +15,21 @@ from ..robot_file_contents import shortened
 from .package import mujoco_package
 
 _KINDS = ("free", "ball", "slide", "hinge")  # names of MuJoCo's mjtJoint
-# Flags that mjDSBL_CONSTRAINT includes.
+# Disable flags of MuJoCo that mjDSBL_CONSTRAINT implies.
 _OF_CONSTRAINTS = ("EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT")
 
 
 @dataclass(frozen=True)
 class World:
-    """A compiled model, and the body of its world that carries the robot.
+    """A compiled model, and the body attached to the world that carries the robot.
 
     Attributes:
         model: The MjModel.
         top: Id of the body that carries the robot.
         bodies: Ids of that body and of all bodies behind it, depth first.
-        others: Names of other bodies in the world that can move.
-        body_names: Unique names of all bodies by id; nameless bodies get one.
-        joint_names: The same for joints.
+        others: Names of other bodies attached to the world that can move.
+        body_names: Unique names of all bodies by id; unnamed bodies get a generated name.
+        joint_names: Unique names of all joints by id; unnamed joints get a generated name.
     """
 
     model: Any
@@ -57,7 +57,7 @@ class World:
         """Return whether a flag of the file disables a kind of force.
 
         Args:
-            what: Name as in mujoco.mjtDisableBit, such as "LIMIT".
+            what: Name of the flag in mujoco.mjtDisableBit, such as "LIMIT".
         """
         bits, flags = mujoco_package().mjtDisableBit, int(self.model.opt.disableflags)
         mask = int(getattr(bits, f"mjDSBL_{what}"))
@@ -94,25 +94,25 @@ def name_of(model: Any, kind: str, number: int) -> str:
 
 
 def robot_in(model: Any, root: str | None = None, what: str = "the model") -> World:
-    """Return the robot in a model: the one body of the world that can move, with its tree.
+    """Return the robot in a model: the body attached to the world that can move, with its tree.
 
     Args:
         model: The MjModel.
-        root: Name of that body, if several can move.
+        root: Name of that body, if several bodies can move.
         what: Source of the model, for messages.
     Returns:
         The robot.
     Raises:
         LoadError: No body has a joint or a mass.
         ChoiceError: Several bodies can move and root is None; the message lists them.
-        InputError: The root is none of the bodies; the message lists them.
+        InputError: The root is not one of the bodies; the message lists them.
     """
     children = _children(model)
     body_names = _names(model, "BODY", model.nbody, lambda i: f"body{i}")
     joint_names = _names(model, "JOINT", model.njnt, lambda i: _joint_name(model, body_names, i))
     trees = {body: tuple(_below(children, body)) for body in _in_the_world(model, children)}
     moving = [body for body, tree in trees.items() if _moves(model, tree)]
-    # Where nothing moves, a heavy body is a rigid one that can float.
+    # Without joints, a body with mass is a rigid body that can float.
     heavy = [body for body, tree in trees.items() if sum(model.body_mass[i] for i in tree) > 0]
     candidates = moving or heavy
     names = tuple(body_names[body] for body in candidates)
@@ -130,7 +130,7 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
             )
         top = candidates[0]
     else:
-        # A body that is part of the world can also be chosen, and floats with its whole tree.
+        # The user can also choose a body that is part of the world; its whole tree then floats.
         trees = {body: tuple(_below(children, body)) for body in children[0]} | trees
         at_top = {body_names[body]: body for body in trees}
         if root not in at_top:
@@ -176,7 +176,7 @@ def _below(children: list[list[int]], body: int) -> Iterator[int]:
 
 
 def _joint_name(model: Any, body_names: tuple[str, ...], joint: int) -> str:
-    """Return a name for a nameless joint: its body and kind, numbered from the second one."""
+    """Return a name for an unnamed joint: its body and kind, numbered from the second joint on."""
     body = int(model.jnt_bodyid[joint])
     number = joint - int(model.body_jntadr[body]) + 1
     name = f"{body_names[body]}_{_KINDS[model.jnt_type[joint]]}"

@@ -16,7 +16,7 @@ _SAMPLES = 200  # number of frames that determine the robot's radius
 _BESIDE = 1.8  # distance between the robot and its ghost, in radii
 _ELEVATION, _PLANAR_ELEVATION = 18.0, 50.0  # elevation of the camera [deg]
 _DEEP = 5.0  # largest fall for which the grid is drawn as a floor, in radii
-_FAR = 10.0  # half of the side of the grid, in radii
+_FAR = 10.0  # half of the side length of the grid, in radii
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ class Browser:
         return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
     def _messages(self) -> Iterator[dict[str, Any]]:
-        """Yield answers; store events in `events`."""
+        """Yield the answers of the browser; store its events in `events`."""
         deadline = time.monotonic() + _PATIENCE
         while True:
             while b"\0" in self._unread:

@@ -1,6 +1,6 @@
 """play() and Player: a server of one page for browsers on this machine only.
 
-meshcat's server listens on every interface. This one is bound to 127.0.0.1 and answers only
+meshcat's server listens on every interface. This server is bound to 127.0.0.1 and answers only
 requests with that host name, so that a foreign site cannot redirect its host name to this server.
 """
 

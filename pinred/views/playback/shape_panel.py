@@ -11,8 +11,8 @@ from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...system.system import System
 
-_FINE = 61  # points along each axis of the field
-_MARGIN = 0.15  # margin around the path, relative to its range
+_FINE = 61  # number of grid points along each axis of the curvature field
+_MARGIN = 0.15  # margin around the path, relative to the range of the path
 _TURN = 2.0 * np.pi
 _LEAST = 0.2  # smallest range of an axis [rad | m]
 
@@ -21,8 +21,8 @@ _LEAST = 0.2  # smallest range of an axis [rad | m]
 class ShapePanel:
     """A path in the plane of two coordinates; arrays are read-only.
 
-    With a single joint, the second axis is its rate, and there is no field. There is also no field
-    if a joint makes so many rotations that the grid could not resolve it.
+    With a single joint, the second axis is the joint rate, and there is no curvature field. The
+    field is also missing if a joint makes more rotations than the grid can resolve.
 
     Attributes:
         labels: Labels of the axes, with units.

@@ -60,7 +60,7 @@ class ViewOptions(TypedDict, total=False):
 
 
 def as_view(options: Mapping[str, Any], what: str) -> View:
-    """Build a View from options; raise InputError for an unknown one."""
+    """Build a View from options; raise InputError for an unknown option."""
     names = [entry.name for entry in fields(View)]
     for option in options:
         if option not in names:

@@ -15,7 +15,7 @@ from ...system.state_fields import ShapeState, State, map_arrays
 from ..motion_source import MotionSource
 
 Path: TypeAlias = State | ShapeState
-_PARTS = 8  # subdivisions of each integration step
+_PARTS = 8  # number of subdivisions of each integration step
 
 
 def fine_times(motion: MotionSource) -> Array:

@@ -143,7 +143,7 @@ def _frozen_inertia(system: System, x: Array) -> Array:
 
 
 def _view(L: Array) -> tuple[float, float]:
-    """Return elevation and azimuth [deg] that show the path and all three axes."""
+    """Return the elevation and azimuth [deg] of a view that shows the path and all three axes."""
     mean = np.mean(L, axis=0)
     if np.linalg.norm(mean) < 0.2 * np.linalg.norm(L[0]):
         mean = L[0]

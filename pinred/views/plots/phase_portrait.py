@@ -96,7 +96,7 @@ class _Landscape:
         if group.turns:
             com = self._reduction.grid(state.x).com
             self.mu[group.linear :] = group.about(com, state.body_momentum)
-        # The body momentum is constant if it has one component, or if it is zero.
+        # A body momentum is constant if it has a single component, or if it is zero.
         self.is_exact = group.turns < 3 or not self.mu.any()
         self._xdot = state.xdot
 

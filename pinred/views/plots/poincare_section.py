@@ -33,7 +33,7 @@ def poincare(
     A recording is interpolated by cubic splines between its times.
 
     Args:
-        motions: One or several motions of one robot; each has a separate marker.
+        motions: A motion, or several motions of one robot; each gets a separate marker.
         joints: Names or indices of the crossing joint and the drawn joint; the first two if None.
         value: Value of the crossing joint [rad | m], modulo 2π for rotations; the middle of its
             range if None.

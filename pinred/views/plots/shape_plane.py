@@ -22,9 +22,9 @@ from ...system.system import System
 from .motion_labels import Labels
 from .style import BLACK, FIELD, RED, legend
 
-_POINTS = {1: 241, 2: 61}  # points along each axis of a line or a plane
+_POINTS = {1: 241, 2: 61}  # number of points along each axis of a line or a plane
 Limits: TypeAlias = Sequence[Sequence[float]]
-_MARGIN = 0.2  # margin around a path, relative to its extent
+_MARGIN = 0.2  # margin around a path, relative to the extent of the path
 _LEAST = {"rad": 0.4, "m": 0.05}  # half of the smallest axis range, by unit
 _SLIDE = 0.5  # half of the axis range of a prismatic joint without limits [m]
 

@@ -19,7 +19,7 @@ _AGAINST = {
 
 
 class MeasuredPoint(Protocol):
-    """One method at one tolerance.
+    """Measured error and run time of one method at one tolerance.
 
     Attributes:
         tolerance: Relative tolerance.
@@ -56,7 +56,7 @@ class MeasuredWork(Protocol):
     def reference_error(self) -> float: ...  # noqa: D102
 
     def of(self, method: str) -> Sequence[MeasuredPoint]:
-        """Return the points of one method."""
+        """Return the measured points of one method."""
 
 
 @styled

@@ -1,4 +1,4 @@
-"""Other tools that solve the same problems; one module each, whose package is imported on use.
+"""Other tools that solve the same problems; the package of a tool is imported on first use.
 
 A peer is left out, with a message, if its package is not installed, if it cannot represent the
 system, or if its mass matrix or accelerations differ from Pinocchio's.

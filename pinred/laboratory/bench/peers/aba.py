@@ -20,7 +20,9 @@ from ..solver import End, PreparedRun, Solver, halvings, steps_of
 from .scipy_over_field import Field, scipy_methods
 
 Tangent = Callable[[Array, Array], Array]
-Step = Callable[[Array, Array], tuple[Array, Array]]  # (q, v) → the step along q, the new v
+Step = Callable[
+    [Array, Array], tuple[Array, Array]
+]  # (q, v) → the increment of q in its tangent space, and the new v
 State = tuple[Array, Array, Array]  # q, x, v
 Preparing = Callable[[Problem, float], PreparedRun]
 
@@ -45,7 +47,7 @@ def _stepped(scheme: Callable[[Problem, float], Step], stages: int) -> Preparing
 
         def run() -> State:
             q, x, v = start
-            with np.errstate(all="ignore"):  # overflow shows in the final state
+            with np.errstate(all="ignore"):  # overflow is detected in the final state
                 for _ in range(count):
                     u, v = step(q, v)
                     q, x = pin.integrate(model, q, u), x + u[r:]
@@ -61,7 +63,7 @@ def _stepped(scheme: Callable[[Problem, float], Step], stages: int) -> Preparing
 
 
 def _euler(problem: Problem, h: float) -> Step:
-    """Return the step of semi-implicit Euler, which moves q with the new velocity."""
+    """Return the step of semi-implicit Euler, which updates q with the new velocity."""
     model, data, tau = _workspace(problem)
 
     def step(q: Array, v: Array) -> tuple[Array, Array]:
@@ -118,7 +120,7 @@ def _free_bracket(a: Array, b: Array) -> Array:
 
 
 def _dexp_inverse(bracket: Callable[[Array, Array], Array], r: int) -> Tangent:
-    """Return (u, v) → du/dt for q = q0 ⊕ u that moves with velocity v, to fourth order in u.
+    """Return (u, v) → du/dt, to fourth order in u, where q = q0 ⊕ u has velocity v.
 
     Joint motions commute, so only the root (the first r entries) is corrected.
     """

@@ -1,4 +1,4 @@
-"""A first run in a child process, for libraries that may abort the whole process."""
+"""First run of a solver in a child process, for libraries that may abort the whole process."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from .equality import missing_unless_equal, no_mass_matrix
 from .first_principles import full_graph
 
 _FLAGS = ("-O2", "-march=native", "-ffp-contract=fast", "-fPIC", "-shared")
-_MOST = 100_000_000  # steps
+_MOST = 100_000_000  # largest number of steps
 _NO_COMPILER = "no C compiler; install gcc"
 
 
@@ -39,7 +39,7 @@ class Compiled:
 
 
 def compiled(function: ca.Function) -> Compiled:
-    """Compile a Function by gcc; raise UnsupportedOperationError without a C compiler."""
+    """Compile a Function with gcc; raise UnsupportedOperationError without a C compiler."""
     compiler = _compiler()
     if compiler is None:
         raise UnsupportedOperationError(_NO_COMPILER)
@@ -47,7 +47,7 @@ def compiled(function: ca.Function) -> Compiled:
     began, name, cwd = time.perf_counter(), function.name(), Path.cwd()
     library = Path(folder.name, f"{name}.so")
     try:
-        os.chdir(folder.name)  # the generator writes to the current folder only
+        os.chdir(folder.name)  # the code generator can only write to the current folder
         function.generate(f"{name}.c")
         subprocess.run([compiler, *_FLAGS, f"{name}.c", "-o", library.name], check=True)
     finally:

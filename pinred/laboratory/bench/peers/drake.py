@@ -18,7 +18,7 @@ from .child_process import check_in_child_process
 from .equality import missing_unless_equal
 from .fixed_axes import frame_rotation_term, root_rotation
 
-_MAX_STEP = 0.1  # s, Drake's default
+_MAX_STEP = 0.1  # largest step [s], Drake's default
 
 
 class DrakeModel:
@@ -85,7 +85,7 @@ class DrakeModel:
         return group.dim == 1 or group.turns == 3 or (bool(group.plane) and group.linear == 2)
 
     def _add_slides(self, tree: Any, frame: Any, S: Array) -> tuple[Any, Array]:
-        """Add a joint for each axis except the last; return the last child frame and that axis."""
+        """Add a joint for each axis but the last; return the last child frame and the last axis."""
         for k in range(S.shape[1] - 1):
             link = self.plant.AddRigidBody(f"link{k}", tree.SpatialInertia.Zero())
             ends = (f"slide{k}", frame, link.body_frame())
@@ -138,7 +138,7 @@ class DrakeModel:
         return np.asarray(a)
 
     def put(self, q: Array, v: Array, x: Array) -> None:
-        """Set the state."""
+        """Set the state of the plant from Pinocchio's coordinates."""
         self.plant.SetPositions(self.context, self.positions(q, x))
         self.plant.SetVelocities(self.context, self.velocities(q, v))
 

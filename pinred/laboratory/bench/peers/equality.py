@@ -19,7 +19,7 @@ from ..problems import Problem
 from ..solver import UNKNOWN
 
 INSTALL = 'pip install "pinred[bench]"'
-EQUAL = 1e-9  # relative
+EQUAL = 1e-9  # largest relative difference that counts as equal
 _STATES = 5
 
 
@@ -47,7 +47,7 @@ class Equality:
 
     @property
     def holds(self) -> bool:
-        """Whether both are small; a missing mass matrix is ignored."""
+        """Whether both differences are small; a missing mass matrix is ignored."""
         worst = np.nanmax([self.mass, self.acceleration])
         return bool(np.isfinite(self.acceleration) and worst <= EQUAL)
 
@@ -75,7 +75,7 @@ def no_mass_matrix(system: System) -> Array:
 def missing_unless_equal(
     package: str, label: str, bridge: Callable[[System], Bridge]
 ) -> Callable[[Problem], str]:
-    """Return the function problem → why the peer cannot run it, "" if it can."""
+    """Return a function that says why a peer cannot run a problem; "" if it can."""
 
     @cache
     def why(system: System) -> str:
@@ -99,5 +99,5 @@ def missing_unless_equal(
 
 
 def _relative(actual: Array, expected: Array) -> float:
-    """Return the largest difference over the largest expected entry; absolute if that is 0."""
+    """Return the largest difference, relative to the largest expected entry unless that is 0."""
     return float(np.abs(actual - expected).max() / (np.abs(expected).max() or 1.0))

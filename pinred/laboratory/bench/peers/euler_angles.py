@@ -1,7 +1,7 @@
 """Euler angles of a floating base, for tools whose joints have one degree of freedom.
 
 A rotation is R = R₁(θ₁) R₂(θ₂) R₃(θ₃) about the axes x, y, z in some order. Of the six orders,
-`best_order` selects the one whose singularity cos θ₂ = 0 is farthest from the motion.
+`best_order` selects the order whose singularity cos θ₂ = 0 is farthest from the motion.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ..problems import Problem
 
 Order = tuple[int, int, int]
 ORDERS: tuple[Order, ...] = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
-_SAMPLES = 400  # times at which the motion is evaluated
+_SAMPLES = 400  # number of times at which the motion is evaluated
 
 
 def rotation_about(axis: int, angle: float) -> Array:

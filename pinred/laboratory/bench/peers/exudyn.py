@@ -1,6 +1,6 @@
 """Exudyn on the same model: a kinematic tree in minimal coordinates, with explicit integrators.
 
-Its trees are attached to the ground, so a floating base is six joints, including Euler angles.
+Exudyn attaches trees to the ground, so a floating base is modelled by six joints with Euler angles.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .fixed_axes import frame_rotation_term
 class ExudynModel:
     """An Exudyn system of one kinematic tree, and the conversion of coordinates.
 
-    order: axes of the Euler angles of a base that rotates in space.
+    order: axes of the Euler angles, for a base with three rotations.
     """
 
     def __init__(self, system: System, order: Order = ORDERS[0]) -> None:
@@ -242,7 +242,7 @@ def _prepare(problem: Problem, value: float, solver: str, stages: float) -> Prep
         bridge.start(y0, rates)
         try:
             bridge.mbs.SolveDynamic(settings, solverType=kind)
-        except Exception as error:  # Exudyn raises several types
+        except Exception as error:  # Exudyn raises exceptions of several types
             raise IntegrationError(f"Exudyn: {' '.join(str(error).split())[:200]}") from None
         state = bridge.mbs.systemData
         return np.array(state.GetODE2Coordinates()), np.array(state.GetODE2Coordinates_t())

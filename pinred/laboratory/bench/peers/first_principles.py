@@ -1,4 +1,4 @@
-"""The full (unreduced) dynamics as a CasADi graph, from the textbook.
+"""The full (unreduced) dynamics as a CasADi graph, written from a textbook.
 
 Featherstone's articulated-body algorithm (Rigid Body Dynamics Algorithms, 2008, table 7.1) in
 body coordinates, on the state (root, x, v) of full_vector_field.py. It shares no code with pinred's
@@ -126,7 +126,7 @@ def _root_rotation(group: Group, root: ca.SX) -> ca.SX:
     if group.plane:
         c, s = ca.cos(root[group.linear]), ca.sin(root[group.linear])
         return ca.sparsify(ca.blockcat([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
-    # A single axis is parallel to gravity (or there is none), so its angle has no effect.
+    # A single rotation axis is parallel to gravity (if any), so its angle has no effect.
     return ca.SX.eye(3)
 
 

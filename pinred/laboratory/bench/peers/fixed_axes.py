@@ -1,4 +1,4 @@
-"""The root's velocity in engines that express its translation in fixed axes."""
+"""Velocity of the root in engines that express its translation in fixed axes."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from ..solver import End, PreparedRun, Solver, decades
 from ..taylor import has_heyoka, reduced_graph, taylor_integrator
 from .equality import INSTALL
 
-MOST_UNROLLED = 300  # instructions; heyoka unrolls up to these within seconds
+MOST_UNROLLED = 300  # largest number of instructions that heyoka unrolls within seconds
 
 
 def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedRun:

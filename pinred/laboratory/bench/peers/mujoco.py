@@ -31,7 +31,7 @@ class MujocoModel:
         """Build the model."""
         mj = import_module("mujoco")
         if mj.get_mju_user_warning() is None:
-            # MuJoCo would write a log file for diverging motions; their final state shows them.
+            # Suppress the log file of diverging motions; divergence is detected in the final state.
             mj.set_mju_user_warning(lambda _: None)
         self.mj, self.system = mj, system
         self._m, self._has_quaternion = system.m, system.group.turns == 3
@@ -173,7 +173,7 @@ def _stepping(problem: Problem, fraction: float, integrator: str, stages: int) -
 
 
 def _field(problem: Problem) -> Field:
-    """Return the vector field on (qpos, qvel), by mj_forward."""
+    """Return the vector field on (qpos, qvel), evaluated by mj_forward."""
     bridge = mujoco_model(problem.system)
     model, data, forward = bridge.model, bridge.data, bridge.mj.mj_forward
     nq, rate_of = model.nq, _rates(problem.system.group)

@@ -14,7 +14,7 @@ from ..solver import End, halvings, steps_of
 from .equality import missing_unless_equal
 from .mujoco import mujoco_model
 
-_CHUNK = 1000  # steps in one call; rollout stores the states of all of them
+_CHUNK = 1000  # number of steps in one call; rollout stores the states of all steps
 _MEMBERS = 2
 
 

@@ -17,7 +17,7 @@ from ....common.interrupts import held_interrupt
 from ..problems import Problem
 from ..solver import ATOL, End, PreparedRun, Solver, decades
 
-_MOST = 100_000_000  # steps
+_MOST = 100_000_000  # largest number of steps
 Rate = Callable[[float, Array], Array]
 
 
@@ -62,7 +62,7 @@ def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> Pre
             method, rtol=tolerance, atol=ATOL * tolerance, nsteps=_MOST
         )
         with held_interrupt() as stopped, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # failures are raised below
+            warnings.simplefilter("ignore")  # failures raise an error below
             solver.set_solout(lambda *_: -1 if stopped() else 1)
             solver.set_initial_value(field.y0, 0.0)
             y = solver.integrate(duration)
@@ -90,7 +90,7 @@ def by_odeint(field: Field, problem: Problem, tolerance: float) -> PreparedRun:
 
     def run() -> Any:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # failures are raised below
+            warnings.simplefilter("ignore")  # failures raise an error below
             y, about = odeint(
                 field.rate,
                 field.y0,
@@ -117,10 +117,10 @@ def scipy_methods(
     """Return benchmark methods for SciPy's integrators over one vector field.
 
     Args:
-        prefix: Prefix of their names.
-        by: Name of the function that evaluates the vector field, for descriptions.
-        field: Creates the vector field of a problem.
-        missing: Returns why a problem cannot be run; "" if it can.
+        prefix: Prefix of the method names.
+        by: Name of the function that evaluates the vector field; used in descriptions.
+        field: Function that creates the vector field of a problem.
+        missing: Function that returns why a problem cannot be run; "" if it can.
     Returns:
         One method for each integrator.
     """
