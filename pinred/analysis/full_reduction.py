@@ -353,7 +353,7 @@ def reduced_metric_derivatives(d: InertiaDerivatives, r: int) -> tuple[Array, Ar
     dA = np.linalg.solve(I, W.reshape(r, -1)).reshape(W.shape)
     dM = dH[r:, r:] - np.einsum("iac,ib->abc", dHbs, A)
     dM -= np.einsum("ia,ibc->abc", A, W)
-    # ∂∂(Hᵀ I⁻¹ H) in terms of A: its second derivatives, and twice the product of the W's.
+    # ∂∂(H_bsᵀ I⁻¹ H_bs), A = I⁻¹ H_bs: second derivatives of H_bs and I, plus Wᵀ I⁻¹ W twice.
     mixed = np.einsum("iacd,ib->abcd", d2H[:r, r:], A)
     d2M = d2H[r:, r:] - mixed - np.swapaxes(mixed, 0, 1)
     d2M += np.einsum("ia,ijcd,jb->abcd", A, d2H[:r, :r], A)

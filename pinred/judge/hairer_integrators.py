@@ -63,7 +63,9 @@ class Hairer:
         self._solver = ode(self._safe_rate).set_integrator(method, **self._options)
         self._solver.set_initial_value(y, t)
         self._first_step, self._calm_spans = 0.0, 0  # accepted step [s]; spans since a rejection
-        self._patience = 0  # spans before a longer first step is tried: none until that once fails
+        self._patience = (
+            0  # calm spans before the first step is doubled; 0 until a doubled step was rejected
+        )
         self._evaluations, self._step_ends = 0, [t]
 
     @property

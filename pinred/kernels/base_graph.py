@@ -56,7 +56,7 @@ class BaseGraph:
 
         Args:
             system: The system.
-            parts: Numbers of integrated and constant entries of the base.
+            parts: How many base variables of each kind are integrated or constant.
             weight: Gravity force m g in the root joint's fixed frame, (3,), if it rotates the base.
             lifted: See Structure.
             mass: Mass of the system, if it is a variable parameter.

@@ -97,7 +97,7 @@ def casimirs(system: System) -> tuple[Casimir, ...]:
 
 
 def momentum_tensor(group: Group, mu: Array, gamma: Array | None = None) -> Array:
-    """Return the Poisson tensor {w_i, w_j} at w = μ or (μ, Γ); on momenta −⟨μ, [e_i, e_j]⟩."""
+    """Return the Poisson tensor {w_i, w_j} at w = μ or (μ, Γ); {μ_i, μ_j} = −⟨μ, [e_i, e_j]⟩."""
     r = group.dim
     of_mu = -np.einsum("k,ikj->ij", mu, group.ad(np.eye(r)))
     if gamma is None:

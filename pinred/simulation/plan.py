@@ -54,7 +54,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class MemberParameters:
-    """Parameters in which members differ from their plan; None for values of the plan.
+    """Parameters of each member that replace the plan's; None where the plan's values hold.
 
     Attributes:
         numbers: Force parameters, (N, p).

@@ -176,7 +176,7 @@ def _read_states(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
             )
         arrays[name] = np.array(array, dtype=float)
     if count == 0 or (np.diff(arrays["t"]) <= 0.0).any():
-        raise LoadError(f"{quoted_path(path)}: 't' must be increasing times, at least one")
+        raise LoadError(f"{quoted_path(path)}: 't' must contain at least one time, and increase")
     return state_class(**arrays)
 
 
@@ -282,7 +282,9 @@ def read_arrays(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MOST_BYTES:
         raise LoadError(f"{name} is larger than {MOST_BYTES // 10**6} MB")
     if not zipfile.is_zipfile(path):
-        raise LoadError(f"{name} is no .npz file of plain arrays: it is no archive, or cut off")
+        raise LoadError(
+            f"{name} is not an .npz file of plain arrays: it is not a zip archive, or truncated"
+        )
     try:
         with zipfile.ZipFile(path) as archive:
             _check_sizes(name, archive)

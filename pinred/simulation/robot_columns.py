@@ -183,7 +183,7 @@ class RobotColumns:
             except SymmetryError as broken:
                 if is_vector:
                     raise InputError(
-                        f"'gravity' has no derivatives by all its numbers: {broken}; vary "
+                        f"'gravity' cannot be differentiated in every component: {broken}; vary "
                         "'gravity.strength'"
                     ) from None
                 acting = np.zeros(3)

@@ -202,8 +202,8 @@ class ModelParameters:
                 )
         if self._gravity == ["gravity.strength"] and not self._system.gravity.any():
             raise InputError(
-                f"parameters: '{self._system.name}' has no gravity whose direction "
-                "'gravity.strength' could keep; give the vector 'gravity'"
+                f"parameters: '{self._system.name}' has zero gravity, so "
+                "'gravity.strength' has no direction to scale; give the vector 'gravity'"
             )
         return {name: values[name] if name in values else known[name] for name in self.names}
 

@@ -51,7 +51,7 @@ def test_header_with_wrong_size_is_rejected(length: int, tmp_path: Path) -> None
     np.lib.format.write_array_header_1_0(header, about)
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("t.npy", header.getvalue() + bytes(80))
-    with pytest.raises(pinred.LoadError, match=r"no \.npz file of plain arrays"):
+    with pytest.raises(pinred.LoadError, match=r"not an \.npz file of plain arrays"):
         read_arrays(path)
 
 

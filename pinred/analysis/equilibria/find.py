@@ -1,4 +1,4 @@
-"""relative_equilibria(): search the steady motions of a robot at one momentum, with stability."""
+"""relative_equilibria(): find the steady motions of a robot at a momentum, and their stability."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .search import critical_points, minima, polished, residuals, starting_point
 
 MANY_JOINTS = 6  # number of active joints from which only the minimum is guaranteed
 _STARTS = {True: 100, False: 1000}  # number of starts, with many and with few joints
-_MINIMISATIONS = 24  # number of starts that are also minimised
+_MINIMISATIONS = 24  # number of starts from which the energy is also minimised
 _ROUND_OFF = 1e-14  # angles [rad] and direction components below this are set to zero
 _SAME_ENERGY = 1e-8  # largest relative difference of energies within one family
 

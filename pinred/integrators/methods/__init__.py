@@ -63,7 +63,7 @@ class Option:
 
 
 def options_of(kind: type[Method]) -> list[Option]:
-    """Return the options of a method; a base class may define the description of a field."""
+    """Return the options of a method; fields inherit their descriptions from base classes."""
     metadata: dict[str, dict[str, Any]] = {}
     for base in reversed(kind.__mro__):
         for option_field in getattr(base, "__dataclass_fields__", {}).values():

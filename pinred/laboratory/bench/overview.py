@@ -22,8 +22,9 @@ _SIDE_BY_SIDE = 6  # largest number of scenes in one table
 def overview(results: Sequence[WorkPrecision]) -> str:
     """Format tables of several results, with one column for each scene.
 
-    The tables give pinred's wall time at each error, and the ratio of other methods' times in the
-    same run. The last table gives errors of pinred's methods relative to their tolerances.
+    The tables give pinred's wall time at each error, and other methods' times in the same run
+    divided by pinred's. The last table gives errors of pinred's methods relative to their
+    tolerances.
 
     Args:
         results: Results of `bench_accuracy`.

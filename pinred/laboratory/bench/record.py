@@ -31,7 +31,7 @@ def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> N
 
     Args:
         path: The file.
-        effort: Name of the effort of the measurement.
+        effort: Name of the time budget (Effort) of the measurement.
         results: Results of `bench_accuracy`.
     Raises:
         OutputError: The file cannot be written.

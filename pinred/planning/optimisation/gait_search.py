@@ -15,7 +15,7 @@ from .transcription import Path, Task, fourier_path, problem_of
 
 _PIECES = 2  # number of quadrature segments of order 16, divided by (harmonics + 3)
 _CHECKS = 4  # number of times at which limits are imposed, divided by (harmonics + 1)
-_ROUNDS = 6  # largest number of repetitions that enforce limits between these times
+_ROUNDS = 6  # largest number of repeated optimisations that enforce limits between check times
 _EXCHANGED = 2  # number of first repetitions that add times instead of tightening limits
 
 

@@ -247,7 +247,9 @@ def _check_loops(
                 f"the {task.cost} of a polygon is infinite at its corners; leave vertices out"
             )
         if np.isfinite(task.limits.speed).any() or np.isfinite(task.limits.torque).any():
-            raise InputError("speeds and torques of a polygon jump; leave vertices out")
+            raise InputError(
+                "limits on speeds and torques need a smooth loop; leave vertices or limits out"
+            )
 
 
 def _optimise_fourier(

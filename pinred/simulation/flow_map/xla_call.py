@@ -173,7 +173,7 @@ def numbered(function: Function) -> int:
 def register() -> None:
     """Register the handler with XLA for the CPU platform.
 
-    Calls pass the target name TARGET and, in attribute `function`, the number of a function.
+    A call of `jax.ffi` names TARGET; its attribute `function` is the index of the function.
     """
     import jax
 

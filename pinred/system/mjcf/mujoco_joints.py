@@ -47,7 +47,7 @@ class Joint:
         return translation(self.point)
 
     def motion(self, value: float) -> pin.SE3:
-        """Return the displacement of the body by a slide or hinge at a coordinate, in body axes."""
+        """Return the body's displacement, in body axes, for the coordinate of a slide or hinge."""
         return self.at_point * self.displaced(value - self.q0) * self.at_point.inverse()
 
     def displaced(self, amount: float) -> pin.SE3:
