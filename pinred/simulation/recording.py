@@ -176,7 +176,9 @@ def _read_states(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
             )
         arrays[name] = np.array(array, dtype=float)
     if count == 0 or (np.diff(arrays["t"]) <= 0.0).any():
-        raise LoadError(f"{quoted_path(path)}: 't' must contain at least one time, and increase")
+        raise LoadError(
+            f"{quoted_path(path)}: 't' must contain at least one time, and be increasing"
+        )
     return state_class(**arrays)
 
 
@@ -292,7 +294,7 @@ def read_arrays(path: Path) -> dict[str, Any]:
             return {key: file[key] for key in file.files}
     except _READ_ERRORS:  # NumPy's messages advise options that users of pinred do not have.
         raise LoadError(
-            f"{name} is no .npz file of plain arrays: its contents are damaged, "
+            f"{name} is not an .npz file of plain arrays: its contents are damaged, "
             "or made of Python objects, which are not read"
         ) from None
 
@@ -313,7 +315,7 @@ def _check_sizes(name: str, archive: zipfile.ZipFile) -> None:
     for member in members:
         if not member.filename.endswith(".npy"):
             raise LoadError(
-                f"{name} is no .npz file of plain arrays: {quoted(member.filename)} is none"
+                f"{name} is not an .npz file of plain arrays: {quoted(member.filename)} is none"
             )
     total = sum(member.file_size for member in members)
     if total > MOST_BYTES:

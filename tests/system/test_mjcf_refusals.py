@@ -287,7 +287,7 @@ def test_too_much_text_in_all_files_is_refused(
     monkeypatch.setattr(mjcf_compilation, "_MOST_LETTERS", len(content))
     assert pinred.load(path).m == 0
     monkeypatch.setattr(mjcf_compilation, "_MOST_LETTERS", len(content) - 1)
-    with pytest.raises(LoadError, match="letters of MJCF"):
+    with pytest.raises(LoadError, match="characters of MJCF"):
         pinred.load(path)
 
 

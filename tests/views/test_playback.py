@@ -334,7 +334,7 @@ def test_failed_move_restores_old_frames(tmp_path: Path, monkeypatch: pytest.Mon
             write_frames(tmp_path / "z.png", shots(4))
     assert there() == before
     # One frame would be followed by a second, which is of the film before.
-    with pytest.raises(pinred.InputError, match=r"followed by '.*z_0001\.png', of a longer"):
+    with pytest.raises(pinred.InputError, match=r"z_0001\.png' of a longer film"):
         write_frames(tmp_path / "z.png", shots(1))
     assert there() == before
     assert write_frames(tmp_path / "z.png", shots(3)) == 3
