@@ -59,7 +59,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     selected = [item for item in items if not examples or _set_examples(item, examples)]
     if not config.getoption("--by-hand"):
         selected = [item for item in selected if not item.get_closest_marker("by_hand")]
-    config.hook.pytest_deselected(items=[item for item in items if item not in set(selected)])
+    kept = set(selected)
+    config.hook.pytest_deselected(items=[item for item in items if item not in kept])
     items[:] = selected
 
 
