@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, dimensions, freeze, vector
 from ..common.errors import InputError
 from ..common.names import quoted
 from ..reduction.pointwise_reduction import PointwiseReduction
@@ -106,6 +107,20 @@ def finite_start(*arrays: Array | None) -> None:
     """Raise InputError unless all arrays computed from an initial state are finite."""
     if not all(array is not None and np.isfinite(array).all() for array in arrays):
         raise InputError("the initial momentum or twist overflows: rates or momentum too large")
+
+
+def momentum_vector(momentum: ArrayLike, system: System) -> Array:
+    """Return the body momentum that the option `momentum` states, (r,).
+
+    A single number states the momentum of a group of dimension one.  A plain 0 means zero momentum
+    for every group.
+
+    Raises:
+        ShapeError: The momentum has the wrong shape or is not finite.
+    """
+    repeated = dimensions(momentum) == 0 and (system.r == 1 or momentum == 0)
+    entries: Any = [momentum] * system.r if repeated else momentum
+    return vector(entries, system.r, "momentum")
 
 
 def refuse_vague(x: Array, system: System) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..common.arrays import Array, dimensions, positive, read_only, vector
+from ..common.arrays import Array, positive, read_only, vector
 from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.names import brief, one_of
@@ -21,7 +21,7 @@ from ..system.system import checked_system
 from ..system.variants import nominal
 from . import input_formats
 from .event import Event, list_events, watched_of
-from .initial_state import GivenStates, Start, refuse_vague, start_of
+from .initial_state import GivenStates, Start, momentum_vector, refuse_vague, start_of
 from .option_checks import (
     check_keyframe,
     check_seed,
@@ -309,10 +309,7 @@ class Scene(SceneFields):
         x, xdot = self.with_prescribed(x[None], xdot[None])
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
-        # A plain 0 means zero momentum for a group of any dimension.
-        zero = dimensions(self.momentum) == 0 and self.momentum == 0
-        mu = np.zeros(system.r) if zero else vector(self.momentum, system.r, "momentum")
-        return GivenStates(pose[None], x, xdot, None, mu[None])
+        return GivenStates(pose[None], x, xdot, None, momentum_vector(self.momentum, system)[None])
 
     def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Replace the entries of the prescribed joints by their values at time 0.
