@@ -104,6 +104,7 @@ class Contents:
         keyframes: Named states.
         couplings: Couplings of follower joints to their leaders.
         freed: Name of a body that the file fixes to the world but that floats in pinred, or "".
+        warnings: Warnings about parts of the file that are not read as written.
         visuals: Shapes for playback that were passed to `load` together with the model.
         locked: The locked joints; None if no joint was locked.
     """
@@ -113,6 +114,7 @@ class Contents:
     keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""
+    warnings: tuple[str, ...] = ()
     visuals: Visuals | None = None
     locked: LockedJoints | None = None
 

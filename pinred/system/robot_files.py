@@ -29,6 +29,7 @@ from .urdf_elements import (
     keep_dynamics,
     mimic_couplings,
     reduced_text,
+    replace_commas,
     total_mass,
     tree_depth,
 )
@@ -47,8 +48,10 @@ _CHUNK = 4096  # number of characters per call of the XML parser
 _ELEMENT = re.compile(r"<[^!?]")
 
 
-def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return the model in a URDF file, with the root joint of the file, and its joint couplings.
+def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...], str]:
+    """Return the model in a URDF file, its joint couplings, and a warning about its text or "".
+
+    The model has the root joint of the file.
 
     Raises:
         LoadError: The file cannot be read.
@@ -62,6 +65,7 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
         )
     if (links := len(root.findall("link"))) > _MOST_LINKS:
         raise LoadError(f"{plain_path(path)} has {links} links, more than {_MOST_LINKS}")
+    warning = replace_commas(root)
     check_urdf(root)
     depth = tree_depth(root)
     couplings = mimic_couplings(root)
@@ -80,7 +84,7 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
     keep_dynamics(root, model)
     for limits in (model.lowerPositionLimit, model.upperPositionLimit):
         limits[np.abs(limits) >= UNLIMITED] *= np.inf
-    return model, couplings
+    return model, couplings, warning
 
 
 def _parse(text: str, depth: int) -> pin.Model:
@@ -182,6 +186,14 @@ def read_xml(path: Path) -> ElementTree.Element:
         return builder.close()
     except (expat.ExpatError, ValueError) as error:
         raise LoadError(f"{plain_path(path)} is not XML: {error}") from None
+
+
+def drawn_text(path: Path) -> str:
+    """Return the text of a URDF file for Pinocchio's parser of shapes.  Raises LoadError."""
+    root = read_xml(path)
+    return (
+        ElementTree.tostring(root, encoding="unicode") if replace_commas(root) else read_text(path)
+    )
 
 
 def refuse_macros(path: Path, root: ElementTree.Element) -> None:
