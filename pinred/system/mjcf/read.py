@@ -24,6 +24,7 @@ from .compile import compiled
 from .mujoco_forces import left_out_actions, moving_tendons, passive_forces
 from .mujoco_joints import Joint, joint_of
 from .package import mujoco_package
+from .rotors import ignored_rotors
 from .tree import Tree, tree_of
 from .world import World, robot_in
 
@@ -86,6 +87,7 @@ def read_mujoco(
             keyframes=keyframes_of(tree, group, constraints.couplings),
             couplings=constraints.couplings,
             freed=fixed[0] if fixed and tree.root is None else "",
+            warnings=() if tree.root is None else ignored_rotors(tree.root.joints),
             locked=locked,
         )
 
