@@ -29,9 +29,9 @@ from ..lie.groups import GROUPS, group_named
 from ..lie.spatial_groups import SE3
 from . import catalogue
 from .coordinates import InitialState
-from .coupling import locked_by, with_followers
+from .coupling import ties_of, with_followers
 from .joints import RootChain, motion_group, places_on_root, root_chain, root_joint
-from .locked_joints import LockedJoints, Tie, frozen_configurations, lock_values
+from .locked_joints import LockedJoints, frozen_configurations, lock_values
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
@@ -235,13 +235,12 @@ def _load_model(
     model = _on_root(bare, robot.group, chain)
     locked_joints = None
     if locked:
-        ties = {
-            name: Tie(coupling.leader, (coupling.offset, coupling.ratio))
-            for name, coupling in locked_by(locked, robot.couplings, names).items()
-        }
+        ties, shared = ties_of(locked, robot.couplings, names)
         places = {} if chain is None else places_on_root(bare, chain)
         several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
-        locked_joints = LockedJoints(raw, locked, ties, places, str(model.names[1]), several)
+        locked_joints = LockedJoints(
+            raw, locked, ties, places, str(model.names[1]), several, shared
+        )
     contents = replace(
         passive_contents(raw, list(model.names)[2:], locked),
         visuals=visuals,

@@ -139,7 +139,7 @@ def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
             else default
             for key, default in (("multiplier", 1.0), ("offset", 0.0))
         )
-        couplings.append(Coupling(name, leader, ratio, offset))
+        couplings.append(Coupling(name, {leader: ratio}, offset))
     return tuple(couplings)
 
 
