@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 
 _SHAPES_PER_LINE = 41
 _DESCENTS = 6  # number of samples from which each extreme distance is minimised
@@ -22,7 +22,7 @@ _GAP = 4.0  # largest gap within one range, in mean distances between samples
 
 
 @dataclass(frozen=True)
-class Workspace:
+class Workspace(FrozenArrays):
     """Distances of the hand from the centre of mass at zero momentum. Arrays are read-only.
 
     Attributes:
@@ -34,9 +34,6 @@ class Workspace:
     reach: Array
     dependent: Array
     independent: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def workspace_of(

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, freeze, read_only, vector, vectors, whole
+from ..common.arrays import Array, FrozenArrays, read_only, vector, vectors, whole
 from ..common.errors import InputError
 from ..common.names import joint_index, listed, nearest, quoted
 from ..system.system import System, checked_system
@@ -32,7 +32,7 @@ _ROOT_SAMPLES = 721  # number of samples of a path that bracket the roots
 
 
 @dataclass(frozen=True)
-class Singularity:
+class Singularity(FrozenArrays):
     """The distance of a free-floating arm from a dynamic singularity at a shape.
 
     Attributes:
@@ -46,9 +46,6 @@ class Singularity:
     determinant: float
     lost: Array
     joints: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def least(self) -> float:

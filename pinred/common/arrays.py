@@ -152,6 +152,13 @@ def freeze(value: Any) -> None:
             array.flags.writeable = False
 
 
+class FrozenArrays:
+    """Base of dataclasses whose array fields are read-only."""
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
 def whole(value: object, what: str, least: int = 1) -> int:
     """Convert a value to an integer.
 

@@ -15,7 +15,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, freeze, vector
+from ..common.arrays import Array, FrozenArrays, vector
 from ..common.errors import InputError
 from ..lie.group import Group
 from ..lie.rotations import hat
@@ -26,7 +26,7 @@ _ZERO = 1e-9  # coefficients and singular values below this bound count as zero
 
 
 @dataclass(frozen=True)
-class Casimir:
+class Casimir(FrozenArrays):
     """A Casimir c·w + wᵀQ w of w = μ, or w = (μ, Γ); arrays are read-only.
 
     Attributes:
@@ -40,9 +40,6 @@ class Casimir:
     linear: Array
     quadratic: Array
     r: int
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __call__(self, mu: ArrayLike, gamma: ArrayLike | None = None) -> float:
         """Evaluate the Casimir.

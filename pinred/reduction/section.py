@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, as_floats, freeze
+from ..common.arrays import Array, FrozenArrays, as_floats
 from ..common.errors import InputError, ShapeError
 from ..system.joints import axes_of
 from ..system.system import System
@@ -29,7 +29,7 @@ _TOLERANCE = 1e-6  # tolerance of this check, relative to the largest entry
 
 
 @dataclass(frozen=True)
-class Moves:
+class Moves(FrozenArrays):
     """Changes of the base frame at N shapes; arrays are read-only.
 
     Attributes:
@@ -45,9 +45,6 @@ class Moves:
     theta: Array
     rotation: Array
     translation: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def mass_matrix(self, H: Array) -> Array:
         """Return the mass matrix H′, (N, n, n), for velocities (ξ′, ẋ) in the new frame."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError, ModelError
 from ..common.names import listed, quoted
 from .robot_file_contents import Coupling
@@ -23,7 +23,7 @@ _SAME = 1e-9  # tolerance between a follower's locked value and the value of its
 
 
 @dataclass(frozen=True, eq=False)
-class Coupled:
+class Coupled(FrozenArrays):
     """All M joints of a tree as functions of the m independent joints.  Arrays are read-only.
 
     Attributes:
@@ -38,9 +38,6 @@ class Coupled:
     of: NDArray[np.intp]
     ratio: Array
     offset: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def values(self, y: Array) -> Array:
         """Compute the values of all joints, (..., M), from independent joint values y, (..., m)."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def _describe_fields(kind: _Kind) -> _Kind:
 
 @_describe_fields
 @dataclass(frozen=True)
-class ShapeState:
+class ShapeState(FrozenArrays):
     """The shape at one time or over time (time first), without the base; read-only arrays."""
 
     t: Array
@@ -99,13 +99,10 @@ class ShapeState:
     xdot: Array
     energy: Array
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
 
 @_describe_fields
 @dataclass(frozen=True)
-class State:
+class State(FrozenArrays):
     """The state of a system at one time or over time (time first); read-only arrays."""
 
     t: Array
@@ -118,9 +115,6 @@ class State:
     body_momentum: Array
     spatial_momentum: Array
     energy: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 class _Column:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, as_floats, freeze
+from ...common.arrays import Array, FrozenArrays, as_floats
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
@@ -36,7 +36,7 @@ _ROUND_OFF = 1e-12  # rad | m; smaller values are printed as zero
 
 
 @dataclass(frozen=True, eq=False)
-class BranchPoint:
+class BranchPoint(FrozenArrays):
     """A relative equilibrium on a branch. Arrays are read-only.
 
     Attributes:
@@ -59,9 +59,6 @@ class BranchPoint:
     index: int
     residual: float
     problem: Problem = field(repr=False)
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def equilibrium(self) -> RelativeEquilibrium:
         """Compute the relative equilibrium with its stability, modes and scenes.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, positive, vector
+from ...common.arrays import Array, FrozenArrays, positive, vector
 from ...common.errors import IntegrationError, SingularInertiaError
 from ...kernels.evaluate import evaluate
 from ..gaits.gait import Gait
@@ -20,7 +20,7 @@ _SHAPES = 4096  # number of shapes of a path at which P_b is checked
 
 
 @dataclass(frozen=True)
-class MixedMotion:
+class MixedMotion(FrozenArrays):
     """A motion on wheels; the first axis of every array is time.
 
     Attributes:
@@ -38,9 +38,6 @@ class MixedMotion:
     xdot: Array
     p: Array
     energy: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def simulate_mixed(

@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...forces.force import Force
@@ -33,7 +33,7 @@ _TIMES = (0.0, 0.37, 1.0)  # s, times at which prescribed joints are checked
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(FrozenArrays):
     """A system, its forces, and the unknowns of its relative equilibria.
 
     Attributes:
@@ -59,9 +59,6 @@ class Problem:
     cyclic_momenta: Array
     driven_x: Array
     driven_rate: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def plan(self) -> Plan:

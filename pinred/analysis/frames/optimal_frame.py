@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, read_only, vectors
+from ...common.arrays import Array, FrozenArrays, read_only, vectors
 from ...common.errors import InputError, NoConvergence
 from ...lie.group import Group
 from ...lie.rotations import hat, quaternion_exp, quaternion_product, rotation
@@ -337,7 +337,7 @@ def _right_slope(phi: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class CorrectedIntegral:
+class CorrectedIntegral(FrozenArrays):
     """The corrected body-velocity integral −∬B of a gait, and the true phase.
 
     Attributes:
@@ -353,9 +353,6 @@ class CorrectedIntegral:
     log: Array
     error: float
     trusted: bool
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def corrected_integral(

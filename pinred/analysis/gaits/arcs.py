@@ -11,13 +11,13 @@ from math import comb
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 
 TAU = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Arc(ABC):
+class Arc(ABC, FrozenArrays):
     """A smooth path in shape space.
 
     Attributes:
@@ -92,9 +92,6 @@ class FourierArc(Arc):
     start: float = 0.0
     end: float = TAU
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
     @property
     def is_whole(self) -> bool:
         """Whether the arc covers one full period, so that it is a smooth closed path."""
@@ -157,9 +154,6 @@ class PolynomialArc(Arc):
     """
 
     coefficients: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def at(self, s: Array) -> tuple[Array, Array]:
         """Evaluate the arc and its derivative (see Arc.at)."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group
@@ -30,7 +30,7 @@ _PER_HARMONIC = 8  # default number of segments per harmonic
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class Drift(FrozenArrays):
     """The drift twist I⁻¹μ of a free system with constant spatial momentum.
 
     Attributes:
@@ -41,9 +41,6 @@ class Drift:
 
     system: System
     momentum: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def inverse(self, x: Array) -> Array:
         """Compute the inverse locked inertia I⁻¹.
@@ -105,7 +102,7 @@ class Drift:
 
 
 @dataclass(frozen=True, eq=False)
-class PathBasis:
+class PathBasis(FrozenArrays):
     """Basis functions Φ at the N = 8 P Gauss nodes of P segments.
 
     Attributes:
@@ -119,9 +116,6 @@ class PathBasis:
     values: Array
     slopes: Array
     bends: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def weights(self) -> Array:
@@ -313,7 +307,7 @@ def _adjoints(group: Group, inner: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class PhaseSlopes:
+class PhaseSlopes(FrozenArrays):
     """Phase and effort of a Fourier gait at zero momentum, with derivatives.
 
     The coefficients are (1 + 2 harmonics, m): mean, cosines, sines.
@@ -333,9 +327,6 @@ class PhaseSlopes:
     length_slope: Array
     action: float
     action_slope: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = None) -> PhaseSlopes:

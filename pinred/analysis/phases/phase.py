@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, positive, vector, whole
+from ...common.arrays import Array, FrozenArrays, positive, vector, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
@@ -34,7 +34,7 @@ MOST = 2**15  # largest number of samples
 
 
 @dataclass(frozen=True, eq=False)
-class Phase:
+class Phase(FrozenArrays):
     """The motion of the base over one cycle of a gait.
 
     Attributes:
@@ -61,9 +61,6 @@ class Phase:
     length: float
     samples: int
     _segments: PathSegments = field(repr=False)
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @cached_property
     def dynamic(self) -> Array:

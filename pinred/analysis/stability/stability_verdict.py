@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from .linearisation import Linearisation, eigen, eigenvalue_errors, norm
 from .second_variation import SecondVariation
 
@@ -20,7 +20,7 @@ _NO_GROWTH = 1e-9  # largest growth of an undamped oscillation, relative to the 
 
 
 @dataclass(frozen=True, eq=False)
-class Mode:
+class Mode(FrozenArrays):
     """A mode δz = Re(amplitude e^{λt}) of the linearised reduced flow. Arrays are read-only.
 
     Amplitudes are scaled so that the largest shape amplitude is 1; if all shape
@@ -41,9 +41,6 @@ class Mode:
     shape: NDArray[np.complex128]
     momentum: NDArray[np.complex128]
     base: NDArray[np.complex128]
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from ...analysis.connections.connection import Connection
 from ...analysis.gaits.arcs import FourierArc
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import fourier_rows
-from ...common.arrays import Array, as_floats, freeze
+from ...common.arrays import Array, FrozenArrays, as_floats
 from ...common.errors import InputError, ShapeError
 from ...common.names import joint_index
 from .objective import torque_order, torques
@@ -25,7 +25,7 @@ WHOLE_TURN = 2.0 * np.pi  # default limit of rotational joints in either directi
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class Limits(FrozenArrays):
     """Limits of the joints; an infinite entry means that there is no limit.
 
     Attributes:
@@ -37,9 +37,6 @@ class Limits:
     shape: Array
     speed: Array
     torque: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def middle(self) -> Array:

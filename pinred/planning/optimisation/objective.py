@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
 from ...analysis.phases.path_basis import PathBasis, PathLift, by_coefficients
-from ...common.arrays import Array, as_floats, freeze, vector
+from ...common.arrays import Array, FrozenArrays, as_floats, vector
 from ...common.errors import InputError
 from ...common.names import brief
 from ...lie.group import Group
@@ -36,7 +36,7 @@ _LETTERS = {"x": 0, "y": 1, "z": 2}
 
 
 @dataclass(frozen=True, eq=False)
-class AxisAim:
+class AxisAim(FrozenArrays):
     """Objective: maximise the rotation about an axis, or the displacement along an axis.
 
     The rotation of a planar group is the unwrapped angle [rad].  In space it is the component of
@@ -53,9 +53,6 @@ class AxisAim:
     group: Group
     kind: AimKind
     axis: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def unit(self) -> str:

@@ -22,7 +22,7 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
 from ...analysis.phases.path_basis import Drift, cycloid, fourier_rows, path_lift
 from ...analysis.phases.phase import phase
-from ...common.arrays import Array, as_floats, freeze, positive, vector, whole
+from ...common.arrays import Array, FrozenArrays, as_floats, positive, vector, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...lie.rotations import quaternion_log
 from ...scene import input_formats
@@ -39,7 +39,7 @@ _SAFETY = 1.0 + 1e-6  # factor on the shortest duration, for round-off
 
 
 @dataclass(frozen=True, eq=False)
-class Peaks:
+class Peaks(FrozenArrays):
     """Largest speed and torque of each joint for a total duration of 1 s.
 
     Attributes:
@@ -49,9 +49,6 @@ class Peaks:
 
     speed: Array
     torque: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def needed(self, limits: Limits) -> float:
         """Return the shortest duration within limits [s]; zero if there are no limits."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...analysis.gaits.coefficients import rest_to_rest
 from ...analysis.gaits.gait import Gait
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...judge.compare import compare
 from ...judge.verdict import Report
 from ...simulation.simulate import simulate
@@ -22,7 +22,7 @@ TOLERANCES = (1e-12, 1e-14)  # relative and absolute tolerance of a plan's simul
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TurnPlan:
+class TurnPlan(FrozenArrays):
     """A reorientation: a loop of the joints, repeated from rest to rest.
 
     Attributes:
@@ -48,9 +48,6 @@ class TurnPlan:
     momentum: Array
     left: Array
     margins: Mapping[str, float]
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @cached_property
     def trajectory(self) -> Trajectory:

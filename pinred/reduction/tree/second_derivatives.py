@@ -21,14 +21,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...lie.spatial_groups import SE3
 from ...system.joints import axes_of, is_prismatic
 from ...system.system import System
 
 
 @dataclass(frozen=True)
-class InertiaDerivatives:
+class InertiaDerivatives(FrozenArrays):
     """H(x) and the centre of mass c(x) with two derivatives; arrays are read-only.
 
     Attributes:
@@ -46,9 +46,6 @@ class InertiaDerivatives:
     com: Array
     dcom: Array
     d2com: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def inertia_derivatives(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...judge.reference_solution import FullState
 from ...simulation.recording import Recording
@@ -27,7 +27,7 @@ STILL = 1e-9  # momentum that counts as zero, relative to √(2 · mass · kinet
 
 
 @dataclass(frozen=True)
-class Ghost:
+class Ghost(FrozenArrays):
     """The full simulation, drawn next to the reduced one; arrays are read-only.
 
     Attributes:
@@ -39,12 +39,9 @@ class Ghost:
     placements: Array
     apart: Array
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
 
 @dataclass(frozen=True)
-class Playback:
+class Playback(FrozenArrays):
     """A motion at F frames; arrays are read-only, in the world frame.
 
     Attributes:
@@ -70,9 +67,6 @@ class Playback:
     ellipsoid: Array
     momentum: Momentum
     ghost: Ghost | None
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def playback(source: MotionSource, view: View) -> Playback:
@@ -195,7 +189,7 @@ def _ellipsoid(inertia: Array, mass: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Momentum:
+class Momentum(FrozenArrays):
     """The momentum that the group conserves, over F frames; arrays are read-only.
 
     Attributes:
@@ -209,9 +203,6 @@ class Momentum:
     tail: Array
     words: str
     unit: str
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
