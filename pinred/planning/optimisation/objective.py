@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.phases.path_basis import PathBasis, PathLift, by_coefficients
+from ...analysis.phases.path_basis import PathBasis, PathLift, sum_over_nodes
 from ...common.arrays import Array, FrozenArrays, as_floats, vector
 from ...common.errors import InputError
 from ...common.names import brief
@@ -324,7 +324,7 @@ def cost_of(
     if kind == "length":
         length = float(np.sqrt(w @ lift.square))
         derivatives = (0.5 * w / max(length, 1e-300))[:, None] * lift.square_slopes
-        return Cost(length, _sum_over_nodes(basis, m, derivatives), 0.0)
+        return Cost(length, sum_over_nodes(basis, m, derivatives), 0.0)
     bend, order = basis.bends @ coefficients, torque_order(connection)
     if kind == "acceleration":
         order = 2
@@ -347,7 +347,7 @@ def cost_of(
     scale = period**power
     return Cost(
         scale * value,
-        scale * _sum_over_nodes(basis, m, w[:, None] * derivatives),
+        scale * sum_over_nodes(basis, m, w[:, None] * derivatives),
         power * scale * value,
     )
 
@@ -355,8 +355,3 @@ def cost_of(
 def _squares(connection: Connection, x: Array, u: Array) -> Array:
     """Return the derivatives, (N, 2m), of uᵀM(x)u with respect to (x, u)."""
     return np.asarray(connection.horizontal_slopes(x, u)[:, connection.r])
-
-
-def _sum_over_nodes(basis: PathBasis, m: int, derivatives: Array) -> Array:
-    blocks = [derivatives[:, None, k : k + m] for k in range(0, derivatives.shape[1], m)]
-    return np.asarray(by_coefficients(basis, *blocks)[0])

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift, polygon_basis
 from ...analysis.phases.phase import phase
@@ -283,7 +282,7 @@ def _initial_loop(task: Task, harmonics: int, rng: np.random.Generator) -> Gait:
     cos, sin = 0.5 * size * rng.uniform(-1.0, 1.0, (2, harmonics, m)) / k**2
     gait = Gait.fourier(mean, cos, sin, period=task.period)
     if isinstance(task.aim, AxisAim):
-        c = coefficients_of(gait, harmonics)
+        c = gait.series.coefficients(harmonics)
         path = fourier_path_of(task, harmonics)
         pose = path_lift(task.connection, path.basis, c).pose
         if task.aim.value(pose)[0] < 0.0:

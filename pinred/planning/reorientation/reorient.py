@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
 from ...analysis.phases.path_basis import Drift, cycloid, fourier_rows, path_lift
@@ -87,7 +86,7 @@ def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
     """
     if not connection.form.momentum:
         raise InputError("reorient needs a mechanical connection, without drag")
-    c = coefficients_of(gait)
+    c = gait.series.coefficients()
 
     def motion(u: Array) -> tuple[Array, Array, Array]:
         angle, rate, bend = cycloid(u, cycles)
@@ -351,7 +350,7 @@ def _plan_with_momentum(request: _Request, n: int, *, quick: bool) -> TurnPlan:
             "another duration, which also determines how far the base drifts"
         )
     path = fine_path(system.m, start, passage, finer=2)
-    end = path_lift(request.connection, path.basis, coefficients_of(gait), passage.drift).pose
+    end = path_lift(request.connection, path.basis, gait.series.coefficients(), passage.drift).pose
     return _create_plan(request, gait, n, aim, end, seconds, peaks)
 
 

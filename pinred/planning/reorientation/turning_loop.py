@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from ...analysis.connections.connection import Connection
-from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...common.arrays import Array
@@ -155,12 +154,12 @@ def turning_loop(task: Task, start: Array, turn: Array, *, quick: bool = False) 
     gait = first_loop(task.connection, start, turn, task.limits.shape)
     if quick:
         path = fourier_path_of(task, _HARMONICS, start=start)
-        y = approach_target(task, aim, path, path.unknowns(coefficients_of(gait, _HARMONICS)))
+        y = approach_target(task, aim, path, path.unknowns(gait.series.coefficients(_HARMONICS)))
         gait = Search(task, path).gait(y)
     else:
         gait = _shortest_loop(task, gait, start)
     fine = fine_path(m, start, task.passage)
-    y = polish_loop(task, aim, fine, fine.unknowns(coefficients_of(gait)))
+    y = polish_loop(task, aim, fine, fine.unknowns(gait.series.coefficients()))
     loop = Search(task, fine).gait(y)
     if margins(task.connection, loop, task.limits)["limits"] < 0.0:
         raise StartFailed("the polished loop exceeds the limits")
