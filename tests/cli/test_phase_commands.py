@@ -116,7 +116,7 @@ def test_field_draws_a_figure_with_the_gait(
         (("phase", EXAMPLE, "--circle", "alpha1,alpha2,1.0"), "is for robots"),
         (("phase", EXAMPLE, "--momentum", "1,0,0"), "momentum"),
         (("phase", EXAMPLE, "--out", "way.txt"), "the suffix must be"),
-        (("field", "elroys_beanie", "--out", "f.npz"), "needs two joints"),
+        (("field", "elroys_beanie", "--out", "f.npz"), "at least 2 joints"),
         (("field", "three_rods", "--limits", "1,-1", "--out", "f.npz"), "LOW,HIGH"),
         (("field", "three_rods", "--part", "nope", "--out", "f.png"), "part must be one of"),
     ],
