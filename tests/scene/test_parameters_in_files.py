@@ -147,7 +147,7 @@ def test_parameter_option_replaces_the_value_in_the_file(
     for entry, match in (
         ("front.mss=2", "there is no 'front.mss'; did you mean 'front.mass'"),
         ("front.mass", "--parameter takes NAME=NUMBER"),
-        ("front.mass=heavy", "takes numbers separated by commas"),
+        ("front.mass=heavy", "--parameter takes NAME=NUMBER"),
         ("front.mass=nan", "must be finite"),
         ("front.mass=-1", "must be above zero"),
     ):
