@@ -38,13 +38,6 @@ def check_keyframe(system: System, name: str) -> str:
     return name
 
 
-def check_seed(seed: Any) -> int:
-    """Return a seed as a whole number; raise InputError if it is negative or not whole."""
-    if isinstance(seed, bool) or not (isinstance(seed, (int, np.integer)) and seed >= 0):
-        raise InputError(f"seed must be a whole number from 0, got {brief(seed)}")
-    return int(seed)
-
-
 def check_tolerances(method: Method, rtol: float, atol: float) -> None:
     """Reject tolerances that both the scene and its method state.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..common.arrays import Array, dimensions, positive, read_only, vector
+from ..common.arrays import Array, positive, read_only, vector, vector_or_zero, whole
 from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.names import brief, one_of
@@ -24,7 +24,6 @@ from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .option_checks import (
     check_keyframe,
-    check_seed,
     check_span,
     check_tolerances,
     compute_report_times,
@@ -78,7 +77,7 @@ class Scene(SceneFields):
         self._apply_robot_parameters()
         self._check_conflicts()
         if self.seed is not None:
-            check_seed(self.seed)
+            self._keep("seed", whole(self.seed, "seed", 0))
         if not one_of(self.outputs, OUTPUTS):
             raise InputError(
                 f"outputs must be one of {', '.join(OUTPUTS)}, got {brief(self.outputs)}"
@@ -310,8 +309,7 @@ class Scene(SceneFields):
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
         # A plain 0 means zero momentum for a group of any dimension.
-        zero = dimensions(self.momentum) == 0 and self.momentum == 0
-        mu = np.zeros(system.r) if zero else vector(self.momentum, system.r, "momentum")
+        mu = vector_or_zero(self.momentum, system.r, "momentum")
         return GivenStates(pose[None], x, xdot, None, mu[None])
 
     def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, FrozenArrays, positive, vector
+from ...common.arrays import Array, FrozenArrays, positive, vector, vector_or_zero
 from ...common.errors import IntegrationError, SingularInertiaError
 from ...kernels.evaluate import evaluate
 from ..gaits.gait import Gait
@@ -101,7 +101,7 @@ def follow_mixed(
         The motion; errors as in `simulate_mixed`.
     """
     system, k = mixed.system, mixed.size
-    p = np.zeros(k) if np.ndim(p0) == 0 and p0 == 0 else vector(p0, k, "p0")
+    p = vector_or_zero(p0, k, "p0")
     t = _times(times)
     side = _sign_of_health(mixed, gait.at(t[0])[0])
     _require_regular_path(mixed, gait.samples(_SHAPES)[0])

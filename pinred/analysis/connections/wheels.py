@@ -13,6 +13,7 @@ from ...common.arrays import Array, positive, vector
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...kernels.connection.connection_form import ConnectionForm, form_of
+from ...lie.rotations import hat
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.momenta import speed_along, twists_at
 from ...system.system import System, checked_system
@@ -130,7 +131,7 @@ def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
     for slip in slips:
         body = Link(slip.link.joint, slip.link.placement.Identity())
         J = link_jacobian(system, body, x)
-        row = slip.direction @ (J[:3] - _hat(slip.point) @ J[3:])
+        row = slip.direction @ (J[:3] - hat(slip.point) @ J[3:])
         if slip.coordinate >= 0:
             row[system.r + slip.coordinate] -= slip.radius
         rows.append(row)
@@ -157,8 +158,3 @@ def kinematic_form(system: System, wheels: Sequence[Wheel | Rolling]) -> Connect
         system.group, system.shape_names, system.units, f"the wheels of '{system.name}'",
         values, reference, symmetric=False,
     )  # fmt: skip
-
-
-def _hat(p: Array) -> Array:
-    x, y, z = p
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

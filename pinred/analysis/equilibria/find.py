@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ...common.arrays import Array
+from ...common.arrays import Array, whole
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
 from ...reduction.inertia_split import mass_matrix
-from ...scene.option_checks import check_seed
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.system import System, checked_system
@@ -77,17 +76,10 @@ def relative_equilibria(
     if problem.kind == "free" and J == 0.0:
         problem = problem.at_rest()
     many = len(problem.active) >= MANY_JOINTS
-    count = _STARTS[many] if starts is None else checked_starts(starts)
-    points, converged, total = search_points(problem, J, count, check_seed(seed))
+    count = _STARTS[many] if starts is None else whole(starts, "starts")
+    points, converged, total = search_points(problem, J, count, whole(seed, "seed", 0))
     entries = tuple(equilibrium_at(problem, points[k : k + 1], J) for k in range(len(points)))
     return Equilibria(problem.system, J, total, converged, _without_copies(entries))
-
-
-def checked_starts(starts: int) -> int:
-    """Validate a number of starts, which must be a positive integer."""
-    if isinstance(starts, bool) or not (isinstance(starts, (int, np.integer)) and starts > 0):
-        raise InputError(f"starts must be a whole number from 1, got {starts!r}")
-    return int(starts)
 
 
 def search_points(problem: Problem, J: float, count: int, seed: int) -> tuple[Points, int, int]:

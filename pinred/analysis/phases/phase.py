@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, FrozenArrays, positive, vector, whole
+from ...common.arrays import Array, FrozenArrays, positive, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
@@ -186,9 +186,7 @@ def _bound(difference: PoseError, segments: PathSegments, pose: Array) -> PoseEr
 
 
 def _momentum(connection: Connection, momentum: ArrayLike | float) -> Array:
-    if np.ndim(momentum) == 0 and momentum == 0:
-        return np.zeros(connection.r)
-    mu = vector(np.asarray(momentum), connection.r, "momentum", connection.group.twist_names)
+    mu = vector_or_zero(momentum, connection.r, "momentum", connection.group.twist_names)
     if mu.any() and not connection.form.momentum:
         raise InputError(f"{connection.form.what} carry no momentum; leave momentum out")
     return mu

@@ -21,7 +21,7 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
 from ...analysis.phases.path_basis import Drift, cycloid, fourier_rows, path_lift
 from ...analysis.phases.phase import phase
-from ...common.arrays import Array, FrozenArrays, as_floats, positive, vector, whole
+from ...common.arrays import Array, FrozenArrays, as_floats, positive, vector, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...lie.rotations import quaternion_log
 from ...scene import input_formats
@@ -102,13 +102,6 @@ def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
 _TURN = 2.0 * np.pi
 _PER_RADIAN = 4  # number of quadrature segments per radian of tumbling
 _MOST = 200.0  # largest tumbling angle of a plan [rad]
-
-
-def initial_momentum(system: System, momentum: ArrayLike | float) -> Array:
-    """Return the initial body momentum, (r,), or zeros for 0.  Raises ShapeError."""
-    if np.ndim(momentum) == 0 and momentum == 0:
-        return np.zeros(system.r)
-    return vector(np.asarray(momentum), system.r, "momentum", system.group.twist_names)
 
 
 def passage_of(system: System, momentum: Array, start: Array, cycles: int, time: float) -> Passage:
@@ -238,7 +231,7 @@ def reorient(
     bounds = limits_of(connection, limits, speeds, torques)
     start = _initial_shape(system, bounds, x0)
     turn = _target_rotation(system, target)
-    mu = initial_momentum(system, momentum)
+    mu = vector_or_zero(momentum, system.r, "momentum", group.twist_names)
     if mu.any() and np.isfinite(bounds.torque).any():
         raise InputError(
             "torques: limits need zero momentum, where torques scale with the duration. With "
