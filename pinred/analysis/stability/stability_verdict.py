@@ -96,12 +96,9 @@ def assess_stability(
     left, right = left[:, is_transverse], right[:, is_transverse]
     growths = values.real
     is_significant = growths > _SIGNIFICANT * errors
-    top = (
-        int(np.argmax(np.where(is_significant, growths, -np.inf))) if is_significant.any() else None
-    )
-    if top is None and len(growths):
-        top = int(np.argmax(growths))
-    unstable = bool(is_significant.any())
+    unstable, top = bool(is_significant.any()), None
+    if len(growths):
+        top = int(np.argmax(np.where(is_significant, growths, -np.inf) if unstable else growths))
     verdict: Verdict = "unstable" if unstable else "stable" if second.definite else "undecided"
     modes = tuple(
         _mode(value, error, leaf.embed(vector), linear, active, len(joints))

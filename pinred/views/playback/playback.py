@@ -16,6 +16,7 @@ from ...common.errors import InputError
 from ...judge.reference_solution import FullState
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
+from ...system.joints import axes_of
 from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
@@ -245,10 +246,8 @@ def _axes(system: System) -> Array:
     The axes belong to the root joint's frame. If there are fewer than three, the motion does not
     change their directions.
     """
-    model, data = system.model, system.model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    motion = np.array(data.joints[1].S).reshape(6, system.r)
-    linear = system.group.linear
+    model, linear = system.model, system.group.linear
+    motion = axes_of(model.joints[1])
     axes = motion[3:, linear:] if system.group.turns else motion[:3]
     return np.asarray(model.jointPlacements[1].rotation @ axes)
 
