@@ -41,7 +41,7 @@ def check_keyframe(system: System, name: str) -> str:
 def check_seed(seed: Any) -> int:
     """Return a seed as a whole number; raise InputError if it is negative or not whole."""
     if isinstance(seed, bool) or not (isinstance(seed, (int, np.integer)) and seed >= 0):
-        raise InputError(f"seed must be a whole number from 0, got {brief(seed)}")
+        raise InputError(f"seed must be a non-negative whole number, got {brief(seed)}")
     return int(seed)
 
 
@@ -58,8 +58,8 @@ def check_tolerances(method: Method, rtol: float, atol: float) -> None:
     options = [name for name, value in (("rtol", rtol), ("atol", atol)) if is_given(value)]
     if options and _has_tolerances(method):
         raise InputError(
-            f"{options[0]} is given beside a method with tolerances of its own, {method}; give "
-            f"{method.name} without rtol and atol to have the scene's, or the scene none"
+            f"{options[0]} conflicts with the tolerances of the method {method}. Give tolerances "
+            f"either to the scene or to {method.name}."
         )
 
 
@@ -146,7 +146,7 @@ def check_span(model: ForceModel, end: float, *, base: bool) -> None:
             )
     if model.sees_base and not base:
         raise InputError(
-            "a force or controller sees the base in space, which outputs='shape' leaves out; "
+            "a force or controller depends on the base in space, which outputs='shape' omits; "
             "use outputs='all'"
         )
     for controller, _ in model.held:
