@@ -101,7 +101,7 @@ def _check_mass(path: Path, model: pin.Model, file_mass: float) -> None:
     model_mass = sum(inertia.mass for inertia in model.inertias)
     if abs(model_mass - file_mass) > 1e-9 * max(model_mass, file_mass):
         raise ModelError(
-            f"{plain_path(path)} gives its links {file_mass:g} kg in all, but Pinocchio reads "
+            f"{plain_path(path)} has links of {file_mass:g} kg in total, but Pinocchio reads "
             f"{model_mass:g} kg; check the inertial elements"
         )
 
@@ -166,7 +166,7 @@ def read_xml(path: Path) -> ElementTree.Element:
         count, depth = count + 1, depth + 1
         if count > _MOST_ELEMENTS or depth > _DEEPEST:
             deep = depth > _DEEPEST
-            what = f"{_DEEPEST} elements within one another" if deep else f"{count - 1} elements"
+            what = f"{_DEEPEST} nested elements" if deep else f"{count - 1} elements"
             where = f"{plain_path(path)}, line {parser.CurrentLineNumber}"
             raise LoadError(f"{where}: more than {what}")
         builder.start(tag, attributes)

@@ -44,7 +44,7 @@ class DOP853(Explicit):
     @classmethod
     @once_for_all
     def tableau(cls) -> Tableau:
-        """Return SciPy's copy of the coefficients."""
+        """Return the coefficients, which are taken from SciPy."""
         from scipy.integrate._ivp import dop853_coefficients as scipy
 
         return Tableau(scipy.A.copy(), np.array([scipy.E5, scipy.E3]), scipy.D.copy())
@@ -102,7 +102,7 @@ class Tsit5(Explicit):
     @classmethod
     @once_for_all
     def tableau(cls) -> Tableau:
-        """Return the paper's coefficients."""
+        """Return the coefficients of Tsitouras's paper."""
         A = np.zeros((7, 7))
         for i, row in enumerate(_A):
             A[i, :i] = row

@@ -185,11 +185,13 @@ def _aim(
     if objective not in AIMS:
         raise InputError(f"objective must be one of {', '.join(AIMS)}, got {brief(objective)}")
     if (objective == "target") != (target is not None):
-        raise InputError("objective 'target' and target= require each other")
+        raise InputError(
+            "objective 'target' requires target=, and target= requires objective 'target'"
+        )
     if target is None:
         return axis_aim(connection.group, objective, axis)
     if axis is not None:
-        raise InputError("axis: a target has no axis; leave axis out")
+        raise InputError("axis: expected none with a target. Omit axis=.")
     return target_aim(connection.group, target)
 
 
@@ -198,17 +200,15 @@ def _check_task(task: Task) -> None:
     connection, cost = task.connection, task.cost
     limited = np.isfinite(task.limits.torque).any()
     if limited and not connection.has_metric:
-        raise InputError(
-            f"torques: {connection.form.what} define no joint torques; leave torques out"
-        )
+        raise InputError(f"torques: {connection.form.what} define no joint torques. Omit torques=.")
     if cost == "time" and not (limited or np.isfinite(task.limits.speed).any()):
         raise InputError(
             "cost 'time' needs limits of speeds or torques, which bound the period from below"
         )
     if isinstance(task.aim, TargetAim) and (cost is None or task.most is not None):
-        raise InputError("objective 'target' minimises a cost: give cost=, and leave most out")
+        raise InputError("objective 'target' minimises a cost. Give cost= and omit most=.")
     if task.most is not None and cost is None:
-        raise InputError("most is a bound on a cost: give cost=")
+        raise InputError("most= bounds a cost. Give cost= as well.")
     if cost is None and connection.m > 2:
         raise InputError(
             f"cost: expected a cost for {connection.m} joints, got None; without cost, a cycle "
@@ -220,8 +220,8 @@ def _check_loops(task: Task, vertices: int | None, winding: int | None) -> None:
     """Raise InputError for invalid loops, or loops that do not suit the task."""
     if winding not in (1, None):
         raise InputError(
-            f"winding is 1, or None for any, got {brief(winding)}: n turns have n times the effect "
-            "for n times the cost"
+            f"winding must be 1, or None for any number, got {brief(winding)}: n turns have n "
+            "times the effect for n times the cost"
         )
     if winding is None and task.cost is None:
         raise InputError(
@@ -229,15 +229,15 @@ def _check_loops(task: Task, vertices: int | None, winding: int | None) -> None:
         )
     if vertices is not None:
         if task.connection.m != 2:
-            raise InputError(f"a polygon is for two joints, not {task.connection.m}")
+            raise InputError(f"vertices: a polygon needs two joints, got {task.connection.m}")
         whole(vertices, "vertices", 3)
         if task.cost not in (None, "length"):
             raise InputError(
-                f"the {task.cost} of a polygon is infinite at its corners; leave vertices out"
+                f"the {task.cost} of a polygon is infinite at its corners. Omit vertices=."
             )
         if np.isfinite(task.limits.speed).any() or np.isfinite(task.limits.torque).any():
             raise InputError(
-                "limits on speeds and torques need a smooth loop; leave vertices or limits out"
+                "limits of speeds and torques need a smooth loop. Omit vertices=, or these limits."
             )
 
 
