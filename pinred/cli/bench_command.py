@@ -183,7 +183,7 @@ def _make_folder(path: str | None) -> Path | None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"cannot make the folder '{path}': {error.strerror}") from error
+        raise OutputError(f"cannot create the folder '{path}': {error.strerror}") from error
     return folder
 
 
@@ -353,5 +353,5 @@ def _parse_tolerances(text: str | None) -> list[float] | None:
 
     tolerances = [positive(word, "a tolerance") for word in text.split(",")]  # type: ignore[arg-type]
     if not all(tolerance < 1.0 for tolerance in tolerances):
-        raise InputError(f"tolerances are below 1, got {text}")
+        raise InputError(f"tolerances must be below 1, got {text}")
     return tolerances

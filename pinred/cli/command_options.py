@@ -124,7 +124,9 @@ def refuse_of_robots(arguments: argparse.Namespace, source: str, *names: str) ->
     """Reject options that apply to robots only, if the source is a file.  Raises InputError."""
     for name in names:
         if getattr(arguments, name) not in (None, []):
-            raise InputError(f"--{name} is for robots; {quoted(source)} says itself")
+            raise InputError(
+                f"--{name} applies to robots only; {quoted(source)} contains this setting"
+            )
 
 
 def system_of(arguments: argparse.Namespace) -> System:
@@ -311,9 +313,9 @@ def _method(arguments: argparse.Namespace) -> str:
         }
         if name not in methods_with.get("step", [name]):
             methods = " or ".join(methods_with["step"])
-            raise InputError(f"--step H and --method {methods} go together")
+            raise InputError(f"--step H requires --method {methods}")
         if name not in methods_with.get("order", [name]):
-            raise InputError(f"--order P goes with --method {' or '.join(methods_with['order'])}")
+            raise InputError(f"--order P requires --method {' or '.join(methods_with['order'])}")
     return f"{name}({', '.join(f'{key}={value!r}' for key, value in stated.items())})"
 
 

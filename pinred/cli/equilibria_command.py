@@ -130,17 +130,17 @@ def _check(arguments: argparse.Namespace, *, is_range: bool) -> None:
     from ..common.files import check_path
 
     if is_range and arguments.play is not None:
-        raise InputError("--play is for one momentum, not for a range")
+        raise InputError("--play requires a single momentum, not a range")
     if arguments.play is None:
         for name in ("mode", "time"):
             if getattr(arguments, name) is not None:
-                raise InputError(f"--{name} goes with --play K")
+                raise InputError(f"--{name} requires --play K")
         if arguments.out is not None and not is_range:
-            raise InputError("--out goes with a range, --momentum LOW,HIGH, or with --play K")
+            raise InputError("--out requires a range, --momentum LOW,HIGH, or --play K")
     elif arguments.out is not None:
         check_path(Path(arguments.out), _PLAYED)
     if arguments.joint is not None and not (is_range and arguments.out is not None):
-        raise InputError("--joint is of the diagram that --momentum LOW,HIGH --out FILE draws")
+        raise InputError("--joint requires the diagram that --momentum LOW,HIGH --out FILE draws")
 
 
 def _parse_cyclic(text: str | None) -> dict[str, float] | None:

@@ -31,4 +31,4 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
 def check_robot(source: str, robot: str | None) -> None:
     """Raise InputError for the option --robot with any source except a .npz file."""
     if robot is not None and Path(source).suffix != ".npz":
-        raise InputError(f"--robot is for .npz files; '{source}' names its robot itself")
+        raise InputError(f"--robot applies to .npz files only; '{source}' names its robot")

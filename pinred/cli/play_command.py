@@ -72,12 +72,12 @@ def _check(arguments: argparse.Namespace) -> None:
     if Path(arguments.motion).suffix not in (".npz", ".toml"):
         raise InputError(f"play takes a .npz or a scene file (.toml), got '{arguments.motion}'")
     if arguments.out is not None and arguments.port is not None:
-        raise InputError("--port is for playing in a browser, not with --out")
+        raise InputError("--port applies to playback in a browser, not to --out")
     if arguments.meshes and arguments.no_meshes:
-        raise InputError("--meshes says where to find what --no-meshes leaves out; give one")
+        raise InputError("--meshes and --no-meshes exclude each other; give one of them")
     page = arguments.out is None or Path(arguments.out).suffix == ".html"
     if arguments.fps is not None and page and Path(arguments.motion).suffix == ".npz":
         raise InputError(
-            "--fps is for films and for scenes; a page shows a .npz at the times that it holds "
-            "(`pinred simulate --samples` makes more of them)"
+            "--fps applies to films and scenes; a page shows a .npz file at its stored times "
+            "(`pinred simulate --samples` stores more of them)"
         )

@@ -170,4 +170,4 @@ def whole(value: object, what: str, least: int = 1) -> int:
             return int(number)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise InputError(f"{what} must be a whole number from {least} on, got {brief(value)}")
+    raise InputError(f"{what} must be a whole number of at least {least}, got {brief(value)}")

@@ -279,7 +279,7 @@ class PointwiseReduction:
         return self._potential
 
     def shape_potential(self) -> Potential:
-        """Return the potential V(x); gravity is left out if it turns the base about a pivot.
+        """Return the potential V(x); gravity is omitted if it rotates the base about a pivot.
 
         Raises SymmetryError if gravity breaks the symmetry otherwise.
         """

@@ -117,9 +117,9 @@ def refuse_vague(x: Array, system: System) -> None:
     for name, angle in _angles(x, system):
         if np.spacing(abs(angle)) > _RESOLUTION:
             raise InputError(
-                f"x0: the angle of joint {quoted(name)}, {angle:g} rad, is known to "
-                f"{np.spacing(abs(angle)):.1g} rad only, so its sine means nothing; give it "
-                "within a turn"
+                f"x0: the angle of joint {quoted(name)}, {angle:g} rad, is only accurate to "
+                f"{np.spacing(abs(angle)):.1g} rad, so its sine is meaningless. Reduce it to one "
+                "turn."
             )
 
 

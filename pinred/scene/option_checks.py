@@ -38,7 +38,7 @@ def check_keyframe(system: System, name: str) -> str:
 def check_seed(seed: Any) -> int:
     """Return a seed as a whole number; raise InputError if it is negative or not whole."""
     if isinstance(seed, bool) or not (isinstance(seed, (int, np.integer)) and seed >= 0):
-        raise InputError(f"seed must be a whole number from 0, got {brief(seed)}")
+        raise InputError(f"seed must be a non-negative whole number, got {brief(seed)}")
     return int(seed)
 
 
@@ -105,7 +105,7 @@ def check_span(model: ForceModel, end: float, *, base: bool) -> None:
             )
     if model.sees_base and not base:
         raise InputError(
-            "a force or controller sees the base in space, which outputs='shape' leaves out; "
+            "a force or controller depends on the base in space, which outputs='shape' omits; "
             "use outputs='all'"
         )
     for controller, _ in model.held:

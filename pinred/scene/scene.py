@@ -56,7 +56,7 @@ class Scene(SceneFields):
     a point mass on the body.  For a joint "elbow", the names are "elbow.placement" (x, y, z, roll,
     pitch, yaw) and "elbow.translation"; for a locked joint, "elbow.lock".  The names for gravity
     are "gravity" (vector in the world frame) and "gravity.strength".  Names without values,
-    or "all" for inertias and placements, keep the present values.  So do parameters of the system
+    or "all" for inertias and placements, keep the current values.  So do parameters of the system
     (System.parameters).
 
     The scene converts its options: joint values by name to arrays, motions of prescribed joints
@@ -104,15 +104,15 @@ class Scene(SceneFields):
             option = SCENE_OPTIONS[name]
             both = [other for other in option.replaces if other in stated]
             if both and option.scope:
-                raise InputError(f"{name} stands for {option.scope}; do not give {both[0]} with it")
+                raise InputError(f"{name} sets {option.scope}; do not combine it with {both[0]}")
             if both:
-                raise InputError(f"give {both[0]} or {name}, not both: each fixes the other")
+                raise InputError(f"give {both[0]} or {name}, not both: each determines the other")
         if self.keyframe is not None:
             check_keyframe(self.system, self.keyframe)
         states = {"seed", "keyframe", *SCENE_OPTIONS["seed"].replaces}
         if self.system.initial is None and states.isdisjoint(stated):
             raise InputError(
-                f"'{self.system.name}' comes with no initial state; "
+                f"'{self.system.name}' has no default initial state; "
                 "give x0, xdot0, xi0 or momentum, or seed= for a random one"
             )
 

@@ -30,8 +30,8 @@ def check_tolerances(method: Method, rtol: float, atol: float) -> None:
     options = [name for name, value in (("rtol", rtol), ("atol", atol)) if is_given(value)]
     if options and _has_tolerances(method):
         raise InputError(
-            f"{options[0]} is given beside a method with tolerances of its own, {method}; give "
-            f"{method.name} without rtol and atol to have the scene's, or the scene none"
+            f"{options[0]} conflicts with the tolerances of the method {method}. Give tolerances "
+            f"either to the scene or to {method.name}."
         )
 
 

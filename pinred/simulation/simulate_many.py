@@ -73,7 +73,7 @@ def simulate_many(
         excluded = {**options, "members": members, "seeds": seeds}
         for name, value in excluded.items():
             if value is not None:
-                raise InputError(f"a list of Scenes says all itself; do not give {name} beside it")
+                raise InputError(f"a list of Scenes already contains all options. Omit {name}.")
         if not scenes:
             raise InputError("simulate_many needs at least one member")
         resolved = of_scenes(scenes)

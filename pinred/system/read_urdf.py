@@ -94,7 +94,7 @@ def _check_mass(path: Path, model: pin.Model, file_mass: float) -> None:
     model_mass = sum(inertia.mass for inertia in model.inertias)
     if abs(model_mass - file_mass) > 1e-9 * max(model_mass, file_mass):
         raise ModelError(
-            f"{plain_path(path)} gives its links {file_mass:g} kg in all, but Pinocchio reads "
+            f"{plain_path(path)} has links of {file_mass:g} kg in total, but Pinocchio reads "
             f"{model_mass:g} kg; check the inertial elements"
         )
 

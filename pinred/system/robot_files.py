@@ -82,7 +82,7 @@ def read_xml(path: Path) -> ElementTree.Element:
         count, depth = count + 1, depth + 1
         if count > _MOST_ELEMENTS or depth > _DEEPEST:
             deep = depth > _DEEPEST
-            what = f"{_DEEPEST} elements within one another" if deep else f"{count - 1} elements"
+            what = f"{_DEEPEST} nested elements" if deep else f"{count - 1} elements"
             where = f"{plain_path(path)}, line {parser.CurrentLineNumber}"
             raise LoadError(f"{where}: more than {what}")
         builder.start(tag, attributes)

@@ -259,7 +259,7 @@ def test_same_scene_gives_same_bits() -> None:
         ({"xi0": [0.0]}, r"xi0 must have shape \(3,\)"),
         ({"xi0": [0, 0, 0], "momentum": [0, 0, 0]}, "not both"),
         ({"momentum": 1.0}, "momentum must have shape"),
-        ({"seed": 1, "x0": [0.0]}, "do not give x0"),
+        ({"seed": 1, "x0": [0.0]}, "do not combine it with x0"),
         ({"pose0": [0.0]}, "a pose of SE2"),
         ({"times": []}, "times"),
         ({"times": [0.0, 0.0]}, "must increase"),

@@ -386,8 +386,8 @@ def _momentum_range(problem: Problem, momentum: ArrayLike) -> tuple[float, float
     """
     ends = as_floats(momentum, "momentum")
     if ends.shape != (2,) or not np.isfinite(ends).all() or not ends[0] < ends[1]:
-        raise InputError(f"momentum must be (low, high), both finite, low first, got {momentum!r}")
+        raise InputError(f"momentum must be (low, high), finite and increasing, got {momentum!r}")
     low, high = (float(end) for end in ends)
     if (problem.directional and low < 0.0) or (problem.kind == "free" and low == 0.0):
-        raise InputError(f"momentum is |J|, which is above zero on a branch, got {low:g}")
+        raise InputError(f"momentum: expected magnitudes |J| above zero, got {low:g}")
     return low, high

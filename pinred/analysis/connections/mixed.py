@@ -107,7 +107,7 @@ class MixedConnection:
         W = slip_matrix(system, self.slips, shape)
         slip, size = np.abs(W @ v), np.abs(W) @ np.abs(v)
         if (slip > 1e-9 * np.maximum(size, 1e-300)).any():
-            raise InputError(f"the wheels slip with this twist, at {W @ v} m/s; see `velocity`")
+            raise InputError(f"the wheels slip at {W @ v} m/s with this twist; see `velocity`")
         mu = mass_matrix(system, shape)[: system.r] @ v
         return np.asarray(self.free_motions(shape).T @ mu)
 

@@ -135,7 +135,8 @@ def _require_regular_path(mixed: MixedConnection, x: Array) -> None:
     if not health.min() > _LEAST_HEALTH:
         raise SingularInertiaError(
             f"the joints pass the shape {x[int(np.argmin(health))]}, where "
-            f"{mixed.connection.form.what} leave a motion of the body open; keep away from it"
+            f"{mixed.connection.form.what} do not determine the motion of the body. Keep the "
+            "joints away from this shape."
         )
 
 
@@ -143,8 +144,8 @@ def _require_regular(mixed: MixedConnection, time: float, health: float) -> None
     """Raise IntegrationError if P_b is nearly singular; `health` has its initial sign."""
     if not health > _LEAST_HEALTH:
         raise IntegrationError(
-            f"at {time:g} s {mixed.connection.form.what} come to a shape at which they leave a "
-            "motion of the body open; the motion is not defined beyond it"
+            f"at t = {time:g} s the joints reach a shape at which {mixed.connection.form.what} "
+            "do not determine the motion of the body; the motion is not defined beyond this shape"
         )
 
 
@@ -173,7 +174,7 @@ def _integrate(
         dense_output=True,
     )
     if result.status != 0 or not np.isfinite(result.y).all():
-        raise IntegrationError(f"the motion cannot be followed to {t[-1]:g} s: {result.message}")
+        raise IntegrationError(f"the motion cannot be integrated to {t[-1]:g} s: {result.message}")
     return np.asarray(result.y.T), result.sol
 
 

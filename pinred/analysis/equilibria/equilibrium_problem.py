@@ -40,7 +40,7 @@ class Problem:
         system: The system.
         scene: Scene with the forces and prescribed joints.
         kind: "axis": the momentum has a fixed axis, or none (ℝ, SO(2), SE(2), ℝ × SE(2)). "free":
-            its direction in the body is unknown (SO(3), SE(3)). "heavy": gravity turns a pivoted
+            its direction in the body is unknown (SO(3), SE(3)). "heavy": gravity rotates a pivoted
             base, and the upward vertical in the body is unknown.
         active: Indices of the unknown joints.
         cyclic: Indices of the cyclic joints.

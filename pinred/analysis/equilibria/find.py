@@ -25,7 +25,7 @@ from .same_shape import Place, place_of
 from .search import critical_points, minima, polished, residuals, starting_points
 
 MANY_JOINTS = 6  # number of active joints from which only the minimum is guaranteed
-_STARTS = {True: 100, False: 1000}  # number of starts, with many and with few joints
+_STARTS = {True: 100, False: 1000}  # number of starts: {whether there are many joints: starts}
 _MINIMISATIONS = 24  # number of starts from which the energy is also minimised
 _ROUND_OFF = 1e-14  # angles [rad] and direction components below this are set to zero
 _SAME_ENERGY = 1e-8  # largest relative difference of energies within one family
@@ -52,7 +52,7 @@ def relative_equilibria(
     Args:
         system: The system.
         momentum: J = |J| in space [N·m·s]; signed where there is one axis (ℝ: [N·s], SO(2), SE(2),
-            ℝ × SE(2)); about the upward vertical where gravity turns a pivoted base. The linear
+            ℝ × SE(2)); about the upward vertical where gravity rotates a pivoted base. The linear
             momentum is zero in the frame of the centre of mass.
         cyclic: Momenta π of cyclic joints by name; others are zero.
         starts: Number of starts of Newton's method; 1000, or 100 with six or more moving joints.
@@ -73,7 +73,7 @@ def relative_equilibria(
     )  # fmt: skip
     J = finite(momentum, "momentum")
     if problem.directional and J < 0.0:
-        raise InputError(f"momentum: expected |J|, which is not negative, got {J:g}")
+        raise InputError(f"momentum: expected a magnitude |J| of at least 0, got {J:g}")
     if problem.kind == "free" and J == 0.0:
         problem = problem.at_rest()
     many = len(problem.active) >= MANY_JOINTS
@@ -86,7 +86,7 @@ def relative_equilibria(
 def checked_starts(starts: int) -> int:
     """Validate a number of starts, which must be a positive integer."""
     if isinstance(starts, bool) or not (isinstance(starts, (int, np.integer)) and starts > 0):
-        raise InputError(f"starts must be a whole number from 1, got {starts!r}")
+        raise InputError(f"starts must be a positive whole number, got {starts!r}")
     return int(starts)
 
 

@@ -266,11 +266,11 @@ def _growth(stability: Stability) -> str:
 
 
 def pose_of(problem: Problem, up: Array) -> Array:
-    """Return a pose of the base; for a heavy problem, the body direction `up` points upward.
+    """Return a pose of the base; if gravity rotates it, the body direction `up` points upward.
 
     Args:
         problem: The problem.
-        up: Direction in the body, (3,).
+        up: Direction in the body, (3,); it has no effect if gravity does not rotate the base.
     Returns:
         Pose coordinates, (size,).
     """

@@ -155,7 +155,7 @@ def optimal_frame(
     patch: Patch
     if isinstance(limits, Gait):
         if joints is not None or at is not None or nodes is not None:
-            raise InputError("joints, at and nodes go with limits of joints, not with a gait")
+            raise InputError("joints, at and nodes apply to a box of joint limits, not to a gait")
         patch, order = Disc(limits), _DEGREES[2] if degree is None else int(degree)
     else:
         order = _DEGREES[min(len(np.atleast_1d(limits)), 3)] if degree is None else int(degree)

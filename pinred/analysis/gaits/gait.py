@@ -36,7 +36,7 @@ class Gait:
             raise InputError("arcs: expected at least one arc")
         ends = [arc.at(np.array([0.0, 1.0]))[0] for arc in self.arcs]
         if not all(np.isfinite(end).all() for end in ends):
-            raise InputError("a gait must be finite")
+            raise InputError("a gait must consist of finite numbers")
         size = max(1.0, *(float(np.abs(end).max(initial=0.0)) for end in ends))
         for k, end in enumerate(ends):
             following = ends[(k + 1) % len(ends)][0]
@@ -283,12 +283,12 @@ class Gait:
 
     @property
     def amplitude(self) -> Array:
-        """Half the range of each joint, (m,)."""
+        """Half the distance between minimum and maximum of each joint in the gait, (m,)."""
         return np.asarray(0.5 * (self.limits[:, 1] - self.limits[:, 0]))
 
     @property
     def centre(self) -> Array:
-        """Middle of the range of each joint, (m,)."""
+        """Mean of minimum and maximum of each joint in the gait, (m,)."""
         return np.asarray(self.limits.mean(axis=1))
 
     def lasting(self, period: float) -> Gait:

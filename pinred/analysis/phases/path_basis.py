@@ -371,6 +371,6 @@ def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = Non
 
 
 def _sum_over_nodes(basis: PathBasis, derivatives: Array) -> Array:
-    """Convert derivatives (N, 2m) with respect to (x, x′) to derivatives (K, m) by coefficients."""
+    """Convert derivatives for (x, x′) at the nodes, (N, 2m), to those for coefficients, (K, m)."""
     by_x, by_slope = np.split(derivatives[:, None], 2, axis=2)
     return np.asarray(by_coefficients(basis, by_x, by_slope)[0])

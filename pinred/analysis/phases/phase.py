@@ -40,8 +40,8 @@ class Phase:
     Attributes:
         group: Symmetry group.
         pose: Group element g of the cycle, (size,); the base starts at the identity.
-        error: Error estimate, the difference to half as many samples: rotation [rad] and
-            translation [m].
+        error: Estimated error, the difference from the pose with half as many samples: rotation
+            [rad] and translation [m].
         geometric: Geometric phase, the end of the horizontal lift, (size,); equal to g at zero
             momentum.
         momentum: Body momentum at the start of the cycle, (r,).
@@ -193,7 +193,7 @@ def _momentum(connection: Connection, momentum: ArrayLike | float) -> Array:
         return np.zeros(connection.r)
     mu = vector(np.asarray(momentum), connection.r, "momentum", connection.group.twist_names)
     if mu.any() and not connection.form.momentum:
-        raise InputError(f"{connection.form.what} carry no momentum; leave momentum out")
+        raise InputError(f"{connection.form.what} define no momentum. Omit momentum=.")
     return mu
 
 
@@ -215,7 +215,7 @@ def _power(group: Group, g: Array, n: int) -> Array:
 
 @dataclass(frozen=True)
 class Sampled:
-    """A gait with the body twists that the connection gives at its samples.
+    """A gait with the body twists that the connection determines at its samples.
 
     Attributes:
         segments: Body twists at the Gauss nodes.

@@ -87,7 +87,7 @@ def second_variation(energy: AmendedEnergy, point: Points, J: float) -> SecondVa
     transverse = values[~flat] if dimension == int(flat.sum()) else values
     index = int((transverse < -floor).sum())
     positive = bool((transverse > floor).all())
-    # A free body without joints changes only its direction; a heavy one also swings about it.
+    # A free body without joints changes only its direction; under gravity it also swings.
     negative = bool((transverse < -floor).all()) and not problem.active and problem.kind == "free"
     definite = positive or negative
     if not definite and problem.kind == "heavy" and not problem.active:

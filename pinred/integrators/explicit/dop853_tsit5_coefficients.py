@@ -42,7 +42,7 @@ _TSIT5_DENSE = (
 
 @once_for_all
 def dop853_tableau() -> Tableau:
-    """Return the coefficients of DOP853, from SciPy's copy of Hairer's code."""
+    """Return the coefficients of DOP853, which are taken from SciPy."""
     from scipy.integrate._ivp import dop853_coefficients as scipy
 
     return Tableau(scipy.A.copy(), np.array([scipy.E5, scipy.E3]), scipy.D.copy())

@@ -35,7 +35,7 @@ from .timing import alternating, repeated
 PROBLEMS = {"double_spherical_pendulum": 2.0, "planar_chain5": 1.0}
 ROUTES = ("pinred.floquet", "differences of pinred.simulate", "SciPy's DOP853 over the kernel")
 _ROUNDS = 5
-_STEP = 1e-4  # step of the finite differences, in shape [rad] and its momentum
+_STEP = 1e-4  # step of the finite differences of shape [rad] and momentum [kg m²/s]
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,9 @@ def axis_aim(group: Group, kind: AimKind, axis: str | ArrayLike | None) -> AxisA
         raise InputError(f"the group {group.name} has no {kind}; its twists are {_names(group)}")
     if axis is None:
         if size > 1 and kind == "rotation":
-            raise InputError("rotation in space needs an axis: 'x', 'y', 'z' or a vector (3,)")
+            raise InputError(
+                "axis: expected 'x', 'y', 'z' or a vector (3,) for a rotation in space, got None"
+            )
         return AxisAim(group, kind, np.eye(size)[0])
     axes = group.axes[group.linear :] if kind == "rotation" else group.axes[: group.linear]
     if isinstance(axis, str):
@@ -247,8 +249,8 @@ def check_cost(connection: Connection, kind: str) -> None:
         raise InputError(f"unknown cost {kind!r}; the costs are {', '.join(COSTS)}")
     if kind != "time" and not connection.has_metric:
         raise InputError(
-            f"{connection.form.what} give no metric on shape space, so that no cost but time "
-            f"is defined; got {kind!r}"
+            f"cost: expected 'time', got {kind!r}, because {connection.form.what} define no metric "
+            "on shape space"
         )
 
 
@@ -334,7 +336,7 @@ def cost_of(
         force = connection.code.covariant_forces(x, slope, bend, np.zeros_like(x))[0]
         M = connection.locals_at(x)[1]
         if M is None:
-            raise InputError(f"{connection.form.what} give no metric on shape space")
+            raise InputError(f"{connection.form.what} define no metric on shape space")
         u: Array = np.linalg.solve(M, force[..., None])[..., 0].astype(float)
         derivatives = 2.0 * connection.code.covariant_forces(x, slope, bend, u)[1]
         derivatives[:, :m] -= _squares(connection, x, u)[:, :m]

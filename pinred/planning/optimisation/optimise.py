@@ -184,15 +184,15 @@ def _task(
     if connection.m < 2:
         raise InputError("a loop needs two joints: a single joint can only retrace its path")
     if (objective == "target") != (target is not None):
-        raise InputError("objective 'target' and target= require each other")
+        raise InputError(
+            "objective 'target' requires target=, and target= requires objective 'target'"
+        )
     if cost is not None:
         check_cost(connection, cost)
     bounds = limits_of(connection, limits, speeds, torques)
     limited = np.isfinite(bounds.torque).any()
     if limited and not connection.has_metric:
-        raise InputError(
-            f"torques: {connection.form.what} define no joint torques; leave torques out"
-        )
+        raise InputError(f"torques: {connection.form.what} define no joint torques. Omit torques=.")
     if cost == "time" and not (limited or np.isfinite(bounds.speed).any()):
         raise InputError(
             "cost 'time' needs limits of speeds or torques, which bound the period from below"
@@ -200,14 +200,14 @@ def _task(
     aim: AxisAim | TargetAim
     if target is not None:
         if cost is None or most is not None:
-            raise InputError("objective 'target' minimises a cost: give cost=, and leave most out")
+            raise InputError("objective 'target' minimises a cost. Give cost= and omit most=.")
         if axis is not None:
-            raise InputError("axis: a target has no axis; leave axis out")
+            raise InputError("axis: expected none with a target. Omit axis=.")
         aim = target_aim(connection.group, target)
     else:
         aim = axis_aim(connection.group, objective, axis)
     if most is not None and cost is None:
-        raise InputError("most is a bound on a cost: give cost=")
+        raise InputError("most= bounds a cost. Give cost= as well.")
     if cost is None and connection.m > 2:
         raise InputError(
             f"cost: expected a cost for {connection.m} joints, got None; without cost, a cycle "
@@ -231,8 +231,8 @@ def _check_loops(
     whole(seed, "seed", 0)
     if winding not in (1, None):
         raise InputError(
-            f"winding is 1, or None for any, got {brief(winding)}: n turns have n times the effect "
-            "for n times the cost"
+            f"winding must be 1, or None for any number, got {brief(winding)}: n turns have n "
+            "times the effect for n times the cost"
         )
     if winding is None and task.cost is None:
         raise InputError(
@@ -240,15 +240,15 @@ def _check_loops(
         )
     if vertices is not None:
         if task.connection.m != 2:
-            raise InputError(f"a polygon is for two joints, not {task.connection.m}")
+            raise InputError(f"vertices: a polygon needs two joints, got {task.connection.m}")
         whole(vertices, "vertices", 3)
         if task.cost not in (None, "length"):
             raise InputError(
-                f"the {task.cost} of a polygon is infinite at its corners; leave vertices out"
+                f"the {task.cost} of a polygon is infinite at its corners. Omit vertices=."
             )
         if np.isfinite(task.limits.speed).any() or np.isfinite(task.limits.torque).any():
             raise InputError(
-                "limits on speeds and torques need a smooth loop; leave vertices or limits out"
+                "limits of speeds and torques need a smooth loop. Omit vertices=, or these limits."
             )
 
 

@@ -375,7 +375,7 @@ def _create_plan(
     """Return a plan with final pose `end`.  Raises StartFailed if it is not the target."""
     remaining = float(np.linalg.norm(aim.error(end)[0]))
     if not remaining <= n * _REMAINING:
-        raise StartFailed(f"the loop leaves {remaining:.1e} rad of the target")
+        raise StartFailed(f"the final attitude misses the target by {remaining:.1e} rad")
     shape_margins = margins(request.connection, gait, _shape_limits(request.bounds))
     return TurnPlan(
         system=request.system, aim=aim, gait=gait.lasting(seconds / n), cycles=n, duration=seconds,

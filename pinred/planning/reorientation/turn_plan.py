@@ -105,6 +105,6 @@ class TurnPlan:
             f"  remaining [rad]         {self.remaining:.1e}",
         ]
         if self.momentum.any():
-            lines.append(f"  tumble left [rad/s]     {self.tumble:.6g}, which momentum fixes")
+            lines.append(f"  tumble left [rad/s]     {self.tumble:.6g}, determined by the momentum")
         lines += [f"  margin to {name:<13} {value:.3g}" for name, value in self.margins.items()]
         return "\n".join(lines)

@@ -193,7 +193,7 @@ class _Tree:
         return screws, inertias
 
     def _on_shape(self, H: Array, dH: Array, d2H: Array, *com: Array) -> InertiaDerivatives:
-        """Convert derivatives by all joints x = G y + b to derivatives by the shape y."""
+        """Convert derivatives with respect to all joints x = G y + b to those for the shape y."""
         coupled, r = self._system.coupled, self._root.shape[1]
         c, dc, d2c = com[0][:, 0, 0], np.moveaxis(com[1][:, 0], 1, -1), np.moveaxis(com[2], 3, 1)
         if coupled is None:

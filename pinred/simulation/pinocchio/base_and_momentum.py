@@ -66,7 +66,7 @@ class Base:
         return out
 
     def body_weight(self, b: Array) -> Array:
-        """Return gravity's force (3,) [N] in the body frame if gravity turns the base, else 0."""
+        """Return gravity's force (3,) [N] in the body frame if gravity rotates the base, else 0."""
         if not self._weight.any():
             return self._weight
         attitude, down, _, _ = self.parts.split(b)

@@ -87,7 +87,7 @@ class PinocchioFlow:
         return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b), base)
 
     def _in_space(self, t: float, b: Array, x: Array, v: Array, com: Array) -> BaseInSpace:
-        """Return the base as seen from the world; v, (n,), is relative to the centre of mass."""
+        """Return the base in the fixed frame; v, (n,), is relative to the centre of mass."""
         system, times = self._system, np.array([t])
         r = system.r
         pose = self.base.pose(b[None], com[None], times)[0]

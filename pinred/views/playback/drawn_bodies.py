@@ -237,7 +237,7 @@ def _on_joint(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]
     if entry.parentJoint == 0:
         return int(not raw.existJointName(system.root_name)), entry.placement
     if not system.model.existJointName(name):
-        raise LoadError(f"shape '{entry.name}' sits on joint '{name}', which is frozen")
+        raise LoadError(f"shape '{entry.name}' is attached to joint '{name}', which is locked")
     return system.model.getJointId(name), entry.placement
 
 

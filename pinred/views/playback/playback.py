@@ -94,7 +94,7 @@ def playback(source: MotionSource, view: View) -> Playback:
     if view.ghost:
         if not isinstance(source, Trajectory):
             raise InputError(
-                "a file of a motion holds no forces, so the full simulation cannot be run; play "
+                "a file of a motion contains no forces, so the full simulation cannot be run; play "
                 "the trajectory or its scene file with ghost=True"
             )
         ghost = _ghost(source, states.t, placements)
@@ -124,7 +124,7 @@ def frame_times(source: MotionSource, view: View, most: int, *, even: bool = Fal
     if isinstance(source, Recording):
         start, end = float(source.t[0]), float(source.t[-1])
         if len(source.t) < 2:
-            raise InputError(f"{source.path} holds one time only; a film needs two at least")
+            raise InputError(f"{source.path} contains only one time; a film needs at least two")
     else:
         start, end = 0.0, source.scene.end
     requested = min((end - start) / view.speed * view.fps, 1e15)

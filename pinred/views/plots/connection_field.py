@@ -128,7 +128,7 @@ def _pair(source: Connection, joints: Sequence[str | int] | None) -> list[int]:
         for item in selected
     ]
     if pair[0] == pair[1] or not all(0 <= k < source.m for k in pair):
-        raise InputError(f"joints must be two different ones of {', '.join(source.joints)}")
+        raise InputError(f"joints must be two distinct joints of {', '.join(source.joints)}")
     return pair
 
 

@@ -44,7 +44,10 @@ class Labels:
                 )
             return self.joints.index(joint)
         if isinstance(joint, bool) or not 0 <= joint < len(self.joints):
-            raise InputError(f"joint {joint!r} is not among the {len(self.joints)} joints from 0")
+            raise InputError(
+                f"joint index {joint!r} is out of range for {len(self.joints)} joints, counted "
+                "from 0"
+            )
         return int(joint)
 
     def indices(self, joints: Sequence[str | int] | str | int) -> list[int]:
@@ -52,7 +55,7 @@ class Labels:
         names = [joints] if isinstance(joints, (str, int)) else list(joints)
         indices = [self.index(joint) for joint in names]
         if not indices or len(set(indices)) != len(indices):
-            raise InputError(f"joints must be different ones, at least one, got {names}")
+            raise InputError(f"joints must be one or more distinct joints, got {names}")
         return indices
 
     def panels(self, joints: Sequence[str | int] | str | int | None = None) -> list[list[int]]:

@@ -153,7 +153,7 @@ def _is_all_energy(states: State, system: System) -> bool:
 
 def _remark(names: Labels, landscape: _Landscape | None, values: Array | None) -> str:
     if landscape is None or values is None:
-        return f" (gravity turns the pivot: no potential on the shape of {names.group} alone)"
+        return f" (gravity rotates the base: no potential on the shape of {names.group} alone)"
     if _is_flat(values):
         return f" (the amended potential is {values.flat[0]:.4g} J everywhere)"
     return "" if landscape.is_exact else f", potential for μ of t = {landscape.time:g} s"

@@ -120,7 +120,7 @@ def error(compared: Report | Trajectory) -> Figure:
         compared = compare(compared)
     if isinstance(compared, Recording):
         raise InputError(
-            f"{compared.path} holds no forces, so the full simulation cannot be run; "
+            f"{compared.path} contains no forces, so the full simulation cannot be run; "
             "plot the error of the robot or of its scene file"
         )
     if not isinstance(compared, Report):
@@ -160,17 +160,18 @@ def momentum(motion: MotionSource) -> Figure:
     """Draw the spatial momentum over time, and its drift on a logarithmic axis.
 
     The momentum is expressed in the root joint's fixed frame, about its origin. The drift is the
-    largest of the linear and of the angular components. For a Trajectory it is the relative drift
-    of `compare`: Pinocchio computes the momentum from q and v, and free fall and impulses are
-    subtracted; the angular momentum is about the centre of mass if the group translates. For a
-    recording the drift is the change since the start.
+    largest change of a linear component, and of an angular component. For a Trajectory it is the
+    relative drift that `compare` reports: Pinocchio computes the momentum from q and v, and the
+    effects of free fall and of impulses are subtracted. If the group contains translations, the
+    angular momentum is then about the centre of mass. For a recording the drift is the change since
+    the start.
 
     Args:
         motion: Trajectory, or a recording read from a file.
     Returns:
         The figure.
     Raises:
-        InputError: The base was left out.
+        InputError: The motion was simulated without its base (outputs="shape").
     """
     names = labels(motion)
     group = group_named(names.group)
