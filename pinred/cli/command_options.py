@@ -88,7 +88,7 @@ def options_in(arguments: argparse.Namespace, keys: Mapping[str, Key]) -> dict[s
 
 def add_robot(sub: argparse.ArgumentParser, text: str = ROBOT) -> None:
     """Add a robot and the options of loading it; `text` describes the accepted values."""
-    from ..scene.toml.keys import LOAD
+    from ..scene.load_options import LOAD
 
     sub.add_argument("robot", metavar="ROBOT", help=text)
     add_options(sub, {name: key for name, key in LOAD.keys.items() if key.command})
@@ -125,7 +125,7 @@ def refuse_of_robots(arguments: argparse.Namespace, source: str, *names: str) ->
 
 def system_of(arguments: argparse.Namespace) -> System:
     """Load the robot that the options of add_robot name."""
-    from ..scene.toml.keys import LOAD
+    from ..scene.load_options import LOAD
     from ..system.load import load
 
     parameters = parameters_in(arguments.parameter)
@@ -322,7 +322,7 @@ def _method(arguments: argparse.Namespace) -> str:
 
 def add_source(sub: argparse.ArgumentParser) -> None:
     """Add the options that name a connection and a gait."""
-    from ..scene.toml.keys import LOAD
+    from ..scene.load_options import LOAD
 
     text = "gait file (.toml), or robot: a name (see `pinred robots`) or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)

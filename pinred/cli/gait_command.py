@@ -19,7 +19,7 @@ _SAMPLES = 400  # number of samples of a cycle in a file
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     from ..planning.gait_file import OPTIMISE
-    from ..scene.toml.keys import LOAD
+    from ..scene.load_options import LOAD
 
     text = "gait file (.toml) with connection and objective, or robot: a name or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)

@@ -1,22 +1,19 @@
 """Checks of scene options that need more than the type of the value.
 
-The options are the seed, the keyframe, tolerances, report times and lists of forces, and the time
-span that signals and controllers cover.
+The options are the seed, the keyframe, report times and lists of forces, and the time span that
+signals and controllers cover.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..common.arrays import Array, as_floats, entries_of, positive
-from ..common.default_marker import is_given
 from ..common.errors import InputError, ShapeError
 from ..common.names import brief, listed, one_of
 from ..forces.force import Force
-from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
 from ..system.system import System
 from .random_state import DURATION
 
@@ -36,44 +33,6 @@ def check_keyframe(system: System, name: str) -> str:
             f"keyframe: '{system.name}' has no keyframe {brief(name)}; the keyframes are {valid}"
         )
     return name
-
-
-def check_tolerances(method: Method, rtol: float, atol: float) -> None:
-    """Reject tolerances that both the scene and its method state.
-
-    Args:
-        method: Integrator of the scene.
-        rtol: Relative tolerance of the scene.
-        atol: Absolute tolerance of the scene.
-    Raises:
-        InputError: the scene and the method both have tolerances.
-    """
-    options = [name for name, value in (("rtol", rtol), ("atol", atol)) if is_given(value)]
-    if options and _has_tolerances(method):
-        raise InputError(
-            f"{options[0]} conflicts with the tolerances of the method {method}. Give tolerances "
-            f"either to the scene or to {method.name}."
-        )
-
-
-def with_tolerances(method: Method, rtol: float, atol: float) -> Method:
-    """Return a method with the tolerances of its scene.
-
-    Args:
-        method: Integrator.  It stays unchanged if it has equal steps or its own tolerances.
-        rtol: Relative tolerance; raised to the smallest one that the method can keep.
-        atol: Absolute tolerance.
-    Returns:
-        The method with tolerances.
-    """
-    if not isinstance(method, ErrorControl) or _has_tolerances(method):
-        return method
-    least = 0.0 if isinstance(method, AdaptiveGauss) else DOP853_LEAST
-    return replace(method, rtol=max(rtol, least), atol=atol)
-
-
-def _has_tolerances(method: Method) -> bool:
-    return isinstance(method, ErrorControl) and (is_given(method.rtol) or is_given(method.atol))
 
 
 def compute_report_times(times: Any, duration: float | None, system: System) -> Array:

@@ -25,10 +25,8 @@ from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .option_checks import (
     check_keyframe,
     check_span,
-    check_tolerances,
     compute_report_times,
     list_forces,
-    with_tolerances,
 )
 from .parameters import GivenParameters, given_parameters
 from .passive_forces import acting_passive, check_passive, passive_left_out
@@ -36,16 +34,12 @@ from .random_state import random_state
 from .scene_options import ENGINES as ENGINES
 from .scene_options import OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields
 from .scene_options import Engine as Engine
+from .tolerances import MOMENTUM_MARGIN, TIGHTEST, check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
     from ..common.parameter import Parameter
     from ..forces.force_model import ForceModel
     from ..forces.formula import Watched
-
-TIGHTEST = 1e-14  # smallest relative tolerance; below it round-off controls the step size
-# Momenta are integrated, but users need rates.  If a light joint is attached to heavy links, a
-# relative error of a momentum causes a larger relative error of the light joint's rate.
-MOMENTUM_MARGIN = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -36,9 +36,10 @@ from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
 from .passive import passive_contents
+from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_file_contents import Contents, Coupling, Origin
-from .robot_files import is_mjcf, read_description, read_text, read_xml
+from .robot_files import is_mjcf, read_text, read_xml
 from .system import System
 from .urdf_elements import mimic_couplings
 from .visuals import Visuals, mesh_folders, with_visuals
@@ -207,7 +208,7 @@ def _read(
     name = str(source)
     origin = Origin(name, locked, meshes=folders)
     if (robot := catalogue.bundled_robots().get(name)) is not None:
-        raw, couplings = read_description(robot.path)
+        raw, couplings = read_urdf(robot.path)
         raw.gravity.linear = np.array(robot.gravity)
         group = group or group_named(robot.group)
         initial = None
@@ -216,7 +217,7 @@ def _read(
             initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
         return _Robot(raw, couplings, name, origin, group, initial)
     if is_path(name):
-        raw, couplings = read_description(Path(source))
+        raw, couplings = read_urdf(Path(source))
         origin = replace(origin, source=str(Path(source).absolute()))
         return _Robot(raw, couplings, Path(source).stem, origin, group)
     return _Robot(*_example(name), name, origin, group)
@@ -281,7 +282,7 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
         )
     robot = catalogue.example_robot(name)
     if robot.build is None:
-        model, couplings = read_description(robot.urdf)
+        model, couplings = read_urdf(robot.urdf)
     else:
         model, couplings = without_mimics(robot.build().robot.model)
         if not couplings:

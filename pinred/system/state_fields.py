@@ -1,8 +1,12 @@
 """The fields of a state, in one table, and the classes State and ShapeState with these fields.
 
-Files, labelled arrays, kernels and flows read names, axes and units from FIELDS.  To add a field,
-add it to FIELDS, to State (and to ShapeState if it does not need the base), to StateArrays, and
-to Outcome if flows differentiate it.
+Files, labelled arrays, kernels and flows read names, axes and units from FIELDS.  To add a field:
+
+1. Add it to FIELDS, to State (and to ShapeState if it does not need the base), to StateArrays,
+   and to Outcome if flows differentiate it.
+2. Compute its value for the compiled engine in kernels/reduced_graph.py, or in
+   kernels/base_graph.py if it needs the base.
+3. Compute its value for the other engine in `states()` of simulation/pinocchio/pinocchio_flow.py.
 """
 
 from __future__ import annotations

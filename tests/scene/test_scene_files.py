@@ -40,8 +40,9 @@ from pinred.integrators.methods import (
     Tsit5,
     Variational,
 )
+from pinred.scene.load_options import LOAD
 from pinred.scene.toml.force_kinds import FORCES
-from pinred.scene.toml.keys import LOAD, SCENE
+from pinred.scene.toml.keys import SCENE
 from pinred.scene.toml.method_tables import METHOD_TABLES
 from pinred.scene.toml.reader import read_scene_file
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline

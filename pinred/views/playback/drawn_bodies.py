@@ -18,7 +18,8 @@ from ...system.catalogue import bundled_robots, example_robot
 from ...system.mjcf.compile import compiled
 from ...system.mjcf.mujoco_joints import frame
 from ...system.mjcf.world import World, robot_in
-from ...system.robot_files import URDFDOM, is_mjcf, read_text
+from ...system.read_urdf import URDFDOM
+from ...system.robot_files import is_mjcf, read_text
 from ...system.system import System
 from ...system.visuals import Visuals, mesh_folders
 
