@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, dimensions, freeze, vector
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError
 from ..common.names import quoted
 from ..reduction.pointwise_reduction import PointwiseReduction
@@ -56,7 +55,7 @@ class GivenStates:
 
 
 @dataclass(frozen=True)
-class Start:
+class Start(FrozenArrays):
     """A complete initial state; arrays are read-only.
 
     Attributes:
@@ -76,9 +75,6 @@ class Start:
     mu: Array
     mass_matrix: Array
     com: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def start_of(system: System, given: GivenStates) -> Start:
@@ -109,20 +105,6 @@ def finite_start(*arrays: Array | None) -> None:
         raise InputError("the initial momentum or twist overflows: rates or momentum too large")
 
 
-def momentum_vector(momentum: ArrayLike, system: System) -> Array:
-    """Return the body momentum that the option `momentum` states, (r,).
-
-    A single number states the momentum of a group of dimension one.  A plain 0 means zero momentum
-    for every group.
-
-    Raises:
-        ShapeError: The momentum has the wrong shape or is not finite.
-    """
-    repeated = dimensions(momentum) == 0 and (system.r == 1 or momentum == 0)
-    entries: Any = [momentum] * system.r if repeated else momentum
-    return vector(entries, system.r, "momentum")
-
-
 def refuse_vague(x: Array, system: System) -> None:
     """Reject angles of a shape (m,) at which adjacent floats differ by more than 1e-6 rad.
 
@@ -132,9 +114,9 @@ def refuse_vague(x: Array, system: System) -> None:
     for name, angle in _angles(x, system):
         if np.spacing(abs(angle)) > _RESOLUTION:
             raise InputError(
-                f"x0: the angle of joint {quoted(name)}, {angle:g} rad, is known to "
-                f"{np.spacing(abs(angle)):.1g} rad only, so its sine means nothing; give it "
-                "within a turn"
+                f"x0: the angle of joint {quoted(name)}, {angle:g} rad, is only accurate to "
+                f"{np.spacing(abs(angle)):.1g} rad, so its sine is meaningless. Reduce it to one "
+                "turn."
             )
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError, ModelError
 from ..common.names import listed, quoted
 from .locked_joints import Tie
@@ -23,7 +23,7 @@ _SAME = 1e-9  # tolerance between a follower's locked value and the value of its
 
 
 @dataclass(frozen=True, eq=False)
-class Coupled:
+class Coupled(FrozenArrays):
     """All M joints of a tree as functions of the m independent joints.  Arrays are read-only.
 
     Attributes:
@@ -35,9 +35,6 @@ class Coupled:
     leads: NDArray[np.intp]
     G: Array
     offset: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def terms(self, joint: int) -> list[tuple[int, float]]:
         """Return the nonzero entries of a joint's row of G, [(index of the coordinate, ratio)]."""
@@ -114,7 +111,7 @@ def resolved(
             leaders = listed([*direct[coupling.follower].leaders, *coupling.leaders])
             raise ModelError(
                 f"joint {quoted(coupling.follower)} follows several joints: {leaders}; "
-                "leave all of its couplings out but one"
+                "remove all of its couplings but one"
             )
         direct[coupling.follower] = coupling
     independent: dict[str, Coupling] = {}
@@ -124,7 +121,7 @@ def resolved(
             circle = _circle(direct)
             raise ModelError(
                 f"joints follow each other in a circle: {listed(circle, len(circle))}; "
-                "leave one of the couplings out"
+                "remove one of the couplings"
             )
         for name in ready:
             independent[name] = _with_independent(direct.pop(name), independent)
@@ -138,23 +135,23 @@ def _check(coupling: Coupling, joints: Sequence[str], root: str) -> None:
     if coupling.follower == root:
         raise ModelError(
             f"the root joint {quoted(root)} follows {leaders}, but its motion is the "
-            f"symmetry and follows none; lock {leaders}, and it is locked with it"
+            f"symmetry, so it cannot follow a joint. Lock {leaders}; the root is then locked, too."
         )
     if unknown:
         raise ModelError(
             f"joint {follower} follows {quoted(unknown[0])}, which is not behind the "
-            f"root joint {quoted(root)}, whose motion is the symmetry and leads none; "
-            f"lock {quoted(unknown[0])}, and what follows it is locked with it"
+            f"root joint {quoted(root)}; the motion of the root is the symmetry, so the root "
+            f"cannot lead a joint. Lock {quoted(unknown[0])}; its followers are then locked, too."
         )
     if coupling.follower not in joints:
         raise ModelError(
-            f"a coupling makes {follower} follow {leaders}, but there is "
-            "no such joint that moves about or along one axis"
+            f"a coupling makes {follower} follow {leaders}, but no joint {follower} moves about or "
+            "along one axis"
         )
     if not np.isfinite([*coupling.ratios.values(), coupling.offset]).all():
         raise ModelError(
-            f"joint {follower} follows {leaders} by {[*coupling.ratios.values()]} and "
-            f"{coupling.offset}, which are not finite"
+            f"joint {follower} follows {leaders} with ratios {[*coupling.ratios.values()]} and "
+            f"offset {coupling.offset}, which must be finite"
         )
 
 
@@ -206,8 +203,8 @@ def with_followers(
     if unknown:
         follower, leader = unknown[0]
         raise ModelError(
-            f"joint {quoted(follower)} follows {quoted(leader)}, which is no "
-            "joint that can move; name one that is, or lock the joint: "
+            f"joint {quoted(follower)} follows {quoted(leader)}, which is "
+            "not a moving joint; name a moving joint, or lock the follower: "
             f"lock={[name for name, _ in unknown]}"
         )
     if not any(name in lock for c in active for name in (c.follower, *c.leaders)):
@@ -220,8 +217,8 @@ def with_followers(
         if not set(independent.leaders) <= lock.keys():
             if name in lock:
                 raise InputError(
-                    f"lock: joint '{name}' follows {leaders} ({independent}); lock "
-                    f"{leaders}, and it is locked with it"
+                    f"lock: joint '{name}' follows {leaders} ({independent}). Lock "
+                    f"{leaders}; the followers are then locked, too."
                 )
             in_part = not lock.keys().isdisjoint(independent.ratios)
             remaining.append(with_constants(independent, lock) if in_part else coupling)
@@ -229,8 +226,8 @@ def with_followers(
         value = with_constants(independent, lock).offset
         if abs(values.get(name, value) - value) > _SAME:
             raise InputError(
-                f"lock: joint '{name}' follows {leaders}, which puts it at "
-                f"{value:g}, not {lock[name]:g}; lock {leaders} alone"
+                f"lock: joint '{name}' follows {leaders}, which requires "
+                f"the value {value:g}, not {lock[name]:g}. Lock only {leaders}."
             )
         values[name] = value
     return values, tuple(remaining)

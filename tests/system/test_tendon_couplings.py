@@ -191,7 +191,7 @@ REFUSED = {
     "held joint": ('<tendon tendon1="one" polycoef=".3"/>', r"lock={'knee0': 0.1}"),
     "held by two": (
         '<tendon tendon1="a"/><joint joint1="knee0" joint2="pitch0" polycoef="0 2 0 0 0"/>',
-        "joint that is held",
+        "equality that fixes a joint",
     ),
 }  # fmt: skip
 

@@ -89,8 +89,8 @@ def _tendon_couplings(tree: Tree) -> list[Coupling]:
     for name, (value, constraint) in laws.held.items():
         if name not in values:
             raise ModelError(
-                f"a joint that is held is not supported: joint '{name}' by equality "
-                f"'{constraint}'; lock it there (lock={{'{name}': {value:g}}}), or remove the "
+                f"an equality that fixes a joint is not supported: joint '{name}' by equality "
+                f"'{constraint}'; lock the joint (lock={{'{name}': {value:g}}}), or remove the "
                 "constraint"
             )
     free = [coupling for coupling in laws.couplings if coupling.follower not in values]
@@ -152,7 +152,7 @@ def _coupling(tree: Tree, constraint: Constraint) -> Sequence[Coupling]:
     words = f"joint '{follower.name}' by equality '{constraint.name}'"
     if second < 0:
         raise ModelError(
-            f"a joint that is held is not supported: {words}; lock it there "
+            f"an equality that fixes a joint is not supported: {words}; lock the joint "
             f"(lock={{'{follower.name}': {follower.q0 + c0:g}}}), or remove the constraint"
         )
     if first not in free:  # The follower is frozen, so the constraint would freeze its leader.
@@ -160,14 +160,14 @@ def _coupling(tree: Tree, constraint: Constraint) -> Sequence[Coupling]:
     leader = joint_of(world, second)
     if any(higher):
         raise ModelError(
-            f"a joint that follows '{leader.name}' otherwise than in proportion is not supported: "
+            f"a joint that follows '{leader.name}' nonlinearly is not supported: "
             f"{words}; lock it (lock=['{follower.name}']), write a polynomial of degree one, or "
             "remove the constraint"
         )
     if second not in free:
         raise ModelError(
-            f"'{leader.name}', which leads {words}, cannot move; lock the follower as well "
-            f"(lock=['{follower.name}']), or remove the constraint"
+            f"'{leader.name}' is the leader of {words}, but it is locked; lock the follower as "
+            f"well (lock=['{follower.name}']), or remove the constraint"
         )
     return (proportional(follower, leader, constraint),)
 
