@@ -160,8 +160,8 @@ def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         ) from error
     if any(_contains_nan(value) for value in terms.expressions):
         raise InputError(
-            f"{force.label} is not a number at any time, as what Python's math makes of "
-            f"symbols is: {_INSTEAD}"
+            f"{force.label} is NaN at all times, because functions of Python's math return NaN for "
+            f"symbols: {_INSTEAD}"
         )
     return terms
 

@@ -292,7 +292,9 @@ class ForceModel:
         if at.base is not None:
             base: tuple[Array, ...] = (at.base.pose, at.base.xi, at.base.mu, at.base.J)
         elif self.sees_attitude or self.sees_place:
-            raise InputError("these forces see the base; give base= with its pose and momenta")
+            raise InputError(
+                "these forces depend on the base; give base= with its pose and momenta"
+            )
         else:
             base = self._unseen
         return at.t, at.x, at.xdot, at.xi, at.mu, at.numbers, *base, self.robot

@@ -30,8 +30,8 @@ from .hairer_integrators import Hairer
 from .system_totals import SystemTotals
 
 FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy
-OFFSET = 1e-5  # least length unit, as fraction of the distance from the origin (round-off)
-SPREAD_MARGIN = 10.0  # assumed round-off over the difference of two evaluations of one quantity
+OFFSET = 1e-5  # least length unit, as a fraction of the distance from the origin
+SPREAD_MARGIN = 10.0  # assumed ratio of round-off to the difference of two evaluations
 PERTURBATION = 1e-6  # relative size of the perturbation whose growth is measured
 # Conditions on time are evaluated at least this fraction of the duration beside their switches.
 _ASIDE = 1e-11
@@ -184,7 +184,7 @@ class FullState:
                     reached = solver.integrate(target)
                     if reached is None:
                         raise IntegrationError(
-                            f"the full simulation of '{self._model.name}' cannot be followed to "
+                            f"the full simulation of '{self._model.name}' cannot be integrated to "
                             f"t = {target:g} s at rtol = {rtol:g}"
                         )
                     y = reached
@@ -216,7 +216,7 @@ class FullState:
             v: Pinocchio's velocity, (nv,).
             momenta: Whether momenta are needed; otherwise the momenta are NaN.
         Returns:
-            The base as seen from the world.
+            The base relative to the root joint's fixed frame.
         """
         r, k = self._r, self._linear
         pose = root.copy()

@@ -33,7 +33,7 @@ _NONE = read_only(np.empty(0))
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """The equations of a plan, either with angular momentum of the base or without.
+    """The system, forces and terms that define the equations of a plan.
 
     Attributes:
         system: The system.
@@ -53,12 +53,12 @@ class Kind:
 
 @dataclass(frozen=True)
 class MemberParameters:
-    """Parameters of each member that replace the plan's; None where the plan's values hold.
+    """Parameters of each member that replace the plan's; None where the plan's values apply.
 
     Attributes:
         numbers: Force parameters, (N, p).
         robot: Variable parameters of the bodies, (N, s).
-        gravity: The part of gravity that acts on the shape or turns the base, (N, 3) [m/s²].
+        gravity: The part of gravity that acts on the shape or rotates the base, (N, 3) [m/s²].
         fall: Acceleration of the centre of mass in free fall, (N, k) [m/s²].
     """
 
@@ -102,7 +102,7 @@ class Acting:
         forces: Forces besides gravity and prescribed joints; None if there are none.
         weight: Gravity force m g in the root joint's fixed frame if it turns a pivoted base,
             else zero, (3,) [N].
-        gravity: The part of gravity that acts on the shape or turns the base, in that frame,
+        gravity: The part of gravity that acts on the shape or rotates the base, in that frame,
             (3,) [m/s²].
         momentum_changes: Whether a force changes the angular momentum of the base.
         cyclic: Indices of the joints whose momentum is constant.
@@ -126,7 +126,7 @@ class Acting:
 
     @property
     def turned(self) -> bool:
-        """Whether gravity turns a pivoted base."""
+        """Whether gravity rotates a pivoted base."""
         return bool(self.weight.any())
 
 
@@ -319,8 +319,8 @@ def _acting(system: System, forces: ForceModel | None, varied: ModelParameters |
         cyclic = tuple(k for k in cyclic if k in always)
     if weighed and weight.any():
         raise SymmetryError(
-            f"gravity turns the base of '{system.name}', so that its accelerations do not follow "
-            "from shape and momentum alone; use PD control, or gravity=(0, 0, 0)"
+            f"gravity rotates the base of '{system.name}', so its accelerations depend on more "
+            "than shape and momentum; use PD control, or gravity=(0, 0, 0)"
         )
     return Acting(
         system=system,

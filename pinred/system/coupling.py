@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError, ModelError
 from ..common.names import listed, quoted
 from .robot_file_contents import Coupling
@@ -23,7 +23,7 @@ _SAME = 1e-9  # tolerance between a follower's locked value and the value of its
 
 
 @dataclass(frozen=True, eq=False)
-class Coupled:
+class Coupled(FrozenArrays):
     """All M joints of a tree as functions of the m independent joints.  Arrays are read-only.
 
     Attributes:
@@ -38,9 +38,6 @@ class Coupled:
     of: NDArray[np.intp]
     ratio: Array
     offset: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def values(self, y: Array) -> Array:
         """Compute the values of all joints, (..., M), from independent joint values y, (..., m)."""
@@ -117,7 +114,7 @@ def resolved(
             leaders = listed([direct[coupling.follower].leader, coupling.leader])
             raise ModelError(
                 f"joint {quoted(coupling.follower)} follows several joints: {leaders}; "
-                "leave all of its couplings out but one"
+                "remove all of its couplings but one"
             )
         direct[coupling.follower] = coupling
     return {name: _with_independent(coupling, direct) for name, coupling in direct.items()}
@@ -129,23 +126,23 @@ def _check(coupling: Coupling, joints: Sequence[str], root: str) -> None:
     if coupling.follower == root:
         raise ModelError(
             f"the root joint {quoted(root)} follows {leader}, but its motion is the "
-            f"symmetry and follows none; lock {leader}, and it is locked with it"
+            f"symmetry, so it cannot follow a joint. Lock {leader}; the root is then locked, too."
         )
     if coupling.leader not in joints:
         raise ModelError(
             f"joint {follower} follows {leader}, which is not behind the "
-            f"root joint {quoted(root)}, whose motion is the symmetry and leads none; "
-            f"lock {leader}, and what follows it is locked with it"
+            f"root joint {quoted(root)}; the motion of the root is the symmetry, so the root "
+            f"cannot lead a joint. Lock {leader}; its followers are then locked, too."
         )
     if coupling.follower not in joints:
         raise ModelError(
-            f"a coupling makes {follower} follow {leader}, but there is "
-            "no such joint that moves about or along one axis"
+            f"a coupling makes {follower} follow {leader}, but no joint {follower} moves about or "
+            "along one axis"
         )
     if not np.isfinite([coupling.ratio, coupling.offset]).all():
         raise ModelError(
-            f"joint {follower} follows {leader} by {coupling.ratio} and "
-            f"{coupling.offset}, which are not finite"
+            f"joint {follower} follows {leader} with ratio {coupling.ratio} and offset "
+            f"{coupling.offset}, which must be finite"
         )
 
 
@@ -157,7 +154,7 @@ def _with_independent(coupling: Coupling, direct: Mapping[str, Coupling]) -> Cou
         if leader in path:
             raise ModelError(
                 f"joints follow each other in a circle: {listed([*path, leader], len(path) + 1)}; "
-                "leave one of the couplings out"
+                "remove one of the couplings"
             )
         path.append(leader)
         inner = direct[leader]
@@ -188,8 +185,8 @@ def with_followers(
     unknown = [c for c in active if c.leader not in joints]
     if unknown:
         raise ModelError(
-            f"joint {quoted(unknown[0].follower)} follows {quoted(unknown[0].leader)}, which is no "
-            "joint that can move; name one that is, or lock the joint: "
+            f"joint {quoted(unknown[0].follower)} follows {quoted(unknown[0].leader)}, which is "
+            "not a moving joint; name a moving joint, or lock the follower: "
             f"lock={[coupling.follower for coupling in unknown]}"
         )
     if not any(name in lock for c in active for name in (c.follower, c.leader)):
@@ -201,16 +198,16 @@ def with_followers(
         if independent.leader not in lock:
             if name in lock:
                 raise InputError(
-                    f"lock: joint '{name}' follows '{independent.leader}' ({independent}); lock "
-                    f"'{independent.leader}', and it is locked with it"
+                    f"lock: joint '{name}' follows '{independent.leader}' ({independent}). Lock "
+                    f"'{independent.leader}'; its followers are then locked, too."
                 )
             remaining.append(coupling)
             continue
         value = independent.ratio * lock[independent.leader] + independent.offset
         if abs(values.get(name, value) - value) > _SAME:
             raise InputError(
-                f"lock: joint '{name}' follows '{independent.leader}', which puts it at "
-                f"{value:g}, not {lock[name]:g}; lock '{independent.leader}' alone"
+                f"lock: joint '{name}' follows '{independent.leader}', which requires "
+                f"the value {value:g}, not {lock[name]:g}. Lock only '{independent.leader}'."
             )
         values[name] = value
     return values, tuple(remaining)

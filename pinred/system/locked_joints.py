@@ -29,7 +29,7 @@ def lock_values(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
             f"lock must be a list of joint names or a mapping to values, got {brief(lock)}"
         )
     if not all(isinstance(name, str) for name in names):
-        raise InputError(f"lock must hold names of joints, got {brief(names)}")
+        raise InputError(f"lock must contain names of joints, got {brief(names)}")
     values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(names, 0.0)
     for name, value in values.items():
         number = as_floats(value, f"lock: the value for joint {quoted(name)}")
@@ -57,7 +57,7 @@ def frozen_configurations(raw: pin.Model, locked: Mapping[str, float]) -> dict[i
         if joint.nv > 1 and value != 0.0:
             raise InputError(
                 f"lock: joint {quoted(name)} has {joint.nv} degrees of freedom and "
-                "freezes at zero only"
+                "can only be locked at zero"
             )
         q = neutral[joint.idx_q : joint.idx_q + joint.nq].copy()
         if joint.nv == 1:
@@ -137,7 +137,7 @@ class LockedJoints:
             leader = self.ties[name].leader
             return f"it follows '{leader}', with which it is locked; vary '{leader}.lock'"
         if name in self.several:
-            return "it has several degrees of freedom, and freezes at zero only"
+            return "it has several degrees of freedom, so it can only be locked at zero"
         if not raw.existJointName(name) or self._carries_root(raw.getJointId(name)):
             return (
                 "it carries the root, or is part of it, and only places it in the world; "

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.names import plain
 from .force_interface import Force
 from .locked_joints import LockedJoints
@@ -33,7 +33,7 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
-class Keyframe:
+class Keyframe(FrozenArrays):
     """A named state in a robot file.  The arrays are read-only.
 
     Attributes:
@@ -49,9 +49,6 @@ class Keyframe:
     xi: Array
     xdot: Array
     time: float = 0.0
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ def check_urdf(robot: Element) -> None:
         owner, inertials = f"link {quoted(link.get('name', '?'))}", link.findall("inertial")
         if len(inertials) > 1:
             raise ModelError(
-                f"{owner} has {len(inertials)} inertial elements; keep the one that counts"
+                f"{owner} has {len(inertials)} inertial elements; keep only one of them"
             )
         for inertial in inertials:
             _check_inertial(inertial, owner)
@@ -59,7 +59,9 @@ def tree_depth(robot: Element) -> int:
         while end in parent_of and end not in depth:
             end = parent_of[end]
             if end in path:
-                raise ModelError(f"link {quoted(link)} hangs on itself through a cycle of joints")
+                raise ModelError(
+                    f"link {quoted(link)} is attached to itself through a cycle of joints"
+                )
             path[end] = None
         first = depth.setdefault(end, 0)
         depth |= {name: first + k for k, name in enumerate(reversed(path))}

@@ -161,7 +161,7 @@ def test_zero_momentum_evaluates_no_momentum_terms(monkeypatch: pytest.MonkeyPat
     def forbidden(*_: Array) -> Array:
         raise AssertionError("momentum was turned into the body frame")
 
-    monkeypatch.setattr("pinred.simulation.pinocchio.pinocchio_flow._into_body", forbidden)
+    monkeypatch.setattr("pinred.simulation.pinocchio.base_and_momentum._into_body", forbidden)
     system = pinred.load("falling_cat")
     xdot0 = np.full(system.m, 0.3)
     pinred.simulate(system, xdot0=xdot0, momentum=0, duration=0.1, engine="pinocchio")
@@ -259,7 +259,7 @@ def test_same_scene_gives_same_bits() -> None:
         ({"xi0": [0.0]}, r"xi0 must have shape \(3,\)"),
         ({"xi0": [0, 0, 0], "momentum": [0, 0, 0]}, "not both"),
         ({"momentum": 1.0}, "momentum must have shape"),
-        ({"seed": 1, "x0": [0.0]}, "do not give x0"),
+        ({"seed": 1, "x0": [0.0]}, "do not combine it with x0"),
         ({"pose0": [0.0]}, "a pose of SE2"),
         ({"times": []}, "times"),
         ({"times": [0.0, 0.0]}, "must increase"),

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ...common.arrays import Array
+from ...common.arrays import Array, whole
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
 from ...reduction.inertia_split import mass_matrix
-from ...scene.option_checks import check_seed
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.system import System, checked_system
@@ -25,7 +24,7 @@ from .same_shape import Place, place_of
 from .search import critical_points, minima, polished, residuals, starting_points
 
 MANY_JOINTS = 6  # number of active joints from which only the minimum is guaranteed
-_STARTS = {True: 100, False: 1000}  # number of starts, with many and with few joints
+_STARTS = {True: 100, False: 1000}  # number of starts: {whether there are many joints: starts}
 _MINIMISATIONS = 24  # number of starts from which the energy is also minimised
 _ROUND_OFF = 1e-14  # angles [rad] and direction components below this are set to zero
 _SAME_ENERGY = 1e-8  # largest relative difference of energies within one family
@@ -52,7 +51,7 @@ def relative_equilibria(
     Args:
         system: The system.
         momentum: J = |J| in space [N·m·s]; signed where there is one axis (ℝ: [N·s], SO(2), SE(2),
-            ℝ × SE(2)); about the upward vertical where gravity turns a pivoted base. The linear
+            ℝ × SE(2)); about the upward vertical where gravity rotates a pivoted base. The linear
             momentum is zero in the frame of the centre of mass.
         cyclic: Momenta π of cyclic joints by name; others are zero.
         starts: Number of starts of Newton's method; 1000, or 100 with six or more moving joints.
@@ -73,21 +72,14 @@ def relative_equilibria(
     )  # fmt: skip
     J = finite(momentum, "momentum")
     if problem.directional and J < 0.0:
-        raise InputError(f"momentum: expected |J|, which is not negative, got {J:g}")
+        raise InputError(f"momentum: expected a magnitude |J| of at least 0, got {J:g}")
     if problem.kind == "free" and J == 0.0:
         problem = problem.at_rest()
     many = len(problem.active) >= MANY_JOINTS
-    count = _STARTS[many] if starts is None else checked_starts(starts)
-    points, converged, total = search_points(problem, J, count, check_seed(seed))
+    count = _STARTS[many] if starts is None else whole(starts, "starts")
+    points, converged, total = search_points(problem, J, count, whole(seed, "seed", 0))
     entries = tuple(equilibrium_at(problem, points[k : k + 1], J) for k in range(len(points)))
     return Equilibria(problem.system, J, total, converged, _without_copies(entries))
-
-
-def checked_starts(starts: int) -> int:
-    """Validate a number of starts, which must be a positive integer."""
-    if isinstance(starts, bool) or not (isinstance(starts, (int, np.integer)) and starts > 0):
-        raise InputError(f"starts must be a whole number from 1, got {starts!r}")
-    return int(starts)
 
 
 def search_points(problem: Problem, J: float, count: int, seed: int) -> tuple[Points, int, int]:

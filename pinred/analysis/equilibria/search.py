@@ -165,7 +165,7 @@ def _converged(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points,
 
 
 def _solved(e: Energies, *, absolute: bool) -> Array:
-    """Return H⁻¹ g, or |H|⁻¹ g if absolute, (N, u); directions of zero curvature are left out."""
+    """Return H⁻¹ g, or |H|⁻¹ g if absolute, (N, u); directions of zero curvature are omitted."""
     if not e.gradient.shape[1]:
         return e.gradient
     values, vectors = np.linalg.eigh(e.hessian)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, vector
+from ...common.arrays import Array, FrozenArrays, vector
 from ...common.errors import InputError
 from ...lie.rotations import TAU
 from ...reduction.pointwise_reduction import PointwiseReduction
@@ -27,7 +27,7 @@ _NODES = 4096  # number of samples of the momentum curve
 
 
 @dataclass(frozen=True)
-class RigidBodyPhase:
+class RigidBodyPhase(FrozenArrays):
     """The motion of a free rigid body over one period of its body momentum.
 
     Attributes:
@@ -47,9 +47,6 @@ class RigidBodyPhase:
     axis: Array
     energy: float
     momentum: float
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:

@@ -65,11 +65,11 @@ class Propagator:
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             raise InputError(
-                f"{controller.name} is a function of Python, which has no derivatives; write it as "
+                f"{controller.name} is a Python function, which has no derivatives; write it as "
                 "a Torque of CasADi expressions, or use simulate"
             )
         if plan.scene.events_given:
-            raise InputError("a flow map looks for no events; use simulate for them")
+            raise InputError("a flow map does not detect events; use simulate")
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
         self._initial = InitialMap(kernel, motion_of(plan.scene))
@@ -369,7 +369,7 @@ class Propagator:
         if inside.size:
             raise InputError(
                 f"a function of time is not smooth at t = {inside[0]:g} s, within the step of "
-                f"{h:g} s from {t:g} s; let steps end there"
+                f"{h:g} s from {t:g} s; choose steps that end there"
             )
         if t and plan.acting.driven:
             raise InputError("a step of a scene with prescribed joints begins at t = 0")

@@ -268,7 +268,7 @@ def _coupling(tree: Tree, constraint: _Constraint) -> Sequence[Coupling]:
     words = f"joint '{follower.name}' by equality '{constraint.name}'"
     if second < 0:
         raise ModelError(
-            f"a joint that is held is not supported: {words}; lock it there "
+            f"an equality that fixes a joint is not supported: {words}; lock the joint "
             f"(lock={{'{follower.name}': {follower.q0 + c0:g}}}), or remove the constraint"
         )
     if first not in free:  # The follower is frozen, so the constraint would freeze its leader.
@@ -276,14 +276,14 @@ def _coupling(tree: Tree, constraint: _Constraint) -> Sequence[Coupling]:
     leader = joint_of(world, second)
     if any(higher):
         raise ModelError(
-            f"a joint that follows '{leader.name}' otherwise than in proportion is not supported: "
+            f"a joint that follows '{leader.name}' nonlinearly is not supported: "
             f"{words}; lock it (lock=['{follower.name}']), write a polynomial of degree one, or "
             "remove the constraint"
         )
     if second not in free:
         raise ModelError(
-            f"'{leader.name}', which leads {words}, cannot move; lock the follower as well "
-            f"(lock=['{follower.name}']), or remove the constraint"
+            f"'{leader.name}' is the leader of {words}, but it is locked; lock the follower as "
+            f"well (lock=['{follower.name}']), or remove the constraint"
         )
     return (_proportional(follower, leader, constraint),)
 
