@@ -16,6 +16,7 @@ from .command_options import (
     options_in,
     system_of,
 )
+from .motion_files import show_motion
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def _branches(
 def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
     """Simulate one equilibrium, perturbed along a mode, and play or write it.  Returns 0."""
     from ..simulation.simulate import simulate
-    from ..views.playback.view_options import FILM_FPS, FPS, View
+    from ..views.playback.view_options import View, default_fps
 
     index, count = arguments.play, len(equilibria)
     if not 0 <= index < count:
@@ -109,22 +110,8 @@ def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
     )
     traj = simulate(scene, progress=True)
     print(f"playing {index}, {equilibrium}")
-    if arguments.out is None:
-        from ..views.playback.server import play
-
-        play(traj, View(), wait=True)
-        return 0
-    path = Path(arguments.out)
-    if path.suffix == ".html":
-        from ..views.playback.page import save_html
-
-        save_html(traj, path, View(fps=FPS))
-        print(describe_file(path))
-        return 0
-    from ..views.playback.film import save_film
-
-    frames = save_film(traj, path, View(fps=FILM_FPS))
-    print(f"{frames} frames written to {path}")
+    out = None if arguments.out is None else Path(arguments.out)
+    show_motion(traj, out, View(fps=default_fps(out)))
     return 0
 
 
@@ -135,17 +122,17 @@ def _check(arguments: argparse.Namespace, *, is_range: bool) -> None:
     if is_range and arguments.limit is not None:
         raise InputError("--limit is for one momentum, not for a range")
     if is_range and arguments.play is not None:
-        raise InputError("--play is for one momentum, not for a range")
+        raise InputError("--play requires a single momentum, not a range")
     if arguments.play is None:
         for name in ("mode", "time"):
             if getattr(arguments, name) is not None:
-                raise InputError(f"--{name} goes with --play K")
+                raise InputError(f"--{name} requires --play K")
         if arguments.out is not None and not is_range:
-            raise InputError("--out goes with a range, --momentum LOW,HIGH, or with --play K")
+            raise InputError("--out requires a range, --momentum LOW,HIGH, or --play K")
     elif arguments.out is not None:
         check_path(Path(arguments.out), _PLAYED)
     if arguments.joint is not None and not (is_range and arguments.out is not None):
-        raise InputError("--joint is of the diagram that --momentum LOW,HIGH --out FILE draws")
+        raise InputError("--joint requires the diagram that --momentum LOW,HIGH --out FILE draws")
 
 
 def _parse_cyclic(text: str | None) -> dict[str, float] | None:

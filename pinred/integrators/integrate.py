@@ -241,21 +241,21 @@ def failure(status: int, run: Runs, state: Array) -> IntegrationError:
         return NonFiniteState(f"number {entry} is not finite after {where}", time, state, entry)
     if status == UNDERFLOW:
         return StepSizeUnderflow(
-            f"the tolerance (rtol = {end['rtol']:g}) asks for steps below {end['h']:.1e} s at "
-            f"{where}: the motion is singular there, or the tolerance too tight",
+            f"the tolerance (rtol = {end['rtol']:g}) requires steps below {end['h']:.1e} s at "
+            f"{where}: the motion is singular there, or the tolerance is too tight",
             time,
             state,
         )
     if status == DIVERGED:
         return NoConvergence(
-            f"the implicit step of {end['h']:.3g} s was not solved after "
-            f"{where}: take shorter steps",
+            f"the implicit step of {end['h']:.3g} s after {where} did not converge; use "
+            "shorter steps",
             time,
             state,
         )
     return TooManySteps(
-        f"{end['max_steps']} steps have led to {where}; allow more (max_steps), or a larger "
-        f"tolerance than rtol = {end['rtol']:g}",
+        f"the run reached its limit of {end['max_steps']} steps at {where}; increase max_steps, or "
+        f"use a larger tolerance than rtol = {end['rtol']:g}",
         time,
         state,
     )

@@ -84,7 +84,7 @@ def refuse_without_derivatives(method: Method) -> None:
     """
     if not isinstance(method, (Explicit, Gauss, AdaptiveGauss)):
         raise InputError(
-            f"{method.name} has no derivatives of its steps; take DOP853, Tsit5, Gauss or "
+            f"the steps of {method.name} have no derivatives; use DOP853, Tsit5, Gauss or "
             "AdaptiveGauss"
         )
 

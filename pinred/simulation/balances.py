@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.polynomial import legendre
 
-from ..common.arrays import Array, freeze, read_only
+from ..common.arrays import Array, FrozenArrays, read_only
 from ..forces.force_values import ForceInputs
 from ..reduction.canonical_form import CanonicalForm
 from ..reduction.pointwise_reduction import PointwiseReduction
@@ -40,7 +40,7 @@ _DRIVES = "prescribed joints"  # Label for the work done by the drives of prescr
 
 
 @dataclass(frozen=True)
-class EnergyBalance:
+class EnergyBalance(FrozenArrays):
     """The balance of energy and work; arrays are read-only.
 
     Attributes:
@@ -54,9 +54,6 @@ class EnergyBalance:
     energy: Array
     labels: tuple[str, ...]
     work: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def residual(self) -> Array:
@@ -76,7 +73,7 @@ class EnergyBalance:
 
 
 @dataclass(frozen=True)
-class MomentumBalance:
+class MomentumBalance(FrozenArrays):
     """The balance of momentum and impulse in the root joint's fixed frame, about its origin.
 
     Attributes:
@@ -88,9 +85,6 @@ class MomentumBalance:
     t: Array
     momentum: Array
     impulse: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def residual(self) -> Array:

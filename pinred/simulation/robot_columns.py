@@ -158,8 +158,8 @@ class RobotColumns:
         excluded = np.delete(acting, axes)
         if excluded.any() or (axes and not acting.any()):
             raise InputError(
-                f"the flow was prepared for gravity along other axes than {g.tolist()}; make one "
-                "of a scene with a gravity like this, or with 'gravity' among wrt"
+                f"the flow was prepared for gravity along other axes than {g.tolist()}. Prepare a "
+                "flow of a scene with gravity along these axes, or with 'gravity' among wrt."
             )
         return acting[axes], falling(system)
 
@@ -203,7 +203,7 @@ class RobotColumns:
 
 
 def with_own(scene: Scene, names: Sequence[Any]) -> Scene:
-    """Return a scene in which the named robot parameters are variable, with their present values.
+    """Return a scene in which the named robot parameters are variable, with their current values.
 
     Raises InputError for bodies and joints that the robot does not have.
     """

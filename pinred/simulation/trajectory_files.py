@@ -56,7 +56,7 @@ def _arrays(traj: OverTime) -> dict[str, Any]:
 def robot_arrays(system: System) -> dict[str, Any]:
     """Return the arrays that name a robot and record how load() finds it.
 
-    Gravity and locked joints are stored with their present values, including changes by parameters.
+    Gravity and locked joints are stored with their current values, including changes by parameters.
     """
     origin = system.origin
     lock = dict({} if origin is None else origin.lock)
@@ -106,7 +106,7 @@ def parameters_in(content: Mapping[str, Any]) -> dict[str, Any]:
     sizes = [int(size) for size in np.atleast_1d(content.get("parameter_sizes", ()))]
     values = np.ravel(np.asarray(content.get("parameter_values", ()), dtype=float))
     if len(names) != len(sizes) or min(sizes, default=1) < 1 or sum(sizes) != len(values):
-        raise ValueError("the names, sizes and values of its parameters do not belong together")
+        raise ValueError("the names, sizes and values of its parameters are inconsistent")
     arrays = np.split(values, np.cumsum(sizes)[:-1]) if names else []
     return dict(zip(names, arrays, strict=True))
 

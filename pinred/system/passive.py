@@ -181,8 +181,9 @@ class Friction(Force):
 
         if self.width is None:
             raise InputError(
-                f"{self.label} has no width, the rate within which it turns round; give one, as in "
-                "friction.smoothed(0.01), or simulate(…, friction=0.01) for all in the file"
+                f"{self.label} has no width (the rate within which it changes sign). Give one, as "
+                "in friction.smoothed(0.01), or simulate(…, friction=0.01) for all friction in the "
+                "file."
             )
         k = s.joint(self.joint, self.label)
         return Terms(torque={k: -number(self.most) * ca.tanh(s.xdot[k] / number(self.width))})

@@ -444,11 +444,11 @@ def test_invalid_problems_are_refused() -> None:
     """Invalid arguments are refused by name."""
     cat, wheels = pinred.load("falling_cat"), pinred.load("reaction_wheel_satellite")
     for words, options in (
-        ("not negative", {"momentum": -1.0}),
+        ("of at least 0", {"momentum": -1.0}),
         ("momentum must be a finite number", {"momentum": np.nan}),
         ("every shape is an equilibrium", {"momentum": 0.0}),
-        ("starts must be a whole number", {"momentum": 1.0, "starts": 0}),
-        ("seed must be a whole number from 0", {"momentum": 1.0, "seed": -1}),
+        ("starts must be a whole number of at least 1", {"momentum": 1.0, "starts": 0}),
+        ("seed must be a whole number of at least 0", {"momentum": 1.0, "seed": -1}),
         ("The cyclic joints are none", {"momentum": 1.0, "cyclic": {"bend": 1.0}}),
         ("does work", {"momentum": 1.0, "forces": Damper("bend", 0.1)}),
         ("constant rate", {"momentum": 1.0, "prescribed": {"bend": "sin(t)"}}),

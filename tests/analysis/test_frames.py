@@ -198,7 +198,7 @@ def test_invalid_limits_joints_and_gaits_are_refused() -> None:
         pinred.optimal_frame(A, [0.0, 1.0])
     with pytest.raises(pinred.InputError, match="indices below 2"):
         pinred.optimal_frame(A, BOX, joints=(0, 5))
-    with pytest.raises(pinred.InputError, match="go with limits"):
+    with pytest.raises(pinred.InputError, match="apply to a box of joint limits"):
         pinred.optimal_frame(A, CIRCLE, joints=(0, 1))
     with pytest.raises(pinred.InputError, match="one Fourier series"):
         pinred.corrected_integral(A, pinred.Gait.waypoints([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))

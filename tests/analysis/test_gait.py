@@ -145,7 +145,7 @@ def write_joint_data(path: Path, t: Array, x: Array) -> Path:
     [
         (lambda: Gait.fourier([0.0], [[1.0]], [[1.0, 2.0]]), "sin must have shape"),
         (lambda: Gait.fourier([0.0], np.zeros((0, 1)), np.zeros((0, 1))), "must both be"),
-        (lambda: Gait.fourier([0.0], [[np.nan]], [[0.0]]), "must be finite"),
+        (lambda: Gait.fourier([0.0], [[np.nan]], [[0.0]]), "finite"),
         (lambda: Gait.fourier([0.0], [[1.0]], [[0.0]], period=0.0), "above zero"),
         (lambda: Gait.waypoints([[0.0, 0.0], [0.0, 0.0]]), "two different points"),
         (lambda: Gait.waypoints([[0.0, 0.0]]), "at least 2"),

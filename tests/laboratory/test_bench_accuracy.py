@@ -335,7 +335,7 @@ def test_bench_accuracy_rejects_unknown_names(capsys: pytest.CaptureFixture[str]
         (["--scenes", "moon"], "no scene 'moon'; the scenes are planar1, elroys_beanie,"),
         (["--methods", "magic"], "no method 'magic'; the methods are pinred, pinred-integration,"),
         (["--tolerances", "x"], "a tolerance must be a number, got 'x'"),
-        (["--tolerances", "2"], "tolerances are below 1, got 2"),
+        (["--tolerances", "2"], "tolerances must be below 1, got 2"),
     ):
         assert main(["bench", "accuracy", *option]) == 2
         assert message in capsys.readouterr().err

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, as_floats, freeze
+from ...common.arrays import Array, FrozenArrays, as_floats, whole
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
-from ...scene.option_checks import check_seed
 from ...system.system import System, checked_system
 from ..equilibria.amended_energy import AmendedEnergy, Points
 from ..equilibria.distinct_points import DistinctPoints
 from ..equilibria.equilibrium_problem import Problem, problem_of
-from ..equilibria.find import ROUNDS, Search, checked_starts, equilibrium_at
+from ..equilibria.find import ROUNDS, Search, equilibrium_at
 from ..equilibria.relative_equilibrium import RelativeEquilibrium
 from ..equilibria.search import critical_points
 from ..stability.second_variation import second_variation
@@ -37,7 +36,7 @@ _ROUND_OFF = 1e-12  # rad | m; smaller values are printed as zero
 
 
 @dataclass(frozen=True, eq=False)
-class BranchPoint:
+class BranchPoint(FrozenArrays):
     """A relative equilibrium on a branch. Arrays are read-only.
 
     Attributes:
@@ -60,9 +59,6 @@ class BranchPoint:
     index: int
     residual: float
     problem: Problem = field(repr=False)
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def equilibrium(self) -> RelativeEquilibrium:
         """Compute the relative equilibrium with its stability, modes and scenes.
@@ -187,7 +183,7 @@ def branches(
         )
     if not (np.isfinite(step) and step > 0.0):
         raise InputError(f"step must be finite and above zero, got {step!r}")
-    starts, seed = checked_starts(starts), check_seed(seed)
+    starts, seed = whole(starts, "starts"), whole(seed, "seed", 0)
     follower = _Follower(problem, low, high, step)
     levels = (low, 0.5 * (low + high), high)
     for J in levels:
@@ -227,7 +223,7 @@ class _Follower:
             if self._is_on_curve(point, J):
                 continue
             first = self._curve.start(point, J, along)
-            detect = along is not None or not self._is_in_family(point, J)
+            detect = along is not None or second_variation(self._energy, point, J).dimension == 0
             number = len(self._curves)
             self._curves.append([first])
             halves = [self._walk(first, sign, number, detect) for sign in (1.0, -1.0)]
@@ -275,7 +271,7 @@ class _Follower:
             The points after the first.
         """
         points: list[CurvePoint] = []
-        point, h = _oriented(first, sign), 0.2 * self._step
+        point, h = replace(first, tangent=sign * first.tangent), 0.2 * self._step
         while len(points) < _MAX_STEPS:
             next_point = self._curve.step(point, h)
             if next_point is None or next_point.tangent @ point.tangent < _BEND:
@@ -344,7 +340,7 @@ class _Follower:
     def _is_on_curve(self, point: Points, J: float) -> bool:
         """Return whether a computed curve contains a critical point."""
         max_distance = 2.0 * self._step
-        is_family = self._is_in_family(point, J)
+        is_family = second_variation(self._energy, point, J).dimension > 0
         for curve in self._curves:
             momenta = np.array([at.J for at in curve])
             for a in np.flatnonzero((momenta[:-1] - J) * (momenta[1:] - J) <= 0.0).tolist():
@@ -371,13 +367,6 @@ class _Follower:
         momentum = abs(there.J - first.J) / self._curve.unit
         return bool(np.linalg.norm(difference) < h and momentum < h)
 
-    def _is_in_family(self, point: Points, J: float) -> bool:
-        return second_variation(self._energy, point, J).dimension > 0
-
-
-def _oriented(at: CurvePoint, sign: float) -> CurvePoint:
-    return CurvePoint(at.x, at.n, at.J, sign * at.tangent, at.values, at.residual)
-
 
 def _momentum_range(problem: Problem, momentum: ArrayLike) -> tuple[float, float]:
     """Return the lowest and highest momentum of a valid range.
@@ -392,8 +381,8 @@ def _momentum_range(problem: Problem, momentum: ArrayLike) -> tuple[float, float
     """
     ends = as_floats(momentum, "momentum")
     if ends.shape != (2,) or not np.isfinite(ends).all() or not ends[0] < ends[1]:
-        raise InputError(f"momentum must be (low, high), both finite, low first, got {momentum!r}")
+        raise InputError(f"momentum must be (low, high), finite and increasing, got {momentum!r}")
     low, high = (float(end) for end in ends)
     if (problem.directional and low < 0.0) or (problem.kind == "free" and low == 0.0):
-        raise InputError(f"momentum is |J|, which is above zero on a branch, got {low:g}")
+        raise InputError(f"momentum: expected magnitudes |J| above zero, got {low:g}")
     return low, high

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...forces.force import Force
@@ -34,14 +34,14 @@ _TIMES = (0.0, 0.37, 1.0)  # s, times at which prescribed joints are checked
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(FrozenArrays):
     """A system, its forces, and the unknowns of its relative equilibria.
 
     Attributes:
         system: The system.
         scene: Scene with the forces and prescribed joints.
         kind: "axis": the momentum has a fixed axis, or none (ℝ, SO(2), SE(2), ℝ × SE(2)). "free":
-            its direction in the body is unknown (SO(3), SE(3)). "heavy": gravity turns a pivoted
+            its direction in the body is unknown (SO(3), SE(3)). "heavy": gravity rotates a pivoted
             base, and the upward vertical in the body is unknown.
         active: Indices of the unknown joints.
         cyclic: Indices of the cyclic joints.
@@ -60,9 +60,6 @@ class Problem:
     cyclic_momenta: Array
     driven_x: Array
     driven_rate: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def plan(self) -> Plan:
@@ -105,9 +102,9 @@ class Problem:
         angles = {k for k in self.active if system.units[k] == "rad" and k not in touched}
         if system.coupled is None:
             return frozenset(angles)
-        ratios = system.coupled.ratio
-        is_whole = ratios == np.round(ratios)
-        return frozenset(k for k in angles if is_whole[system.coupled.of == k].all())
+        ratios = system.coupled.G
+        is_whole = (ratios == np.round(ratios)).all(axis=0)
+        return frozenset(k for k in angles if is_whole[k])
 
     def shapes(self, active: Array) -> Array:
         """Return shapes (N, m) for active joints (N, ma), with cyclic joints at zero."""

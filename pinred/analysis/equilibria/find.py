@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ...common.arrays import Array
+from ...common.arrays import Array, whole
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
 from ...reduction.inertia_split import mass_matrix
-from ...scene.option_checks import check_seed
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.system import System, checked_system
@@ -57,7 +56,7 @@ def relative_equilibria(
     Args:
         system: The system.
         momentum: J = |J| in space [N·m·s]; signed where there is one axis (ℝ: [N·s], SO(2), SE(2),
-            ℝ × SE(2)); about the upward vertical where gravity turns a pivoted base. The linear
+            ℝ × SE(2)); about the upward vertical where gravity rotates a pivoted base. The linear
             momentum is zero in the frame of the centre of mass.
         cyclic: Momenta π of cyclic joints by name; others are zero.
         starts: Number of random starts of Newton's method in each round; 300, or 200 with six or
@@ -80,23 +79,16 @@ def relative_equilibria(
     )  # fmt: skip
     J = finite(momentum, "momentum")
     if problem.directional and J < 0.0:
-        raise InputError(f"momentum: expected |J|, which is not negative, got {J:g}")
+        raise InputError(f"momentum: expected a magnitude |J| of at least 0, got {J:g}")
     if problem.kind == "free" and J == 0.0:
         problem = problem.at_rest()
     many = len(problem.active) >= MANY_JOINTS
-    count = _STARTS[many] if starts is None else checked_starts(starts)
-    most = ROUNDS * count if limit is None else checked_starts(limit, "limit")
-    search = Search(problem, J, count, check_seed(seed), limit=most)
+    count = _STARTS[many] if starts is None else whole(starts, "starts")
+    most = ROUNDS * count if limit is None else whole(limit, "limit")
+    search = Search(problem, J, count, whole(seed, "seed", 0), limit=most)
     points = search.points()
     entries = tuple(equilibrium_at(problem, points[k : k + 1], J) for k in range(len(points)))
     return Equilibria(problem.system, J, search.census(), entries)
-
-
-def checked_starts(starts: int, name: str = "starts") -> int:
-    """Validate a number of starts, which must be a positive integer."""
-    if isinstance(starts, bool) or not (isinstance(starts, (int, np.integer)) and starts > 0):
-        raise InputError(f"{name} must be a whole number from 1, got {starts!r}")
-    return int(starts)
 
 
 class Search:

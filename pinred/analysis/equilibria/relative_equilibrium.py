@@ -8,7 +8,7 @@ from typing import overload
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...lie.rotations import quaternion_exp
 from ...reduction.pointwise_reduction import PointwiseReduction
@@ -20,7 +20,7 @@ from .equilibrium_problem import Problem
 
 
 @dataclass(frozen=True, eq=False)
-class RelativeEquilibrium:
+class RelativeEquilibrium(FrozenArrays):
     """A steady motion with constant shape.
 
     Attributes:
@@ -51,9 +51,6 @@ class RelativeEquilibrium:
     residual: float
     stability: Stability
     problem: Problem = field(repr=False)
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def verdict(self) -> Verdict:
@@ -271,11 +268,11 @@ def _growth(stability: Stability) -> str:
 
 
 def pose_of(problem: Problem, up: Array) -> Array:
-    """Return a pose of the base; for a heavy problem, the body direction `up` points upward.
+    """Return a pose of the base; if gravity rotates it, the body direction `up` points upward.
 
     Args:
         problem: The problem.
-        up: Direction in the body, (3,).
+        up: Direction in the body, (3,); it has no effect if gravity does not rotate the base.
     Returns:
         Pose coordinates, (size,).
     """

@@ -174,7 +174,7 @@ def converged(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, 
 
 
 def newton_step(e: Energies, *, absolute: bool) -> Array:
-    """Return H⁻¹ g, or |H|⁻¹ g; directions of zero curvature are left out.
+    """Return H⁻¹ g, or |H|⁻¹ g; directions of zero curvature are omitted.
 
     Args:
         e: Energies with gradient g and Hessian H.

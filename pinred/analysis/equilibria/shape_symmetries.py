@@ -171,7 +171,10 @@ class _Masses:
         arms += [lever for _, lever, _ in self._bodies[1:]]
         self._size = max(float(np.linalg.norm(arms)), 1e-300)
         coupled = system.coupled
-        self._of = np.arange(model.njoints - 2) if coupled is None else coupled.of
+        self._leads = [
+            [k] if coupled is None else [lead for lead, _ in coupled.terms(k)]
+            for k in range(model.njoints - 2)
+        ]
 
     def turns(self) -> list[Array]:
         """Return identity, half turns and reflections in the frames of base and first joints."""
@@ -253,20 +256,22 @@ class _Masses:
             yield state[0].copy(), state[1].copy(), state[2].copy()
             return
         j = int(order[i])
-        source, target = int(self._of[i - 2]), int(self._of[j - 2])
         sign, shift, sources = state
-        is_new = sources[target] < 0
-        if not is_new and sources[target] != source:
+        targets_of_joint, sources_of_joint = self._leads[j - 2], self._leads[i - 2]
+        if len(targets_of_joint) != len(sources_of_joint):
             return
-        choices = self._choices(target) if is_new else [(sign[target], shift[target])]
-        for factor, offset in choices:
-            sign[target], shift[target], sources[target] = factor, offset, source
-            image = np.zeros(self._system.m)
-            image[target] = factor * x[source] + offset
+        pairs = list(zip(targets_of_joint, sources_of_joint, strict=True))
+        if any(sources[target] not in (-1, source) for target, source in pairs):
+            return
+        new = [(target, source) for target, source in pairs if sources[target] < 0]
+        for choices in product(*(self._choices(target) for target, _ in new)):
+            for (target, source), (factor, offset) in zip(new, choices, strict=True):
+                sign[target], shift[target], sources[target] = factor, offset, source
+            image = sign * x[sources] + shift
             images[j] = self._placed(images, j, self._system.joint_values(image)[j - 2])
             if self._agrees(images[j], j, targets[i]):
                 yield from self._extended(i + 1, x, order, targets, images, state)
-        if is_new:
+        for target, _ in new:
             sign[target], shift[target], sources[target] = 1.0, 0.0, -1
 
     def _choices(self, k: int) -> list[tuple[float, float]]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, as_floats, freeze, vector
+from ...common.arrays import Array, FrozenArrays, as_floats, vector
 from ...common.errors import InputError
 from ..connections.connection import Connection
 from ..gaits.arcs import line
@@ -25,7 +25,7 @@ _SEGMENTS = 32  # number of segments of a lifted path
 
 
 @dataclass(frozen=True)
-class Flatness:
+class Flatness(FrozenArrays):
     """Flatness of a connection over a box of shapes.
 
     Attributes:
@@ -45,9 +45,6 @@ class Flatness:
     worst: Array
     connection: Connection = field(repr=False)
     reference: Array = field(repr=False)
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __str__(self) -> str:
         def row(what: str, k: int, *, flat: bool) -> str:

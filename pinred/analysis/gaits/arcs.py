@@ -6,18 +6,19 @@ An arc maps s in [0, 1] to shapes and is traversed at constant ds/dt.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb
+from typing import Self
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 
 TAU = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Arc(ABC):
+class Arc(ABC, FrozenArrays):
     """A smooth path in shape space.
 
     Attributes:
@@ -58,8 +59,7 @@ class Arc(ABC):
             The mapped arc.
         """
 
-    @abstractmethod
-    def lasting(self, time: float) -> Arc:
+    def lasting(self, time: float) -> Self:
         """Return the same path with another duration.
 
         Args:
@@ -67,6 +67,7 @@ class Arc(ABC):
         Returns:
             The arc.
         """
+        return replace(self, time=time)
 
     @abstractmethod
     def extremes(self) -> Array:
@@ -92,9 +93,6 @@ class FourierArc(Arc):
     start: float = 0.0
     end: float = TAU
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
     @property
     def is_whole(self) -> bool:
         """Whether the arc covers one full period, so that it is a smooth closed path."""
@@ -113,20 +111,32 @@ class FourierArc(Arc):
     def part(self, start: float, end: float) -> FourierArc:
         """Return a partial arc (see Arc.part)."""
         a, b = self.start, self.end - self.start
-        return FourierArc(
-            abs(end - start) * self.time, self.mean, self.cos, self.sin, a + b * start, a + b * end
-        )
+        time = abs(end - start) * self.time
+        return replace(self, time=time, start=a + b * start, end=a + b * end)
 
     def mapped(self, factor: Array, shift: Array) -> FourierArc:
         """Return the arc of shapes factor · x + shift (see Arc.mapped)."""
-        return FourierArc(
-            self.time, factor * self.mean + shift, factor * self.cos, factor * self.sin,
-            self.start, self.end,
-        )  # fmt: skip
+        mean = factor * self.mean + shift
+        return replace(self, mean=mean, cos=factor * self.cos, sin=factor * self.sin)
 
-    def lasting(self, time: float) -> FourierArc:
-        """Return the same path with another duration (see Arc.lasting)."""
-        return FourierArc(time, self.mean, self.cos, self.sin, self.start, self.end)
+    def coefficients(self, harmonics: int | None = None) -> Array:
+        """Return mean, cosines and sines as functions of the angle from the start of the arc.
+
+        Args:
+            harmonics: Number of harmonics to return, padded with zeros; by default the number of
+                the arc.
+        Returns:
+            Mean, cosine and sine coefficients, (1 + 2 harmonics, m).
+        """
+        k = np.arange(1, len(self.cos) + 1)[:, None]
+        cosine, sine = np.cos(k * self.start), np.sin(k * self.start)
+        sense = np.sign(self.end - self.start)  # The phase angle is start + sense · angle.
+        count = len(k) if harmonics is None else harmonics
+        coefficients = np.zeros((1 + 2 * count, len(self.mean)))
+        coefficients[0] = self.mean
+        coefficients[1 : 1 + len(k)] = cosine * self.cos + sine * self.sin
+        coefficients[1 + count : 1 + count + len(k)] = sense * (cosine * self.sin - sine * self.cos)
+        return coefficients
 
     def extremes(self) -> Array:
         """Return the zeros of each joint's derivative, as roots of a polynomial in e^{iφ}."""
@@ -158,9 +168,6 @@ class PolynomialArc(Arc):
 
     coefficients: Array
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
     def at(self, s: Array) -> tuple[Array, Array]:
         """Evaluate the arc and its derivative (see Arc.at)."""
         c = self.coefficients
@@ -182,10 +189,6 @@ class PolynomialArc(Arc):
         c = factor * self.coefficients
         c[0] += shift
         return PolynomialArc(self.time, c)
-
-    def lasting(self, time: float) -> PolynomialArc:
-        """Return the same path with another duration (see Arc.lasting)."""
-        return PolynomialArc(time, self.coefficients)
 
     def extremes(self) -> Array:
         """Return both ends, 0 and 1, and the zeros of each joint's derivative."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -36,7 +36,7 @@ class Gait:
             raise InputError("arcs: expected at least one arc")
         ends = [arc.at(np.array([0.0, 1.0]))[0] for arc in self.arcs]
         if not all(np.isfinite(end).all() for end in ends):
-            raise InputError("a gait must be finite")
+            raise InputError("a gait must consist of finite numbers")
         size = max(1.0, *(float(np.abs(end).max(initial=0.0)) for end in ends))
         for k, end in enumerate(ends):
             following = ends[(k + 1) % len(ends)][0]
@@ -207,6 +207,14 @@ class Gait:
         (arc, *further_arcs) = self.arcs
         return not further_arcs and isinstance(arc, FourierArc) and arc.is_whole
 
+    @property
+    def series(self) -> FourierArc:
+        """The Fourier series of the gait.  Raises InputError if the gait is not one series."""
+        arc = self.arcs[0]
+        if not self.is_smooth or not isinstance(arc, FourierArc):
+            raise InputError("gait: expected one Fourier series; create it with Gait.fourier")
+        return arc
+
     @cached_property
     def breaks(self) -> Array:
         """Start times of the arcs, and the period, (arcs + 1,) [s]."""
@@ -246,23 +254,14 @@ class Gait:
             InputError: The gait is not one Fourier series (a simulation needs smooth signals), or
                 the number of names is wrong.
         """
-        arc = self.arcs[0]
-        if not self.is_smooth or not isinstance(arc, FourierArc):
-            raise InputError(
-                "gait: expected one Fourier series (Gait.fourier); simulations need smooth signals"
-            )
+        coefficients = self.series.coefficients()
         names = list(joints)
         if len(names) != self.m:
             raise InputError(f"joints: expected {self.m} names, got {len(names)}")
-        k = np.arange(1, len(arc.cos) + 1)[:, None]
-        sense = 1.0 if arc.end > arc.start else -1.0
-        cosine, sine = np.cos(k * arc.start), np.sin(k * arc.start)
-        # The phase angle of the arc is φ = start ± 2πt/T.
-        cos = arc.cos * cosine + arc.sin * sine
-        sin = sense * (arc.sin * cosine - arc.cos * sine)
+        h = len(coefficients) // 2
         return {
-            name: Fourier(float(arc.mean[j]), cos[:, j].tolist(), sin[:, j].tolist(), self.period)
-            for j, name in enumerate(names)
+            name: Fourier(c[0], c[1 : 1 + h], c[1 + h :], self.period)
+            for name, c in zip(names, coefficients.T.tolist(), strict=True)
         }
 
     def samples(self, count: int) -> tuple[Array, Array]:
@@ -283,12 +282,12 @@ class Gait:
 
     @property
     def amplitude(self) -> Array:
-        """Half the range of each joint, (m,)."""
+        """Half the distance between minimum and maximum of each joint in the gait, (m,)."""
         return np.asarray(0.5 * (self.limits[:, 1] - self.limits[:, 0]))
 
     @property
     def centre(self) -> Array:
-        """Middle of the range of each joint, (m,)."""
+        """Mean of minimum and maximum of each joint in the gait, (m,)."""
         return np.asarray(self.limits.mean(axis=1))
 
     def lasting(self, period: float) -> Gait:
@@ -329,12 +328,10 @@ class Gait:
         k = int(np.clip(np.searchsorted(self.breaks, at, side="right") - 1, 0, len(self.arcs) - 1))
         arc = self.arcs[k]
         s = (at - self.breaks[k]) / arc.time
-        if self.is_smooth and isinstance(arc, FourierArc):
-            turn = s * (arc.end - arc.start)
-            shifted_arc = FourierArc(
-                arc.time, arc.mean, arc.cos, arc.sin, arc.start + turn, arc.end + turn
-            )
-            return Gait((shifted_arc,))
+        if self.is_smooth:
+            series = self.series
+            turn = s * (series.end - series.start)
+            return Gait((replace(series, start=series.start + turn, end=series.end + turn),))
         arcs = [arc.part(s, 1.0)] if s < 1.0 else []
         arcs += [*self.arcs[k + 1 :], *self.arcs[:k]]
         if s > 0.0:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, positive, vector, whole
+from ...common.arrays import Array, FrozenArrays, positive, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
@@ -34,14 +34,14 @@ MOST = 2**15  # largest number of samples
 
 
 @dataclass(frozen=True, eq=False)
-class Phase:
+class Phase(FrozenArrays):
     """The motion of the base over one cycle of a gait.
 
     Attributes:
         group: Symmetry group.
         pose: Group element g of the cycle, (size,); the base starts at the identity.
-        error: Error estimate, the difference to half as many samples: rotation [rad] and
-            translation [m].
+        error: Estimated error, the difference from the pose with half as many samples: rotation
+            [rad] and translation [m].
         geometric: Geometric phase, the end of the horizontal lift, (size,); equal to g at zero
             momentum.
         momentum: Body momentum at the start of the cycle, (r,).
@@ -61,9 +61,6 @@ class Phase:
     length: float
     samples: int
     _segments: PathSegments = field(repr=False)
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @cached_property
     def dynamic(self) -> Array:
@@ -189,11 +186,9 @@ def _bound(difference: PoseError, segments: PathSegments, pose: Array) -> PoseEr
 
 
 def _momentum(connection: Connection, momentum: ArrayLike | float) -> Array:
-    if np.ndim(momentum) == 0 and momentum == 0:
-        return np.zeros(connection.r)
-    mu = vector(np.asarray(momentum), connection.r, "momentum", connection.group.twist_names)
+    mu = vector_or_zero(momentum, connection.r, "momentum", connection.group.twist_names)
     if mu.any() and not connection.form.momentum:
-        raise InputError(f"{connection.form.what} carry no momentum; leave momentum out")
+        raise InputError(f"{connection.form.what} define no momentum. Omit momentum=.")
     return mu
 
 
@@ -215,7 +210,7 @@ def _power(group: Group, g: Array, n: int) -> Array:
 
 @dataclass(frozen=True)
 class Sampled:
-    """A gait with the body twists that the connection gives at its samples.
+    """A gait with the body twists that the connection determines at its samples.
 
     Attributes:
         segments: Body twists at the Gauss nodes.

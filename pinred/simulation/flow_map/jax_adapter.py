@@ -36,7 +36,9 @@ def jax_function(columns: Columns) -> Callable[..., Any]:
     except ImportError as missing:
         raise MissingPackageError("this needs JAX: pip install jax") from missing
     if jax.__version_info__ < _OLDEST:
-        raise MissingPackageError(f"this needs JAX 0.10 or newer, and {jax.__version__} is there")
+        raise MissingPackageError(
+            f"this needs JAX 0.10 or newer, but version {jax.__version__} is installed"
+        )
     primitives = _primitives()
     numbers = tuple(map(xla_call.numbered, _xla_functions(columns)))
 

@@ -1,4 +1,4 @@
-"""The loop over members in SIMD lanes: each lane has its own step length.
+"""Packing of members into SIMD lanes, each with its own step length: the loop of a thread.
 
 All threads take members from one queue. A thread takes as many members at a time as it has lanes,
 and computes their initial rates and first steps together. A lane uses only its own values, so the
