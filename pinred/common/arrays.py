@@ -82,7 +82,7 @@ def vector_or_zero(value: ArrayLike, size: int, what: str, labels: Sequence[str]
     """Convert a value to a finite vector, where the number 0 stands for the zero vector.
 
     Args:
-        value: Numbers, (size,), or 0.
+        value: Numbers, (size,); 0; or a single number if the size is 1.
         size: Required length.
         what: Name of the argument, for messages.
         labels: Names of the entries, for messages.
@@ -91,8 +91,9 @@ def vector_or_zero(value: ArrayLike, size: int, what: str, labels: Sequence[str]
     Raises:
         ShapeError: The length is wrong, or an entry is not finite.
     """
-    is_zero = dimensions(value) == 0 and value == 0
-    return np.zeros(size) if is_zero else vector(value, size, what, labels)
+    is_number = dimensions(value) == 0 and (size == 1 or value == 0)
+    entries: Any = [value] * size if is_number else value
+    return vector(entries, size, what, labels)
 
 
 def vectors(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -> Array:

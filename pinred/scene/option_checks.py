@@ -1,6 +1,6 @@
 """Checks of scene options that need more than the type of the value.
 
-The options are the seed, the keyframe, report times and lists of forces, and the time span that
+The options are the keyframe, report times and lists of forces, and the time span that
 signals and controllers cover.
 """
 

@@ -97,7 +97,7 @@ class Scene(SceneFields):
         self._keep("_given", self._resolve())
 
     def _check_conflicts(self) -> None:
-        """Raise InputError if options of the initial state contradict each other or are missing."""
+        """Raise InputError if options of the initial state contradict each other."""
         stated = [name for name in SCENE_OPTIONS if getattr(self, name) is not None]
         for name in stated:
             option = SCENE_OPTIONS[name]
@@ -108,12 +108,6 @@ class Scene(SceneFields):
                 raise InputError(f"give {both[0]} or {name}, not both: each determines the other")
         if self.keyframe is not None:
             check_keyframe(self.system, self.keyframe)
-        states = {"seed", "keyframe", *SCENE_OPTIONS["seed"].replaces}
-        if self.system.initial is None and states.isdisjoint(stated):
-            raise InputError(
-                f"'{self.system.name}' has no default initial state; "
-                "give x0, xdot0, xi0 or momentum, or seed= for a random one"
-            )
 
     def __reduce__(self) -> tuple[Any, ...]:
         options = {entry.name: getattr(self, entry.name) for entry in fields(self)}
@@ -275,6 +269,15 @@ class Scene(SceneFields):
         parameters: GivenParameters = vars(self)["_parameters"]
         self._keep("parameters", MappingProxyType(parameters.checked(known)))
 
+    def _require_state(self) -> None:
+        """Raise InputError if neither the options nor the robot state an initial state."""
+        states = ("seed", "keyframe", *SCENE_OPTIONS["seed"].replaces)
+        if self.system.initial is None and all(getattr(self, name) is None for name in states):
+            raise InputError(
+                f"'{self.system.name}' has no default initial state; "
+                "give x0, xdot0, xi0 or momentum, or seed= for a random one"
+            )
+
     def _resolve(self) -> GivenStates:
         """Return the initial state that the options state."""
         system = self.system
@@ -298,11 +301,11 @@ class Scene(SceneFields):
         if default is not None and no_shape:
             x, xdot = default.x, default.xdot
             xi = default.xi if self.xi0 is None else xi
+        self._require_state()
         refuse_vague(x, system)
         x, xdot = self.with_prescribed(x[None], xdot[None])
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
-        # A plain 0 means zero momentum for a group of any dimension.
         mu = vector_or_zero(self.momentum, system.r, "momentum")
         return GivenStates(pose[None], x, xdot, None, mu[None])
 

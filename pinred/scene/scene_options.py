@@ -117,7 +117,7 @@ class SceneFields:
     momentum: ArrayLike | None = field(default=None, metadata=_option(
         Either((NUMBER, NUMBERS)),
         "initial body momentum, [linear; angular] [N·s; N·m·s], or 0 for zero momentum",
-        default="computed from xi0", formats="(r,), or 0", table="start",
+        default="computed from xi0", formats="(r,), a number if r = 1, or 0", table="start",
         command=f"--momentum {_VECTOR}", replaces=("xi0",),
     ))  # fmt: skip
     seed: int | None = field(default=None, metadata=_option(

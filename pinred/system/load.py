@@ -29,9 +29,9 @@ from ..lie.groups import GROUPS, group_named
 from ..lie.spatial_groups import SE3
 from . import catalogue
 from .coordinates import InitialState
-from .coupling import locked_by, with_followers
+from .coupling import ties_of, with_followers
 from .joints import RootChain, motion_group, places_on_root, root_chain, root_joint
-from .locked_joints import LockedJoints, Tie, frozen_configurations, lock_values
+from .locked_joints import LockedJoints, frozen_configurations, lock_values
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
@@ -63,6 +63,7 @@ class _Robot:
         origin: File or name that was loaded, if any.
         group: Requested or catalogued symmetry group, if any.
         initial: Generic initial state, if any.
+        warning: Warning about the text of the file, or "".
     """
 
     raw: pin.Model
@@ -71,6 +72,7 @@ class _Robot:
     origin: Origin | None
     group: Group | None
     initial: InitialState | None = None
+    warning: str = ""
 
 
 def load(
@@ -87,7 +89,8 @@ def load(
     """Load a robot as symmetry group times shape.
 
     Emits a LeftOutWarning for actions in the file that pinred does not simulate
-    (System.left_out), and a ModelWarning for doubtful inertias.
+    (System.left_out), and a ModelWarning for doubtful inertias, for commas in number lists of a
+    URDF file, and for armature of a free joint.
 
     Args:
         source: Name of a bundled robot or of one in example-robot-data; path of a URDF or MJCF
@@ -158,6 +161,8 @@ def load(
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
         warnings.warn(message, LeftOutWarning, stacklevel=2)
+    for warning in system.contents.warnings:
+        warnings.warn(f"{quoted(system.name)}: {warning}", ModelWarning, stacklevel=2)
     for doubt in doubts:
         if strict:
             raise ModelError(f"{quoted(system.name)} is refused because of strict=True: {doubt}")
@@ -208,18 +213,18 @@ def _read(
     name = str(source)
     origin = Origin(name, locked, meshes=folders)
     if (robot := catalogue.bundled_robots().get(name)) is not None:
-        raw, couplings = read_urdf(robot.path)
+        raw, couplings, warning = read_urdf(robot.path)
         raw.gravity.linear = np.array(robot.gravity)
         group = group or group_named(robot.group)
         initial = None
         if not locked and group.name == robot.group:
             x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
             initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
-        return _Robot(raw, couplings, name, origin, group, initial)
+        return _Robot(raw, couplings, name, origin, group, initial, warning)
     if is_path(name):
-        raw, couplings = read_urdf(Path(source))
+        raw, couplings, warning = read_urdf(Path(source))
         origin = replace(origin, source=str(Path(source).absolute()))
-        return _Robot(raw, couplings, Path(source).stem, origin, group)
+        return _Robot(raw, couplings, Path(source).stem, origin, group, warning=warning)
     return _Robot(*_example(name), name, origin, group)
 
 
@@ -234,16 +239,16 @@ def _load_model(
     model = _on_root(bare, robot.group, chain)
     locked_joints = None
     if locked:
-        ties = {
-            name: Tie(coupling.leader, (coupling.offset, coupling.ratio))
-            for name, coupling in locked_by(locked, robot.couplings, names).items()
-        }
+        ties, shared = ties_of(locked, robot.couplings, names)
         places = {} if chain is None else places_on_root(bare, chain)
         several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
-        locked_joints = LockedJoints(raw, locked, ties, places, str(model.names[1]), several)
+        locked_joints = LockedJoints(
+            raw, locked, ties, places, str(model.names[1]), several, shared
+        )
     contents = replace(
         passive_contents(raw, list(model.names)[2:], locked),
         visuals=visuals,
+        warnings=(robot.warning,) if robot.warning else (),
         couplings=couplings,
         locked=locked_joints,
     )
@@ -282,7 +287,7 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
         )
     robot = catalogue.example_robot(name)
     if robot.build is None:
-        model, couplings = read_urdf(robot.urdf)
+        model, couplings, _ = read_urdf(robot.urdf)
     else:
         model, couplings = without_mimics(robot.build().robot.model)
         if not couplings:

@@ -116,6 +116,7 @@ class LockedJoints:
             on the root joint}.  Empty if the root was added, or is a joint of the raw model.
         root_name: Name of the root joint.
         several: Locked joints with several degrees of freedom, whose coordinates are fixed at zero.
+        shared: Locked joints in couplings with several leaders, whose values are fixed.
         names: Locked joints whose values may vary as parameters.
     """
 
@@ -125,6 +126,7 @@ class LockedJoints:
     root: Mapping[str, pin.SE3] = field(default_factory=dict)
     root_name: str = ""
     several: tuple[str, ...] = ()
+    shared: tuple[str, ...] = ()
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -138,6 +140,8 @@ class LockedJoints:
             return f"it follows '{leader}', with which it is locked; vary '{leader}.lock'"
         if name in self.several:
             return "it has several degrees of freedom, so it can only be locked at zero"
+        if name in self.shared:
+            return f"it is coupled with several joints; load(lock={{'{name}': …}}) again"
         if not raw.existJointName(name) or self._carries_root(raw.getJointId(name)):
             return (
                 "it carries the root, or is part of it, and only places it in the world; "

@@ -20,13 +20,14 @@ from ..common.errors import LoadError, ModelError
 from ..common.library_output import library_output
 from ..common.names import plain_path
 from .robot_file_contents import Coupling
-from .robot_files import read_xml
+from .robot_files import read_text, read_xml
 from .urdf_elements import (
     UNLIMITED,
     check_urdf,
     keep_dynamics,
     mimic_couplings,
     reduced_text,
+    replace_commas,
     total_mass,
     tree_depth,
 )
@@ -40,8 +41,10 @@ _DEEP, _STACK = 500, 65536
 _MOST_LINKS = 20_000  # largest accepted number of links, because the parser recurses once per link
 
 
-def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return the model in a URDF file, with the root joint of the file, and its joint couplings.
+def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...], str]:
+    """Return the model in a URDF file, its joint couplings, and a warning about its text or "".
+
+    The model has the root joint of the file.
 
     Raises:
         LoadError: The file cannot be read.
@@ -55,6 +58,7 @@ def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
         )
     if (links := len(root.findall("link"))) > _MOST_LINKS:
         raise LoadError(f"{plain_path(path)} has {links} links, more than {_MOST_LINKS}")
+    warning = replace_commas(root)
     check_urdf(root)
     depth = tree_depth(root)
     couplings = mimic_couplings(root)
@@ -73,7 +77,15 @@ def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
     keep_dynamics(root, model)
     for limits in (model.lowerPositionLimit, model.upperPositionLimit):
         limits[np.abs(limits) >= UNLIMITED] *= np.inf
-    return model, couplings
+    return model, couplings, warning
+
+
+def drawn_text(path: Path) -> str:
+    """Return the text of a URDF file for Pinocchio's parser of shapes.  Raises LoadError."""
+    root = read_xml(path)
+    if replace_commas(root):
+        return ElementTree.tostring(root, encoding="unicode")
+    return read_text(path)
 
 
 def _parse(text: str, depth: int) -> pin.Model:

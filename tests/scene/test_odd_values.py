@@ -48,6 +48,33 @@ def test_number_beyond_float_range_is_refused(name: str, cat: pinred.System) -> 
             pinred.Scene(system=cat, **_any(name, value))
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"method": "RK5"}, "unknown method 'RK5'"),
+        ({"method": "RKMK4"}, "needs a step"),
+        ({"pose0": [1.0, 2.0]}, "pose"),
+        ({"forces": "gravity"}, "forces must be a list"),
+        ({"forces": [Torque({"knee": 1.0})]}, "knee"),
+        ({"springs": {"knee": (1.0, 0.0)}}, "knee"),
+        ({"prescribed": {"knee": 0.0}}, "knee"),
+        ({"events": 3}, "events"),
+        ({"parameters": {"knee.mass": 1.0}}, "knee"),
+        ({"outputs": "none"}, "outputs must be one of"),
+        ({"times": [1.0, 0.0]}, "times must increase"),
+        ({"rtol": -1.0}, "rtol"),
+        ({}, "has no default initial state"),
+    ],
+)
+def test_wrong_option_is_reported_before_missing_state(
+    options: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    """The file states no initial state, which is reported only if every option is right."""
+    with pytest.raises(pinred.InputError) as caught:
+        pinred.simulate(pinred.load(write(tmp_path, FLOATING)), **options)
+    assert words in str(caught.value)
+
+
 @pytest.mark.parametrize("odd", [True, np.array(True), np.timedelta64(3, "s")])
 @pytest.mark.parametrize("name", ["momentum", "xdot0", "x0", "rtol", "duration", "parameters"])
 def test_bool_and_timedelta_are_refused_as_numbers(name: str, odd: Any, cat: pinred.System) -> None:

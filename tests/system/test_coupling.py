@@ -112,7 +112,7 @@ def test_coupling_of_root_is_refused() -> None:
     model = random_model("SO2", 2, 0)
     pairs = (("joint1", "joint0"), ("joint0", "joint1"))
     for pair in pairs:
-        contents = Contents(couplings=(Coupling(*pair, 1.0, 0.0),))
+        contents = Contents(couplings=(Coupling(pair[0], {pair[1]: 1.0}, 0.0),))
         with pytest.raises(
             ModelError, match=r"root joint 'joint0'.* motion .*is the symmetry.*Lock"
         ):
@@ -132,9 +132,9 @@ def test_two_leaders_or_infinite_ratio_are_refused() -> None:
     """A joint follows one other joint, with finite ratio and offset."""
     names = ["a", "b", "c"]
     with pytest.raises(ModelError, match=r"'a' follows several joints: b, c"):
-        resolved([Coupling("a", "b", 1.0, 0.0), Coupling("a", "c", 1.0, 0.0)], names)
+        resolved([Coupling("a", {"b": 1.0}, 0.0), Coupling("a", {"c": 1.0}, 0.0)], names)
     with pytest.raises(ModelError, match=r"'a' follows 'b'.*must be finite"):
-        resolved([Coupling("a", "b", np.inf, 0.0)], names)
+        resolved([Coupling("a", {"b": np.inf}, 0.0)], names)
 
 
 @pytest.mark.parametrize("kind", [pin.JointModelPY(), pin.JointModelRZ(), None])
@@ -219,7 +219,7 @@ def test_coupled_joints_out_of_order_keep_q_and_v() -> None:
     c = model.addJoint(a, pin.JointModelRZ(), pin.SE3.Random(), "c")
     for i in (root, a, b, c):
         model.appendBodyToJoint(i, inertia(rng), pin.SE3.Identity())
-    couplings = (Coupling("c", "b", 2.0, 0.5),)
+    couplings = (Coupling("c", {"b": 2.0}, 0.5),)
     system = pinred.System(model, contents=Contents(couplings=couplings))
     names = dict(zip(system.shape_names, (0.1, 0.2), strict=True))
     x = [names[name] for name in system.shape_names]
@@ -262,13 +262,15 @@ def test_opposed_pair_around_point_mass_is_refused(tmp_path: Path) -> None:
 
 
 def test_random_cases_cover_all_kinds() -> None:
-    """The random trees include chains, zero and negative ratios, and several groups."""
+    """The random trees include chains, zero and negative ratios, and several leaders."""
     cases = [make_case("SE3", 8, seed) for seed in range(40)]
     found = [each for case in cases for each in case.system.couplings]
-    assert any(each.ratio == 0.0 for each in found)
-    assert any(each.ratio < 0.0 for each in found)
+    ratios = [ratio for each in found for ratio in each.ratios.values()]
+    assert min(ratios) < 0.0
+    assert 0.0 in ratios
+    assert sum(len(each.ratios) > 1 for each in found) > 20
     systems = [case.system for case in cases]
-    assert any({each.leader for each in s.couplings} & {*s.followers} for s in systems)
+    assert any({n for each in s.couplings for n in each.leaders} & {*s.followers} for s in systems)
 
 
 POINT = (

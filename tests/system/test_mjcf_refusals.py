@@ -17,7 +17,7 @@ from test_mjcf_loading import SIDE, arm, base, loaded, text, with_warning, write
 import pinred
 from pinred import InputError, LoadError, ModelError, PinredError
 from pinred.system.mjcf import compile as mjcf_compilation
-from pinred.system.mjcf.read import constraints_of
+from pinred.system.mjcf.equality_constraints import constraints_of
 from pinred.system.robot_file_contents import Coupling
 
 TWO = base(arm("left") + arm("right"))
@@ -89,14 +89,14 @@ def test_joint_constraint_becomes_coupling() -> None:
     content = coupled('<joint name="gear" joint1="left" joint2="right" polycoef=".1 2"/>')
     tree = read_tree(mujoco.MjSpec.from_string(content))
     (coupling,) = constraints_of(tree).couplings
-    assert coupling == Coupling("left", "right", 2.0, coupling.offset)
+    assert coupling == Coupling("left", {"right": 2.0}, coupling.offset)
     assert coupling.offset == pytest.approx(0.3 + 0.1 - 2.0 * 0.4)
     # MuJoCo's residual of the constraint is zero there.
     model = tree.world.model
     data = mujoco.MjData(model)
     leader = 0.9
     data.qpos[model.joint("right").qposadr] = leader
-    data.qpos[model.joint("left").qposadr] = coupling.ratio * leader + coupling.offset
+    data.qpos[model.joint("left").qposadr] = coupling.ratios["right"] * leader + coupling.offset
     mujoco.mj_forward(model, data)
     assert data.nefc == 1
     assert data.efc_pos[0] == pytest.approx(0.0, abs=1e-15)

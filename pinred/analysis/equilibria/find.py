@@ -203,7 +203,7 @@ def _periodic(problem: Problem, k: int) -> bool:
     coupled = problem.system.coupled
     if coupled is None:
         return True
-    ratios = coupled.ratio[coupled.of == k]
+    ratios = coupled.G[:, k]
     return bool((ratios == np.round(ratios)).all())
 
 

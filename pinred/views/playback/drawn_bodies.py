@@ -18,7 +18,7 @@ from ...system.catalogue import bundled_robots, example_robot
 from ...system.mjcf.compile import compiled
 from ...system.mjcf.mujoco_joints import frame
 from ...system.mjcf.world import World, robot_in
-from ...system.read_urdf import URDFDOM
+from ...system.read_urdf import URDFDOM, drawn_text
 from ...system.robot_files import is_mjcf, read_text
 from ...system.system import System
 from ...system.visuals import Visuals, mesh_folders
@@ -179,10 +179,11 @@ def _from_urdf(path: Path, folders: Sequence[str]) -> Visuals:
     # Packages are searched in all parent folders of the file, in `folders`, and next to them.
     named = [path for folder in folders for path in (folder, str(Path(folder).parent))]
     above = [str(folder) for folder in path.resolve().parents][:-1]
+    text = drawn_text(path)
     with library_output(URDFDOM):
-        raw = pin.buildModelFromUrdf(str(path))
-        geometry = pin.buildGeomFromUrdf(
-            raw, str(path), pin.GeometryType.VISUAL, package_dirs=[*named, *above]
+        raw = pin.buildModelFromXML(text)
+        geometry = pin.buildGeomFromUrdfString(
+            raw, text, pin.GeometryType.VISUAL, package_dirs=[*named, *above]
         )
     return Visuals(raw, geometry)
 
