@@ -10,6 +10,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.memo import once
 from ...forces.force_values import BaseInSpace
+from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
 from ...kernels.derived_code import tangent_of, wide_rate
@@ -74,7 +75,8 @@ class CompiledFlow:
         """Return a copy of the parameters that selects the table segments between two stops."""
         parameters, forces = self.parameters.copy(), self.kernel.forces
         if forces is not None:
-            parameters[..., self.numbers_at][..., forces.within] = 0.5 * (start + stop)
+            numbers = parameters[..., self.numbers_at]
+            numbers[..., forces.within] = time_within(start, stop)
         return parameters
 
     def sample(self, t: float, y: Array, parameters: Array | None = None) -> Sample:

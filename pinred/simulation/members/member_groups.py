@@ -45,7 +45,7 @@ class Group:
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             return f"{controller.name} is called every {controller.period:g} s"
-        if len(plan.stops) > 1 and plan.acting.driven:
+        if (len(plan.stops) > 1 or plan.stops_vary) and plan.acting.driven:
             return f"a plan of a joint is not smooth at t = {plan.stops[0]:g} s"
         return ""
 
