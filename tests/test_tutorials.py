@@ -364,7 +364,7 @@ def test_tutorial_attitude_control_prints_reference_values(
     """Both controllers reach the goal and stay; thruster impulses change the momentum."""
     output = run_tutorial("16")
     assert output.text.count("verdict: PASSED") == 2
-    assert "seen by forces: attitude of the base" in output.text
+    assert "observed by forces: attitude of the base" in output.text
     for name in ("by_wheels", "by_thrusters"):
         traj = output.names[name]
         (time,) = traj.events["settled"].t

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 
 _SHAPES_PER_LINE = 41
 _DESCENTS = 6  # number of samples from which each extreme distance is minimised
@@ -22,7 +22,7 @@ _GAP = 4.0  # largest gap within one range, in mean distances between samples
 
 
 @dataclass(frozen=True)
-class Workspace:
+class Workspace(FrozenArrays):
     """Distances of the hand from the centre of mass at zero momentum. Arrays are read-only.
 
     Attributes:
@@ -34,9 +34,6 @@ class Workspace:
     reach: Array
     dependent: Array
     independent: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def workspace_of(
@@ -59,6 +56,8 @@ def workspace_of(
     Returns:
         The workspace.
     """
+    from scipy.optimize import minimize
+
     paths = _grid(bounds, samples) if len(bounds) < 3 else _lines(bounds, samples, seed)
     shapes = paths.reshape(-1, len(bounds))
     r, det = (f(shapes).reshape(paths.shape[:-1]) for f in (radius, determinants))
@@ -66,11 +65,20 @@ def workspace_of(
     det_a, det_b = det[:, :-1][cross], det[:, 1:][cross]
     r_a, r_b = r[:, :-1][cross], r[:, 1:][cross]
     singular = np.sort(r_a + det_a / (det_a - det_b) * (r_b - r_a))
-    order = np.argsort(r.ravel())
-    reach = np.array([
-        _extreme(sign, shapes[indices], radius, slope, bounds)
-        for sign, indices in ((1.0, order[:_DESCENTS]), (-1.0, order[-_DESCENTS:]))
-    ])  # fmt: skip
+
+    def extreme(sign: float, starts: Array) -> float:
+        """Minimise sign · radius from each of the shapes; return the extreme distance."""
+        minima = [
+            minimize(
+                lambda x: (sign * float(radius(x[None])[0]), sign * slope(x)), start, jac=True,
+                method="L-BFGS-B", bounds=bounds,
+            ).fun
+            for start in starts
+        ]  # fmt: skip
+        return float(sign * min(minima))
+
+    ordered = shapes[np.argsort(r.ravel())]
+    reach = np.array([extreme(1.0, ordered[:_DESCENTS]), extreme(-1.0, ordered[-_DESCENTS:])])
     gap = _GAP * float(np.ptp(reach)) / samples
     dependent = _ranges(singular, gap)
     edges = [reach[0], *dependent.ravel(), reach[1]]
@@ -96,36 +104,6 @@ def _lines(bounds: Array, samples: int, seed: int) -> Array:
     start, end = low + (high - low) * rng.uniform(size=(2, samples, len(bounds)))
     fraction = np.linspace(0.0, 1.0, _SHAPES_PER_LINE)[:, None]
     return np.asarray(start[:, None] + fraction * (end - start)[:, None])
-
-
-def _extreme(
-    sign: float,
-    starts: Array,
-    radius: Callable[[Array], Array],
-    slope: Callable[[Array], Array],
-    bounds: Array,
-) -> float:
-    """Minimise or maximise the distance from several initial shapes.
-
-    Args:
-        sign: 1 for the least distance, −1 for the greatest.
-        starts: Initial shapes, (k, m).
-        radius: Function that returns the distances (k,) [m] at shapes (k, m).
-        slope: Function that returns the derivative (m,) of the distance at a shape.
-        bounds: Joint limits, (m, 2).
-    Returns:
-        The extreme distance [m].
-    """
-    from scipy.optimize import minimize
-
-    minima = [
-        minimize(
-            lambda x: (sign * float(radius(x[None])[0]), sign * slope(x)), start, jac=True,
-            method="L-BFGS-B", bounds=bounds,
-        ).fun
-        for start in starts
-    ]  # fmt: skip
-    return float(sign * min(minima))
 
 
 def _ranges(values: Array, gap: float) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, freeze, read_only, vector, vectors, whole
+from ..common.arrays import Array, FrozenArrays, read_only, vector, vectors, whole
 from ..common.errors import InputError
 from ..common.names import joint_index, listed, nearest, quoted
 from ..system.system import System, checked_system
@@ -32,7 +32,7 @@ _ROOT_SAMPLES = 721  # number of samples of a path that bracket the roots
 
 
 @dataclass(frozen=True)
-class Singularity:
+class Singularity(FrozenArrays):
     """The distance of a free-floating arm from a dynamic singularity at a shape.
 
     Attributes:
@@ -46,9 +46,6 @@ class Singularity:
     determinant: float
     lost: Array
     joints: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def least(self) -> float:
@@ -93,7 +90,7 @@ class FloatingArm:
         linear = tuple(axis for axis in group.axes if axis < 3)
         task = tuple(self.task) or (group.axes if system.m >= group.dim or not linear else linear)
         if not set(task) <= set(range(6)) or len(set(task)) != len(task):
-            raise InputError(f"task must be rows of a twist, 0 to 5, each once, got {self.task}")
+            raise InputError(f"task must be distinct rows of a twist, from 0 to 5, got {self.task}")
         object.__setattr__(self, "task", tuple(int(row) for row in task))
         object.__setattr__(self, "_reduction", Reduction(system))
         object.__setattr__(self, "_id", system.model.getFrameId(self.frame))
@@ -333,7 +330,7 @@ class FloatingArm:
         return distances.reshape(shapes.shape[:-1])
 
     def _radius_gradient(self, x: Array) -> Array:
-        """Return the derivative (m,) of this distance with respect to the joints, base at rest."""
+        """Return the gradient (m,) of the hand's distance from the centre of mass, base at rest."""
         system, model, data = self.system, self.system.model, self.system.data
         q = system.model_q(system.group.identity(), x)
         com_jacobian = pin.jacobianCenterOfMass(model, data, q)

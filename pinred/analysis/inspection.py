@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..reduction.casimirs import casimirs
+from ..reduction.curvature import bracket_term
 from ..reduction.cyclic_joints import cyclic_joints
 from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape
 from ..reduction.potential import broken_by_gravity
@@ -152,12 +153,10 @@ def _is_flat(red: PointwiseReduction) -> bool:
     rng = np.random.default_rng(0)
     for x in rng.uniform(-np.pi, np.pi, (_SHAPES if red.system.m > 1 else 0, red.system.m)):
         reduced = red.at(x)
-        bracket = np.einsum(
-            "aij,jb->iab", red.group.ad(reduced.local_connection.T), reduced.local_connection
-        )
+        A = reduced.local_connection
         # For a prismatic joint dA scales with A per metre, so A itself counts as a term.
         terms = max(
-            float(np.abs(term).max()) for term in (reduced.dA, bracket, reduced.local_connection)
+            float(np.abs(term).max()) for term in (reduced.dA, bracket_term(red.group, A), A)
         )
         if float(np.abs(reduced.curvature).max()) > _ZERO_CURVATURE * terms:
             return False

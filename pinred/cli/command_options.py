@@ -9,7 +9,7 @@ import argparse
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..common.errors import InputError
 from ..common.names import quoted
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..scene.toml.schema import Key
     from ..system.system import System
 
+T = TypeVar("T")
 ROBOT = "robot: a name (see `pinred robots`), or a URDF or MJCF file"
 
 
@@ -87,7 +88,7 @@ def options_in(arguments: argparse.Namespace, keys: Mapping[str, Key]) -> dict[s
 
 def add_robot(sub: argparse.ArgumentParser, text: str = ROBOT) -> None:
     """Add a robot and the options of loading it; `text` describes the accepted values."""
-    from ..scene.toml.keys import LOAD
+    from ..scene.load_options import LOAD
 
     sub.add_argument("robot", metavar="ROBOT", help=text)
     add_options(sub, {name: key for name, key in LOAD.keys.items() if key.command})
@@ -107,29 +108,24 @@ def add_repeated(sub: argparse.ArgumentParser, usage: str, text: str) -> None:
 
 
 def parameters_in(entries: Sequence[str]) -> dict[str, Any]:
-    """Parse texts NAME=VALUE into {name: number or numbers}.  Raises InputError."""
-    parameters: dict[str, Any] = {}
-    for entry in entries:
-        name, _, text = entry.partition("=")
-        if not (name and text):
-            raise InputError(f"--parameter takes NAME=NUMBER, or NAME=V1,V2,…, got {quoted(entry)}")
-        if name in parameters:
-            raise InputError(f"--parameter has {quoted(name)} twice")
-        values = numbers_in(text, "parameter") or []
-        parameters[name] = values[0] if len(values) == 1 else values
-    return parameters
+    """Parse texts NAME=VALUE into {name: number or list of numbers}.  Raises InputError."""
+    usage = "NAME=NUMBER, or NAME=V1,V2,…"
+    values = assigned_in(entries, "parameter", _floats, usage, noun="")
+    return {name: value[0] if len(value) == 1 else value for name, value in values.items()}
 
 
 def refuse_of_robots(arguments: argparse.Namespace, source: str, *names: str) -> None:
     """Reject options that apply to robots only, if the source is a file.  Raises InputError."""
     for name in names:
         if getattr(arguments, name) not in (None, []):
-            raise InputError(f"--{name} is for robots; {quoted(source)} says itself")
+            raise InputError(
+                f"--{name} applies to robots only; {quoted(source)} contains this setting"
+            )
 
 
 def system_of(arguments: argparse.Namespace) -> System:
     """Load the robot that the options of add_robot name."""
-    from ..scene.toml.keys import LOAD
+    from ..scene.load_options import LOAD
     from ..system.load import load
 
     parameters = parameters_in(arguments.parameter)
@@ -197,61 +193,64 @@ def numbers_in(text: str | None, option: str) -> list[float] | None:
     if text is None:
         return None
     try:
-        return [float(word) for word in text.split(",")] if text else []
+        return _floats(text) if text else []
     except ValueError:
         raise InputError(
             f"--{option} takes numbers separated by commas, got {quoted(text)}"
         ) from None
 
 
+def assigned_in(
+    entries: Sequence[str], option: str, read: Callable[[str], T], usage: str, noun: str = "joint "
+) -> dict[str, T]:
+    """Parse texts NAME=VALUE.
+
+    Args:
+        entries: The texts.
+        option: Name of the option, for messages.
+        read: Converts the text of a value; raises ValueError if it is invalid.
+        usage: Accepted formats, for messages.
+        noun: What a name stands for, for messages.
+    Returns:
+        The values by name.
+    Raises:
+        InputError: A text has another format, or a name stands twice.
+    """
+    values: dict[str, T] = {}
+    for entry in entries:
+        name, _, text = entry.partition("=")
+        if name in values:
+            raise InputError(f"--{option} has {noun}{quoted(name)} twice")
+        try:
+            values[name] = read(text if name else "")
+        except ValueError:
+            raise InputError(f"--{option} takes {usage}, got {quoted(entry)}") from None
+    return values
+
+
 def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
     """Parse V1,V2,… into numbers, or J1=V1,… into {joint: number}.  Raises InputError."""
     if "=" not in text:
         return numbers_in(text, option) or []
-    values: dict[str, float] = {}
-    for entry in text.split(","):
-        name, _, value = entry.rpartition("=")
-        if name in values:
-            raise InputError(f"--{option} has joint {quoted(name)} twice")
-        try:
-            values[name] = float(value if name else "")
-        except ValueError:
-            raise InputError(
-                f"--{option} takes numbers, or JOINT=NUMBER for each, got {quoted(entry)}"
-            ) from None
-    return values
+    return assigned_in(text.split(","), option, float, "numbers, or JOINT=NUMBER for each")
 
 
-def springs_in(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Parse texts JOINT=STIFFNESS,REST into {joint: (stiffness, rest)}.  Raises InputError."""
-    springs = {}
-    for entry in entries:
-        name, _, text = entry.partition("=")
-        values = numbers_in(text, "spring") or []
-        if len(values) not in (1, 2):
-            raise InputError(
-                f"--spring takes JOINT=STIFFNESS or JOINT=STIFFNESS,REST, got {quoted(entry)}"
-            )
-        springs[name] = (values[0], values[1] if len(values) == 2 else 0.0)
-    return springs
+def _floats(text: str) -> list[float]:
+    return [float(word) for word in text.split(",")]
 
 
-def prescribed_in(entries: Sequence[str]) -> dict[str, float | str]:
-    """Parse texts JOINT=PLAN into {joint: number or formula}.  Raises InputError."""
-    plans: dict[str, float | str] = {}
-    for entry in entries:
-        name, _, text = entry.partition("=")
+def _spring(text: str) -> tuple[float, float]:
+    stiffness, rest = _floats(text if "," in text else f"{text},0")
+    return stiffness, rest
+
+
+def _plan(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
         if not text:
-            raise InputError(
-                f"--prescribed takes JOINT=NUMBER or JOINT=FORMULA, got {quoted(entry)}"
-            )
-        if name in plans:
-            raise InputError(f"--prescribed has joint {quoted(name)} twice")
-        try:
-            plans[name] = float(text)
-        except ValueError:
-            plans[name] = text
-    return plans
+            raise
+        return text
 
 
 def _lock_in(text: str, _: str) -> dict[str, float]:
@@ -276,8 +275,12 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "V1,V2,…": numbers_in,
     "V1,V2,… or J1=V1,…": by_joint_in,
     "J1,J2=VALUE,…": _lock_in,
-    "J=K,REST": lambda entries, _: springs_in(entries),
-    "J=PLAN": lambda entries, _: prescribed_in(entries),
+    "J=K,REST": lambda entries, _: assigned_in(
+        entries, "spring", _spring, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
+    ),
+    "J=PLAN": lambda entries, name: assigned_in(
+        entries, name, _plan, "JOINT=NUMBER or JOINT=FORMULA"
+    ),
     "AXIS": lambda text, name: text if text in ("x", "y", "z") else numbers_in(text, name),
     _LIMITS: _limits_in,
 }
@@ -311,15 +314,15 @@ def _method(arguments: argparse.Namespace) -> str:
         }
         if name not in methods_with.get("step", [name]):
             methods = " or ".join(methods_with["step"])
-            raise InputError(f"--step H and --method {methods} go together")
+            raise InputError(f"--step H requires --method {methods}")
         if name not in methods_with.get("order", [name]):
-            raise InputError(f"--order P goes with --method {' or '.join(methods_with['order'])}")
+            raise InputError(f"--order P requires --method {' or '.join(methods_with['order'])}")
     return f"{name}({', '.join(f'{key}={value!r}' for key, value in stated.items())})"
 
 
 def add_source(sub: argparse.ArgumentParser) -> None:
     """Add the options that name a connection and a gait."""
-    from ..scene.toml.keys import LOAD
+    from ..scene.load_options import LOAD
 
     text = "gait file (.toml), or robot: a name (see `pinred robots`) or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)

@@ -16,6 +16,7 @@ from .command_options import (
     options_in,
     system_of,
 )
+from .motion_files import show_motion
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     text = "momentum of the relative equilibria, or a range for branches [N·m·s | N·s]"
     add("--momentum J or LOW,HIGH", text, required=True)
     add("--cyclic J1=V1,…", "momenta of cyclic joints, such as wheels [N·m·s | N·s] (default: 0)")
-    add("--starts N", "number of starting points", int)
+    add("--starts N", "number of random starting points of each round", int)
+    add("--limit N", "largest number of starting points in all, at one momentum", int)
     add("--seed S", "seed of the starting points", int, 0)
     add("--joint J", "vertical axis of the diagram (default: amended potential)")
     add("--play K", "play equilibrium K, counted from 0", int)
@@ -60,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     options |= {"cyclic": _parse_cyclic(arguments.cyclic), "seed": arguments.seed}
     if arguments.starts is not None:
         options["starts"] = arguments.starts
+    if arguments.limit is not None:
+        options["limit"] = arguments.limit
     if len(momenta) == 2:
         return _branches(arguments, system, (momenta[0], momenta[1]), options)
     from ..analysis.equilibria.find import relative_equilibria
@@ -95,7 +99,7 @@ def _branches(
 def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
     """Simulate one equilibrium, perturbed along a mode, and play or write it.  Returns 0."""
     from ..simulation.simulate import simulate
-    from ..views.playback.view_options import FILM_FPS, FPS, View
+    from ..views.playback.view_options import View, default_fps
 
     index, count = arguments.play, len(equilibria)
     if not 0 <= index < count:
@@ -106,22 +110,8 @@ def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
     )
     traj = simulate(scene, progress=True)
     print(f"playing {index}, {equilibrium}")
-    if arguments.out is None:
-        from ..views.playback.server import play
-
-        play(traj, View(), wait=True)
-        return 0
-    path = Path(arguments.out)
-    if path.suffix == ".html":
-        from ..views.playback.page import save_html
-
-        save_html(traj, path, View(fps=FPS))
-        print(describe_file(path))
-        return 0
-    from ..views.playback.film import save_film
-
-    frames = save_film(traj, path, View(fps=FILM_FPS))
-    print(f"{frames} frames written to {path}")
+    out = None if arguments.out is None else Path(arguments.out)
+    show_motion(traj, out, View(fps=default_fps(out)))
     return 0
 
 
@@ -129,18 +119,20 @@ def _check(arguments: argparse.Namespace, *, is_range: bool) -> None:
     """Raise InputError for options without effect; `is_range`: the command follows branches."""
     from ..common.files import check_path
 
+    if is_range and arguments.limit is not None:
+        raise InputError("--limit is for one momentum, not for a range")
     if is_range and arguments.play is not None:
-        raise InputError("--play is for one momentum, not for a range")
+        raise InputError("--play requires a single momentum, not a range")
     if arguments.play is None:
         for name in ("mode", "time"):
             if getattr(arguments, name) is not None:
-                raise InputError(f"--{name} goes with --play K")
+                raise InputError(f"--{name} requires --play K")
         if arguments.out is not None and not is_range:
-            raise InputError("--out goes with a range, --momentum LOW,HIGH, or with --play K")
+            raise InputError("--out requires a range, --momentum LOW,HIGH, or --play K")
     elif arguments.out is not None:
         check_path(Path(arguments.out), _PLAYED)
     if arguments.joint is not None and not (is_range and arguments.out is not None):
-        raise InputError("--joint is of the diagram that --momentum LOW,HIGH --out FILE draws")
+        raise InputError("--joint requires the diagram that --momentum LOW,HIGH --out FILE draws")
 
 
 def _parse_cyclic(text: str | None) -> dict[str, float] | None:

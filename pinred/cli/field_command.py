@@ -74,16 +74,12 @@ def _compute_grid(
     import numpy as np
 
     from ..common.arrays import vector
-    from ..common.names import joint_index
+    from ..views.plots.motion_labels import labels_of_connection
 
     if samples < 2:
         raise InputError(f"--samples must be at least 2, got {samples}")
-    if connection.m < 2:
-        raise InputError(f"a field needs two joints; {connection} has {connection.m}")
     names = list(connection.joints)
-    pair = [joint_index(name, names, "--joints") for name in joints or names[:2]]
-    if len(set(pair)) != 2:
-        raise InputError("--joints takes two different joints")
+    pair = labels_of_connection(connection).pair(joints, "a field")
     fixed = np.zeros(connection.m) if at is None else vector(at, connection.m, "--at", names)
     (low, high), _ = limits or [(-np.pi, np.pi)] * 2
     axis = np.linspace(low, high, samples)

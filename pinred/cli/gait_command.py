@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from .command_options import add_options, add_parameters, option_adder, options_in, source_of
-from .output_files import write_plan
+from .output_files import write_plan, write_series
 
 if TYPE_CHECKING:
     from ..analysis.gaits.gait import Gait
@@ -19,7 +19,7 @@ _SAMPLES = 400  # number of samples of a cycle in a file
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     from ..planning.gait_file import OPTIMISE
-    from ..scene.toml.keys import LOAD
+    from ..scene.load_options import LOAD
 
     text = "gait file (.toml) with connection and objective, or robot: a name or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)
@@ -67,15 +67,8 @@ def _write(gait: Gait, joints: tuple[str, ...], path: Path) -> None:
     """Write a cycle as joint data in the format of `Gait.read`."""
     import numpy as np
 
-    from ..common.files import write_atomic, write_table
-
     if not np.isfinite(gait.period):
         raise InputError("a gait without a period cannot be written")
     t = np.linspace(0.0, gait.period, _SAMPLES + 1)
     x = gait.at(np.append(t[:-1], 0.0))[0]
-    if path.suffix == ".npz":
-        write_atomic(path, lambda file: np.savez(file, t=t, x=x))
-        return
-    names = ("t", *joints)
-    rows = np.column_stack([t, x]).tolist()
-    write_table(path, names, (dict(zip(names, row, strict=True)) for row in rows))
+    write_series(path, ("t", *joints), {"t": t, "x": x})

@@ -9,6 +9,7 @@ from ..common.errors import InputError
 
 if TYPE_CHECKING:
     from ..views.motion_source import MotionSource
+    from ..views.playback.view_options import View
 
 
 def motion_in(path: str, robot: str | None) -> MotionSource:
@@ -28,7 +29,37 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
     return simulate(file.scene, engine=file.engine, progress=True)
 
 
+def show_motion(
+    motion: MotionSource, out: Path | None, view: View, *, port: int | None = None,
+    show: bool = True,
+) -> None:  # fmt: skip
+    """Play a motion in a browser, or write it as a page or a film.
+
+    Args:
+        motion: The motion.
+        out: File to write; None to play.
+        view: Options of the view.
+        port: Port of the web server; any free one if None.
+        show: Whether to open the browser.
+    """
+    if out is None:
+        from ..views.playback.server import play
+
+        play(motion, view, port=port, show=show, wait=True)
+    elif out.suffix == ".html":
+        from ..views.playback.page import save_html
+
+        print(f"written to {out} ({save_html(motion, out, view) / 1e6:.2f} MB)")
+    else:
+        from ..common.progress import ProgressBar
+        from ..views.playback.film import save_film
+
+        with ProgressBar("film   ") as bar:
+            count = save_film(motion, out, view, progress=bar)
+        print(f"{count} frames written to {out}")
+
+
 def check_robot(source: str, robot: str | None) -> None:
     """Raise InputError for the option --robot with any source except a .npz file."""
     if robot is not None and Path(source).suffix != ".npz":
-        raise InputError(f"--robot is for .npz files; '{source}' names its robot itself")
+        raise InputError(f"--robot applies to .npz files only; '{source}' names its robot")

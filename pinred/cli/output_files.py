@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,27 @@ def save_figure(figure: Figure, path: Path) -> None:
 def describe_file(path: Path) -> str:
     """Return the message that a file was written, with its size."""
     return f"written to {path} ({path.stat().st_size / 1e3:.0f} kB)"
+
+
+def write_series(path: Path, names: Sequence[str], arrays: Mapping[str, Any]) -> None:
+    """Write values over time to an .npz or .csv file.
+
+    Args:
+        path: The file.
+        names: Names of the columns of the .csv file.
+        arrays: Times, (T,), values, (T, n), and further arrays, by their names in the .npz file.
+            The .csv file has times and values only.
+    """
+    import numpy as np
+
+    from ..common.files import write_atomic, write_table
+
+    if path.suffix == ".npz":
+        write_atomic(path, lambda file: np.savez(file, **arrays))
+        return
+    t, values, *_ = arrays.values()
+    rows = np.column_stack([t, values]).tolist()
+    write_table(path, names, (dict(zip(names, row, strict=True)) for row in rows))
 
 
 def print_report(report: Report) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .command_options import add_options, add_source, option_adder, options_in, source_of
-from .output_files import describe_file, save_figure
+from .output_files import describe_file, save_figure, write_series
 
 if TYPE_CHECKING:
     from ..analysis.phases.phase import Phase
@@ -70,19 +70,12 @@ def _pose(label: str, result: Phase, pose: Array) -> str:
 
 
 def _write(result: Phase, path: Path, cycles: int) -> None:
-    import numpy as np
+    from ..common.files import FIGURES
 
-    from ..common.files import write_atomic, write_table
-
-    if path.suffix == ".npz":
-        write_atomic(
-            path, lambda file: np.savez(file, t=result.times, pose=result.path, end=result.pose)
-        )
-    elif path.suffix == ".csv":
-        names = ("t", *result.group.pose_names)
-        rows = np.column_stack([result.times, result.path]).tolist()
-        write_table(path, names, (dict(zip(names, row, strict=True)) for row in rows))
-    else:
+    if path.suffix in FIGURES:
         from ..views.plots.by_kind import plot
 
         save_figure(plot(result, "cycles", count=max(1, cycles)), path)
+        return
+    arrays = {"t": result.times, "pose": result.path, "end": result.pose}
+    write_series(path, ("t", *result.group.pose_names), arrays)

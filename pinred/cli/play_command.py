@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..common.errors import InputError
 from .command_options import option_adder
-from .motion_files import motion_in
+from .motion_files import motion_in, show_motion
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -29,14 +29,12 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Play or write the motion.  Returns 0."""
-    from ..views.playback.view_options import FILM_FPS, FPS, View
+    from ..views.playback.view_options import View, default_fps
 
     _check(arguments)
     pair = None if arguments.pair is None else tuple(arguments.pair.split(","))
     out = None if arguments.out is None else Path(arguments.out)
-    fps = arguments.fps
-    if fps is None:
-        fps = FPS if out is None or out.suffix == ".html" else FILM_FPS
+    fps = default_fps(out) if arguments.fps is None else arguments.fps
     meshes = arguments.meshes or not arguments.no_meshes
     view = View(ghost=arguments.ghost, speed=arguments.speed, fps=fps, pair=pair, meshes=meshes)
     if out is not None:
@@ -49,21 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         check_port(arguments.port)
     motion = motion_in(arguments.motion, arguments.robot)
-    if out is None:
-        from ..views.playback.server import play
-
-        play(motion, view, port=arguments.port, show=not arguments.no_open, wait=True)
-    elif out.suffix == ".html":
-        from ..views.playback.page import save_html
-
-        print(f"written to {out} ({save_html(motion, out, view) / 1e6:.2f} MB)")
-    else:
-        from ..common.progress import ProgressBar
-        from ..views.playback.film import save_film
-
-        with ProgressBar("film   ") as bar:
-            count = save_film(motion, out, view, progress=bar)
-        print(f"{count} frames written to {out}")
+    show_motion(motion, out, view, port=arguments.port, show=not arguments.no_open)
     return 0
 
 
@@ -72,12 +56,12 @@ def _check(arguments: argparse.Namespace) -> None:
     if Path(arguments.motion).suffix not in (".npz", ".toml"):
         raise InputError(f"play takes a .npz or a scene file (.toml), got '{arguments.motion}'")
     if arguments.out is not None and arguments.port is not None:
-        raise InputError("--port is for playing in a browser, not with --out")
+        raise InputError("--port applies to playback in a browser, not to --out")
     if arguments.meshes and arguments.no_meshes:
-        raise InputError("--meshes says where to find what --no-meshes leaves out; give one")
+        raise InputError("--meshes and --no-meshes exclude each other; give one of them")
     page = arguments.out is None or Path(arguments.out).suffix == ".html"
     if arguments.fps is not None and page and Path(arguments.motion).suffix == ".npz":
         raise InputError(
-            "--fps is for films and for scenes; a page shows a .npz at the times that it holds "
-            "(`pinred simulate --samples` makes more of them)"
+            "--fps applies to films and scenes; a page shows a .npz file at its stored times "
+            "(`pinred simulate --samples` stores more of them)"
         )

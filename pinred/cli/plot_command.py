@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     kinds = arguments.kind.split(",")
     for kind, command in _OTHER_COMMANDS.items():
         if kind in kinds:
-            raise InputError(f"{kind} is no figure of a motion; `{command}` draws it")
+            raise InputError(f"{kind} is not a figure of a motion; draw it with `{command}`")
     stated = {
         name: getattr(arguments, name)
         for name in ("joints", "component", "value", "direction", "against")
@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         options[kind] = {name: value for name, value in stated.items() if name in valid}
     for name in stated:
         if not any(name in values for values in options.values()):
-            raise InputError(f"--{name} means nothing to {', '.join(kinds)}")
+            raise InputError(f"--{name} has no effect on {', '.join(kinds)}")
     source = _source(arguments, kinds)
     figures = {kind: draw(source, kind, options[kind]) for kind in paths}
     for kind, path in paths.items():
@@ -99,16 +99,15 @@ def _source(arguments: argparse.Namespace, kinds: list[str]) -> Any:
     is_measurement = "work_precision" in kinds
     if "branches" in kinds:
         raise InputError(
-            "branches are followed by `pinred equilibria ROBOT --momentum LOW,HIGH`, "
-            "which draws them with --out"
+            "branches are drawn by `pinred equilibria ROBOT --momentum LOW,HIGH --out FILE`"
         )
     if is_measurement and (suffix != ".csv" or len(kinds) > 1):
         raise InputError(
-            "work_precision is drawn alone, of accuracy.csv; "
-            "`pinred bench accuracy --out FOLDER` writes it"
+            "work_precision must be the only figure, and its source accuracy.csv, which "
+            "`pinred bench accuracy --out FOLDER` writes"
         )
     if suffix == ".csv" and not is_measurement:
-        raise InputError(f"'{source}' can be drawn as work_precision only; motions are npz")
+        raise InputError(f"'{source}' can only be drawn as work_precision; motions are .npz files")
     check_robot(source, arguments.robot)
     if suffix not in (".npz", ".toml", ".csv"):
         return _motion_of_robot(arguments)

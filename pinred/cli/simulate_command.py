@@ -1,4 +1,8 @@
-"""`pinred simulate`: simulate the reduced equations and write the motion to a file."""
+"""`pinred simulate`: simulate the reduced equations and write the motion to a file.
+
+Its options are described in scene/scene_options.py and scene/load_options.py;
+cli/command_options.py makes arguments of them.
+"""
 
 from __future__ import annotations
 

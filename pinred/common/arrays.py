@@ -78,6 +78,24 @@ def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -
     return _finite(array, what, labels)
 
 
+def vector_or_zero(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -> Array:
+    """Convert a value to a finite vector, where the number 0 stands for the zero vector.
+
+    Args:
+        value: Numbers, (size,); 0; or a single number if the size is 1.
+        size: Required length.
+        what: Name of the argument, for messages.
+        labels: Names of the entries, for messages.
+    Returns:
+        (size,): the vector.
+    Raises:
+        ShapeError: The length is wrong, or an entry is not finite.
+    """
+    is_number = dimensions(value) == 0 and (size == 1 or value == 0)
+    entries: Any = [value] * size if is_number else value
+    return vector(entries, size, what, labels)
+
+
 def vectors(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -> Array:
     """Convert a value to finite vectors along its last axis.
 
@@ -152,6 +170,13 @@ def freeze(value: Any) -> None:
             array.flags.writeable = False
 
 
+class FrozenArrays:
+    """Base of dataclasses whose array fields are read-only."""
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
 def whole(value: object, what: str, least: int = 1) -> int:
     """Convert a value to an integer.
 
@@ -170,4 +195,4 @@ def whole(value: object, what: str, least: int = 1) -> int:
             return int(number)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise InputError(f"{what} must be a whole number from {least} on, got {brief(value)}")
+    raise InputError(f"{what} must be a whole number of at least {least}, got {brief(value)}")

@@ -149,7 +149,7 @@ class LeftOutWarning(UserWarning):
 
 
 class ModelWarning(UserWarning):
-    """A robot can be simulated, but its model is not physical or has singular shapes."""
+    """A robot can be simulated, but its model is doubtful or its file is not read as written."""
 
 
 class CacheWarning(UserWarning):

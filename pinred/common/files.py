@@ -161,7 +161,7 @@ def _check_old(path: Path, name: str) -> None:
         raise InputError(f"cannot write {name}: it is {kind}, which a file would replace")
     # Check the mode: a rename would replace a read-only file, and root may write any file.
     if not mode & 0o222 or not os.access(path, os.W_OK):
-        raise OutputError(f"cannot write {name}: there is such a file, and it is read-only")
+        raise OutputError(f"cannot write {name}: the existing file is read-only")
 
 
 @contextmanager

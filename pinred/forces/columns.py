@@ -89,24 +89,23 @@ def torque_column(terms: Terms, system: System) -> ca.SX:
     """Return the torques on the shape, (m,)."""
     column = ca.SX(system.m, 1)
     for k, value in sorted(terms.torque.items()):
-        i, ratio = through(system, k)
-        column[i] += ratio * value
+        for i, ratio in through(system, k):
+            column[i] += ratio * value
     return column
 
 
-def through(system: System, k: int) -> tuple[int, float]:
-    """Return the shape coordinate on which a torque at a joint acts, and the factor of the torque.
+def through(system: System, k: int) -> list[tuple[int, float]]:
+    """Return the shape coordinates on which a torque at a joint acts, with factors of the torque.
 
     Args:
         system: The robot.
         k: Index of a shape joint, or m plus the index of a follower joint.
     Returns:
-        Index of the shape coordinate, and the ratio of the joint's motion to it.
+        Index of each shape coordinate, and the ratio of the joint's motion to it.
     """
     if k < system.m or system.coupled is None:
-        return k, 1.0
-    j = system.joint_number(system.followers[k - system.m])
-    return int(system.coupled.of[j]), float(system.coupled.ratio[j])
+        return [(k, 1.0)]
+    return system.coupled.terms(system.joint_number(system.followers[k - system.m]))
 
 
 def wrench_column(terms: Terms, r: int) -> ca.SX:
@@ -160,8 +159,8 @@ def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         ) from error
     if any(_contains_nan(value) for value in terms.expressions):
         raise InputError(
-            f"{force.label} is not a number at any time, as what Python's math makes of "
-            f"symbols is: {_INSTEAD}"
+            f"{force.label} is NaN at all times, because functions of Python's math return NaN for "
+            f"symbols: {_INSTEAD}"
         )
     return terms
 

@@ -173,8 +173,8 @@ class Controller(Named):
             result = self.function(seen.t, state, seen)
             if not (isinstance(result, tuple) and len(result) == 2):
                 raise InputError(
-                    f"{self.name} keeps a state, so it must give (action, state), "
-                    f"but gave {brief(result)} at t = {seen.t:g} s"
+                    f"{self.name} keeps a state, so it must return (action, state), "
+                    f"but returned {brief(result)} at t = {seen.t:g} s"
                 )
             return result
         if self.sees_base:
@@ -197,8 +197,8 @@ class Controller(Named):
         command = given if isinstance(given, Command) else Command(torque=given)
         if command.wrench is not None and not self.wrench:
             raise InputError(
-                f"{self.name} gave a wrench at t = {t:g} s; say so beforehand with "
-                "Controller(…, wrench=True), for momentum is then integrated"
+                f"{self.name} returned a wrench at t = {t:g} s. Declare it with "
+                "Controller(…, wrench=True), so that the momentum is integrated."
             )
         blocks = [self._torques(command.torque, names, t)]
         if self.wrench:
@@ -208,7 +208,7 @@ class Controller(Named):
         if width is not None:
             width = float(self._checked([width], 1, "one width [s]", t)[0])
             if width < 0.0:
-                raise InputError(f"{self.name} gave a width of {width:g} s at t = {t:g} s")
+                raise InputError(f"{self.name} returned a width of {width:g} s at t = {t:g} s")
         return Held(np.concatenate(blocks), width)
 
     def _torques(self, torques: Any, names: tuple[str, ...], t: float) -> Array:
@@ -219,17 +219,17 @@ class Controller(Named):
             unknown = [name for name in torques if name not in driven]
             if unknown:
                 raise InputError(
-                    f"{self.name} gave a torque for '{unknown[0]}' at t = {t:g} s; "
+                    f"{self.name} returned a torque for '{unknown[0]}' at t = {t:g} s; "
                     f"its joints are {', '.join(driven) or 'none'}"
                 )
             torques = [torques.get(name, 0.0) for name in driven]
         return self._checked(torques, len(driven), f"{{}} finite torques ({', '.join(driven)})", t)
 
     def _checked(self, result: Any, count: int, expected: str, t: float) -> Array:
-        values = as_floats(result, f"what {self.name} gave at t = {t:g} s")
+        values = as_floats(result, f"the values that {self.name} returned at t = {t:g} s")
         if values.shape != (count,) or not np.isfinite(values).all():
             raise InputError(
-                f"{self.name} must give {expected.format(count)}, but gave {result!r} "
+                f"{self.name} must return {expected.format(count)}, but returned {result!r} "
                 f"at t = {t:g} s"
             )
         return values

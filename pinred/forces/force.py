@@ -244,9 +244,9 @@ def takes_state(function: Callable[..., Any], what: str) -> bool:
         return True
     if least <= 1 and most < _MANY:
         raise InputError(
-            f"{what} can be called with one argument and with four, as the others have defaults, "
-            f"and so it is not clear which form it is: {FORMS}; write 'lambda s: f(s)', or make "
-            "arguments with defaults keyword-only"
+            f"{what} accepts one argument and also four, because of defaults, so its form is "
+            f"ambiguous: {FORMS}; write 'lambda s: f(s)', or make arguments with defaults "
+            "keyword-only"
         )
     return False
 
@@ -259,7 +259,7 @@ def _counts(function: Callable[..., Any], what: str) -> tuple[int, int]:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
         raise InputError(
-            f"{what}: {brief(function)} does not say how many arguments it takes; "
+            f"{what}: {brief(function)} has no signature that Python can read; "
             f"write a lambda of {FORMS}"
         ) from None
     plain = [p for p in parameters if p.kind in _POSITIONAL]

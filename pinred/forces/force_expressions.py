@@ -141,7 +141,7 @@ class ForceExpressions:
         self.wrenches = ca.horzcat(self.wrenches, wrench)
         if terms.wrench is not None or terms.loads:
             self.acting_on_base.append(force.label)
-        self.acted |= {through(system, k)[0] for k in terms.torque}
+        self.acted |= {i for k in terms.torque for i, _ in through(system, k)}
 
     def _check_symbols(self, terms: Terms, label: str) -> None:
         """Raise InputError if a force contains a symbol that is not among its arguments."""

@@ -22,6 +22,8 @@ from .force_expressions import ForceExpressions
 from .force_numbers import ForceNumbers, RobotSymbols, numbers_of, random_numbers
 from .force_values import Acting, ForceInputs, Prescribed
 from .signals import Signal
+from .switch_times import SwitchTimes, time_within
+from .time_switches import KINKS, separate
 
 
 class Numeric:
@@ -58,13 +60,6 @@ class Numeric:
                 set_view(k if is_input else k - f.n_in(), view)
 
 
-_KINKS = {
-    ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO,
-    ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER,
-    ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR,
-}  # fmt: skip
-
-
 class ForceModel:
     """The forces and prescribed joints of a scene.
 
@@ -75,7 +70,9 @@ class ForceModel:
         slopes: ∂numbers/∂parameters, (p, parameters), which is constant.
         held: Controllers, each with the slice of numbers that contains its zero-order hold.
         key: Digest of the expressions, equal for models that can share a kernel.
-        within: Slice of the number that contains the time by which segments of tables are selected.
+        within: Slice of the number that contains the time by which segments of tables are selected,
+            and at which conditions on time are evaluated.
+        switching: The times at which functions of time are not smooth.
         joints: Indices of the prescribed joints.
         signals: Motions of the prescribed joints.
         references: Signals that the forces contain.
@@ -91,8 +88,8 @@ class ForceModel:
         freed: Variable robot parameters in the expressions, link frames included.
         weighed: Whether the expressions contain gravity, as inverse dynamics does.
         acting_function: (t, x, ẋ, ξ, μ, numbers, pose, twist, μ and J of the base in space, robot
-            parameters) → (torque, wrench).
-        prescribed_function: (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.
+            parameters) → (torque, wrench), with conditions on time evaluated at `within`.
+        prescribed_function: (t, numbers) → (x, ẋ, ẍ) of the prescribed joints, likewise.
         has_potential: Whether any force has a potential.
         potential_function: (x, numbers) → V, zero without a potential.
         needs_time: Whether any force or motion depends on time or on the base's position.
@@ -127,6 +124,8 @@ class ForceModel:
         within = numbers.symbol(0.0) if has_breaks else None
         self.within = slice(0, int(has_breaks))
         terms = ForceExpressions(system, forces, prescribed, robot, numbers, within)
+        as_written = terms.motion
+        self._separate_switches(terms, numbers, within)
         self.joints, self.held, self.labels = terms.joints, terms.held, terms.labels
         self.acting_on_base = terms.acting_on_base
         self.numbers, self._in_formulas = numbers.values, numbers.in_formulas
@@ -141,6 +140,9 @@ class ForceModel:
         self.acting_function = _function("acting", state, [torque, wrench])
         self._acting = Numeric(self.acting_function)
         self._prescribed = Numeric(self.prescribed_function)
+        self._planned = self._prescribed
+        if self.switching.conditions is not None:
+            self._planned = Numeric(_function("planned", [s.t, p], [*as_written]))
         self._each = Numeric(_function("each", state, [terms.torques, terms.wrenches]))
         pairs = [ca.horzcat(ca.SX(m, 0), *c) for c in zip(*terms.inverse, strict=True)]
         self._required = Numeric(_function("required", state, pairs)) if pairs else None
@@ -165,6 +167,35 @@ class ForceModel:
         self.needs_time = bool(self.joints) or timed
         text = self.acting_function.serialize() + self.prescribed_function.serialize()
         self.key = hashlib.sha256(f"{self.joints}{text}".encode()).hexdigest()
+
+    def _separate_switches(
+        self, terms: ForceExpressions, numbers: ForceNumbers, within: ca.SX | None
+    ) -> None:
+        """Evaluate conditions on time at `within`, and prepare the search for their times.
+
+        Args:
+            terms: The terms, whose torques, wrenches and prescribed motions are changed.
+            numbers: Numbers of the forces; `within` is added unless tables have it.
+            within: Symbol of the time that selects the segments of tables, or None.
+        """
+        self._state_kinks: bool | None = None
+        held = {k for _, where in terms.held for k in range(where.start, where.stop)}
+        held |= set(range(self.within.stop))
+        constant = [symbol for k, symbol in enumerate(numbers.symbols) if k not in held]
+        t, symbol = terms.symbols.t, ca.SX.sym("within") if within is None else within
+        tables = [signal.breaks for signal in (*self.signals, *self.references)]
+        breaks = np.unique(np.concatenate(tables)) if tables else np.empty(0)
+        separated = separate([terms.torques, terms.wrenches, *terms.motion], t, symbol, constant)
+        if separated is None:
+            self.switching = SwitchTimes([], t, symbol, numbers.symbols, breaks)
+            return
+        if within is None:
+            self.within = slice(len(numbers), len(numbers) + 1)
+            numbers.add(symbol, 0.0)
+        terms.torques, terms.wrenches, *motion = separated.expressions
+        terms.motion = motion[0], motion[1], motion[2]
+        self._state_kinks = separated.has_kinks
+        self.switching = SwitchTimes(separated.switches, t, symbol, numbers.symbols, breaks)
 
     def on(self, system: System) -> ForceModel:
         """Return this model for the robot with other parameters; compiled functions are shared."""
@@ -216,7 +247,8 @@ class ForceModel:
     def acting_apart(self, at: ForceInputs) -> tuple[Acting, Array]:
         """Return torque and wrench without loads on links, and these loads, (9, L).
 
-        The loads are not mapped to the coordinates, so that a caller can map them with an
+        The forces are evaluated as they are written, with conditions on time at the time itself.
+        The loads are not mapped to the coordinates. A caller can therefore map them with an
         independent implementation.
 
         Args:
@@ -260,7 +292,9 @@ class ForceModel:
         if at.base is not None:
             base: tuple[Array, ...] = (at.base.pose, at.base.xi, at.base.mu, at.base.J)
         elif self.sees_attitude or self.sees_place:
-            raise InputError("these forces see the base; give base= with its pose and momenta")
+            raise InputError(
+                "these forces depend on the base; give base= with its pose and momenta"
+            )
         else:
             base = self._unseen
         return at.t, at.x, at.xdot, at.xi, at.mu, at.numbers, *base, self.robot
@@ -269,25 +303,33 @@ class ForceModel:
         """Return the motion of the prescribed joints at a time."""
         return Prescribed(*(value[:, 0] for value in self._prescribed(t, numbers)))
 
+    def planned(self, t: float, numbers: Array) -> Prescribed:
+        """Return the motion of the prescribed joints as written; see `acting_apart`."""
+        return Prescribed(*(value[:, 0] for value in self._planned(t, numbers)))
+
     @cached_property
     def has_kinks(self) -> bool:
-        """Whether forces are only piecewise smooth because of limits, signs or conditions."""
+        """Whether forces are only piecewise smooth because of limits, signs or conditions.
+
+        Conditions on time do not count: integration stops where they change.
+        """
+        if self._state_kinks is not None:
+            return self._state_kinks
         functions = (self.acting_function, self.prescribed_function)
         return any(
-            f.instruction_id(k) in _KINKS for f in functions for k in range(f.n_instructions())
+            f.instruction_id(k) in KINKS for f in functions for k in range(f.n_instructions())
         )
 
     def breaks(self, end: float) -> Array:
         """Return the sorted times before `end` at which a function of time is not smooth [s]."""
-        times = [signal.breaks for signal in (*self.signals, *self.references)]
-        breaks = np.unique(np.concatenate(times)) if times else np.empty(0)
-        return np.asarray(breaks[(breaks > 0.0) & (breaks < end)])
+        return self.switching.breaks(end, self.numbers)
 
     def numbers_from(self, t: float, end: float) -> Array:
         """Return the numbers (p,) for the segment of time that starts at t, with zero commands."""
         numbers = self.numbers.copy()
-        later = [*(stop for stop in self.breaks(end).tolist() if stop > t), end]
-        numbers[self.within] = 0.5 * (t + later[0])
+        breaks = self.breaks(end)
+        later = breaks[breaks > t]
+        numbers[self.within] = time_within(t, float(later[0]) if later.size else end)
         return numbers
 
     def random_numbers(self, rng: np.random.Generator) -> Array:

@@ -75,6 +75,11 @@ class ForceNumbers:
         self.symbols.append(ca.SX.sym(f"p{slot}"))
         return self.symbols[-1]
 
+    def add(self, symbol: ca.SX, value: float) -> None:
+        """Append a number that already has a symbol."""
+        self.symbols.append(symbol)
+        self._values.append(value)
+
     @property
     def values(self) -> Array:
         """Values of the numbers, (p,)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Acting:
 
 
 @dataclass(frozen=True)
-class Prescribed:
+class Prescribed(FrozenArrays):
     """Motion of k prescribed joints at one time.
 
     Attributes:
@@ -75,6 +75,3 @@ class Prescribed:
     x: Array
     xdot: Array
     xddot: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)

@@ -92,8 +92,8 @@ class Vector(np.ndarray[tuple[int], np.dtype[np.float64]]):
         if isinstance(key, str):
             if self._joints is None:
                 raise InputError(
-                    f"only the arguments x and xdot have names such as '{key}'; arrays computed "
-                    "from them have indices"
+                    f"only the arguments x and xdot accept names such as '{key}'; arrays computed "
+                    "from them accept only indices"
                 )
             key = joint_index(key, self._joints, self._what)
         return self.view(np.ndarray)[key]

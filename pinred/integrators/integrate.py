@@ -19,23 +19,9 @@ from ..common.errors import (
 )
 from .methods.method import Method
 from .solution import Solution, checked_times
-from .stepping.run_state import (
-    AUTO,
-    DIVERGED,
-    DONE,
-    ENDS_KEPT,
-    FIXED_POINT,
-    FULL,
-    LAYOUT,
-    NOT_FINITE,
-    NOTHING_KEPT,
-    STAGES_KEPT,
-    UNDERFLOW,
-    WANTED,
-    Runs,
-    Y,
-    new_run,
-)
+from .stepping.codes import AUTO, DIVERGED, DONE, FIXED_POINT, FULL, NOT_FINITE, UNDERFLOW, WANTED
+from .stepping.run_state import ENDS_KEPT, LAYOUT, NOTHING_KEPT, STAGES_KEPT, Runs, new_run
+from .stepping.state_rows import Y
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]
@@ -241,21 +227,21 @@ def failure(status: int, run: Runs, state: Array) -> IntegrationError:
         return NonFiniteState(f"number {entry} is not finite after {where}", time, state, entry)
     if status == UNDERFLOW:
         return StepSizeUnderflow(
-            f"the tolerance (rtol = {end['rtol']:g}) asks for steps below {end['h']:.1e} s at "
-            f"{where}: the motion is singular there, or the tolerance too tight",
+            f"the tolerance (rtol = {end['rtol']:g}) requires steps below {end['h']:.1e} s at "
+            f"{where}: the motion is singular there, or the tolerance is too tight",
             time,
             state,
         )
     if status == DIVERGED:
         return NoConvergence(
-            f"the implicit step of {end['h']:.3g} s was not solved after "
-            f"{where}: take shorter steps",
+            f"the implicit step of {end['h']:.3g} s after {where} did not converge; use "
+            "shorter steps",
             time,
             state,
         )
     return TooManySteps(
-        f"{end['max_steps']} steps have led to {where}; allow more (max_steps), or a larger "
-        f"tolerance than rtol = {end['rtol']:g}",
+        f"the run reached its limit of {end['max_steps']} steps at {where}; increase max_steps, or "
+        f"use a larger tolerance than rtol = {end['rtol']:g}",
         time,
         state,
     )

@@ -13,7 +13,7 @@ from threading import Lock
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..common.arrays import Array, as_floats, freeze, positive, read_only
+from ..common.arrays import Array, FrozenArrays, as_floats, positive, read_only
 from ..common.errors import InputError, ShapeError
 from .integrate import (
     Canonical,
@@ -25,7 +25,8 @@ from .integrate import (
 )
 from .methods.method import Method
 from .solution import checked_times
-from .stepping.run_state import DIVERGED, DONE, NOT_FINITE, PAUSED, TOO_MANY, UNDERFLOW, copied
+from .stepping.codes import DIVERGED, DONE, NOT_FINITE, PAUSED, TOO_MANY, UNDERFLOW
+from .stepping.run_state import copied
 from .stepping.step_loop import OUTCOME, Batch
 
 STATUS = {
@@ -41,7 +42,7 @@ _SHARES_PER_THREAD = 8
 
 
 @dataclass(frozen=True)
-class Solutions:
+class Solutions(FrozenArrays):
     """Results of a batch of runs; all arrays have the member as first axis.
 
     Attributes:
@@ -65,9 +66,6 @@ class Solutions:
     steps: NDArray[np.int64]
     rejected: NDArray[np.int64]
     evaluations: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def ok(self) -> NDArray[np.bool_]:

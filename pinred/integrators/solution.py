@@ -102,7 +102,7 @@ class Solution:
             time = float(asked[order][lost[0]])
             last_state = self.states[np.searchsorted(self.knots, time) - 1]
             raise NoConvergence(
-                f"the state at t = {time:g} s, within a step, was not solved: take shorter steps",
+                f"the state at t = {time:g} s, inside a step, did not converge; use shorter steps",
                 time,
                 last_state,
             )

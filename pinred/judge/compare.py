@@ -41,13 +41,13 @@ INFORMATIVE = 0.1  # largest informative error bound [rad, or fraction of the mo
 _REST = 1e-12  # motion below which nothing is tested [rad, or fraction of robot size]
 
 EQUATION_BOUND = 1e-12  # relative difference of accelerations that round-off can explain
-DEFECT_BOUND = 3.0  # largest defect of a step in tolerances, as in the stress suite
-DENSE_BOUND = 50.0  # largest subinterval defect in tolerances; step control ignores dense output
+DEFECT_BOUND = 3.0  # largest passing defect of a step, in tolerances, as in the stress suite
+DENSE_BOUND = 50.0  # the same for subintervals, because step control ignores dense output
 DRIFT_BOUND = 100.0  # smallest bound of the energy and momentum drift, in tolerances
-REFERENCE_BOUND = 100.0  # largest reference error in tolerances times growth; above: unreliable
-FIELD_BOUND = 1e-9  # largest relative error of fields; all are explicit functions of q and v
+REFERENCE_BOUND = 100.0  # error of a reliable reference, in tolerances times growth
+FIELD_BOUND = 1e-9  # relative error of fields, which are explicit functions of q and v
 RESOLUTION = 1e-13  # relative accuracy of the reference solution and of its energies
-_SAFETY = 10.0  # margin: growth is that of one perturbation, and defects of sampled steps
+_SAFETY = 10.0  # margin, because growth and defects are only sampled
 _ROUND_OFF = 1e-15  # relative round-off of one step
 
 
@@ -66,7 +66,7 @@ def compare(traj: Trajectory, *, progress: Progress | bool | None = None) -> Rep
     """
     if not isinstance(traj, Trajectory):
         raise InputError(
-            f"compare takes a Trajectory, got {type(traj).__name__}; simulate makes one"
+            f"compare takes a Trajectory, got {type(traj).__name__}; simulate returns one"
         )
     with shown(progress, "full") as report_progress:
         return _compare(traj, report_progress or (lambda _: None))

@@ -1,7 +1,7 @@
 """Accelerations of the full system with couplings between joints as constraints.
 
 This is independent of the reduction, which eliminates follower (mimic) joints. In the full system
-all joints move. Multipliers keep each follower coupled to its leader, a_f − k a_l = 0:
+all joints move. Multipliers keep each follower coupled to its leaders, a_f − Σ k a_l = 0:
 
     a = a₀ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J a₀,   a₀ and M⁻¹Jᵀ computed with Pinocchio's ABA.
 
@@ -23,7 +23,7 @@ from ..system.system import System
 
 
 class CouplingConstraints:
-    """The couplings of a system, each between a follower and its leader as named in the file.
+    """The couplings of a system, each between a follower and its leaders as named in the file.
 
     Attributes:
         J: Constraint Jacobian, (c, nv), with J v = 0.
@@ -35,16 +35,18 @@ class CouplingConstraints:
         model, r = system.model, system.r
         at = {str(model.names[i]): i - 2 for i in range(2, model.njoints)}
         pending, placed = list(system.couplings), {*system.shape_names}
-        self._couplings: list[tuple[int, int, float, float]] = []
-        while pending:  # process each leader before its followers
-            coupling = next(c for c in pending if c.leader in placed)
+        self._couplings: list[tuple[int, dict[int, float], float]] = []
+        while pending:  # process leaders before their followers
+            coupling = next(c for c in pending if placed.issuperset(c.leaders))
             pending.remove(coupling)
             placed.add(coupling.follower)
-            joints = at[coupling.follower], at[coupling.leader]
-            self._couplings.append((*joints, coupling.ratio, coupling.offset))
+            ratios = {at[leader]: ratio for leader, ratio in coupling.ratios.items()}
+            self._couplings.append((at[coupling.follower], ratios, coupling.offset))
         self.J = np.zeros((len(self._couplings), model.nv))
-        for row, (follower, leader, ratio, _) in zip(self.J, self._couplings, strict=True):
-            row[r + follower], row[r + leader] = 1.0, -ratio
+        for row, (follower, ratios, _) in zip(self.J, self._couplings, strict=True):
+            row[r + follower] = 1.0
+            for leader, ratio in ratios.items():
+                row[r + leader] -= ratio
         self.leads = np.array([at[name] for name in system.shape_names], dtype=np.intp)
         self._count, self._model, self._data = len(at), model, model.createData()
         self._weightless = model.copy()
@@ -55,16 +57,19 @@ class CouplingConstraints:
         """Return the values (..., M) of all joints at shape x (..., m)."""
         values = np.zeros((*x.shape[:-1], self._count))
         values[..., self.leads] = x
-        for follower, leader, ratio, offset in self._couplings:
-            values[..., follower] = ratio * values[..., leader] + offset
+        for follower, ratios, offset in self._couplings:
+            values[..., follower] = offset
+            for leader, ratio in ratios.items():
+                values[..., follower] += ratio * values[..., leader]
         return values
 
     def rates(self, xdot: Array) -> Array:
         """Return the rates (..., M) of all joints at shape rate ẋ (..., m)."""
         rates = np.zeros((*xdot.shape[:-1], self._count))
         rates[..., self.leads] = xdot
-        for follower, leader, ratio, _ in self._couplings:
-            rates[..., follower] = ratio * rates[..., leader]
+        for follower, ratios, _ in self._couplings:
+            for leader, ratio in ratios.items():
+                rates[..., follower] += ratio * rates[..., leader]
         return rates
 
     def shape(self, joints: Array) -> Array:

@@ -36,10 +36,10 @@ from .reference_solution import SPREAD_MARGIN, FullState
 from .system_totals import gravity_load_sizes
 
 WORLD, BODIES = pin.Convention.WORLD, pin.Convention.LOCAL  # axes for the evaluation of ABA
-_CANCELLED = 1e-5  # fraction of the inertial forces on moved bodies that is added to the unit
-_AT_REST = 1e-2  # fraction of the largest forces of the motion that is the smallest unit
+_CANCELLED = 1e-5  # fraction of inertial forces on moved bodies in the unit of errors
+_AT_REST = 1e-2  # least unit of errors, as a fraction of the largest forces of the motion
 _WINDOW = 5  # number of neighbouring times over which round-off of a prescribed plan is measured
-_LEAST = 1e-290  # smallest unit; below it, floating-point numbers lose digits
+_LEAST = 1e-290  # least unit of errors; floating-point numbers below it lose digits
 
 # Weights of v(t + k h) − v(t − k h), k = 1, …, 4, in the central difference times h.
 _WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
@@ -81,7 +81,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
         # A drive applies whatever force its plan needs, so only its acceleration is compared.
         errors[k, driven] = (np.diag(H) * (difference - SPREAD_MARGIN * spread[k]))[driven]
         aba_spread[k] = np.abs(H @ (a - other))
-    # At rest only round-off of forces is left, so the unit is a fraction of the largest forces.
+    # At rest only round-off of forces is left, so the unit of errors is limited from below.
     least = np.maximum(_AT_REST * units.max(axis=0, initial=0.0), _LEAST)
     units = np.maximum(units, least)
     # Two evaluations of ABA may agree by chance at one time, so the largest spread is subtracted.

@@ -27,7 +27,7 @@ _EVALUATIONS = {
     "dopri5": 6,
 }  # number of evaluations of the vector field per accepted step
 _CALM = 8  # number of spans without a rejected step before longer first steps are tried
-# Hairer's error estimate squares changes: smaller ones over a run would give 0/0.
+# Hairer's error estimate squares changes, so changes below this in a run would give 0/0.
 _LEAST = 1e-120
 
 
@@ -62,9 +62,9 @@ class Hairer:
         self._method, self._options = method, {"rtol": rtol, "atol": atol, "nsteps": _MOST_STEPS}
         self._solver = ode(self._safe_rate).set_integrator(method, **self._options)
         self._solver.set_initial_value(y, t)
-        self._first_step, self._calm_spans = 0.0, 0  # accepted step [s]; spans since a rejection
+        self._first_step, self._calm_spans = 0.0, 0  # step [s]; spans since the last rejection
         self._patience = (
-            0  # calm spans before the first step is doubled; 0 until a doubled step was rejected
+            0  # spans before the first step is doubled; 0 until a doubled step is rejected
         )
         self._evaluations, self._step_ends = 0, [t]
 

@@ -14,6 +14,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..forces.force_values import BaseInSpace, ForceInputs
+from ..forces.switch_times import time_within
 from ..kernels.loads_by_pinocchio import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
@@ -21,6 +22,7 @@ from ..simulation.plan import stops_of
 from ..simulation.sample import Sample
 from ..system.joints import joint_units
 from ..system.system import System
+from .condition_times import condition_times
 from .coupling_constraints import CouplingConstraints
 from .distances import Distance, FullMotion, Size
 from .full_coordinates import Configuration, root_motion
@@ -28,9 +30,11 @@ from .hairer_integrators import Hairer
 from .system_totals import SystemTotals
 
 FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy
-OFFSET = 1e-5  # least length unit, as fraction of the distance from the origin (round-off)
-SPREAD_MARGIN = 10.0  # assumed round-off over the difference of two evaluations of one quantity
+OFFSET = 1e-5  # least length unit, as a fraction of the distance from the origin
+SPREAD_MARGIN = 10.0  # assumed ratio of round-off to the difference of two evaluations
 PERTURBATION = 1e-6  # relative size of the perturbation whose growth is measured
+# Conditions on time are evaluated at least this fraction of the duration beside their switches.
+_ASIDE = 1e-11
 
 
 class FullState:
@@ -56,8 +60,11 @@ class FullState:
         """
         system, self._replay = scene.system, replay
         self._scene, self._forces = scene, scene.force_model
-        self._stops = stops_of(scene)
+        self._stops, self._switches = stops_of(scene), np.empty(0)
         self._parameters = np.empty(0) if self._forces is None else self._forces.numbers.copy()
+        if self._forces is not None and self._forces.switching.conditions is not None:
+            written = condition_times(self._forces, self._stops, self._parameters)
+            self._stops = self._switches = np.union1d(self._stops, written)
         self._model = system.model
         self._r, self._m = system.r, system.model.njoints - 2
         unused = np.full(system.r, np.nan)  # NaN would show if a force did depend on it
@@ -168,6 +175,8 @@ class FullState:
         while t < end:
             stop = next((float(stop) for stop in self._stops if stop > t), end)
             stop = actions.begin(self._parameters, t, stop, partial(self.sample, y))
+            if self._switches.size and self._forces is not None:
+                self._parameters[self._forces.within] = time_within(t, stop)
             solver = Hairer(self.rate, method, y, t, rtol, atol, self._scene.end)
             targets = times[(times > t) & (times <= stop)]
             for target in (*targets.tolist(), *([stop] if stop <= end else [])):
@@ -175,7 +184,7 @@ class FullState:
                     reached = solver.integrate(target)
                     if reached is None:
                         raise IntegrationError(
-                            f"the full simulation of '{self._model.name}' cannot be followed to "
+                            f"the full simulation of '{self._model.name}' cannot be integrated to "
                             f"t = {target:g} s at rtol = {rtol:g}"
                         )
                     y = reached
@@ -207,7 +216,7 @@ class FullState:
             v: Pinocchio's velocity, (nv,).
             momenta: Whether momenta are needed; otherwise the momenta are NaN.
         Returns:
-            The base as seen from the world.
+            The base relative to the root joint's fixed frame.
         """
         r, k = self._r, self._linear
         pose = root.copy()
@@ -234,10 +243,10 @@ class FullState:
             v, q = y[size + m :], self._q_for(self.q(y), axes)
             a = self.couplings.acceleration(q, v, np.zeros(len(v)), axes=axes)
             return np.concatenate([self.root.rate(y[:size], v[:r]), v[r:], a])
-        y = y.copy()
+        y, t = y.copy(), self._beside_switches(t)
         accelerations = np.empty(0)
         if self._driven:
-            plan = self._forces.prescribed(t, self._parameters)
+            plan = self._forces.planned(t, self._parameters)
             accelerations = plan.xddot
             y[[size + k for k in self._driven]] = plan.x
             y[[size + m + r + k for k in self._driven]] = plan.xdot
@@ -257,6 +266,22 @@ class FullState:
         q = self._q_for(q, axes)
         a = self.couplings.acceleration(q, v, tau, self._driven, accelerations, axes)
         return np.concatenate([self.root.rate(y[:size], v[:r]), v[r:], a])
+
+    def _beside_switches(self, t: float) -> float:
+        """Return the time, moved to the side of a switch on which `within` is if it is too close.
+
+        Forces are evaluated as they are written. At a switch itself, a condition can have the value
+        of either side.
+        """
+        if not self._switches.size or self._forces is None:
+            return t
+        aside = _ASIDE * self._scene.end
+        k = int(np.searchsorted(self._switches, t))
+        nearest = self._switches[max(k - 1, 0) : k + 1]
+        if np.abs(nearest - t).min() > aside:
+            return t
+        within = float(self._parameters[self._forces.within][0])
+        return t + float(np.clip(within - t, -2.0 * aside, 2.0 * aside))
 
     def force_potential(self, x: Array) -> float:
         """Return the potential energy of the forces at shape x (m,) [J]; 0 if they have none."""

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 
 
 class Verdict(StrEnum):
@@ -22,7 +22,7 @@ EXIT_CODES = {Verdict.PASSED: 0, Verdict.FAILED: 1, Verdict.CANNOT_TELL: 3}
 
 
 @dataclass(frozen=True, repr=False)
-class Report:
+class Report(FrozenArrays):
     """Errors of a reduced trajectory against the full simulation, and the bounds on them.
 
     Attributes:
@@ -94,9 +94,6 @@ class Report:
     wall_reduced: float
     wall_full: float
     left_out: str = ""
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def shape_error(self) -> float:

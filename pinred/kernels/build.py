@@ -48,7 +48,7 @@ def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
         digest.update(np.asarray(joint.createData().S).tobytes())
     digest.update(np.asarray(model.armature).tobytes())
     if system.coupled is not None:
-        for numbers in (system.coupled.of, system.coupled.ratio, system.coupled.offset):
+        for numbers in (system.coupled.leads, system.coupled.G, system.coupled.offset):
             digest.update(numbers.tobytes())
     return digest.digest()
 

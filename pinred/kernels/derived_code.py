@@ -70,7 +70,7 @@ def derived_code(
     return once(kernel, (derived_code, json.dumps(kind)), load)
 
 
-_TRIALS, _REQUIRED = 40, 2  # largest number of random states, and required comparisons
+_TRIALS, _REQUIRED = 40, 2  # number of random states to try, and of states that must be comparable
 _STEP = 2e-3  # step of the finite differences, for states of magnitude one
 _TOLERANCE = 1e-7  # tolerance relative to the largest entry of a Jacobian column
 _NOISE = 1e-13  # smallest assumed round-off of rates, relative to the largest rate
@@ -171,7 +171,7 @@ def _round_off(kernel: Kernel, y: Array, parameters: Array) -> float:
     return _SAFETY * float(np.ptp(rates, axis=0).max(initial=0.0))
 
 
-_LANE_REQUIRED, _LANE_TRIALS = 3, 80  # required comparisons per lane, and largest number of trials
+_LANE_REQUIRED, _LANE_TRIALS = 3, 80  # states that must be comparable per lane, and states to try
 
 
 def wide_rate(kernel: Kernel, lanes: int, *, own_parameters: bool = False) -> NativeCode:

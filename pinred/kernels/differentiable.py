@@ -37,7 +37,7 @@ from .reduced_graph import ReducedGraph
 _STEP = 1e-3  # step of the finite differences, for columns of magnitude one
 _TOLERANCE = 1e-7  # relative tolerance of directional derivatives
 _SMALLEST = 1e-3  # smallest scale of a test direction's entries
-_TRIALS, _REQUIRED = 40, 2  # largest number of random points, and required comparisons
+_TRIALS, _REQUIRED = 40, 2  # number of random points to try, and of points that must be comparable
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,7 @@ class ObjectCache:
             except (_DistrustError, OSError) as why:
                 _remove(folder, name)
                 problem = why
-        _warn(f"'{self.folder / name}' is not used and removed: {problem}")
+        _warn(f"'{self.folder / name}' is not used and is removed: {problem}")
         return None
 
     def put(self, key: str, code: bytes) -> None:
@@ -173,7 +173,7 @@ class ObjectCache:
                     _write(folder, name, entry)
                     self._trim(folder, len(entry))
         except OSError as error:
-            self._warn_once("write", f"compiled code is not kept in '{self.folder}': {error}")
+            self._warn_once("write", f"compiled code is not stored in '{self.folder}': {error}")
 
     def get_or_compile(self, key: str, compile_code: Callable[[], bytes]) -> bytes:
         """Read an object; if it is missing, compile and write it.
@@ -251,7 +251,7 @@ class ObjectCache:
                     "read where nobody else can write: chmod go-w, or set PINRED_CACHE_DIR",
                 )
             elif above := _find_open_parent(self.folder):
-                self._warn_once("above", f"the cache '{self.folder}' lies in {above}")
+                self._warn_once("above", f"the cache '{self.folder}' is in {above}")
             yield None if why else folder
         finally:
             os.close(folder)
@@ -270,7 +270,7 @@ def _warn(text: str) -> None:
 
 def _file_name(key: str) -> str:
     if not _KEY.fullmatch(key):
-        raise InputError(f"a key has 64 hexadecimal digits, as of cache_key, got {key!r}")
+        raise InputError(f"key: expected 64 hexadecimal digits, as from cache_key, got {key!r}")
     return f"{key}.o"
 
 
@@ -336,14 +336,14 @@ def _verify(file: BinaryIO, size: int, key: str) -> bytes:
     """Return the payload of an open entry.  Raises _DistrustError unless all checks pass."""
     head = file.read(_HEADER.size)
     if len(head) < _HEADER.size:
-        raise _DistrustError("it is cut off")
+        raise _DistrustError("it is truncated")
     magic, form, stored_key, length = _HEADER.unpack(head)
     if magic != _MAGIC:
         raise _DistrustError("it was not written by pinred")
     if form != _VERSION:
         raise _DistrustError(f"its format is {form}, not {_VERSION}")
     if stored_key != key.encode():
-        raise _DistrustError("it holds the object of another key")
+        raise _DistrustError("it contains the object of another key")
     if length != size - _HEADER.size - _SIGNATURE:
         raise _DistrustError("its length is not the one in its header")
     signature, payload = file.read(_SIGNATURE), file.read(length)

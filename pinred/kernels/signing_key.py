@@ -47,8 +47,8 @@ def _load_key(path: Path) -> bytes:
             os.close(folder)
     except OSError as error:
         _warn(
-            f"the key for compiled code cannot be kept in '{path}' ({error.strerror or error}): "
-            "other processes compile anew what this one keeps"
+            f"the key of the kernel cache cannot be stored in '{path}' "
+            f"({error.strerror or error}); other processes must compile kernels again"
         )
         return secrets.token_bytes(_SIZE)
 
@@ -84,7 +84,7 @@ def _create_key(folder: int, path: Path) -> bytes:
             os.link(file.name, _NAME, src_dir_fd=folder, dst_dir_fd=folder)
     key = _read_key(folder)
     if key is None:
-        raise OSError(f"'{_NAME}' in this folder is not private")
+        raise OSError(f"'{_NAME}' in this folder is not a private file of this user")
     return key
 
 

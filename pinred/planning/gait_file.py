@@ -13,7 +13,7 @@ from ..analysis.connections.connection import Connection
 from ..analysis.connections.fluid import Ellipse, Ellipsoid, Rod
 from ..analysis.connections.wheels import Rolling, Wheel
 from ..analysis.gaits.gait import Gait
-from ..common.arrays import Array
+from ..common.arrays import Array, vector_or_zero
 from ..common.errors import InputError
 from ..scene.scene_options import SCENE_OPTIONS
 from ..scene.toml.documents import read_document, robot_in
@@ -120,6 +120,7 @@ CONNECTIONS = {
     ),
 }
 _PERIOD = Key(POSITIVE, "time of one cycle [s]", default="1")
+_TURNS = Key(NUMBERS, "complete turns of each joint per cycle", default="none")
 _POINTS = Key(_ROWS, "shapes, each with a number for every joint [rad | m]", required=True)
 GAITS = {
     "fourier": Table(
@@ -128,10 +129,13 @@ GAITS = {
             "cos": Key(_ROWS, "amplitudes of cos(2πkt/period), a row for each k", required=True),
             "sin": Key(_ROWS, "amplitudes of sin(2πkt/period), a row for each k", required=True),
             "period": _PERIOD,
+            "turns": _TURNS,
         },
         "a Fourier series",
     ),
-    "waypoints": Table({"points": _POINTS, "period": _PERIOD}, "a polygon at one speed"),
+    "waypoints": Table(
+        {"points": _POINTS, "period": _PERIOD, "turns": _TURNS}, "a polygon at one speed"
+    ),
     "spline": Table(
         {
             "points": _POINTS,
@@ -320,14 +324,10 @@ def load_gait(path: str | Path) -> GaitFile:
     if "gait" in document:
         with naming(place / "gait"):
             gait = _gait(document["gait"], connection, folder)
-    momentum = np.zeros(connection.r)
-    given = document.get("momentum", 0.0)
-    if given != 0.0:
-        values = [given] if isinstance(given, float) else given
-        if len(values) != connection.r:
-            names = ", ".join(connection.group.twist_names)
-            (place / "momentum").fail(f"must have {connection.r} entries ({names}), or be 0")
-        momentum[:] = values
+    stated = document.get("momentum", 0.0)
+    with naming(place / "momentum", "momentum "):
+        values = stated if stated == 0.0 else np.atleast_1d(stated)
+        momentum = vector_or_zero(values, connection.r, "momentum", connection.group.twist_names)
     optimise = dict(document.get("optimise", {}))
     for name, word in (("cost", "none"), ("winding", "any")):
         if optimise.get(name) == word:
@@ -343,21 +343,20 @@ def _connection(system: System, table: Mapping[str, Any]) -> Connection:
     if kind == "viscous":
         return Connection.viscous(system, {k: Rod(**rod) for k, rod in table["drag"].items()})
     if kind == "fluid":
-        bodies = {name: _body(body) for name, body in table["bodies"].items()}
+        bodies = {name: _made(body) for name, body in table["bodies"].items()}
         return Connection.fluid(system, table["density"], bodies)
     if kind == "kinematic":
-        return Connection.kinematic(system, [_wheel(wheel) for wheel in table["wheels"]])
+        return Connection.kinematic(system, [_made(wheel) for wheel in table["wheels"]])
     return Connection.mechanical(system)
 
 
-def _body(table: Mapping[str, Any]) -> Ellipsoid | Ellipse:
-    options = dict(table)
-    return Ellipsoid(**options) if options.pop("kind") == "ellipsoid" else Ellipse(**options)
+_CLASSES = {"ellipsoid": Ellipsoid, "ellipse": Ellipse, "wheel": Wheel, "rolling": Rolling}
 
 
-def _wheel(table: Mapping[str, Any]) -> Wheel | Rolling:
+def _made(table: Mapping[str, Any]) -> Any:
+    """Create the body or the wheel that a table describes."""
     options = dict(table)
-    return Wheel(**options) if options.pop("kind") == "wheel" else Rolling(**options)
+    return _CLASSES[options.pop("kind")](**options)
 
 
 def _gait(table: Mapping[str, Any], connection: Connection, folder: Path) -> Gait:

@@ -65,7 +65,7 @@ class BaseParts:
 def base_parts(
     group: Group, *, wanted: bool, heavy: bool, wrench: bool, zero_momentum: bool
 ) -> BaseParts:
-    """Return the base variables that must be integrated.
+    """Return the sizes of the base variables that a scene needs.
 
     Args:
         group: Symmetry group.
@@ -74,7 +74,7 @@ def base_parts(
         wrench: Whether a wrench acts on the base.
         zero_momentum: Whether the angular momentum is exactly zero.
     Returns:
-        The sizes of these variables.
+        Sizes of the integrated and of the constant variables.
     """
     turns = group.turns
     changing = turns > 0 and (heavy or wrench)

@@ -15,7 +15,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, freeze, vector
+from ..common.arrays import Array, FrozenArrays, vector
 from ..common.errors import InputError
 from ..lie.group import Group
 from ..lie.rotations import hat
@@ -26,7 +26,7 @@ _ZERO = 1e-9  # coefficients and singular values below this bound count as zero
 
 
 @dataclass(frozen=True)
-class Casimir:
+class Casimir(FrozenArrays):
     """A Casimir c·w + wᵀQ w of w = μ, or w = (μ, Γ); arrays are read-only.
 
     Attributes:
@@ -40,9 +40,6 @@ class Casimir:
     linear: Array
     quadratic: Array
     r: int
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __call__(self, mu: ArrayLike, gamma: ArrayLike | None = None) -> float:
         """Evaluate the Casimir.
@@ -71,9 +68,11 @@ class Casimir:
         w, k = vector(mu, self.r, "mu"), len(self.linear) - self.r
         if (gamma is not None) != bool(k):
             need = (
-                "needs gamma (3,), the direction of gravity in the body," if k else "has no gamma"
+                "depends on gamma (3,), the direction of gravity in the body. Give gamma as well."
+                if k
+                else "does not depend on gamma. Omit gamma."
             )
-            raise InputError(f"the Casimir {self.name} {need} beside mu")
+            raise InputError(f"gamma: the Casimir {self.name} {need}")
         return w if gamma is None else np.append(w, vector(gamma, k, "gamma"))
 
     def __str__(self) -> str:
@@ -107,7 +106,7 @@ def momentum_tensor(group: Group, mu: Array, gamma: Array | None = None) -> Arra
 
 
 def _solve(group: Group, *, heavy: bool) -> tuple[Casimir, ...]:
-    """Return the Casimirs of a group; `heavy`: whether Γ belongs to the variables."""
+    """Return the Casimirs of a group; `heavy`: whether w contains the direction Γ of gravity."""
     r = group.dim
     k = r + 3 * heavy
     names = [_momentum_name(name) for name in group.twist_names]

@@ -20,8 +20,8 @@ from .pointwise_reduction import PointwiseReduction
 from .potential import pivot_weight
 
 _SAMPLES = 3  # number of random shapes at which the dependence is checked
-_NO_DEPENDENCE = 1e-12  # tolerance, relative to the joint's kinetic energy at typical rates
-_ROUND_OFF = 2e-14  # tolerance, relative to the subtree's inertia about the root
+_NO_DEPENDENCE = 1e-12  # smallest work of a dependence, relative to the joint's typical energy
+_ROUND_OFF = 2e-14  # smallest such work, relative to the subtree's inertia about the root
 
 
 def cyclic_joints(

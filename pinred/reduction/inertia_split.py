@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, freeze, vector
+from ..common.arrays import Array, FrozenArrays, vector
 from ..common.errors import SingularInertiaError
 from ..common.names import quoted
 from ..system.system import System
@@ -25,7 +25,7 @@ _SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class InertiaSplit:
+class InertiaSplit(FrozenArrays):
     """Blocks of the mass matrix at one shape, and their Schur complement; read-only arrays.
 
     Attributes:
@@ -43,9 +43,6 @@ class InertiaSplit:
     local_connection: Array
     reduced_metric: Array
     com: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def r(self) -> int:

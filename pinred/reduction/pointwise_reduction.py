@@ -20,6 +20,7 @@ from ..common.arrays import Array, vector
 from ..common.errors import InputError, SymmetryError
 from ..lie.group import Group
 from ..system.system import System, checked_system
+from .curvature import compute_curvature
 from .inertia_split import InertiaSplit, com_derivative, mass_matrix_at, split_inertia
 from .potential import Potential, Springs, pivot_weight
 from .section import MovedFrame, Section
@@ -243,8 +244,7 @@ class PointwiseReduction:
         dA_in_file = np.linalg.solve(I, (dIA - np.einsum("ijc,jb->ibc", dI, A)).reshape(r, -1))
         dA_in_file = dA_in_file.reshape(r, m, m)
         dAtIA = np.einsum("iac,ib->abc", dA_in_file, I @ A) + np.einsum("ia,ibc->abc", A, dIA)
-        bracket = np.einsum("aij,jb->iab", self.group.ad(A.T), A)
-        curvature, com = np.swapaxes(dA_in_file, 1, 2) - dA_in_file - bracket, split.com
+        curvature, com = compute_curvature(self.group, A, dA_in_file), split.com
         dA: Array | InputError = dA_in_file
         for frame in self.frames:
             split, curvature = frame.split(split), frame.curvature(x, curvature)
@@ -279,7 +279,7 @@ class PointwiseReduction:
         return self._potential
 
     def shape_potential(self) -> Potential:
-        """Return the potential V(x); gravity is left out if it turns the base about a pivot.
+        """Return the potential V(x); gravity is omitted if it rotates the base about a pivot.
 
         Raises SymmetryError if gravity breaks the symmetry otherwise.
         """

@@ -248,7 +248,9 @@ def _gradient(value: ArrayLike, size: int) -> Array:
     blocks = value if isinstance(value, tuple) else (value,)
     gradient = np.concatenate([np.atleast_1d(np.asarray(b, dtype=float)) for b in blocks])
     if gradient.shape != (size,):
-        raise ShapeError(f"a gradient by z must have shape ({size},), got {gradient.shape}")
+        raise ShapeError(
+            f"a gradient with respect to z must have shape ({size},), got {gradient.shape}"
+        )
     return gradient
 
 

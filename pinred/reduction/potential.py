@@ -24,7 +24,7 @@ Springs: TypeAlias = Mapping[str, tuple[float, float]]
 
 _SAMPLES = 8  # number of random configurations at which the symmetry is checked
 _ROUND_OFF = 4e-16  # relative round-off of a rotated vector
-_LEVEL = 1e-12  # relative tolerance for a pivot at the height of the world's origin
+_LEVEL = 1e-12  # heights of a pivot below this multiple of its distance from the origin are zero
 _TOLERANCE = 1e-10  # torques below this multiple of weight times size count as zero
 
 
@@ -172,8 +172,8 @@ def shape_gravity(system: System) -> Potential:
 def acting_gravity(system: System) -> Array:
     """Return the part of gravity that acts on the shape or rotates a pivoted base, (3,) [m/s²].
 
-    The vector is in the root joint's fixed frame; round-off of its rotation is set to zero.  Raises
-    SymmetryError if gravity breaks the symmetry.
+    The vector is in the root joint's fixed frame; entries due to the round-off of its rotation
+    are set to zero.  Raises SymmetryError if gravity breaks the symmetry.
     """
 
     def make() -> Array:
@@ -240,12 +240,12 @@ def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
     if system.group.turns == 1:
         unit = directions[0] / np.linalg.norm(directions[0])
         axis = ", ".join(f"{a:.3g}" for a in np.round(unit, 9) + 0.0)  # hides round-off
-        broken = f"turning about its axis ({axis}), which is not along gravity,"
+        broken = f"rotation about its axis ({axis}), which is not along gravity,"
     else:
-        broken = f"turning about the world's {_axes(np.array(directions))} axes"
+        broken = f"rotation about the world's {_axes(np.array(directions))} axes"
     raise SymmetryError(
         f"gravity ({gravity}) breaks the {system.group.name} symmetry of '{system.name}': {broken} "
-        "changes the potential energy; use gravity=(0, 0, 0), a group that gravity keeps "
+        "changes the potential energy; use gravity=(0, 0, 0), a group that gravity preserves "
         "(SO2 about the vertical, SE3), or put the pivot at the centre of mass"
     )
 

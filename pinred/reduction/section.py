@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, as_floats, freeze
+from ..common.arrays import Array, FrozenArrays, as_floats
 from ..common.errors import InputError, ShapeError
 from ..system.joints import axes_of
 from ..system.system import System
@@ -29,7 +29,7 @@ _TOLERANCE = 1e-6  # tolerance of this check, relative to the largest entry
 
 
 @dataclass(frozen=True)
-class Moves:
+class Moves(FrozenArrays):
     """Changes of the base frame at N shapes; arrays are read-only.
 
     Attributes:
@@ -45,9 +45,6 @@ class Moves:
     theta: Array
     rotation: Array
     translation: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def mass_matrix(self, H: Array) -> Array:
         """Return the mass matrix H′, (N, n, n), for velocities (ξ′, ẋ) in the new frame."""
@@ -91,7 +88,14 @@ class MovedFrame:
         return InertiaSplit(old.x, H, I, A, old.reduced_metric, move.com(old.com[None])[0])
 
     def com_derivative(self, new: InertiaSplit, derivative: Array) -> Array:
-        """Return the derivative (3, m) of c′ = h⁻¹ c from ∂c; `new` is the split in this frame."""
+        """Transform the derivative of the centre of mass to this frame, c′ = h⁻¹ c.
+
+        Args:
+            new: Split of the mass matrix in this frame.
+            derivative: Derivative ∂c/∂x in the old frame, (3, m).
+        Returns:
+            Derivative ∂c′/∂x, (3, m).
+        """
         move = self.moves(new.x[None])
         twists = axes_of(self._system.model.joints[1]) @ move.theta[0]
         carried = twists[:3] + np.cross(twists[3:].T, new.com).T
@@ -102,7 +106,14 @@ class MovedFrame:
         return np.asarray(self.moves(x[None]).curvature(B[None])[0])
 
     def inertia_derivative(self, new: InertiaSplit, dI: Array) -> Array:
-        """Return ∂I′, (r, r, m), index last, from ∂I; `new` is the split in this frame."""
+        """Transform the derivative of the locked inertia to this frame.
+
+        Args:
+            new: Split of the mass matrix in this frame.
+            dI: Derivative ∂I in the old frame, (r, r, m), derivative index last.
+        Returns:
+            Derivative ∂I′, (r, r, m).
+        """
         pose, theta, _ = self._element(new.x)
         Ad, ad = self._group.Ad(pose), self._group.ad(theta.T)
         half = np.einsum("ij,cjk->ikc", new.locked_inertia, ad)  # ∂ Ad_h = Ad_h ad_Θ
@@ -112,7 +123,7 @@ class MovedFrame:
     def connection_derivative(
         self, new: InertiaSplit, dA: Array | InputError
     ) -> Array | InputError:
-        """Compute ∂A′ from ∂A.
+        """Transform the derivative of the local connection to this frame.
 
         Args:
             new: Split of the mass matrix in this frame.
@@ -187,9 +198,9 @@ class MovedFrame:
                 if not error <= _TOLERANCE * (1.0 + np.abs(expected).max()):
                     joint = self._system.shape_names[k]
                     raise InputError(
-                        f"{name} of the section by '{joint}' is {value} at x = {x}, but h(x) "
-                        f"changes by {expected}; Θ is the body twist of h per unit rate of the "
-                        "joint"
+                        f"{name} of the section with respect to '{joint}' is {value} at x = {x}, "
+                        f"but differences of h(x) give {expected}; Θ is the body twist of h per "
+                        "unit rate of the joint"
                     )
 
 

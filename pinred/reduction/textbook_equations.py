@@ -1,5 +1,7 @@
 """The reduced equations of motion, term by term, evaluated with Pinocchio.
 
+No engine uses this module: the engines integrate the canonical form (canonical_form.py).
+
 The Lagrange–Poincaré equations, in shape x, rate ẋ and locked velocity Ω, with μ = I Ω and
 ξ = Ω − A ẋ:
 

@@ -89,7 +89,7 @@ def watched_of(system: System, events: Sequence[Event], *, base: bool) -> Watche
     watched = Watched(system, [event.expression for event in events], labels)
     if watched.sees_base and not base:
         raise InputError(
-            "an event sees the base in space, which outputs='shape' leaves out; use outputs='all'"
+            "an event depends on the base in space, which outputs='shape' omits; use outputs='all'"
         )
     return watched
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError
 from ..common.names import quoted
 from ..reduction.pointwise_reduction import PointwiseReduction
@@ -55,7 +55,7 @@ class GivenStates:
 
 
 @dataclass(frozen=True)
-class Start:
+class Start(FrozenArrays):
     """A complete initial state; arrays are read-only.
 
     Attributes:
@@ -75,9 +75,6 @@ class Start:
     mu: Array
     mass_matrix: Array
     com: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def start_of(system: System, given: GivenStates) -> Start:
@@ -117,9 +114,9 @@ def refuse_vague(x: Array, system: System) -> None:
     for name, angle in _angles(x, system):
         if np.spacing(abs(angle)) > _RESOLUTION:
             raise InputError(
-                f"x0: the angle of joint {quoted(name)}, {angle:g} rad, is known to "
-                f"{np.spacing(abs(angle)):.1g} rad only, so its sine means nothing; give it "
-                "within a turn"
+                f"x0: the angle of joint {quoted(name)}, {angle:g} rad, is only accurate to "
+                f"{np.spacing(abs(angle)):.1g} rad, so its sine is meaningless. Reduce it to one "
+                "turn."
             )
 
 

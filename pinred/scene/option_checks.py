@@ -1,22 +1,19 @@
 """Checks of scene options that need more than the type of the value.
 
-The options are the seed, the keyframe, tolerances, report times and lists of forces, and the time
-span that signals and controllers cover.
+The options are the keyframe, report times and lists of forces, and the time span that
+signals and controllers cover.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..common.arrays import Array, as_floats, entries_of, positive
-from ..common.default_marker import is_given
 from ..common.errors import InputError, ShapeError
 from ..common.names import brief, listed, one_of
 from ..forces.force import Force
-from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
 from ..system.system import System
 from .random_state import DURATION
 
@@ -36,51 +33,6 @@ def check_keyframe(system: System, name: str) -> str:
             f"keyframe: '{system.name}' has no keyframe {brief(name)}; the keyframes are {valid}"
         )
     return name
-
-
-def check_seed(seed: Any) -> int:
-    """Return a seed as a whole number; raise InputError if it is negative or not whole."""
-    if isinstance(seed, bool) or not (isinstance(seed, (int, np.integer)) and seed >= 0):
-        raise InputError(f"seed must be a whole number from 0, got {brief(seed)}")
-    return int(seed)
-
-
-def check_tolerances(method: Method, rtol: float, atol: float) -> None:
-    """Reject tolerances that both the scene and its method state.
-
-    Args:
-        method: Integrator of the scene.
-        rtol: Relative tolerance of the scene.
-        atol: Absolute tolerance of the scene.
-    Raises:
-        InputError: the scene and the method both have tolerances.
-    """
-    options = [name for name, value in (("rtol", rtol), ("atol", atol)) if is_given(value)]
-    if options and _has_tolerances(method):
-        raise InputError(
-            f"{options[0]} is given beside a method with tolerances of its own, {method}; give "
-            f"{method.name} without rtol and atol to have the scene's, or the scene none"
-        )
-
-
-def with_tolerances(method: Method, rtol: float, atol: float) -> Method:
-    """Return a method with the tolerances of its scene.
-
-    Args:
-        method: Integrator.  It stays unchanged if it has equal steps or its own tolerances.
-        rtol: Relative tolerance; raised to the smallest one that the method can keep.
-        atol: Absolute tolerance.
-    Returns:
-        The method with tolerances.
-    """
-    if not isinstance(method, ErrorControl) or _has_tolerances(method):
-        return method
-    least = 0.0 if isinstance(method, AdaptiveGauss) else DOP853_LEAST
-    return replace(method, rtol=max(rtol, least), atol=atol)
-
-
-def _has_tolerances(method: Method) -> bool:
-    return isinstance(method, ErrorControl) and (is_given(method.rtol) or is_given(method.atol))
 
 
 def compute_report_times(times: Any, duration: float | None, system: System) -> Array:
@@ -146,7 +98,7 @@ def check_span(model: ForceModel, end: float, *, base: bool) -> None:
             )
     if model.sees_base and not base:
         raise InputError(
-            "a force or controller sees the base in space, which outputs='shape' leaves out; "
+            "a force or controller depends on the base in space, which outputs='shape' omits; "
             "use outputs='all'"
         )
     for controller, _ in model.held:

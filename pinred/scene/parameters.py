@@ -49,8 +49,8 @@ class GivenParameters:
             if name in self.numbers:
                 if name in known:
                     raise InputError(
-                        f"parameters: '{name}' is a number of the robot, and a Parameter of the "
-                        "forces has the same name; give that another"
+                        f"parameters: '{name}' is a robot parameter and also the name of a "
+                        "Parameter in forces. Rename the Parameter."
                     )
                 parameters[name] = plain_value(self.numbers[name])
                 continue

@@ -57,12 +57,16 @@ def _narrow(system: System, low: Array, high: Array) -> None:
     coupled, model = system.coupled, system.model
     if coupled is None:
         return
-    for j, (k, ratio, b) in enumerate(zip(coupled.of, coupled.ratio, coupled.offset, strict=True)):
-        joint = model.joints[2 + j]
-        if j in coupled.leads or ratio == 0.0 or joint.nq != 1:
+    for j, b in enumerate(coupled.offset):
+        joint, terms = model.joints[2 + j], coupled.terms(j)
+        if j in coupled.leads or joint.nq != 1:
             continue
         limits = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
-        with np.errstate(over="ignore"):  # Pinocchio stores huge limits for joints without limits.
-            least, most = sorted((limit - b) / ratio for limit in limits)
-        if max(low[k], least) < min(high[k], most):
-            low[k], high[k] = max(low[k], least), min(high[k], most)
+        # The other leaders of a joint that follows several stay at the middle of their ranges.
+        middle = coupled.G[j] @ (low + high) / 2.0
+        for k, ratio in terms:
+            rest = b + middle - ratio * (low[k] + high[k]) / 2.0 if len(terms) > 1 else b
+            with np.errstate(over="ignore"):  # Joints without limits have huge ones in Pinocchio.
+                least, most = sorted((limit - rest) / ratio for limit in limits)
+            if max(low[k], least) < min(high[k], most):
+                low[k], high[k] = max(low[k], least), min(high[k], most)

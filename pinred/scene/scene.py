@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..common.arrays import Array, dimensions, positive, read_only, vector
+from ..common.arrays import Array, positive, read_only, vector, vector_or_zero, whole
 from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.names import brief, one_of
@@ -24,12 +24,9 @@ from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .option_checks import (
     check_keyframe,
-    check_seed,
     check_span,
-    check_tolerances,
     compute_report_times,
     list_forces,
-    with_tolerances,
 )
 from .parameters import GivenParameters, given_parameters
 from .passive_forces import acting_passive, check_passive, passive_left_out
@@ -37,16 +34,12 @@ from .random_state import random_state
 from .scene_options import ENGINES as ENGINES
 from .scene_options import OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields
 from .scene_options import Engine as Engine
+from .tolerances import MOMENTUM_MARGIN, TIGHTEST, check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
     from ..common.parameter import Parameter
     from ..forces.force_model import ForceModel
     from ..forces.formula import Watched
-
-TIGHTEST = 1e-14  # smallest relative tolerance; below it round-off controls the step size
-# Momenta are integrated, but users need rates.  If a light joint is attached to heavy links, a
-# relative error of a momentum causes a larger relative error of the light joint's rate.
-MOMENTUM_MARGIN = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +55,7 @@ class Scene(SceneFields):
     a point mass on the body.  For a joint "elbow", the names are "elbow.placement" (x, y, z, roll,
     pitch, yaw) and "elbow.translation"; for a locked joint, "elbow.lock".  The names for gravity
     are "gravity" (vector in the world frame) and "gravity.strength".  Names without values,
-    or "all" for inertias and placements, keep the present values.  So do parameters of the system
+    or "all" for inertias and placements, keep the current values.  So do parameters of the system
     (System.parameters).
 
     The scene converts its options: joint values by name to arrays, motions of prescribed joints
@@ -78,7 +71,7 @@ class Scene(SceneFields):
         self._apply_robot_parameters()
         self._check_conflicts()
         if self.seed is not None:
-            check_seed(self.seed)
+            self._keep("seed", whole(self.seed, "seed", 0))
         if not one_of(self.outputs, OUTPUTS):
             raise InputError(
                 f"outputs must be one of {', '.join(OUTPUTS)}, got {brief(self.outputs)}"
@@ -104,23 +97,17 @@ class Scene(SceneFields):
         self._keep("_given", self._resolve())
 
     def _check_conflicts(self) -> None:
-        """Raise InputError if options of the initial state contradict each other or are missing."""
+        """Raise InputError if options of the initial state contradict each other."""
         stated = [name for name in SCENE_OPTIONS if getattr(self, name) is not None]
         for name in stated:
             option = SCENE_OPTIONS[name]
             both = [other for other in option.replaces if other in stated]
             if both and option.scope:
-                raise InputError(f"{name} stands for {option.scope}; do not give {both[0]} with it")
+                raise InputError(f"{name} sets {option.scope}; do not combine it with {both[0]}")
             if both:
-                raise InputError(f"give {both[0]} or {name}, not both: each fixes the other")
+                raise InputError(f"give {both[0]} or {name}, not both: each determines the other")
         if self.keyframe is not None:
             check_keyframe(self.system, self.keyframe)
-        states = {"seed", "keyframe", *SCENE_OPTIONS["seed"].replaces}
-        if self.system.initial is None and states.isdisjoint(stated):
-            raise InputError(
-                f"'{self.system.name}' comes with no initial state; "
-                "give x0, xdot0, xi0 or momentum, or seed= for a random one"
-            )
 
     def __reduce__(self) -> tuple[Any, ...]:
         options = {entry.name: getattr(self, entry.name) for entry in fields(self)}
@@ -282,6 +269,15 @@ class Scene(SceneFields):
         parameters: GivenParameters = vars(self)["_parameters"]
         self._keep("parameters", MappingProxyType(parameters.checked(known)))
 
+    def _require_state(self) -> None:
+        """Raise InputError if neither the options nor the robot state an initial state."""
+        states = ("seed", "keyframe", *SCENE_OPTIONS["seed"].replaces)
+        if self.system.initial is None and all(getattr(self, name) is None for name in states):
+            raise InputError(
+                f"'{self.system.name}' has no default initial state; "
+                "give x0, xdot0, xi0 or momentum, or seed= for a random one"
+            )
+
     def _resolve(self) -> GivenStates:
         """Return the initial state that the options state."""
         system = self.system
@@ -305,13 +301,12 @@ class Scene(SceneFields):
         if default is not None and no_shape:
             x, xdot = default.x, default.xdot
             xi = default.xi if self.xi0 is None else xi
+        self._require_state()
         refuse_vague(x, system)
         x, xdot = self.with_prescribed(x[None], xdot[None])
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
-        # A plain 0 means zero momentum for a group of any dimension.
-        zero = dimensions(self.momentum) == 0 and self.momentum == 0
-        mu = np.zeros(system.r) if zero else vector(self.momentum, system.r, "momentum")
+        mu = vector_or_zero(self.momentum, system.r, "momentum")
         return GivenStates(pose[None], x, xdot, None, mu[None])
 
     def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:

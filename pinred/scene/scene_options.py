@@ -15,10 +15,10 @@ from typing import Any, Literal, TypeAlias, TypedDict, get_args
 
 from numpy.typing import ArrayLike
 
-from ..common.default_marker import Default
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
+from ..integrators.methods.default_tolerances import ATOL, RTOL
 from ..system.system import System
 from .event import EVENT_TABLE, Event
 from .option_checks import EVEN_TIMES
@@ -117,7 +117,7 @@ class SceneFields:
     momentum: ArrayLike | None = field(default=None, metadata=_option(
         Either((NUMBER, NUMBERS)),
         "initial body momentum, [linear; angular] [N·s; N·m·s], or 0 for zero momentum",
-        default="computed from xi0", formats="(r,), or 0", table="start",
+        default="computed from xi0", formats="(r,), a number if r = 1, or 0", table="start",
         command=f"--momentum {_VECTOR}", replaces=("xi0",),
     ))  # fmt: skip
     seed: int | None = field(default=None, metadata=_option(
@@ -155,13 +155,13 @@ class SceneFields:
         NUMBERS, "report times [s], increasing", default=f"{EVEN_TIMES} evenly spaced ones",
         formats="(T,)", table="run",
     ))  # fmt: skip
-    rtol: float = field(default=Default(1e-10), metadata=_option(
+    rtol: float = field(default=RTOL, metadata=_option(
         POSITIVE, "relative tolerance of a step; omit it if the method has its own tolerances",
-        default="1e-10", table="run", command="--rtol TOL",
+        default=f"{RTOL:g}", table="run", command="--rtol TOL",
     ))  # fmt: skip
-    atol: float = field(default=Default(1e-12), metadata=_option(
+    atol: float = field(default=ATOL, metadata=_option(
         POSITIVE, "absolute tolerance of a step; omit it if the method has its own tolerances",
-        default="1e-12", table="run", command="--atol TOL",
+        default=f"{ATOL:g}", table="run", command="--atol TOL",
     ))  # fmt: skip
     springs: Mapping[str, tuple[float, float]] = field(default_factory=dict, metadata=_option(
         ByName(ListOf(NUMBER, 2)),

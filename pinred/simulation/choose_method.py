@@ -64,7 +64,7 @@ class Choice:
 def choose(scene: Scene, stops: Array) -> Choice:
     """Choose the integrator of a scene that stops at times `stops`, (S,) [s]."""
     if scene.integrator is not None:
-        return Choice(scene.integrator, "the scene asks for it")
+        return Choice(scene.integrator, "requested by the scene")
     rtol, atol = scene.tolerance
     dop853 = DOP853(max(rtol, DOP853_LEAST), atol)
     rates = rates_near_rest(scene)
@@ -73,11 +73,11 @@ def choose(scene: Scene, stops: Array) -> Choice:
         rates.decay > _STIFF_RATIO * rates.oscillation
         and steps > _RADAU_STEPS * max(1.0, scene.system.m / 6) ** 2
     ):
-        why = f"forces decay at {rates.decay:.0e}/s: stability alone takes {steps:.0f} steps"
+        why = f"forces decay at {rates.decay:.0e}/s: stability alone requires {steps:.0f} steps"
         return Choice(Radau(max(rtol, DOP853_LEAST), atol), why)
     reports = int((scene.report_times < scene.end).sum()) - int(scene.report_times[0] == 0.0)
     if reports > _FEW:
-        return Choice(dop853, f"{reports} reports before the end cost it least")
+        return Choice(dop853, f"{reports} reports before the end cost least with DOP853")
     if scene.force_model is not None and len(stops) > 1:
         return Choice(dop853, "the scene is integrated in segments")
     if scene.force_model is not None and scene.force_model.has_kinks:
@@ -86,9 +86,9 @@ def choose(scene: Scene, stops: Array) -> Choice:
         return Choice(dop853, f"forces decay at {rates.decay:.0e}/s, too fast for long steps")
     branches = scene.system.workspace("limbs as lanes", lambda: _limbs(scene.system))
     cost = _SWEEP_COST * branches
-    worth = _AT_LOOSEST + _PER_DIGIT * max(0.0, -log10(scene.rtol) - _LOOSEST)
-    why = f"{cost:.1f} evaluations a sweep, worth {worth:.1f} at rtol = {scene.rtol:g}"
-    if cost < worth:
+    saved = _AT_LOOSEST + _PER_DIGIT * max(0.0, -log10(scene.rtol) - _LOOSEST)
+    why = f"a sweep costs {cost:.1f} evaluations and saves {saved:.1f} at rtol = {scene.rtol:g}"
+    if cost < saved:
         return Choice(AdaptiveGauss(rtol, atol), why)
     return Choice(dop853, why)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..common.arrays import Array, read_only
 from ..forces.named_arrays import Vector
+from ..forces.switch_times import time_within
 from ..scene.scene import Scene
 from ..system.force_interface import SeenState
 from .sample import Sample
@@ -88,7 +89,7 @@ class Control:
                 seen = see() if seen is None else seen
                 numbers[where], self._until[k] = self._call(k, t, seen)
         until = min([stop, *(u for u in self._until if u < stop - near)])
-        numbers[forces.within] = 0.5 * (t + until)
+        numbers[forces.within] = time_within(t, until)
         return until
 
     def _call(self, k: int, t: float, seen: Sample) -> tuple[Array, float]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import IntegrationError
 from ..forces.formula import Watched
 from ..scene.scene import Scene
@@ -28,7 +28,7 @@ _EPS = 4.0 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
-class Crossings:
+class Crossings(FrozenArrays):
     """The zero crossings of one event, in order; arrays are read-only.
 
     Attributes:
@@ -42,9 +42,6 @@ class Crossings:
     t: Array
     rising: NDArray[np.bool_]
     states: State | ShapeState
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __len__(self) -> int:
         return len(self.t)

@@ -9,7 +9,7 @@ from .plan import Plan
 
 
 def explain(plan: Plan) -> str:
-    """Describe in lines the terms that the compiled engine skips and the numbers it integrates."""
+    """Describe the terms that the compiled engine skips, and the numbers that it integrates."""
     lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=has_no_momentum(plan))]
     lines.append(f"integrated: {integrated(plan)}")
     lines += seen_and_integrated(plan)
@@ -29,15 +29,15 @@ def seen_and_integrated(plan: Plan) -> list[str]:
     lines = []
     observed = [
         *(["attitude"] if forces.sees_attitude else []),
-        *(["place or speed"] if forces.sees_place else []),
+        *(["position or velocity"] if forces.sees_place else []),
     ]
     if observed:
-        lines.append(f"seen by forces: {' and '.join(observed)} of the base")
+        lines.append(f"observed by forces: {' and '.join(observed)} of the base")
     if forces.acting_on_base:
         labels = ", ".join(dict.fromkeys(forces.acting_on_base))
-        lines.append(f"integrated for wrenches: momentum, which {labels} changes")
+        lines.append(f"also integrated: momentum, because wrenches change it ({labels})")
     elif observed and not plan.acting.momentum_changes:
-        lines.append("constant: momentum, for torques do not change it, whatever they see")
+        lines.append("constant: momentum, because torques do not change it")
     return lines
 
 
@@ -57,7 +57,7 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
     lines = []
     if freed.inertias:
         bodies = ", ".join(names[i + 1] for i in freed.inertias)
-        lines.append(f"inputs: inertias of what moves with {bodies} (up to 1.2 × an evaluation)")
+        lines.append(f"inputs: inertias of the bodies on {bodies} (up to 1.2 × an evaluation)")
     patterned = [names[i + 1] for i, pattern in freed.steps if "x" * 4 not in pattern]
     general = [names[i + 1] for i, pattern in freed.steps if "x" * 4 in pattern]
     if patterned:
@@ -72,7 +72,7 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
         )
     if freed.links:
         links = ", ".join(str(plan.system.model.frames[k].name) for k in freed.links)
-        lines.append(f"inputs: places of {links}, which forces act on, on their bodies")
+        lines.append(f"inputs: placements of {links} on their bodies, because forces act there")
     if varied.gravity:
         lines.append("inputs: gravity")
     return lines
@@ -99,7 +99,7 @@ def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
     layout = plan.kind(zero_momentum=zero_momentum).layout
     lines = []
     if not plan.wanted:
-        lines.append("the base: nobody asks for it")
+        lines.append("the base: it is not requested")
     if group.linear:
         if plan.acting.wrench and plan.wanted:
             lines.append("translation of the base: it follows the centre of mass")

@@ -17,6 +17,7 @@ from ..common.arrays import Array, read_only
 from ..common.errors import SymmetryError
 from ..common.memo import once
 from ..forces.force_model import ForceModel, touched_by
+from ..forces.switch_times import ROUND_OFF
 from ..integrators.methods import Method
 from ..kernels.kernel import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
@@ -28,13 +29,11 @@ from ..system.system import System
 from .choose_method import Choice, choose
 
 _NONE = read_only(np.empty(0))
-# Stops closer than this fraction of the duration are merged.
-_ROUND_OFF = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """The equations of a plan, either with angular momentum of the base or without.
+    """The system, forces and terms that define the equations of a plan.
 
     Attributes:
         system: The system.
@@ -54,12 +53,12 @@ class Kind:
 
 @dataclass(frozen=True)
 class MemberParameters:
-    """Parameters of each member that replace the plan's; None where the plan's values hold.
+    """Parameters of each member that replace the plan's; None where the plan's values apply.
 
     Attributes:
         numbers: Force parameters, (N, p).
         robot: Variable parameters of the bodies, (N, s).
-        gravity: The part of gravity that acts on the shape or turns the base, (N, 3) [m/s²].
+        gravity: The part of gravity that acts on the shape or rotates the base, (N, 3) [m/s²].
         fall: Acceleration of the centre of mass in free fall, (N, k) [m/s²].
     """
 
@@ -103,7 +102,7 @@ class Acting:
         forces: Forces besides gravity and prescribed joints; None if there are none.
         weight: Gravity force m g in the root joint's fixed frame if it turns a pivoted base,
             else zero, (3,) [N].
-        gravity: The part of gravity that acts on the shape or turns the base, in that frame,
+        gravity: The part of gravity that acts on the shape or rotates the base, in that frame,
             (3,) [m/s²].
         momentum_changes: Whether a force changes the angular momentum of the base.
         cyclic: Indices of the joints whose momentum is constant.
@@ -127,7 +126,7 @@ class Acting:
 
     @property
     def turned(self) -> bool:
-        """Whether gravity turns a pivoted base."""
+        """Whether gravity rotates a pivoted base."""
         return bool(self.weight.any())
 
 
@@ -165,13 +164,36 @@ class Plan:
     @cached_property
     def spans(self) -> list[Span]:
         """The time spans between stops; a report time at a stop belongs to the span before it."""
-        reports, spans, first, start = self.scene.report_times, [], 0, 0.0
-        for stop in self.stops.tolist():
-            last = int(np.searchsorted(reports, stop, side="right"))
-            rows = slice(first, last)
-            spans.append(Span(start, stop, rows, read_only(reports[rows] - start)))
-            first, start = last, stop
-        return spans
+        return spans_between(self.stops, self.scene.report_times)
+
+    @property
+    def stops_vary(self) -> bool:
+        """Whether the stops depend on Parameters, through conditions on time."""
+        return self.forces is not None and bool(
+            self.forces.slopes[self.forces.switching.used].any()
+        )
+
+    def stops_of_runs(self, numbers: Array) -> list[Array]:
+        """Return the stops of N runs, (S,) each [s].
+
+        Args:
+            numbers: Force parameters, (N, p).
+        Returns:
+            The stops; the last one of each run is the end of the scene.
+        Raises:
+            InputError: There are too many stops, or a condition on time cannot be decided.
+        """
+        if self.forces is None or not self.stops_vary:
+            return [self.stops] * len(numbers)
+        end = self.scene.end
+        times = self.forces.switching.find(end, numbers)
+        run = np.concatenate([times.run, np.arange(len(numbers))])
+        time = np.concatenate([times.time, np.full(len(numbers), end)])
+        order = np.lexsort((time, run))
+        run, time = run[order], time[order]
+        distinct = np.append((np.diff(time) > ROUND_OFF * end) | (np.diff(run) > 0), True)
+        run, time = run[distinct], read_only(time[distinct])
+        return np.split(time, np.flatnonzero(np.diff(run)) + 1)
 
     @cached_property
     def choice(self) -> Choice:
@@ -225,6 +247,24 @@ class Plan:
         return freed_of(self.system, *bodies, links, generic=generic)
 
 
+def spans_between(stops: Array, reports: Array) -> list[Span]:
+    """Return the spans between stops; a report time at a stop belongs to the span before it.
+
+    Args:
+        stops: Sorted times at which integration stops, (S,) [s].
+        reports: Sorted report times, (T,) [s].
+    Returns:
+        The spans.
+    """
+    spans, first, start = [], 0, 0.0
+    for stop in stops.tolist():
+        last = int(np.searchsorted(reports, stop, side="right"))
+        rows = slice(first, last)
+        spans.append(Span(start, stop, rows, read_only(reports[rows] - start)))
+        first, start = last, stop
+    return spans
+
+
 def stops_of(scene: Scene) -> Array:
     """Return the times at which integration stops, (S,) [s]; the last one ends the scene."""
     forces, end = scene.force_model, scene.end
@@ -236,7 +276,7 @@ def stops_of(scene: Scene) -> Array:
     stops = np.unique(np.concatenate(times))
     stops = stops[stops <= end]
     # Merge times that differ by round-off, but keep the end of the scene.
-    distinct = np.append(np.diff(stops) > _ROUND_OFF * end, True)
+    distinct = np.append(np.diff(stops) > ROUND_OFF * end, True)
     return np.asarray(stops[distinct])
 
 
@@ -279,8 +319,8 @@ def _acting(system: System, forces: ForceModel | None, varied: ModelParameters |
         cyclic = tuple(k for k in cyclic if k in always)
     if weighed and weight.any():
         raise SymmetryError(
-            f"gravity turns the base of '{system.name}', so that its accelerations do not follow "
-            "from shape and momentum alone; use PD control, or gravity=(0, 0, 0)"
+            f"gravity rotates the base of '{system.name}', so its accelerations depend on more "
+            "than shape and momentum; use PD control, or gravity=(0, 0, 0)"
         )
     return Acting(
         system=system,

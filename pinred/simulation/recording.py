@@ -245,8 +245,8 @@ def _find_trusted_source(path: Path, source: str) -> str:
     if Path(source).resolve() in {robot.path.resolve() for robot in bundled_robots().values()}:
         return source
     raise LoadError(
-        f"{quoted_path(path)} says that its robot is in {quoted_path(source)}, which is not in "
-        "its own folder; if that is so, name it (--robot, or robot=), or copy it there"
+        f"{quoted_path(path)} names the robot file {quoted_path(source)}, which is in another "
+        "folder. If you trust it, name it (--robot, or robot=), or copy it to the same folder."
     )
 
 
@@ -315,7 +315,8 @@ def _check_sizes(name: str, archive: zipfile.ZipFile) -> None:
     for member in members:
         if not member.filename.endswith(".npy"):
             raise LoadError(
-                f"{name} is not an .npz file of plain arrays: {quoted(member.filename)} is none"
+                f"{name} is not an .npz file of plain arrays: {quoted(member.filename)} is not an "
+                "array"
             )
     total = sum(member.file_size for member in members)
     if total > MOST_BYTES:

@@ -6,12 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Unpack
 
-from ..common.arrays import entries_of
+from ..common.arrays import entries_of, whole
 from ..common.errors import InputError, IntegrationError
 from ..common.names import brief
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
-from ..scene.option_checks import check_seed
 from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
@@ -73,7 +72,7 @@ def simulate_many(
         excluded = {**options, "members": members, "seeds": seeds}
         for name, value in excluded.items():
             if value is not None:
-                raise InputError(f"a list of Scenes says all itself; do not give {name} beside it")
+                raise InputError(f"a list of Scenes already contains all options. Omit {name}.")
         if not scenes:
             raise InputError("simulate_many needs at least one member")
         resolved = of_scenes(scenes)
@@ -90,7 +89,7 @@ def _checked(seeds: Sequence[int] | None) -> list[int] | None:
     entries = entries_of(seeds)
     if entries is None:
         raise InputError(f"seeds must be a list of whole numbers, got {brief(seeds)}")
-    return [check_seed(seed) for seed in entries]
+    return [whole(seed, "seed", 0) for seed in entries]
 
 
 def _explained(resolved: Members) -> str:

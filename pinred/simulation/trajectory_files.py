@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..common.errors import MissingPackageError, OutputError
+from ..common.errors import OutputError
 from ..common.files import check_path, write_atomic
 from ..common.names import quoted_path
+from ..common.optional_packages import optional_package
 from ..system.model_parameters import GRAVITY
 from ..system.state_fields import FIELDS, arrays_of, axis_labels
 from ..system.system import System
@@ -56,7 +56,7 @@ def _arrays(traj: OverTime) -> dict[str, Any]:
 def robot_arrays(system: System) -> dict[str, Any]:
     """Return the arrays that name a robot and record how load() finds it.
 
-    Gravity and locked joints are stored with their present values, including changes by parameters.
+    Gravity and locked joints are stored with their current values, including changes by parameters.
     """
     origin = system.origin
     lock = dict({} if origin is None else origin.lock)
@@ -106,7 +106,7 @@ def parameters_in(content: Mapping[str, Any]) -> dict[str, Any]:
     sizes = [int(size) for size in np.atleast_1d(content.get("parameter_sizes", ()))]
     values = np.ravel(np.asarray(content.get("parameter_values", ()), dtype=float))
     if len(names) != len(sizes) or min(sizes, default=1) < 1 or sum(sizes) != len(values):
-        raise ValueError("the names, sizes and values of its parameters do not belong together")
+        raise ValueError("the names, sizes and values of its parameters are inconsistent")
     arrays = np.split(values, np.cumsum(sizes)[:-1]) if names else []
     return dict(zip(names, arrays, strict=True))
 
@@ -142,12 +142,10 @@ def write_zarr(path: Path, arrays: dict[str, Any]) -> None:
         MissingPackageError: zarr is not installed.
         OutputError: Writing fails.
     """
-    try:
-        zarr = import_module("zarr")
-    except ImportError:
-        raise MissingPackageError(
-            f"{quoted_path(path)}: files of zarr need the package zarr: pip install 'pinred[zarr]'"
-        ) from None
+    zarr = optional_package(
+        "zarr",
+        f"{quoted_path(path)}: files of zarr need the package zarr: pip install 'pinred[zarr]'",
+    )
     try:
         with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as parent:
             folder = Path(parent) / "complete"

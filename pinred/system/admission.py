@@ -35,7 +35,7 @@ _TRIANGLE_SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Admission:
-    """The result of admitting a model.
+    """The symmetry group of an admitted model, and warnings about the model.
 
     Attributes:
         group: Symmetry group.
@@ -48,13 +48,13 @@ class Admission:
 
 
 def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
-    """Check that a model can be reduced; return its symmetry group and doubts about it.
+    """Check that a model can be reduced; return its symmetry group and warnings.
 
     Args:
         model: Model whose joint 1 is the root, with joints in depth-first order.
         coupled: Dependence of follower joints on independent joints; None without followers.
     Returns:
-        Symmetry group and doubts.
+        Symmetry group and warnings.
     Raises:
         ModelError: pinred cannot reduce the model.  The message names the joint or link at
             fault and a remedy.
@@ -82,8 +82,8 @@ def _root_group(model: pin.Model) -> Group:
     if len(model.mimicking_joints):
         names = [model.names[i] for i in model.mimicking_joints]
         raise ModelError(
-            f"a System takes no mimic joints of Pinocchio's, such as {listed(names)}; pinred.load "
-            "makes couplings of them"
+            f"a System cannot contain Pinocchio's mimic joints, such as {listed(names)}; "
+            "pinred.load converts them to couplings"
         )
     group = motion_group(model.joints[1])
     if group is None:
@@ -148,12 +148,12 @@ def _admit_numbers(model: pin.Model, group: Group) -> None:
 
 
 def _check_inertias(model: pin.Model, coupled: Coupled | None) -> tuple[str, ...]:
-    """Return doubts about the inertias; raise ModelError for those that cannot be simulated."""
+    """Return warnings about the inertias; raise ModelError if they cannot be simulated."""
     unit = largest_step(model)
     for i in range(1, model.njoints):
         _check_body(model, i, unit)
     if not sum(model.inertias[i].mass for i in range(1, model.njoints)) > 0.0:
-        raise ModelError(f"{_body_words(model, 1)} has no mass, nor has any body behind it")
+        raise ModelError(f"{_body_words(model, 1)} and all bodies behind it have no mass")
     singular = singular_shapes(model, coupled)
     if singular.everywhere:
         raise ModelError(_refusal(model, singular.everywhere))
@@ -183,8 +183,8 @@ def _check_body(model: pin.Model, i: int, unit: float) -> None:
     largest = max(mass, float(np.abs(inertia).max()), float(np.abs(body.lever).max()))
     if largest > _HUGE:
         raise ModelError(
-            f"{_body_words(model, i)} has a mass, a moment of inertia or a lever of {largest:.1e}, "
-            f"above {_HUGE:g}, so that products overflow; use other units"
+            f"{_body_words(model, i)} has a mass, a moment of inertia or a lever arm of "
+            f"{largest:.1e}, above {_HUGE:g}, so that products overflow; use other units"
         )
     if mass < 0.0:
         raise ModelError(

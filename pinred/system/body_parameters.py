@@ -113,19 +113,20 @@ class Bodies:
             names_of_body = self._names[entry.body]
             if other := names_of_body.get(entry.kind):
                 raise InputError(
-                    f"parameters: '{entry.name}' and '{other}' are one body's; name one of them"
+                    f"parameters: '{entry.name}' and '{other}' belong to the same body. Name one "
+                    "of them."
                 )
             names_of_body[entry.kind] = entry.name
         for names_of_body in self._names.values():
             others = [name for kind, name in names_of_body.items() if kind != "log_cholesky"]
             if "log_cholesky" in names_of_body and others:
                 raise InputError(
-                    f"parameters: '{names_of_body['log_cholesky']}' sets all of a body; leave out "
-                    f"'{others[0]}'"
+                    f"parameters: '{names_of_body['log_cholesky']}' sets all parameters of a body. "
+                    f"Omit '{others[0]}'."
                 )
 
     def own(self) -> dict[str, Array]:
-        """Return the present values of the parameters in the system, {name: (size,)}."""
+        """Return the current values of the parameters in the system, {name: (size,)}."""
         return {entry.name: _value(self._body(entry), entry.kind) for entry in self.parameters}
 
     def changed_by(self, names: Iterable[str]) -> list[int]:
@@ -272,7 +273,15 @@ def _log_cholesky(J: Array) -> Array:
 
 
 def _point_moments(m: float, c: Array) -> tuple[Array, Array, Array]:
-    """Return moments, (10,), of a point mass m at c, and derivatives by m (10,) and c (10, 3)."""
+    """Compute the moments of a point mass about the origin, and their derivatives.
+
+    Args:
+        m: Mass [kg].
+        c: Position of the mass, (3,) [m].
+    Returns:
+        Mass, first and second moments, (10,), and their derivatives with respect to m, (10,), and
+        to c, (10, 3).
+    """
     x, y, z = c.tolist()
     by_mass = np.array(
         [1.0, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
@@ -291,6 +300,6 @@ def _refuse_unphysical(moments: Array, name: str) -> None:
     eigenvalues = np.linalg.eigvalsh(pseudo.toMatrix())
     if not eigenvalues[0] >= -_LEAST * eigenvalues[-1]:
         raise InputError(
-            f"parameters: '{name}' is no inertia of a real body: no positive masses have these "
-            "moments (each principal moment is at most the sum of the other two)"
+            f"parameters: '{name}' is not physical: no positive masses have these moments (each "
+            "principal moment is at most the sum of the other two)"
         )

@@ -88,7 +88,9 @@ def example_robot(name: str) -> ExampleRobot:
 
     loader = _loaders()[name]
     if not loader.urdf_filename:
-        raise LoadError(f"'{name}' comes as {loader.sdf_filename}; pinred reads URDF and MJCF")
+        raise LoadError(
+            f"'{name}' is only available as {loader.sdf_filename}, but pinred reads URDF and MJCF"
+        )
 
     def path(folder: str, file: str) -> Path:
         relative = Path(loader.path, folder, file)

@@ -1,72 +1,66 @@
 """Coupled joints: follower joints whose values are affine in independent joints, x = G y + b.
 
-Every follower in a file equals ratio · y + offset for one independent joint y, perhaps through
-other followers.  The shape consists of the independent joints y alone.  In these coordinates the
-mass matrix is exactly GᵀHG and forces are Gᵀf.  Each row of G has one nonzero entry, so G is
-stored as the arrays `of` (column) and `ratio` (entry).
+Every follower in a file is an affine function of independent joints y, perhaps through other
+followers.  The shape consists of the independent joints y alone.  In these coordinates the mass
+matrix is exactly GᵀHG and forces are Gᵀf.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError, ModelError
 from ..common.names import listed, quoted
+from .locked_joints import Tie
 from .robot_file_contents import Coupling
 
 _SAME = 1e-9  # tolerance between a follower's locked value and the value of its coupling [rad | m]
 
 
 @dataclass(frozen=True, eq=False)
-class Coupled:
+class Coupled(FrozenArrays):
     """All M joints of a tree as functions of the m independent joints.  Arrays are read-only.
 
     Attributes:
         leads: Indices of the independent joints among all joints, (m,).
-        of: For each joint, the index in `leads` of the independent joint that it follows, (M,).
-            An independent joint follows itself.
-        ratio: Ratio of each joint, (M,), in x = ratio · y[of] + offset.
-        offset: Offset of each joint, (M,) [rad | m].
+        G: Matrix of x = G y + b, (M, m).  The row of an independent joint is a unit vector.
+        offset: Offset b of each joint, (M,) [rad | m].
     """
 
     leads: NDArray[np.intp]
-    of: NDArray[np.intp]
-    ratio: Array
+    G: Array
     offset: Array
 
-    def __post_init__(self) -> None:
-        freeze(self)
+    def terms(self, joint: int) -> list[tuple[int, float]]:
+        """Return the nonzero entries of a joint's row of G, [(index of the coordinate, ratio)]."""
+        row = self.G[joint]
+        return [(k, float(row[k])) for k in np.flatnonzero(row).tolist()]
 
     def values(self, y: Array) -> Array:
         """Compute the values of all joints, (..., M), from independent joint values y, (..., m)."""
-        return np.asarray(y[..., self.of] * self.ratio + self.offset)
+        return np.asarray(y @ self.G.T + self.offset)
 
     def rates(self, v: Array, r: int) -> Array:
         """Compute velocities of root and all joints, (..., r + M), for v = (ξ, ẏ) (..., r + m)."""
-        return np.concatenate([v[..., :r], v[..., r:][..., self.of] * self.ratio], axis=-1)
+        return np.concatenate([v[..., :r], v[..., r:] @ self.G.T], axis=-1)
 
     def forces(self, f: Array, r: int) -> Array:
         """Project forces f on all joints, (..., r + M), to Gᵀf, (..., r + m)."""
-        return self._summed(f, r, self.ratio)
+        return np.concatenate([f[..., :r], f[..., r:] @ self.G], axis=-1)
 
     def sizes(self, f: Array, r: int) -> Array:
         """Return |G|ᵀ|f|, (..., r + m): the size of the terms in Gᵀf, for |f|, (..., r + M)."""
-        return self._summed(f, r, np.abs(self.ratio))
+        return np.concatenate([f[..., :r], f[..., r:] @ np.abs(self.G)], axis=-1)
 
     def matrix(self, H: Array, r: int) -> Array:
         """Project a matrix H over all joints, (..., r + M, r + M), to GᵀHG, (..., r + m, r + m)."""
         HG = self.forces(np.swapaxes(H, -1, -2), r)
         return self.forces(np.swapaxes(HG, -1, -2), r)
-
-    def _summed(self, f: Array, r: int, ratio: Array) -> Array:
-        G = np.zeros((len(self.of), len(self.leads)))
-        G[np.arange(len(self.of)), self.of] = ratio
-        return np.concatenate([f[..., :r], f[..., r:] @ G], axis=-1)
 
 
 def coupled(joints: Sequence[str], couplings: Sequence[Coupling], root: str = "") -> Coupled | None:
@@ -79,7 +73,7 @@ def coupled(joints: Sequence[str], couplings: Sequence[Coupling], root: str = ""
     Returns:
         All joints as functions of the independent joints.
     Raises:
-        ModelError: A leader is unknown, followers form a cycle, or a joint follows two others.
+        ModelError: A leader is unknown, followers form a cycle, or a joint has two couplings.
             The message names the joints and a remedy.
     """
     if not couplings:
@@ -87,13 +81,13 @@ def coupled(joints: Sequence[str], couplings: Sequence[Coupling], root: str = ""
     direct = resolved(couplings, joints, root)
     leads = [j for j, name in enumerate(joints) if name not in direct]
     index = {joints[j]: k for k, j in enumerate(leads)}
-    complete = [direct.get(name) or Coupling(name, name, 1.0, 0.0) for name in joints]
-    return Coupled(
-        leads=np.array(leads, dtype=np.intp),
-        of=np.array([index[coupling.leader] for coupling in complete], dtype=np.intp),
-        ratio=np.array([coupling.ratio for coupling in complete]),
-        offset=np.array([coupling.offset for coupling in complete]),
-    )
+    G = np.zeros((len(joints), len(leads)))
+    for j, name in enumerate(joints):
+        ratios = direct[name].ratios if name in direct else {name: 1.0}
+        for leader, ratio in ratios.items():
+            G[j, index[leader]] = ratio
+    offset = [direct[name].offset if name in direct else 0.0 for name in joints]
+    return Coupled(np.array(leads, dtype=np.intp), G, np.array(offset))
 
 
 def resolved(
@@ -114,55 +108,75 @@ def resolved(
     for coupling in couplings:
         _check(coupling, joints, root)
         if coupling.follower in direct:
-            leaders = listed([direct[coupling.follower].leader, coupling.leader])
+            leaders = listed([*direct[coupling.follower].leaders, *coupling.leaders])
             raise ModelError(
                 f"joint {quoted(coupling.follower)} follows several joints: {leaders}; "
-                "leave all of its couplings out but one"
+                "remove all of its couplings but one"
             )
         direct[coupling.follower] = coupling
-    return {name: _with_independent(coupling, direct) for name, coupling in direct.items()}
+    independent: dict[str, Coupling] = {}
+    while direct:
+        ready = [name for name, c in direct.items() if direct.keys().isdisjoint(c.ratios)]
+        if not ready:
+            circle = _circle(direct)
+            raise ModelError(
+                f"joints follow each other in a circle: {listed(circle, len(circle))}; "
+                "remove one of the couplings"
+            )
+        for name in ready:
+            independent[name] = _with_independent(direct.pop(name), independent)
+    return independent
 
 
 def _check(coupling: Coupling, joints: Sequence[str], root: str) -> None:
     """Refuse a coupling whose joints are unknown or whose numbers are not finite."""
-    follower, leader = quoted(coupling.follower), quoted(coupling.leader)
+    follower, leaders = quoted(coupling.follower), _names(coupling.leaders)
+    unknown = [leader for leader in coupling.leaders if leader not in joints]
     if coupling.follower == root:
         raise ModelError(
-            f"the root joint {quoted(root)} follows {leader}, but its motion is the "
-            f"symmetry and follows none; lock {leader}, and it is locked with it"
+            f"the root joint {quoted(root)} follows {leaders}, but its motion is the "
+            f"symmetry, so it cannot follow a joint. Lock {leaders}; the root is then locked, too."
         )
-    if coupling.leader not in joints:
+    if unknown:
         raise ModelError(
-            f"joint {follower} follows {leader}, which is not behind the "
-            f"root joint {quoted(root)}, whose motion is the symmetry and leads none; "
-            f"lock {leader}, and what follows it is locked with it"
+            f"joint {follower} follows {quoted(unknown[0])}, which is not behind the "
+            f"root joint {quoted(root)}; the motion of the root is the symmetry, so the root "
+            f"cannot lead a joint. Lock {quoted(unknown[0])}; its followers are then locked, too."
         )
     if coupling.follower not in joints:
         raise ModelError(
-            f"a coupling makes {follower} follow {leader}, but there is "
-            "no such joint that moves about or along one axis"
+            f"a coupling makes {follower} follow {leaders}, but no joint {follower} moves about or "
+            "along one axis"
         )
-    if not np.isfinite([coupling.ratio, coupling.offset]).all():
+    if not np.isfinite([*coupling.ratios.values(), coupling.offset]).all():
         raise ModelError(
-            f"joint {follower} follows {leader} by {coupling.ratio} and "
-            f"{coupling.offset}, which are not finite"
+            f"joint {follower} follows {leaders} with ratios {[*coupling.ratios.values()]} and "
+            f"offset {coupling.offset}, which must be finite"
         )
 
 
-def _with_independent(coupling: Coupling, direct: Mapping[str, Coupling]) -> Coupling:
-    """Replace the leader of a coupling by the independent joint that the leader follows."""
-    ratio, offset, leader = coupling.ratio, coupling.offset, coupling.leader
-    path = [coupling.follower]
-    while leader in direct:
-        if leader in path:
-            raise ModelError(
-                f"joints follow each other in a circle: {listed([*path, leader], len(path) + 1)}; "
-                "leave one of the couplings out"
-            )
-        path.append(leader)
-        inner = direct[leader]
-        ratio, offset, leader = ratio * inner.ratio, ratio * inner.offset + offset, inner.leader
-    return Coupling(coupling.follower, leader, ratio, offset)
+def _circle(direct: Mapping[str, Coupling]) -> list[str]:
+    """Return joints that follow each other, where each coupling has a leader that is a follower."""
+    path = [next(iter(direct))]
+    while path[-1] not in path[:-1]:
+        path.append(next(leader for leader in direct[path[-1]].leaders if leader in direct))
+    return path[path.index(path[-1]) :]
+
+
+def _with_independent(coupling: Coupling, independent: Mapping[str, Coupling]) -> Coupling:
+    """Replace the leaders of a coupling by the independent joints that they follow."""
+    ratios, offset = dict[str, float](), coupling.offset
+    for leader, ratio in coupling.ratios.items():
+        inner = independent.get(leader, Coupling(leader, {leader: 1.0}, 0.0))
+        offset = ratio * inner.offset + offset
+        for name, factor in inner.ratios.items():
+            ratios[name] = ratios.get(name, 0.0) + ratio * factor
+    return Coupling(coupling.follower, ratios, offset)
+
+
+def _names(joints: Iterable[str]) -> str:
+    """Return names in words, each in quotation marks."""
+    return " and ".join(map(quoted, joints))
 
 
 def with_followers(
@@ -184,60 +198,80 @@ def with_followers(
         ModelError: A leader is unknown, or followers form a cycle.
     """
     values = dict(lock)
-    active = [c for c in couplings if c.leader in joints or c.follower not in lock]
-    unknown = [c for c in active if c.leader not in joints]
+    active = [c for c in couplings if set(c.leaders) <= set(joints) or c.follower not in lock]
+    unknown = [(c.follower, leader) for c in active for leader in c.leaders if leader not in joints]
     if unknown:
+        follower, leader = unknown[0]
         raise ModelError(
-            f"joint {quoted(unknown[0].follower)} follows {quoted(unknown[0].leader)}, which is no "
-            "joint that can move; name one that is, or lock the joint: "
-            f"lock={[coupling.follower for coupling in unknown]}"
+            f"joint {quoted(follower)} follows {quoted(leader)}, which is "
+            "not a moving joint; name a moving joint, or lock the follower: "
+            f"lock={[name for name, _ in unknown]}"
         )
-    if not any(name in lock for c in active for name in (c.follower, c.leader)):
+    if not any(name in lock for c in active for name in (c.follower, *c.leaders)):
         return values, tuple(active)
     remaining: list[Coupling] = []
     direct = resolved(active, joints)
     for coupling in active:
         name, independent = coupling.follower, direct[coupling.follower]
-        if independent.leader not in lock:
+        leaders = _names(independent.leaders)
+        if not set(independent.leaders) <= lock.keys():
             if name in lock:
                 raise InputError(
-                    f"lock: joint '{name}' follows '{independent.leader}' ({independent}); lock "
-                    f"'{independent.leader}', and it is locked with it"
+                    f"lock: joint '{name}' follows {leaders} ({independent}). Lock "
+                    f"{leaders}; the followers are then locked, too."
                 )
-            remaining.append(coupling)
+            in_part = not lock.keys().isdisjoint(independent.ratios)
+            remaining.append(with_constants(independent, lock) if in_part else coupling)
             continue
-        value = independent.ratio * lock[independent.leader] + independent.offset
+        value = with_constants(independent, lock).offset
         if abs(values.get(name, value) - value) > _SAME:
             raise InputError(
-                f"lock: joint '{name}' follows '{independent.leader}', which puts it at "
-                f"{value:g}, not {lock[name]:g}; lock '{independent.leader}' alone"
+                f"lock: joint '{name}' follows {leaders}, which requires "
+                f"the value {value:g}, not {lock[name]:g}. Lock only {leaders}."
             )
         values[name] = value
     return values, tuple(remaining)
 
 
-def locked_by(
+def with_constants(coupling: Coupling, values: Mapping[str, float]) -> Coupling:
+    """Replace the leaders that are locked by their values."""
+    ratios = {name: ratio for name, ratio in coupling.ratios.items() if name not in values}
+    known = {name: ratio for name, ratio in coupling.ratios.items() if name in values}
+    offset = sum(ratio * values[name] for name, ratio in known.items()) + coupling.offset
+    return Coupling(coupling.follower, ratios, offset)
+
+
+def ties_of(
     lock: Mapping[str, float], couplings: Sequence[Coupling], joints: Sequence[str]
-) -> dict[str, Coupling]:
-    """Return the couplings between locked joints, {follower: coupling}.
+) -> tuple[dict[str, Tie], tuple[str, ...]]:
+    """Return the dependence of locked followers on locked leaders.
 
     Args:
         lock: Values of locked joints [rad | m].
         couplings: Couplings in the file.
         joints: Names of all joints.
     Returns:
-        Couplings whose follower and leader are both locked, by follower.
+        Ties of followers to single leaders, {follower: tie}; and the locked joints in couplings
+        with several leaders.
     """
-    active = [c for c in couplings if c.leader in joints and c.follower in joints]
-    if not any(c.leader in lock for c in active):
-        return {}
-    direct = resolved(active, joints)
-    return {name: c for name, c in direct.items() if {name, c.leader} <= lock.keys()}
+    active = [c for c in couplings if {c.follower, *c.leaders} <= set(joints)]
+    if not any(leader in lock for c in active for leader in c.leaders):
+        return {}, ()
+    ties: dict[str, Tie] = {}
+    shared: list[str] = []
+    for name, coupling in resolved(active, joints).items():
+        if len(coupling.ratios) > 1:
+            shared += [joint for joint in (name, *coupling.leaders) if joint in lock]
+            continue
+        ((leader, ratio),) = coupling.ratios.items()
+        if {name, leader} <= lock.keys():
+            ties[name] = Tie(leader, (coupling.offset, ratio))
+    return ties, tuple(dict.fromkeys(shared))
 
 
 def following(name: str, couplings: Sequence[Coupling]) -> str:
     """Describe the coupling of a follower joint; return "" for an independent joint."""
     for coupling in couplings:
         if coupling.follower == name:
-            return f"joint '{name}' follows '{coupling.leader}' ({coupling})"
+            return f"joint '{name}' follows {_names(coupling.leaders)} ({coupling})"
     return ""

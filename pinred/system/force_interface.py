@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 
 def _unknown_dynamics(_: Mapping[int, ca.SX]) -> ca.SX:
-    raise InputError("only a force that is `last` may ask for the torques of an acceleration")
+    raise InputError(
+        "only a force class with last = True can request the torques of an acceleration"
+    )
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class SeenState:
             AttributeError: Always; the message lists the names.
         """
         names = ", ".join(field.name for field in fields(self))
-        raise AttributeError(f"a state has {names}, no {name!r}")
+        raise AttributeError(f"a state has no {name!r}; its fields are {names}")
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,7 @@ class Symbols:
             InputError: The joint is a follower.
         """
         if words := self.followers.get(self.every_name[joint]):
-            raise InputError(f"{what}: {words}; take the joint that it follows")
+            raise InputError(f"{what}: {words}; use the joint that it follows")
 
     def column(self, values: Any, what: str) -> dict[int, Any]:
         """Return values by joint index.
@@ -274,5 +276,5 @@ def entries(values: Any, count: int, what: str) -> list[Any]:
     except TypeError:
         listing = [values]
     if len(listing) != count:
-        raise InputError(f"{what} must give {count} values, gave {len(listing)}")
+        raise InputError(f"{what} must have {count} values, got {len(listing)}")
     return listing

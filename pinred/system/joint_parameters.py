@@ -59,7 +59,7 @@ def joint_parameter(system: System, name: str) -> JointParameter | None:
         if word not in names:
             raise InputError(
                 f"parameters: '{system.name}' has no locked joint {quoted(word)} whose value may "
-                f"vary; {nearest(word, names)}those are {listed(names, 60) or 'none'}"
+                f"vary; {nearest(word, names)}such joints are {listed(names, 60) or 'none'}"
             )
         return JointParameter(name, word, kind)
     names = [str(joint) for joint in system.model.names][2:]
@@ -69,7 +69,7 @@ def joint_parameter(system: System, name: str) -> JointParameter | None:
             hint = "that is the root, whose placement has no effect on the motion; "
         raise InputError(
             f"parameters: '{system.name}' has no joint {quoted(word)} with a placement on another "
-            f"body; {hint}those are {listed(names, 60)}"
+            f"body; {hint}such joints are {listed(names, 60)}"
         )
     return JointParameter(name, word, kind)
 
@@ -116,13 +116,13 @@ class Joints:
             body = self._body(parameter.joint)
             if body in behind:
                 raise InputError(
-                    f"parameters: '{parameter.name}' is decided by "
-                    f"{', '.join(self._locks.values())}; leave out one of them"
+                    f"parameters: '{parameter.name}' is determined by "
+                    f"{', '.join(self._locks.values())}. Omit one of them."
                 )
             if other := self._by_body.get(body):
                 raise InputError(
-                    f"parameters: '{parameter.name}' and '{other.name}' are one joint's; name one "
-                    "of them"
+                    f"parameters: '{parameter.name}' and '{other.name}' belong to the same "
+                    "joint. Name one of them."
                 )
             self._by_body[body] = parameter
         self.placed = tuple(sorted(behind | set(self._by_body)))
@@ -134,7 +134,7 @@ class Joints:
         self.links = tuple(sorted(self._frames))
 
     def own(self) -> dict[str, Array]:
-        """Return the present values of the parameters in the system, {name: (size,)}."""
+        """Return the current values of the parameters in the system, {name: (size,)}."""
         values = {}
         for parameter in self.parameters:
             if parameter.kind == "lock":

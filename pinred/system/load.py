@@ -29,16 +29,17 @@ from ..lie.groups import GROUPS, group_named
 from ..lie.spatial_groups import SE3
 from . import catalogue
 from .coordinates import InitialState
-from .coupling import locked_by, with_followers
+from .coupling import ties_of, with_followers
 from .joints import RootChain, motion_group, places_on_root, root_chain, root_joint
-from .locked_joints import LockedJoints, Tie, frozen_configurations, lock_values
+from .locked_joints import LockedJoints, frozen_configurations, lock_values
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
 from .passive import passive_contents
+from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_file_contents import Contents, Coupling, Origin
-from .robot_files import is_mjcf, read_description, read_text, read_xml
+from .robot_files import is_mjcf, read_text, read_xml
 from .system import System
 from .urdf_elements import mimic_couplings
 from .visuals import Visuals, mesh_folders, with_visuals
@@ -62,6 +63,7 @@ class _Robot:
         origin: File or name that was loaded, if any.
         group: Requested or catalogued symmetry group, if any.
         initial: Generic initial state, if any.
+        warning: Warning about the text of the file, or "".
     """
 
     raw: pin.Model
@@ -70,6 +72,7 @@ class _Robot:
     origin: Origin | None
     group: Group | None
     initial: InitialState | None = None
+    warning: str = ""
 
 
 def load(
@@ -86,7 +89,8 @@ def load(
     """Load a robot as symmetry group times shape.
 
     Emits a LeftOutWarning for actions in the file that pinred does not simulate
-    (System.left_out), and a ModelWarning for doubtful inertias.
+    (System.left_out), and a ModelWarning for doubtful inertias, for commas in number lists of a
+    URDF file, and for armature of a free joint.
 
     Args:
         source: Name of a bundled robot or of one in example-robot-data; path of a URDF or MJCF
@@ -127,7 +131,9 @@ def load(
     folders = mesh_folders(meshes)
     if mjcf_kind := _mjcf_kind(source):
         if folders:
-            raise InputError("meshes= is for URDF; an MJCF file says where its meshes are")
+            raise InputError(
+                "meshes= applies to URDF only; an MJCF file contains the paths of its meshes"
+            )
         system = _load_mujoco(source, mjcf_kind, requested, locked, new_gravity, root)
         doubts: tuple[str, ...] = ()
     else:
@@ -141,11 +147,12 @@ def load(
             )
         if folders and isinstance(source, pin.Model):
             raise InputError(
-                "meshes= is for robots from files; a model comes with its shapes, or none"
+                "meshes= applies to robots from files only; shapes of a model are passed with it"
             )
         if root is not None:
             raise InputError(
-                f"root={quoted(root)} is for MJCF; elsewhere one link carries the robot"
+                f"root={quoted(root)} applies to MJCF only; in a URDF file or a model one link "
+                "carries the robot"
             )
         robot = _read(source, requested, locked, folders)
         system = _load_model(robot, locked, new_gravity, visuals)
@@ -154,9 +161,11 @@ def load(
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
         warnings.warn(message, LeftOutWarning, stacklevel=2)
+    for warning in system.contents.warnings:
+        warnings.warn(f"{quoted(system.name)}: {warning}", ModelWarning, stacklevel=2)
     for doubt in doubts:
         if strict:
-            raise ModelError(f"{quoted(system.name)} is refused, strictly: {doubt}")
+            raise ModelError(f"{quoted(system.name)} is refused because of strict=True: {doubt}")
         warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=2)
     return with_parameters(system, {} if parameters is None else parameters)
 
@@ -204,18 +213,18 @@ def _read(
     name = str(source)
     origin = Origin(name, locked, meshes=folders)
     if (robot := catalogue.bundled_robots().get(name)) is not None:
-        raw, couplings = read_description(robot.path)
+        raw, couplings, warning = read_urdf(robot.path)
         raw.gravity.linear = np.array(robot.gravity)
         group = group or group_named(robot.group)
         initial = None
         if not locked and group.name == robot.group:
             x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
             initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
-        return _Robot(raw, couplings, name, origin, group, initial)
+        return _Robot(raw, couplings, name, origin, group, initial, warning)
     if is_path(name):
-        raw, couplings = read_description(Path(source))
+        raw, couplings, warning = read_urdf(Path(source))
         origin = replace(origin, source=str(Path(source).absolute()))
-        return _Robot(raw, couplings, Path(source).stem, origin, group)
+        return _Robot(raw, couplings, Path(source).stem, origin, group, warning=warning)
     return _Robot(*_example(name), name, origin, group)
 
 
@@ -230,16 +239,16 @@ def _load_model(
     model = _on_root(bare, robot.group, chain)
     locked_joints = None
     if locked:
-        ties = {
-            name: Tie(coupling.leader, (coupling.offset, coupling.ratio))
-            for name, coupling in locked_by(locked, robot.couplings, names).items()
-        }
+        ties, shared = ties_of(locked, robot.couplings, names)
         places = {} if chain is None else places_on_root(bare, chain)
         several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
-        locked_joints = LockedJoints(raw, locked, ties, places, str(model.names[1]), several)
+        locked_joints = LockedJoints(
+            raw, locked, ties, places, str(model.names[1]), several, shared
+        )
     contents = replace(
         passive_contents(raw, list(model.names)[2:], locked),
         visuals=visuals,
+        warnings=(robot.warning,) if robot.warning else (),
         couplings=couplings,
         locked=locked_joints,
     )
@@ -278,7 +287,7 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
         )
     robot = catalogue.example_robot(name)
     if robot.build is None:
-        model, couplings = read_description(robot.urdf)
+        model, couplings, _ = read_urdf(robot.urdf)
     else:
         model, couplings = without_mimics(robot.build().robot.model)
         if not couplings:
@@ -291,15 +300,15 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
 
 
 def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pin.Model:
-    """Return the model with a root joint of the requested group: its present root, or a new one.
+    """Return the model with a root joint of the requested group: its current root, or a new one.
 
     Args:
         raw: Model.
-        group: Requested group, or None for the group of the present root.
+        group: Requested group, or None for the group of the current root.
         chain: Consecutive joints at the root that form one joint, if any.
     Raises:
         ChoiceError: It is unclear whether the root link is fixed or floats.
-        ModelError: The present root moves in another group.
+        ModelError: The current root moves in another group.
     """
     root_group = _root_group(raw) if chain is None else chain.group
     if root_group is None:
@@ -314,7 +323,7 @@ def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pi
     if chain is None and raw.joints[1].nv == 1:
         way_out += ", or give the massless link above it a mass so that it can float"
     raise ModelError(
-        f"group {group} was asked for, but the root joint '{'+'.join(joints)}' of the model has "
+        f"group {group} was requested, but the root joint '{'+'.join(joints)}' of the model has "
         f"group {root_group}; {way_out}"
     )
 

@@ -29,7 +29,7 @@ def lock_values(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
             f"lock must be a list of joint names or a mapping to values, got {brief(lock)}"
         )
     if not all(isinstance(name, str) for name in names):
-        raise InputError(f"lock must hold names of joints, got {brief(names)}")
+        raise InputError(f"lock must contain names of joints, got {brief(names)}")
     values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(names, 0.0)
     for name, value in values.items():
         number = as_floats(value, f"lock: the value for joint {quoted(name)}")
@@ -57,7 +57,7 @@ def frozen_configurations(raw: pin.Model, locked: Mapping[str, float]) -> dict[i
         if joint.nv > 1 and value != 0.0:
             raise InputError(
                 f"lock: joint {quoted(name)} has {joint.nv} degrees of freedom and "
-                "freezes at zero only"
+                "can only be locked at zero"
             )
         q = neutral[joint.idx_q : joint.idx_q + joint.nq].copy()
         if joint.nv == 1:
@@ -116,6 +116,7 @@ class LockedJoints:
             on the root joint}.  Empty if the root was added, or is a joint of the raw model.
         root_name: Name of the root joint.
         several: Locked joints with several degrees of freedom, whose coordinates are fixed at zero.
+        shared: Locked joints in couplings with several leaders, whose values are fixed.
         names: Locked joints whose values may vary as parameters.
     """
 
@@ -125,6 +126,7 @@ class LockedJoints:
     root: Mapping[str, pin.SE3] = field(default_factory=dict)
     root_name: str = ""
     several: tuple[str, ...] = ()
+    shared: tuple[str, ...] = ()
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -137,7 +139,9 @@ class LockedJoints:
             leader = self.ties[name].leader
             return f"it follows '{leader}', with which it is locked; vary '{leader}.lock'"
         if name in self.several:
-            return "it has several degrees of freedom, and freezes at zero only"
+            return "it has several degrees of freedom, so it can only be locked at zero"
+        if name in self.shared:
+            return f"it is coupled with several joints; load(lock={{'{name}': …}}) again"
         if not raw.existJointName(name) or self._carries_root(raw.getJointId(name)):
             return (
                 "it carries the root, or is part of it, and only places it in the world; "

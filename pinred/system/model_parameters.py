@@ -60,7 +60,7 @@ def kinds_near(system: System, name: object, known: Sequence[str] = ()) -> str:
     names += [] if locked is None else [f"{joint}.lock" for joint in locked.names]
     hint = nearest(str(name), [*known, *GRAVITY, *names]) if isinstance(name, str) else ""
     return (
-        f"{hint}of the robot these may vary: {', '.join(f'LINK.{kind}' for kind in BODY_SIZES)}, "
+        f"{hint}the robot's parameters are {', '.join(f'LINK.{kind}' for kind in BODY_SIZES)}, "
         f"{', '.join(f'JOINT.{kind}' for kind in (*PLACED, 'lock'))}, {', '.join(GRAVITY)}"
     )
 
@@ -154,8 +154,8 @@ class ModelParameters:
         for parameter in self._bodies.parameters:
             if parameter.body in self._joints.free:
                 raise InputError(
-                    f"parameters: '{parameter.name}' is of a body that has a locked joint on it, "
-                    "whose value varies; leave out one of them"
+                    f"parameters: '{parameter.name}' belongs to a body whose inertia also "
+                    "depends on the value of a locked joint. Omit one of these parameters."
                 )
         self.sizes = {entry.name: entry.size for entry in self._bodies.parameters}
         self.sizes |= {entry.name: entry.size for entry in self._joints.parameters}
@@ -166,7 +166,7 @@ class ModelParameters:
         self.links = self._joints.links
 
     def own(self) -> dict[str, Array]:
-        """Return the present values of the parameters in the system, {name: (size,)}."""
+        """Return the current values of the parameters in the system, {name: (size,)}."""
         values = self._bodies.own() | self._joints.own()
         if self._gravity:
             g = self._system.gravity
@@ -247,7 +247,7 @@ class ModelParameters:
         return self._joints.places(values)
 
     def gravity_of(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
-        """Return gravity in the world frame, (3,), and its derivatives by parameter, (3, size)."""
+        """Return gravity in the world frame, (3,), and {parameter name: derivatives (3, size)}."""
         g = self._system.gravity
         if not self._gravity:
             return g, np.zeros((3, 0))

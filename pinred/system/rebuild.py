@@ -177,7 +177,7 @@ def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
     for i in mimics:
         mimic = model.joints[i].extract()
         ratio, offset = float(mimic.scaling), float(mimic.offset)
-        couplings.append(Coupling(model.names[i], leaders[mimic.idx_v], ratio, offset))
+        couplings.append(Coupling(model.names[i], {leaders[mimic.idx_v]: ratio}, offset))
     return plain, tuple(couplings)
 
 

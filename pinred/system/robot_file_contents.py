@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.names import plain
 from .force_interface import Force
 from .locked_joints import LockedJoints
@@ -33,7 +33,7 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
-class Keyframe:
+class Keyframe(FrozenArrays):
     """A named state in a robot file.  The arrays are read-only.
 
     Attributes:
@@ -50,31 +50,33 @@ class Keyframe:
     xdot: Array
     time: float = 0.0
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint that follows another: x_follower = ratio · x_leader + offset.
+    """A joint that follows others: x_follower = Σ ratio · x_leader + offset.
 
-    Both x are shape coordinates, not displacements from a reference position.
+    All x are shape coordinates, not displacements from a reference position.
 
     Attributes:
         follower: Name of the follower joint.
-        leader: Name of the joint that the follower follows.
-        ratio: Ratio of the follower's rate to the leader's rate.
-        offset: Value of the follower when the leader is at zero [rad | m].
+        ratios: Ratio of the follower's rate to the rate of each leader, {leader: ratio}.
+        offset: Value of the follower when all leaders are at zero [rad | m].
     """
 
     follower: str
-    leader: str
-    ratio: float
+    ratios: Mapping[str, float]
     offset: float
 
+    @property
+    def leaders(self) -> tuple[str, ...]:
+        """Names of the joints that the follower follows."""
+        return tuple(self.ratios)
+
     def __str__(self) -> str:
+        terms = [f"{ratio:g}·{leader}" for leader, ratio in self.ratios.items()]
+        law = " + ".join(terms).replace("+ -", "- ")
         shift = "" if self.offset == 0.0 else f" {'+-'[self.offset < 0]} {abs(self.offset):g}"
-        return f"{self.follower} = {self.ratio:g}·{self.leader}{shift}"
+        return f"{self.follower} = {law}{shift}"
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ class Contents:
         keyframes: Named states.
         couplings: Couplings of follower joints to their leaders.
         freed: Name of a body that the file fixes to the world but that floats in pinred, or "".
+        warnings: Warnings about parts of the file that are not read as written.
         visuals: Shapes for playback that were passed to `load` together with the model.
         locked: The locked joints; None if no joint was locked.
     """
@@ -113,6 +116,7 @@ class Contents:
     keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""
+    warnings: tuple[str, ...] = ()
     visuals: Visuals | None = None
     locked: LockedJoints | None = None
 

@@ -1,109 +1,25 @@
-"""Robot description files: detection of their format, and URDF models without meshes.
+"""Robot description files as text and as XML elements, and detection of MJCF files.
 
-Pinocchio ignores, or replaces by defaults, entries that change the dynamics: mimic joints, links
-on two joints, axes of length zero, incomplete inertias.  This module reads these entries from the
-file, and uses or refuses them.
+`read_text` refuses files that are too large; `read_xml`, too many or too deeply nested elements.
 """
 
 from __future__ import annotations
 
 import re
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-import numpy as np
-import pinocchio as pin
-
-from ..common.errors import LoadError, ModelError
+from ..common.errors import LoadError
 from ..common.files import is_file, is_folder
-from ..common.library_output import library_output
 from ..common.names import plain_path, quoted_path
-from .robot_file_contents import Coupling
-from .urdf_elements import (
-    UNLIMITED,
-    check_urdf,
-    keep_dynamics,
-    mimic_couplings,
-    reduced_text,
-    total_mass,
-    tree_depth,
-)
 
-# Message of the URDF parser: one line with the error, and one with a position in its C++ source.
-URDFDOM = re.compile(
-    rb"^(?:Error|Warning|Info|Debug):[^\n]*\n +at line \d+ in [^\n]*\n?", re.MULTILINE
-)
 _MOST_BYTES = 256_000_000  # largest accepted size of a file [byte]
-# Above this depth of links, the parser runs in a thread with this stack size per link [byte].
-_DEEP, _STACK = 500, 65536
 _DEEPEST = 100  # largest depth of nested URDF elements; valid files need only a few
 _MOST_ELEMENTS = 1_000_000
-_MOST_LINKS = 20_000  # largest accepted number of links, because the parser recurses once per link
 _CHUNK = 4096  # number of characters per call of the XML parser
 _ELEMENT = re.compile(r"<[^!?]")
-
-
-def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return the model in a URDF file, with the root joint of the file, and its joint couplings.
-
-    Raises:
-        LoadError: The file cannot be read.
-        ModelError: pinred cannot reduce the robot.
-    """
-    root = read_xml(path)
-    refuse_macros(path, root)
-    if root.tag != "robot":
-        raise LoadError(
-            f"{plain_path(path)} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>"
-        )
-    if (links := len(root.findall("link"))) > _MOST_LINKS:
-        raise LoadError(f"{plain_path(path)} has {links} links, more than {_MOST_LINKS}")
-    check_urdf(root)
-    depth = tree_depth(root)
-    couplings = mimic_couplings(root)
-    model, why = None, ""
-    with library_output(URDFDOM) as messages:
-        try:
-            model = _parse(reduced_text(root), depth)
-        except Exception as error:  # Pinocchio raises parser errors of any type.
-            why = str(error).strip() or type(error).__name__
-    if model is None:
-        reason = messages[0].splitlines()[0] if messages else why.splitlines()[-1]
-        raise LoadError(
-            f"Pinocchio cannot read {plain_path(path)}: {reason.removeprefix('Error:').strip()}"
-        )
-    _check_mass(path, model, total_mass(root))
-    keep_dynamics(root, model)
-    for limits in (model.lowerPositionLimit, model.upperPositionLimit):
-        limits[np.abs(limits) >= UNLIMITED] *= np.inf
-    return model, couplings
-
-
-def _parse(text: str, depth: int) -> pin.Model:
-    """Return Pinocchio's model of a URDF text whose chains have at most `depth` links."""
-    if depth < _DEEP:
-        return pin.buildModelFromXML(text)
-    # The parser recurses once per link and would overflow the default stack.
-    before = threading.stack_size(_STACK * depth)
-    try:
-        with ThreadPoolExecutor(1) as one:
-            return one.submit(pin.buildModelFromXML, text).result()
-    finally:
-        threading.stack_size(before)
-
-
-def _check_mass(path: Path, model: pin.Model, file_mass: float) -> None:
-    """Refuse a model from which Pinocchio dropped the inertia of a link."""
-    model_mass = sum(inertia.mass for inertia in model.inertias)
-    if abs(model_mass - file_mass) > 1e-9 * max(model_mass, file_mass):
-        raise ModelError(
-            f"{plain_path(path)} gives its links {file_mass:g} kg in all, but Pinocchio reads "
-            f"{model_mass:g} kg; check the inertial elements"
-        )
 
 
 def read_text(path: Path) -> str:
@@ -166,7 +82,7 @@ def read_xml(path: Path) -> ElementTree.Element:
         count, depth = count + 1, depth + 1
         if count > _MOST_ELEMENTS or depth > _DEEPEST:
             deep = depth > _DEEPEST
-            what = f"{_DEEPEST} elements within one another" if deep else f"{count - 1} elements"
+            what = f"{_DEEPEST} nested elements" if deep else f"{count - 1} elements"
             where = f"{plain_path(path)}, line {parser.CurrentLineNumber}"
             raise LoadError(f"{where}: more than {what}")
         builder.start(tag, attributes)
@@ -182,18 +98,6 @@ def read_xml(path: Path) -> ElementTree.Element:
         return builder.close()
     except (expat.ExpatError, ValueError) as error:
         raise LoadError(f"{plain_path(path)} is not XML: {error}") from None
-
-
-def refuse_macros(path: Path, root: ElementTree.Element) -> None:
-    """Refuse a template that xacro must expand.  Raises LoadError with the command to run."""
-    used = next((e.tag for e in root.iter() if e.tag.startswith("xacro:")), "")
-    if used or any(mark in reduced_text(root) for mark in ("${", "$(")):
-        name = path.name.partition(".")[0] + ("" if path.suffix == ".xacro" else "_expanded")
-        shown = plain_path(path)
-        raise LoadError(
-            f"{shown} is a template with macros{f' (<{used}>)' if used else ''}; expand it with "
-            f"`xacro {shown} > {plain_path(Path(name))}.urdf`, and load the result"
-        )
 
 
 def _without_declaration(text: str) -> str:

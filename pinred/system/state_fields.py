@@ -1,8 +1,12 @@
 """The fields of a state, in one table, and the classes State and ShapeState with these fields.
 
-Files, labelled arrays, kernels and flows read names, axes and units from FIELDS.  To add a field,
-add it to FIELDS, to State (and to ShapeState if it does not need the base), to StateArrays, and
-to Outcome if flows differentiate it.
+Files, labelled arrays, kernels and flows read names, axes and units from FIELDS.  To add a field:
+
+1. Add it to FIELDS, to State (and to ShapeState if it does not need the base), to StateArrays,
+   and to Outcome if flows differentiate it.
+2. Compute its value for the compiled engine in kernels/reduced_graph.py, or in
+   kernels/base_graph.py if it needs the base.
+3. Compute its value for the other engine in `states()` of simulation/pinocchio/pinocchio_flow.py.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,7 +95,7 @@ def _describe_fields(kind: _Kind) -> _Kind:
 
 @_describe_fields
 @dataclass(frozen=True)
-class ShapeState:
+class ShapeState(FrozenArrays):
     """The shape at one time or over time (time first), without the base; read-only arrays."""
 
     t: Array
@@ -99,13 +103,10 @@ class ShapeState:
     xdot: Array
     energy: Array
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
 
 @_describe_fields
 @dataclass(frozen=True)
-class State:
+class State(FrozenArrays):
     """The state of a system at one time or over time (time first); read-only arrays."""
 
     t: Array
@@ -118,9 +119,6 @@ class State:
     body_momentum: Array
     spatial_momentum: Array
     energy: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 class _Column:

@@ -170,7 +170,7 @@ class System:
             InputError: The joint is a follower.
         """
         if words := following(name, self.couplings):
-            raise InputError(f"{what}: {words}; take the joint that it follows")
+            raise InputError(f"{what}: {words}; use the joint that it follows")
 
     @property
     def root_name(self) -> str:
@@ -352,7 +352,9 @@ class System:
         """Convert a value to an array whose last axis has length `size`.  Raises ShapeError."""
         array = as_floats(value, what)
         if array.shape[-1:] != (size,):
-            raise ShapeError(f"{what} of {self.name!r} must end in ({size},), got {array.shape}")
+            raise ShapeError(
+                f"{what} of {self.name!r} must have shape (..., {size}), got {array.shape}"
+            )
         return array
 
     def _pair(
@@ -378,4 +380,4 @@ def checked_system(value: object, what: str) -> System:
     if isinstance(value, System):
         return value
     shown = repr(value) if isinstance(value, str) else type(value).__name__
-    raise InputError(f"{what} takes a System, got {shown}; pinred.load(…) makes one")
+    raise InputError(f"{what} takes a System, got {shown}; pinred.load(…) returns one")

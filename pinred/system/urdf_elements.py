@@ -20,11 +20,40 @@ from ..common.names import quoted
 from .robot_file_contents import Coupling
 
 UNLIMITED = 1.7e308  # position limit that represents infinity, which the parser cannot read
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_DIGITS = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+_NUMBER = re.compile(_DIGITS, re.ASCII)
+_WITH_COMMAS = re.compile(rf"\s*{_DIGITS}(\s*,\s*{_DIGITS})+\s*", re.ASCII)
+_LISTS = ("xyz", "rpy", "size", "scale", "rgba")  # attributes that contain several numbers
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _NEEDS_LIMITS = ("revolute", "prismatic")
 _INERTIAL = ("origin", "mass", "inertia")
 _JOINT = ("origin", "parent", "child", "axis", "mimic", "dynamics")
+
+
+def replace_commas(robot: Element) -> str:
+    """Replace commas between the numbers of lists by blanks, in place.
+
+    A list that mixes commas and blanks stays as it is, because its commas may be decimal ones.
+
+    Returns:
+        A warning, or "" if there are no such lists.
+    """
+    lists = [
+        (element.attrib, key)
+        for element in robot.iter()
+        for key in _LISTS
+        if _WITH_COMMAS.fullmatch(element.get(key, ""))
+    ]
+    if not lists:
+        return ""
+    attributes, key = lists[0]
+    first = f"{key}={quoted(attributes[key])}"
+    for attributes, key in lists:
+        attributes[key] = attributes[key].replace(",", " ")
+    return (
+        f"{len(lists)} lists of numbers have commas, such as {first}; they are read as blanks, "
+        "which URDF requires"
+    )
 
 
 def check_urdf(robot: Element) -> None:
@@ -35,7 +64,7 @@ def check_urdf(robot: Element) -> None:
         owner, inertials = f"link {quoted(link.get('name', '?'))}", link.findall("inertial")
         if len(inertials) > 1:
             raise ModelError(
-                f"{owner} has {len(inertials)} inertial elements; keep the one that counts"
+                f"{owner} has {len(inertials)} inertial elements; keep only one of them"
             )
         for inertial in inertials:
             _check_inertial(inertial, owner)
@@ -59,7 +88,9 @@ def tree_depth(robot: Element) -> int:
         while end in parent_of and end not in depth:
             end = parent_of[end]
             if end in path:
-                raise ModelError(f"link {quoted(link)} hangs on itself through a cycle of joints")
+                raise ModelError(
+                    f"link {quoted(link)} is attached to itself through a cycle of joints"
+                )
             path[end] = None
         first = depth.setdefault(end, 0)
         depth |= {name: first + k for k, name in enumerate(reversed(path))}
@@ -110,7 +141,7 @@ def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
             else default
             for key, default in (("multiplier", 1.0), ("offset", 0.0))
         )
-        couplings.append(Coupling(name, leader, ratio, offset))
+        couplings.append(Coupling(name, {leader: ratio}, offset))
     return tuple(couplings)
 
 

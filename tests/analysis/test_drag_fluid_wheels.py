@@ -138,7 +138,7 @@ def test_kinematic_connection_of_snake() -> None:
         return -np.linalg.solve(W[:, :3], W[:, 3:] @ xdot)
 
     close(p.pose, pose_after_cycle(A.group, gait, velocity), 1e-10)
-    with pytest.raises(pinred.InputError, match="carry no momentum"):
+    with pytest.raises(pinred.InputError, match="define no momentum"):
         pinred.phase(A, gait, [1.0, 0.0, 0.0])
 
 
@@ -146,9 +146,13 @@ def test_kinematic_connection_at_singular_shape_raises() -> None:
     """On one arc, also straight, the wheels do not determine the motion; no gait may cross it."""
     A = snake()
     for x in ([0.0, 0.0], [0.6, 0.6]):
-        with pytest.raises(pinred.SingularInertiaError, match="leave a motion of the body open"):
+        with pytest.raises(
+            pinred.SingularInertiaError, match="do not determine the motion of the body"
+        ):
             A.local(x)
-        with pytest.raises(pinred.SingularInertiaError, match="leave a motion of the body open"):
+        with pytest.raises(
+            pinred.SingularInertiaError, match="do not determine the motion of the body"
+        ):
             _ = A.grid([[1.0, -0.5], x]).curvature
     with pytest.raises(pinred.SingularInertiaError, match="crosses shapes"):
         pinred.phase(A, Gait.fourier([0.5, 0.1], [[0.7, 0.0]], [[0.0, 0.6]]))

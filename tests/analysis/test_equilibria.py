@@ -272,8 +272,7 @@ def test_spring_equals_custom_potential() -> None:
     np.testing.assert_allclose(own[0].x, equilibria[0].x, atol=1e-10)
     least = equilibria[0]
     tau = {k: -5.0 * (least.x[k] - rest) for k, rest in enumerate((0.6, -0.2, 0.3))}
-    single = pinred.Equilibria(cat, 1.0, 1, 1, (least,))
-    assert_steady(single, tau)
+    assert_steady(replace(equilibria, entries=(least,)), tau)
 
 
 def test_prescribed_joint_keeps_its_value() -> None:
@@ -445,11 +444,11 @@ def test_invalid_problems_are_refused() -> None:
     """Invalid arguments are refused by name."""
     cat, wheels = pinred.load("falling_cat"), pinred.load("reaction_wheel_satellite")
     for words, options in (
-        ("not negative", {"momentum": -1.0}),
+        ("of at least 0", {"momentum": -1.0}),
         ("momentum must be a finite number", {"momentum": np.nan}),
         ("every shape is an equilibrium", {"momentum": 0.0}),
-        ("starts must be a whole number", {"momentum": 1.0, "starts": 0}),
-        ("seed must be a whole number from 0", {"momentum": 1.0, "seed": -1}),
+        ("starts must be a whole number of at least 1", {"momentum": 1.0, "starts": 0}),
+        ("seed must be a whole number of at least 0", {"momentum": 1.0, "seed": -1}),
         ("The cyclic joints are none", {"momentum": 1.0, "cyclic": {"bend": 1.0}}),
         ("does work", {"momentum": 1.0, "forces": Damper("bend", 0.1)}),
         ("constant rate", {"momentum": 1.0, "prescribed": {"bend": "sin(t)"}}),

@@ -115,7 +115,7 @@ def test_invalid_base_links_raise() -> None:
     frames = [frame.name for frame in system.model.frames]
     with pytest.raises(pinred.InputError, match="not in SO2"):
         A.seen_from(frames[-1])
-    with pytest.raises(pinred.InputError, match="no link 'nope'"):
+    with pytest.raises(pinred.InputError, match="no moving link 'nope'"):
         A.seen_from("nope")
     with pytest.raises(pinred.InputError, match="gives 1 pose coordinates"):
         A.in_section(lambda x: ca.vertcat(x[0], x[1]))

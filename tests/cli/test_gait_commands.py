@@ -72,7 +72,10 @@ def test_arguments_replace_objectives_of_gait_files(
         ("gait three_rods --out loop.gif", "loop.gif"),
         ("reorient three_rods", "give --target"),
         ("reorient three_rods --target 0.3 --momentum 1,2", "momentum"),
-        ("reorient examples/gaits/satellite_turns.toml --group SE3", "--group is for robots"),
+        (
+            "reorient examples/gaits/satellite_turns.toml --group SE3",
+            "--group applies to robots only",
+        ),
         ("reorient three_rods --target up", "--target takes numbers"),
         ("reorient elroys_beanie --target 1", "needs two joints"),
     ],

@@ -113,10 +113,10 @@ def test_field_draws_a_figure_with_the_gait(
         (("phase", "three_rods"), "a robot needs a gait"),
         (("phase", "three_rods", "--circle", "alpha1,1.0"), "J1,J2,RADIUS"),
         (("phase", "three_rods", "--circle", "alpha1,nope,1.0"), "no shape joint 'nope'"),
-        (("phase", EXAMPLE, "--circle", "alpha1,alpha2,1.0"), "is for robots"),
+        (("phase", EXAMPLE, "--circle", "alpha1,alpha2,1.0"), "applies to robots only"),
         (("phase", EXAMPLE, "--momentum", "1,0,0"), "momentum"),
         (("phase", EXAMPLE, "--out", "way.txt"), "the suffix must be"),
-        (("field", "elroys_beanie", "--out", "f.npz"), "needs two joints"),
+        (("field", "elroys_beanie", "--out", "f.npz"), "at least 2 joints"),
         (("field", "three_rods", "--limits", "1,-1", "--out", "f.npz"), "LOW,HIGH"),
         (("field", "three_rods", "--part", "nope", "--out", "f.png"), "part must be one of"),
     ],
@@ -145,4 +145,4 @@ def test_plot_refers_to_field_and_phase_commands(
     words = ("plot", "three_rods", "--kind", kind, "--out", str(tmp_path / "out.png"))
     code, _, err = run(capsys, *words)
     assert code == 2
-    assert f"`{command}` draws it" in err
+    assert f"draw it with `{command}`" in err

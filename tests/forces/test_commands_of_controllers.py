@@ -141,14 +141,14 @@ def test_compare_detects_wrong_measurement() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Controller(lambda s: Command(wrench=[1.0]), 0.5), "gave a wrench .* wrench=True"),
+        (lambda: Controller(lambda s: Command(wrench=[1.0]), 0.5), "returned a wrench .*=True"),
         (
             lambda: Controller(lambda s: Command(wrench=[1.0, 2.0]), 0.5, wrench=True),
-            "must give a wrench of 1 finite entries",
+            "must return a wrench of 1 finite entries",
         ),
-        (lambda: Controller(lambda s: Command([1.0], width=-1.0), 0.5), "gave a width of -1 s"),
-        (lambda: Controller(lambda s: Command([1.0], width=np.nan), 0.5), "must give one width"),
-        (lambda: Controller(lambda t, a, s: [1.0], 0.5, state0=0), r"must give \(action, state\)"),
+        (lambda: Controller(lambda s: Command([1.0], width=-1.0), 0.5), "returned a width of -1 s"),
+        (lambda: Controller(lambda s: Command([1.0], width=np.nan), 0.5), "must return one width"),
+        (lambda: Controller(lambda t, a, s: [1.0], 0.5, state0=0), r"return \(action, state\)"),
         (lambda: Controller(lambda s: [1.0], 0.5, ()), "has no joints and no wrench"),
         (lambda: Controller(lambda s: [1.0], 0.5, wrench=[1.0]), "wrench of controller must be"),  # type: ignore[arg-type]
         (lambda: Controller(lambda t, x: [1.0], 0.5), "must be a function of .* takes 2"),
@@ -162,7 +162,7 @@ def test_invalid_commands_are_rejected(make: Any, message: str) -> None:
 
 def test_controller_of_base_needs_base() -> None:
     """outputs='shape' is only for controllers of the shape."""
-    with pytest.raises(pinred.InputError, match="outputs='shape' leaves out"):
+    with pytest.raises(pinred.InputError, match="outputs='shape' omits"):
         pinred.Scene(
             system=BEANIE, outputs="shape", forces=[Controller(lambda s: [s.pose[0]], 0.5)]
         )

@@ -216,11 +216,11 @@ def test_fast_controller_approaches_continuous_damper() -> None:
 @pytest.mark.parametrize(
     ("gives", "message"),
     [
-        ([np.nan], r"1 finite torques \(beanie\), but gave \[nan\] at t = 0\.5 s"),
-        ([1.0, 2.0], r"must give 1 finite torques"),
-        (None, r"must give 1 finite torques"),
+        ([np.nan], r"1 finite torques \(beanie\), but returned \[nan\] at t = 0\.5 s"),
+        ([1.0, 2.0], r"must return 1 finite torques"),
+        (None, r"must return 1 finite torques"),
         ("up", "must be numbers, got 'up'"),
-        ({"nose": 1.0}, "gave a torque for 'nose' at t = 0.5 s; its joints are beanie"),
+        ({"nose": 1.0}, "returned a torque for 'nose' at t = 0.5 s; its joints are beanie"),
     ],
 )
 def test_invalid_controller_results_are_rejected(gives: Any, message: str, engine: Engine) -> None:

@@ -50,8 +50,8 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (lambda: Torque(law({"x": 1.0})), UNKNOWN),
     (lambda: Torque({A: NAN}), r"torque\['bend'\] must be finite, got nan"),
     (lambda: Torque(law([np.inf, 0, 0])), "torque at 'bend' must be finite, got inf"),
-    (lambda: Torque(law([0, 1])), "must give 3 values, gave 2"),
-    (lambda: Torque(law(None)), "must give 3 values"),
+    (lambda: Torque(law([0, 1])), "must have 3 values, got 2"),
+    (lambda: Torque(law(None)), "must have 3 values"),
     (lambda: Torque(law("abc")), "a CasADi SX expression, got str"),
     (lambda: Torque(law([MX] * 3)), "a CasADi SX expression, got MX"),
     (lambda: Torque(law({A: ca.SX.sym("z")})), "symbol 'z' that is none of t, x, xdot and mu"),
@@ -72,7 +72,7 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (lambda: PotentialEnergy(law(NAN)), r"V\(x\) of potential must be finite"),
     (lambda: PotentialEnergy(lambda x: x), "must be one value"),
     (lambda: PotentialEnergy(3.0), "potential must be a function of x"),  # type: ignore[arg-type]
-    (lambda: Wrench([0.0] * 5), "wrench must give 6 values, gave 5"),
+    (lambda: Wrench([0.0] * 5), "wrench must have 6 values, got 5"),
     (lambda: Wrench([NAN] * 6), r"wrench\[0\] must be finite"),
     (lambda: Wrench("abcdef"), "Signal or a number, got 'a'"),  # type: ignore[arg-type]
     (lambda: Wrench(3.0), "wrench must be a function"),  # type: ignore[arg-type]
@@ -135,7 +135,7 @@ def test_computed_torque_rejects_gravity_moment_on_base() -> None:
     """There shape and momentum do not determine the accelerations."""
     swung = pinred.load("satellite_two_arms", group="SO3", gravity=(0, 0, -9.81))
     zero = dict.fromkeys(swung.shape_names, 0.0)
-    with pytest.raises(pinred.SymmetryError, match="gravity turns the base"):
+    with pytest.raises(pinred.SymmetryError, match="gravity rotates the base"):
         pinred.simulate(swung, seed=1, forces=[ComputedTorque(zero, 1.0, 1.0)])
 
 
@@ -162,7 +162,7 @@ def test_barrier_force_stops_where_undefined() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"forces": [Controller(law([0.0] * 3), 0.1)]}, "controller has to be called every 0.1 s"),
+        ({"forces": [Controller(law([0.0] * 3), 0.1)]}, "controller is called every 0.1 s"),
         (
             {"prescribed": {A: Spline([0, 0.1, 0.3], [0, 1, 0])}},
             "a plan of a joint is not smooth at t = 0.1 s",

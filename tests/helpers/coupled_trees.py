@@ -7,6 +7,7 @@ accelerations are computed with Lagrange multipliers.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from zlib import crc32
 
 import aba
 import numpy as np
@@ -59,7 +60,8 @@ def coupling_map(system: pinred.System) -> tuple[Array, Array]:
     free_columns = np.zeros((len(names), system.m))
     for coupling in system.couplings:
         k = names.index(coupling.follower)
-        equations[k, names.index(coupling.leader)] -= coupling.ratio
+        for leader, ratio in coupling.ratios.items():
+            equations[k, names.index(leader)] -= ratio
         constants[k] = coupling.offset
     for i, name in enumerate(system.shape_names):
         free_columns[names.index(name), i] = 1.0
@@ -69,14 +71,18 @@ def coupling_map(system: pinred.System) -> tuple[Array, Array]:
 
 
 def couple(model: pin.Model, rng: np.random.Generator, most: int) -> tuple[Coupling, ...]:
-    """Return random couplings of a model: chains, several groups, any sign, zero ratios."""
+    """Return random couplings of a model: chains, several groups or leaders, ratios of 0."""
     names = [str(name) for name in rng.permutation(list(model.names)[2:])]
     count = int(rng.integers(1, min(most, len(names) - 1) + 1))
     couplings = []
+    more = np.random.default_rng(crc32("".join(names).encode()))  # leaves `rng` as it is
     for k in sorted(rng.choice(np.arange(1, len(names)), count, replace=False).tolist()):
         ratio = float(rng.choice([1.0, -1.0, 0.0, 2.0, rng.normal(), rng.normal()]))
         offset = float(rng.choice([0.0, rng.normal()]))
-        couplings.append(Coupling(names[k], names[int(rng.integers(k))], ratio, offset))
+        ratios = {names[int(rng.integers(k))]: ratio}
+        if k > 1 and more.random() < 0.5:
+            ratios.setdefault(names[int(more.integers(k))], float(more.normal()))
+        couplings.append(Coupling(names[k], ratios, offset))
     return tuple(couplings[int(i)] for i in rng.permutation(len(couplings)))
 
 
@@ -113,7 +119,8 @@ def multipliers(system: pinred.System) -> aba.Torques:
     J = np.zeros((len(system.couplings), model.nv))
     for row, coupling in zip(J, system.couplings, strict=True):
         row[r + names.index(coupling.follower)] = 1.0
-        row[r + names.index(coupling.leader)] -= coupling.ratio
+        for leader, ratio in coupling.ratios.items():
+            row[r + names.index(leader)] -= ratio
 
     def tau(_t: float, q: Array, v: Array) -> Array:
         zero = np.zeros(model.nv)

@@ -119,7 +119,7 @@ def test_compiled_copies_need_distinct_names(named: bool, tmp_path: Path) -> Non
 def test_duplicate_name_is_rejected() -> None:
     """A second copy of the same name would load the first one's machine code."""
     bind_globals(loop, "test_duplicate_name_is_rejected")
-    with pytest.raises(RuntimeError, match="two functions cannot both be called"):
+    with pytest.raises(RuntimeError, match="two compiled functions have the name"):
         bind_globals(loop, "test_duplicate_name_is_rejected")
 
 

@@ -353,7 +353,7 @@ def test_batch_members_equal_single_runs() -> None:
 
 def test_failures_raise_specific_errors() -> None:
     """Unsolved steps, non-finite rates and too many steps have their own errors."""
-    with pytest.raises(NoConvergence, match="take shorter steps") as stopped:
+    with pytest.raises(NoConvergence, match="use shorter steps") as stopped:
         run("stiff", Gauss(0.1), [1.0, 0.0, 0.0, 0.0], 1.0, p=1e3)
     assert stopped.value.time == 0.0
     with pytest.raises(NonFiniteState, match="number 3"):
@@ -423,7 +423,7 @@ def test_unsolved_dense_output_raises() -> None:
     """The result is an error instead of NaN."""
     solution = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), params=np.array([np.nan]))
     assert (solution.at([0.0, 0.5]) == solution.states[[0, 5]]).all()
-    with pytest.raises(NoConvergence, match=r"t = 0.55 s, within a step.*shorter") as stopped:
+    with pytest.raises(NoConvergence, match=r"t = 0.55 s, inside a step.*shorter") as stopped:
         solution.at([0.95, 0.55])
     assert (stopped.value.state == solution.states[5]).all()
 

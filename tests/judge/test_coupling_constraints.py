@@ -99,9 +99,10 @@ def test_acceleration_of_tree_that_is_singular_without_couplings(tmp_path: Path)
     (coupling,) = system.couplings
     joints = list(model.names)[2:]
     G = np.delete(np.eye(model.nv), system.r + joints.index(coupling.follower), axis=1)
-    leader = system.r + joints.index(coupling.leader)
+    ((name, ratio),) = coupling.ratios.items()
+    leader = system.r + joints.index(name)
     column = int(np.flatnonzero(G[leader])[0])
-    G[system.r + joints.index(coupling.follower), column] = coupling.ratio
+    G[system.r + joints.index(coupling.follower), column] = ratio
     rng = np.random.default_rng(0)
     q = system.model_q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-1, 1, system.m))
     v, tau = G @ rng.normal(size=G.shape[1]), rng.normal(size=model.nv)
@@ -142,12 +143,10 @@ def test_compare_fails_for_wrong_coupling_ratio(monkeypatch: pytest.MonkeyPatch,
     right = make_case("SE3", 5, seed).system
     coupled = right.coupled
     assert coupled is not None
-    follower = next(
-        j for j, ratio in enumerate(coupled.ratio) if j not in coupled.leads and ratio != 0.0
-    )
-    ratio = coupled.ratio.copy()
-    ratio[follower] *= 1.0 + 1e-6
-    wrong = Coupled(coupled.leads.copy(), coupled.of.copy(), ratio, coupled.offset.copy())
+    follower = next(j for j, row in enumerate(coupled.G) if j not in coupled.leads and row.any())
+    G = coupled.G.copy()
+    G[follower] *= 1.0 + 1e-6
+    wrong = Coupled(coupled.leads.copy(), G, coupled.offset.copy())
     monkeypatch.setitem(right.__dict__, "coupled", wrong)
     report = pinred.compare(pinred.simulate(right, seed=1, duration=0.5))
     assert not report.passed

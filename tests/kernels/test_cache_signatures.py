@@ -117,7 +117,7 @@ def test_signing_key_unwritable_folder_uses_temporary_key(data_home: Path, tmp_p
     """The temporary key causes a warning and serves this process."""
     data_home.write_bytes(b"a file where a folder should be")
     cache = ObjectCache(tmp_path / "cache")
-    with pytest.warns(CacheWarning, match="cannot be kept in"):
+    with pytest.warns(CacheWarning, match="cannot be stored in"):
         cache.put(KEY, b"mine")
     assert cache.get(KEY) == b"mine"
 
@@ -127,7 +127,7 @@ def test_cache_below_world_writable_folder_warns(tmp_path: Path) -> None:
     (tmp_path / "open/own").mkdir(parents=True)
     (tmp_path / "open").chmod(0o777)
     cache = ObjectCache(tmp_path / "open/own/cache")
-    with pytest.warns(CacheWarning, match=r"lies in '.*/open', where everyone can write"):
+    with pytest.warns(CacheWarning, match=r"is in '.*/open', where everyone can write"):
         cache.put(KEY, b"mine")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -126,7 +126,7 @@ def test_get_rejects_truncated_entry(filled: tuple[ObjectCache, Path], length: i
     """A truncated file is rejected."""
     cache, file = filled
     file.write_bytes(file.read_bytes()[:length])
-    assert_rejected(cache, file, "cut off|length")
+    assert_rejected(cache, file, "truncated|length")
 
 
 def test_get_rejects_foreign_entries(filled: tuple[ObjectCache, Path]) -> None:
@@ -161,7 +161,7 @@ def test_get_rejects_links_pipes_and_folders(
     file.mkdir()
     with pytest.warns(CacheWarning, match="plain file"):
         assert cache.get(KEY) is None
-    with pytest.warns(CacheWarning, match="not kept"):
+    with pytest.warns(CacheWarning, match="not stored"):
         cache.put(KEY, CODE)
     assert [child.name for child in file.parent.iterdir()] == [file.name]
 
@@ -200,7 +200,7 @@ def test_cache_in_unusable_folder_warns_once(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
         cache = ObjectCache(folder)
-        with pytest.warns(CacheWarning, match="not kept|not used"):
+        with pytest.warns(CacheWarning, match="not stored|not used"):
             cache.put(KEY, CODE)
         cache.put(KEY, CODE)
         with warnings.catch_warnings():
@@ -243,7 +243,7 @@ def test_cache_without_permission(filled: tuple[ObjectCache, Path]) -> None:
     cache, file = filled
     file.parent.chmod(0o500)
     assert cache.get(KEY) == CODE
-    with pytest.warns(CacheWarning, match="not kept"):
+    with pytest.warns(CacheWarning, match="not stored"):
         cache.put(OTHER, CODE)
     file.parent.chmod(0o000)
     with pytest.warns(CacheWarning, match="not used"):

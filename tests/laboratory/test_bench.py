@@ -162,7 +162,7 @@ def test_bench_commands_reject_bad_input(
     """Bad input is reported before any measurement."""
     (tmp_path / "file").write_text("")
     assert main(["bench", "kernels", "--out", str(tmp_path / "file")]) == 2
-    assert "cannot make the folder" in capsys.readouterr().err
+    assert "cannot create the folder" in capsys.readouterr().err
     with pytest.raises(SystemExit) as stop:
         main(["bench"])
     assert stop.value.code == 2

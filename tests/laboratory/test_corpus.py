@@ -35,6 +35,7 @@ LOOP = mjcf(body(ARM), "") .replace(
 )  # fmt: skip
 TWO = mjcf(body("<freejoint/>") + body(f"<freejoint/>{ARM}", "other"))
 ROTORS = mjcf(body(f'<joint type="free" armature="1"/>{ARM}'))
+LIFT = mjcf(body(f'<joint type="slide" armature="1"/>{ARM}'))
 MIMIC = robot(
     *(link(name) for name in "abc"), joint("a", "b"),
     joint("b", "c").replace("<axis", '<mimic joint="a-b"/><axis'),
@@ -46,7 +47,8 @@ CASES = {
     "floats": (FLOATING, "passed", "", True, ""),
     "fixed": (FIXED, "passed", "", True, ""),
     "swings": (SWINGING, "without gravity", "", True, ""),
-    "rotors": (ROTORS, "without gravity", "", True, ""),
+    "rotors": (ROTORS, "passed", "", True, ""),
+    "lift": (LIFT, "without gravity", "", True, ""),
     "two": (TWO, "passed", "", True, "root=other"),
     "loop": (LOOP, "refused", "closed loop", False, ""),
     "mimic": (MIMIC, "passed", "", True, ""),

@@ -165,7 +165,7 @@ def test_casimirs_of_groups_commute_with_momenta(group: str) -> None:
     for each in found:
         assert np.abs(P @ each.gradient(mu)).max() < 1e-14
         assert np.abs(each.gradient(mu)).max() > 1e-3
-        with pytest.raises(pinred.InputError, match="has no gamma"):
+        with pytest.raises(pinred.InputError, match="does not depend on gamma"):
             each(mu, [0.0, 0.0, 1.0])
 
 
@@ -204,7 +204,7 @@ def test_casimirs_of_heavy_top_are_constant_by_aba() -> None:
     for each in found:
         assert np.abs(P @ each.gradient(mu, gamma)).max() < 1e-15
     assert found[0](mu, gamma) == pytest.approx(mu @ gamma, abs=1e-15)
-    with pytest.raises(pinred.InputError, match="needs gamma"):
+    with pytest.raises(pinred.InputError, match="depends on gamma"):
         found[0](mu)
 
 
@@ -251,5 +251,5 @@ def test_bracket_of_invalid_arguments_raises() -> None:
     some = poisson.Observable(red, lambda *_: 0.0, lambda *_: np.zeros(3))
     with pytest.raises(pinred.InputError, match="not one of each"):
         poisson.bracket(some, one.mu[0])  # type: ignore[call-overload]
-    with pytest.raises(pinred.ShapeError, match="a gradient by z"):
+    with pytest.raises(pinred.ShapeError, match="a gradient with respect to z"):
         poisson.bracket(some, some)([0.1], [0.0], np.ones(3), [0.0, 0.0, 1.0])

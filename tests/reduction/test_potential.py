@@ -185,7 +185,7 @@ def test_symmetry_error_names_hinge_axis() -> None:
     model.appendBodyToJoint(root, body, pin.SE3.Identity())
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     said = broken_by_gravity(pinred.load(model))
-    assert "turning about its axis (0.6, 0, 0.8), which is not along gravity" in said
+    assert "rotation about its axis (0.6, 0, 0.8), which is not along gravity" in said
 
 
 def test_invalid_springs_raise_and_name_joint() -> None:

@@ -32,7 +32,7 @@ def leaning(by: float) -> pinred.System:
 def test_axis_tilted_from_gravity_raises(by: float) -> None:
     """However small the tilt."""
     Potential(leaning(0.0))
-    said = r"breaks the SO2 symmetry of .*: turning about its axis"
+    said = r"breaks the SO2 symmetry of .*: rotation about its axis"
     with pytest.raises(pinred.SymmetryError, match=said):
         Potential(leaning(by))
 

@@ -174,7 +174,7 @@ MANY_WRONG: list[tuple[dict[str, Any], str]] = [
     ({"x0": {"bend": 0.1}}, "at least one of x0, xdot0, xi0, momentum, pose0, q0, v0, gravity or a parameter must"),
     ({"q0": np.zeros((2, 10))}, "q0: the quaternion of a pose of SE3 must have norm 1, got 0"),
     ({"q0": np.zeros((2, 3))}, r"q0 must have shape \(10,\), got \(3,\)"),
-    ({"q0": np.stack([configured({})] * 2), "x0": {"bend": 1.0}}, "q0 stands for shape and pose; do not give x0"),
+    ({"q0": np.stack([configured({})] * 2), "x0": {"bend": 1.0}}, "q0 sets shape and pose; do not combine it with x0"),
     ({"q0": np.stack([configured({}), 2 * configured({})])}, "q0: the quaternion of a pose of SE3 must have norm 1, got 2"),
     ({"v0": np.stack([np.zeros(9), np.full(9, np.nan)])}, "v0 must be finite"),
 ]  # fmt: skip
@@ -200,13 +200,13 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"q0": np.full(10, np.nan)}, "q0 must be finite"),
     ({"q0": 2 * configured({})}, "q0: the quaternion of a pose of SE3 must have norm 1, got 2"),
     ({"v0": [0.0]}, "v0 must have shape (9,), got (1,)"),
-    ({"q0": configured({}), "x0": [0, 0, 0]}, "q0 stands for shape and pose; do not give x0 with it"),
-    ({"q0": configured({}), "pose0": np.eye(4)}, "q0 stands for shape and pose; do not give pose0 with it"),
-    ({"v0": np.zeros(9), "xdot0": {"bend": 1}}, "v0 stands for shape rate and body twist; do not give xdot0"),
-    ({"v0": np.zeros(9), "xi0": np.zeros(6)}, "v0 stands for shape rate and body twist; do not give xi0"),
-    ({"v0": np.zeros(9), "momentum": 0}, "v0 stands for shape rate and body twist; do not give momentum"),
-    ({"seed": 1, "q0": configured({})}, "seed stands for a whole random state; do not give q0 with it"),
-    ({"seed": 1, "v0": np.zeros(9)}, "seed stands for a whole random state; do not give v0 with it"),
+    ({"q0": configured({}), "x0": [0, 0, 0]}, "q0 sets shape and pose; do not combine it with x0"),
+    ({"q0": configured({}), "pose0": np.eye(4)}, "q0 sets shape and pose; do not combine it with pose0"),
+    ({"v0": np.zeros(9), "xdot0": {"bend": 1}}, "v0 sets shape rate and body twist; do not combine it with xdot0"),
+    ({"v0": np.zeros(9), "xi0": np.zeros(6)}, "v0 sets shape rate and body twist; do not combine it with xi0"),
+    ({"v0": np.zeros(9), "momentum": 0}, "v0 sets shape rate and body twist; do not combine it with momentum"),
+    ({"seed": 1, "q0": configured({})}, "seed sets a whole random state; do not combine it with q0"),
+    ({"seed": 1, "v0": np.zeros(9)}, "seed sets a whole random state; do not combine it with v0"),
     ({"method": "RKMK4"}, "method 'RKMK4' needs a step, as in RKMK4(0.01)"),
     ({"method": "Gauss(order=4)"}, "method 'Gauss(order=4)' needs a step, as in Gauss(0.01)"),
     ({"method": "dop853"}, "unknown method 'dop853'; the methods are AdaptiveGauss, DOP853,"),
@@ -227,9 +227,9 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"method": "RKMK4(0.1)\0"}, "must be a name, or a name with options"),
     ({"method": 8}, "method must be 'auto' or AdaptiveGauss(…) or DOP853(…)"),
     ({"method": DOP853}, "method must be 'auto' or AdaptiveGauss(…) or DOP853(…)"),
-    ({"rtol": 1e-8, "method": DOP853(rtol=1e-6)}, "rtol is given beside a method with tolerances of its own, DOP853(rtol=1e-06"),
-    ({"atol": 1e-8, "method": "Radau(1e-6)"}, "atol is given beside a method with tolerances of its own, Radau(rtol=1e-06"),
-    ({"rtol": 1e-10, "method": AdaptiveGauss(atol=1e-6)}, "rtol is given beside a method with tolerances of its own"),
+    ({"rtol": 1e-8, "method": DOP853(rtol=1e-6)}, "rtol conflicts with the tolerances of the method DOP853(rtol=1e-06"),
+    ({"atol": 1e-8, "method": "Radau(1e-6)"}, "atol conflicts with the tolerances of the method Radau(rtol=1e-06"),
+    ({"rtol": 1e-10, "method": AdaptiveGauss(atol=1e-6)}, "rtol conflicts with the tolerances of the method"),
 ]  # fmt: skip
 
 
@@ -329,7 +329,7 @@ def test_method_tolerances_replace_scene_tolerances(kind: Any) -> None:
     integrated: Any = plan_of(traj.scene).method
     assert integrated.rtol == pytest.approx(1e-7, rel=1e-12, abs=0.0)
     pinred.simulate(pinred.Scene(system=CAT), method=own, duration=0.01)
-    with pytest.raises(pinred.InputError, match="rtol is given beside"):
+    with pytest.raises(pinred.InputError, match="rtol conflicts with the tolerances"):
         pinred.simulate(scene, method=own, rtol=1e-10)
 
 

@@ -40,8 +40,9 @@ from pinred.integrators.methods import (
     Tsit5,
     Variational,
 )
+from pinred.scene.load_options import LOAD
 from pinred.scene.toml.force_kinds import FORCES
-from pinred.scene.toml.keys import LOAD, SCENE
+from pinred.scene.toml.keys import SCENE
 from pinred.scene.toml.method_tables import METHOD_TABLES
 from pinred.scene.toml.reader import read_scene_file
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
@@ -479,12 +480,12 @@ def test_method_options_of_command_line_match_scene(
     for wrong, words in (
         (["--method", "RKMK4"], "method 'RKMK4' needs a step, as in RKMK4(0.01)"),
         (["--method", "Gauss", "--order", "4"], "needs a step, as in Gauss(0.01)"),
-        (["--method", "Radau", "--step", "0.1"], "go together"),
+        (["--method", "Radau", "--step", "0.1"], "requires --method"),
         (["--method", "RKMK4(0.1)", "--step", "0.1"], "must be a name, or a name with options"),
-        (["--method", "DOP853(1e-8)", "--rtol", "1e-6"], "rtol is given beside a method with tol"),
-        (["--step", "0.1"], "go together"),
+        (["--method", "DOP853(1e-8)", "--rtol", "1e-6"], "rtol conflicts with the tol"),
+        (["--step", "0.1"], "requires --method"),
         (["--method", "Euler"], f"the methods are {', '.join(METHODS)}"),
-        (["--method", "Radau", "--order", "4"], "--order P goes with --method Gauss"),
+        (["--method", "Radau", "--order", "4"], "--order P requires --method Gauss"),
         (["--method", "Gauss", "--step", "0.1", "--order", "5"], "order must be one of 2"),
         (["--outputs", "base"], "outputs must be one of all, shape"),
         ([*extra, "--engine", "pinocchio"], "expected none with engine"),

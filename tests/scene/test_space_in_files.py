@@ -97,7 +97,7 @@ def test_file_with_base_forces_and_events_matches_python(tmp_path: Path) -> None
         ("- 0.09", "- 0.09 +", "events.*function"),
         ('name = "slow"', 'name = "open"', "two events are called 'open'"),
         ("gain = 0.4", "gain = 0.4, J = 1.0", "parameters.*name of letters and digits"),
-        ('link = "panel"\n', "", "at.*no meaning without 'link'"),
+        ('link = "panel"\n', "", "at.*requires 'link'"),
     ],
 )  # fmt: skip
 def test_invalid_base_force_error_names_the_key(
@@ -117,8 +117,8 @@ def test_commands_print_event_times(tmp_path: Path, capsys: pytest.CaptureFixtur
     path.write_text(TEXT)
     assert main(["run", str(path), "--explain"]) == 0
     out = capsys.readouterr().out
-    assert "seen by forces: attitude and place or speed of the base" in out
-    assert "integrated for wrenches: momentum, which wrench, tug changes" in out
+    assert "observed by forces: attitude and position or velocity of the base" in out
+    assert "also integrated: momentum, because wrenches change it (wrench, tug)" in out
     assert "event slow" in out
     assert "event open" in out
     assert "the motion ends there" in out

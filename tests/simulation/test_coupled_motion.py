@@ -44,8 +44,9 @@ def test_coupled_trees_agree_with_aba_with_multipliers(
     names = list(system.model.names)[2:]
     every = system.joint_values(traj.x)
     for each in system.couplings:
-        follower, leader = (every[:, names.index(n)] for n in (each.follower, each.leader))
-        np.testing.assert_allclose(follower, each.ratio * leader + each.offset, atol=1e-13)
+        leaders = every[:, [names.index(name) for name in each.leaders]]
+        follower = leaders @ [*each.ratios.values()] + each.offset
+        np.testing.assert_allclose(every[:, names.index(each.follower)], follower, atol=1e-13)
 
 
 @pytest.fixture
@@ -64,7 +65,7 @@ def _geared(ratio: float, armature: float = 0.0, offset: float = 0.3) -> pinred.
         wheel = model.addJoint(base, pin.JointModelRZ(), place, name)
         model.appendBodyToJoint(wheel, _wheel(moment), pin.SE3.Identity())
     model.armature = np.array([0.0, 0.0, armature])
-    contents = Contents(couplings=(Coupling("second", "first", ratio, offset),))
+    contents = Contents(couplings=(Coupling("second", {"first": ratio}, offset),))
     return pinred.System(model, "geared", contents=contents)
 
 
@@ -151,7 +152,7 @@ def test_forces_on_follower_act_on_leader_times_ratio(crank: pinred.System) -> N
 def test_followers_of_prescribed_leader_follow_the_plan(engine: Engine) -> None:
     """One torque on the prescribed leader drives all its followers."""
     system = make_case("SE3", 6, 1).system
-    leads = [each.leader for each in system.couplings if each.ratio != 0.0]
+    leads = [n for each in system.couplings for n, ratio in each.ratios.items() if ratio != 0.0]
     chosen = next(name for name in leads if name in system.shape_names)
     traj = pinred.simulate(
         system, seed=1, duration=0.5, prescribed={chosen: "0.3*sin(2*t)"}, rtol=1e-11,
@@ -179,7 +180,8 @@ def _tied_acceleration(system: pinred.System, q: Array, v: Array, tau: Array) ->
     J = np.zeros((len(system.couplings), model.nv))
     for row, each in zip(J, system.couplings, strict=True):
         row[r + names.index(each.follower)] = 1.0
-        row[r + names.index(each.leader)] -= each.ratio
+        for leader, ratio in each.ratios.items():
+            row[r + names.index(leader)] -= ratio
     bias = pin.nonLinearEffects(model, model.createData(), q, v)
     whole = np.block([[H, J.T], [J, np.zeros((len(J), len(J)))]])
     return np.asarray(np.linalg.solve(whole, np.append(tau - bias, np.zeros(len(J))))[: model.nv])
@@ -295,7 +297,9 @@ def test_identical_branches_with_couplings_agree_with_aba(seed: int) -> None:
         [("limb0.1", "limb1.1"), ("limb0.2", "limb2.2")],
         [("limb0.0", "trunk"), ("limb1.2", "limb1.0")],
     ]
-    couplings = tuple(Coupling(*pair, float(rng.normal()), 0.2) for pair in pairs[seed])
+    couplings = tuple(
+        Coupling(pair[0], {pair[1]: float(rng.normal())}, 0.2) for pair in pairs[seed]
+    )
     system = pinred.System(model, "limbs", contents=Contents(couplings=couplings))
     x0, xdot0 = rng.normal(size=(2, system.m))
     a, b = (pinred.simulate(system, x0=x0, xdot0=xdot0, duration=0.2, engine=e) for e in ENGINES)

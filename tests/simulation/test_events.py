@@ -169,7 +169,7 @@ def test_non_finite_event_raises() -> None:
 
 def test_event_of_base_needs_base() -> None:
     """An event that depends on the base rejects outputs='shape'; others accept it."""
-    with pytest.raises(pinred.InputError, match="an event sees the base in space"):
+    with pytest.raises(pinred.InputError, match="an event depends on the base in space"):
         pinred.Scene(system=BEANIE, **SPRUNG, events=[pinred.Event("pose[0]")], outputs="shape")
     traj = pinred.simulate(
         BEANIE, **SPRUNG, duration=1.0, events=[pinred.Event("x[0] - 0.1")], outputs="shape"

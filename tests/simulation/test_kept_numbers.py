@@ -110,8 +110,8 @@ def test_files_with_wrong_parameters_are_rejected(tmp_path: Path) -> None:
     with np.load(path) as file:
         content = dict(file)
     for name, value, match in (
-        ("parameter_sizes", np.array([2]), "do not belong together"),
-        ("parameter_sizes", np.array([-1]), "do not belong together"),
+        ("parameter_sizes", np.array([2]), "are inconsistent"),
+        ("parameter_sizes", np.array([-1]), "are inconsistent"),
         ("parameter_values", np.array([-3.0]), "must be above zero"),
         ("parameter_values", np.array([np.nan]), "must be finite"),
         ("parameter_names", np.array(["bck.mass"]), "no link or joint 'bck'"),

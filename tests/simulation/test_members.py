@@ -139,9 +139,9 @@ def _held(_t: float, _x: Any, xdot: Any, _mu: Any) -> list[float]:
 
 
 WRONG: list[tuple[Any, dict[str, Any], str]] = [
-    (CAT, {"members": {"gains": [1.0]}, "seed": 1}, "members: nothing called 'gains' varies"),
+    (CAT, {"members": {"gains": [1.0]}, "seed": 1}, "members: 'gains' cannot vary"),
     (CAT, {"members": {"gravity": [0, 0, 1.0]}}, r"gravity must have shape \(N, 3\)"),
-    (CAT, {"members": {"x0": np.zeros((2, 3))}, "x0": [1.0, 0, 0]}, "'x0' is given among"),
+    (CAT, {"members": {"x0": np.zeros((2, 3))}, "x0": [1.0, 0, 0]}, "'x0' is given in members"),
     (CAT, {"members": {"x0": np.zeros((2, 3)), "gravity": np.zeros((3, 3))}}, "x0: 2, gravity: 3"),
     (CAT, {"members": [1.0]}, "members must be"),
     (CAT, {"seeds": [1], "x0": np.zeros((1, 3))}, "set the whole initial state"),
@@ -151,7 +151,7 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
         [pinred.Scene(system=CAT, duration=1.0), pinred.Scene(system=CAT, duration=2.0)], {},
         "at the same times",
     ),
-    ([pinred.Scene(system=CAT)], {"duration": 1.0}, "do not give duration beside"),
+    ([pinred.Scene(system=CAT)], {"duration": 1.0}, "already contains all options. Omit duration"),
     ("falling_cat", {"seeds": [1]}, "takes a System"),
 ]  # fmt: skip
 

@@ -33,6 +33,19 @@ def test_beanie_with_spring_is_harmonic() -> None:
     np.testing.assert_allclose(traj.body_momentum, (I1 + I2) * xi0 + I2 * v0, rtol=1e-13)
 
 
+def test_momentum_of_one_dimensional_group_is_a_number() -> None:
+    """A number is the momentum (I1 + I2) θ̇1 + I2 θ̇2 of the beanie; other groups need a vector."""
+    system = pinred.load("elroys_beanie")
+    traj = pinred.simulate(system, xdot0=[0.9], momentum=0.6, duration=1.0)
+    np.testing.assert_allclose(traj.xi[:, 0], (0.6 - I2 * 0.9) / (I1 + I2), rtol=1e-13)
+    assert pinred.compare(traj).passed
+    for odd in (np.nan, True, "0.6"):
+        with pytest.raises(pinred.ShapeError, match="momentum"):
+            pinred.Scene(system=system, xdot0=[0.9], momentum=odd)
+    with pytest.raises(pinred.ShapeError, match=r"momentum must have shape \(3,\)"):
+        pinred.Scene(system=pinred.load("three_rods"), xdot0=[0.9, 0.0], momentum=0.6)
+
+
 def test_coupled_planar_bodies_agree_with_closed_form() -> None:
     """Joint and base rotate at constant rates, and the centre of mass moves on a line."""
     x0, xdot0, xi0 = 0.3, 1.2, np.array([0.4, -0.7, 0.9])
@@ -161,7 +174,7 @@ def test_zero_momentum_evaluates_no_momentum_terms(monkeypatch: pytest.MonkeyPat
     def forbidden(*_: Array) -> Array:
         raise AssertionError("momentum was turned into the body frame")
 
-    monkeypatch.setattr("pinred.simulation.pinocchio.pinocchio_flow._into_body", forbidden)
+    monkeypatch.setattr("pinred.simulation.pinocchio.base_and_momentum._into_body", forbidden)
     system = pinred.load("falling_cat")
     xdot0 = np.full(system.m, 0.3)
     pinred.simulate(system, xdot0=xdot0, momentum=0, duration=0.1, engine="pinocchio")
@@ -259,7 +272,7 @@ def test_same_scene_gives_same_bits() -> None:
         ({"xi0": [0.0]}, r"xi0 must have shape \(3,\)"),
         ({"xi0": [0, 0, 0], "momentum": [0, 0, 0]}, "not both"),
         ({"momentum": 1.0}, "momentum must have shape"),
-        ({"seed": 1, "x0": [0.0]}, "do not give x0"),
+        ({"seed": 1, "x0": [0.0]}, "do not combine it with x0"),
         ({"pose0": [0.0]}, "a pose of SE2"),
         ({"times": []}, "times"),
         ({"times": [0.0, 0.0]}, "must increase"),

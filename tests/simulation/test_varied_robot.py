@@ -142,7 +142,7 @@ def test_names_without_values_use_those_of_the_robot(capsys: pytest.CaptureFixtu
     for parameters in (["back.mass", "sway.placement", "gravity"], "all"):
         traj = pinred.simulate(cat, seed=1, duration=0.2, parameters=parameters, explain=True)
         np.testing.assert_allclose(traj.x, plain.x, rtol=0, atol=1e-9)
-        assert "inputs: inertias of what moves with" in capsys.readouterr().out
+        assert "inputs: inertias of the bodies on" in capsys.readouterr().out
     assert len(traj.scene.parameters) == 4 * 3 + 3
 
 
@@ -183,14 +183,14 @@ def test_invalid_robot_parameters_are_rejected() -> None:
     refused("that is the root", parameters={f"{cat.root_name}.placement": TURNED})
     refused("must have shape", parameters={"bend.placement": TURNED[:3]})
     refused("must be finite", parameters={"bend.placement": [np.nan] * 6})
-    refused("are one joint's", parameters={
+    refused("belong to the same joint", parameters={
         "bend.placement": TURNED, "bend.translation": TURNED[:3],
     })  # fmt: skip
     refused("no locked joint 'sway'", parameters={"sway.lock": 0.1})
-    refused("whose value varies; leave out one", locked, parameters={
+    refused("the value of a locked joint. Omit one", locked, parameters={
         "sway.lock": 0.1, "bend.mass": 1.0,
     })  # fmt: skip
-    refused("is decided by sway.lock", locked, parameters={
+    refused("is determined by sway.lock", locked, parameters={
         "sway.lock": 0.1, "twist.placement": TURNED,
     })  # fmt: skip
     refused("gravity or gravity.strength, not both", parameters={
@@ -225,7 +225,10 @@ def test_hostile_values_are_rejected() -> None:
     pinred.flow(cat, wrt=[], **options).vjp(np.ones(18))  # of nothing: nothing
     with pytest.raises(InputError, match="wrt must be a list of names"):
         pinred.flow(cat, wrt=None, **options)  # type: ignore[arg-type]
-    for name, what in (("back.mass", "has the same name"), ("x0", "as another input")):
+    for name, what in (
+        ("back.mass", "is a robot parameter and also the name"),
+        ("x0", "of another input"),
+    ):
         twin = pinred.Parameter(name, 1.0)
         with pytest.raises(InputError, match=what):
             pinred.flow(cat, wrt=[name], forces=[Damper("bend", twin)], **options)

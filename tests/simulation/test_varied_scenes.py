@@ -166,11 +166,11 @@ def test_computed_torque_on_unbalanced_pivot_is_rejected() -> None:
                                                               4.0, 2.0)],
     }  # fmt: skip
     weight: dict[str, Any] = {"gravity": [0.0, 0.0, -1.0]}
-    with pytest.raises(pinred.SymmetryError, match="gravity turns the base"):
+    with pytest.raises(pinred.SymmetryError, match="gravity rotates the base"):
         pinred.simulate(still, parameters=weight, **options)
-    with pytest.raises(pinred.SymmetryError, match="gravity turns the base"):
+    with pytest.raises(pinred.SymmetryError, match="gravity rotates the base"):
         pinred.flow(swung, wrt=["gravity"], **options)
-    with pytest.raises(pinred.SymmetryError, match="gravity turns the base"):
+    with pytest.raises(pinred.SymmetryError, match="gravity rotates the base"):
         pinred.simulate_many(still, members={"gravity": [[0.0, 0.0, -1.0]] * 2}, **options)
     free = pinred.simulate(swung, parameters={"gravity": [0.0, 0.0, 0.0]}, **options)
     expected = pinred.simulate(still, **options)
@@ -202,6 +202,9 @@ def test_explain_lists_links_with_forces() -> None:
     pull = Wrench([0.0, 0.0, 0.1], link="left_hand")
     locked = pinred.load("satellite_two_arms", lock={"left_wrist": 0.2})
     said = pinred.flow(locked, seed=0, duration=0.1, forces=[pull], wrt=["left_wrist.lock"])
-    assert "inputs: places of left_hand, which forces act on" in said.explain()
+    assert (
+        "inputs: placements of left_hand on their bodies, because forces act there"
+        in said.explain()
+    )
     fixed = pinred.flow(satellite, seed=0, duration=0.1, forces=[pull], wrt=["x0"])
-    assert "places of" not in fixed.explain()
+    assert "placements of" not in fixed.explain()

@@ -12,9 +12,10 @@ from commands import python
 from robot_texts import AXIS, FLOATING, joint, link, robot, write
 
 import pinred
-from pinred import LoadError, ModelError
+from pinred import LoadError, ModelError, ModelWarning
 from pinred.lie import SE2, SE3
 from pinred.system.admission import WORKSPACE_BYTES
+from pinred.views.playback.drawn_bodies import drawn_bodies
 
 LIMIT = re.compile("<limit[^>]*>")
 SAME = {  # equivalent texts of one robot
@@ -39,6 +40,44 @@ def test_lenient_urdf_equals_strict_one(case: str, tmp_path: Path) -> None:
     x = np.array([0.7])
     H = [pinred.Reduction(entry).mass_matrix(x) for entry in (actual, expected)]
     np.testing.assert_array_equal(H[0], H[1])
+
+
+COMMAS = FLOATING.replace("0 0.2 0.3", "0, 0.2,0.3").replace("0.1 0.2 0.3", " 0.1 , 2e-1,+.3")
+
+
+def test_commas_in_number_lists_are_read_as_blanks(tmp_path: Path) -> None:
+    """With a warning: mass matrix, placements and drawn shapes equal those of the correct file."""
+    box = '<visual><geometry><box size="1 2 3"/></geometry></visual><inertial>'
+    plain, commas = (
+        text.replace("<inertial>", box.replace("1 2 3", size), 1)
+        for text, size in ((FLOATING, "1 2 3"), (COMMAS, "1,2,3"))
+    )
+    expected = pinred.load(write(tmp_path, plain))
+    shapes = repr(drawn_bodies(expected).solids)
+    with pytest.warns(ModelWarning, match=r"3 lists of numbers have commas, such as size='1,2,3'"):
+        actual = pinred.load(write(tmp_path, commas))
+    x = np.array([0.7])
+    H = [pinred.Reduction(entry).mass_matrix(x) for entry in (actual, expected)]
+    np.testing.assert_array_equal(H[0], H[1])
+    assert repr(drawn_bodies(actual).solids) == shapes
+    assert "box" in shapes
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("0 0.2 0.3", "0 0,2 0,3"),  # decimal commas
+        ("0 0.2 0.3", "0,2 0"),  # blanks and commas, which leave the meaning open
+        ("0 0.2 0.3", "0,,2,3"),
+        ("0 0.2 0.3", "0,1,2,3"),
+        ('"2.0"', '"2,0"'),
+        ('xyz="0 0 1"', 'xyz="0,1"'),
+    ],
+)
+def test_other_commas_are_refused(old: str, new: str, tmp_path: Path) -> None:
+    """Decimal commas, mixed separators and lists of another length."""
+    with pytest.raises((LoadError, ModelError)):
+        pinred.load(write(tmp_path, FLOATING.replace(old, new)))
 
 
 def test_missing_limits_are_infinite(tmp_path: Path) -> None:

@@ -99,7 +99,7 @@ def test_root_chooses_among_several_bodies(tmp_path: Path) -> None:
 
 def test_root_argument_is_refused_for_urdf() -> None:
     """In a URDF one link carries all others."""
-    with pytest.raises(InputError, match="root='trunk' is for MJCF"):
+    with pytest.raises(InputError, match="root='trunk' applies to MJCF only"):
         pinred.load("falling_cat", root="trunk")
 
 
@@ -238,7 +238,7 @@ def test_invalid_lock_is_refused() -> None:
     for name in ("elbow", "drift"):
         with pytest.raises(InputError, match=f"no joint '{name}'.*float, arm"):
             loaded(content, root="base", lock=[name])
-    with pytest.raises(InputError, match=r"'float'.*zero only"):
+    with pytest.raises(InputError, match=r"'float'.*locked at zero"):
         loaded(content, root="base", lock={"float": 1.0})
 
 

@@ -17,7 +17,7 @@ from test_mjcf_loading import SIDE, arm, base, loaded, text, with_warning, write
 import pinred
 from pinred import InputError, LoadError, ModelError, PinredError
 from pinred.system.mjcf import compile as mjcf_compilation
-from pinred.system.mjcf.read import constraints_of
+from pinred.system.mjcf.equality_constraints import constraints_of
 from pinred.system.robot_file_contents import Coupling
 
 TWO = base(arm("left") + arm("right"))
@@ -89,14 +89,14 @@ def test_joint_constraint_becomes_coupling() -> None:
     content = coupled('<joint name="gear" joint1="left" joint2="right" polycoef=".1 2"/>')
     tree = read_tree(mujoco.MjSpec.from_string(content))
     (coupling,) = constraints_of(tree).couplings
-    assert coupling == Coupling("left", "right", 2.0, coupling.offset)
+    assert coupling == Coupling("left", {"right": 2.0}, coupling.offset)
     assert coupling.offset == pytest.approx(0.3 + 0.1 - 2.0 * 0.4)
     # MuJoCo's residual of the constraint is zero there.
     model = tree.world.model
     data = mujoco.MjData(model)
     leader = 0.9
     data.qpos[model.joint("right").qposadr] = leader
-    data.qpos[model.joint("left").qposadr] = coupling.ratio * leader + coupling.offset
+    data.qpos[model.joint("left").qposadr] = coupling.ratios["right"] * leader + coupling.offset
     mujoco.mj_forward(model, data)
     assert data.nefc == 1
     assert data.efc_pos[0] == pytest.approx(0.0, abs=1e-15)
@@ -114,7 +114,7 @@ def test_joint_constraint_becomes_coupling() -> None:
         ('<joint joint1="left" polycoef=".5"/>', ["'left'", "lock={'left': 0.8}"]),
         (
             '<joint name="e" joint1="left" joint2="right" polycoef="0 1 1"/>',
-            ["'left'", "'right'", "'e'", "proportion", "lock=['left']", "degree one"],
+            ["'left'", "'right'", "'e'", "nonlinearly", "lock=['left']", "degree one"],
         ),
     ],
 )
@@ -134,9 +134,9 @@ def test_follower_of_locked_leader_is_locked() -> None:
     assert system.m == 0
     H = pinred.Reduction(whole).locked_inertia([0.7])
     np.testing.assert_allclose(pinred.Reduction(system).locked_inertia([]), H, atol=1e-14)
-    with pytest.raises(InputError, match=r"'left' follows 'right'.*lock 'right'"):
+    with pytest.raises(InputError, match=r"'left' follows 'right'.*Lock 'right'"):
         loaded(content, lock=["left"])
-    with pytest.raises(InputError, match=r"'left' follows 'right', which puts it at 1"):
+    with pytest.raises(InputError, match=r"'left' follows 'right', which requires the value 1"):
         loaded(content, lock={"left": 0.5, "right": 0.7})
     bent = coupled('<joint joint1="left" joint2="right" polycoef="0 1 1"/>')
     held = loaded(bent, lock={"right": 0.7})
@@ -182,9 +182,9 @@ PREFIXED = "".join(
 )
 # Texts that would exhaust the stack or the memory, take hours, or expand to many elements.
 BOMBS = {
-    "deep": (deep(20_000), "within one another"),
+    "deep": (deep(20_000), "nested"),
     "defaults": (
-        f"<mujoco>{'<default>' * 9_000}{'</default>' * 9_000}</mujoco>", "within one another",
+        f"<mujoco>{'<default>' * 9_000}{'</default>' * 9_000}</mujoco>", "nested",
     ),
     "wide": (text("<site/>" * 120_000), "more than 100000 elements"),
     "replicated": (
@@ -251,7 +251,7 @@ def test_oversized_include_is_refused(tmp_path: Path, tag: str) -> None:
         f'<mujoco><asset><{tag} name="m" file="bomb.xml"/></asset></mujoco>'
     )
     content = f'<mujoco><include file="parts/fuse.xml"/><worldbody>{base()}</worldbody></mujoco>'
-    with pytest.raises(LoadError, match=r"bomb\.xml.*within one another"):
+    with pytest.raises(LoadError, match=r"bomb\.xml.*nested"):
         pinred.load(write(tmp_path, content))
 
 
@@ -266,7 +266,7 @@ def test_include_of_same_name_in_other_folder(tmp_path: Path) -> None:
         assert pinred.load(path).m == 0
     (tmp_path / "bomb.xml").write_text(deep(5_000))
     strip = '<mujoco><compiler strippath="true"/><include file="parts/bomb.xml"/></mujoco>'
-    with pytest.raises(LoadError, match="within one another"):
+    with pytest.raises(LoadError, match="nested"):
         pinred.load(write(tmp_path, strip))
 
 

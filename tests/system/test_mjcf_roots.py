@@ -13,9 +13,10 @@ from mujoco_judge import Judge, read_tree
 from test_mjcf_against_mujoco import ARMS, EXACT, worst
 
 import pinred
-from pinred import ModelError
+from pinred import ModelError, ModelWarning
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
+from pinred.reduction.inertia_split import symmetric
 from pinred.system.joints import motion_group
 from pinred.system.mjcf.read import keyframes_of
 from pinred.system.mjcf.tree import Tree
@@ -174,7 +175,6 @@ def slides(said: str) -> str:
 
 # Joints of the carrying body whose rotors equal an inertia, and admissible gravity.
 ROTORS = {
-    "free, no gravity": ('<joint type="free" armature=".8"/>', "0 0 0"),
     "ball": ('<joint type="ball" armature=".8" pos=".1 .2 0"/>', "1 2 3"),
     "ball of a motor": ('<joint name="j" type="ball" armature=".3"/>', "1 2 3"),
     "slide, gravity across": ('<joint type="slide" axis="1 1 0" armature="2"/>', "1 -1 4"),
@@ -222,7 +222,6 @@ def test_isotropic_rotors_of_base_become_inertia(name: str) -> None:
 
 # Joints of the carrying body, gravity, and words of the refusal.
 REFUSED = {
-    "free in gravity": ('<joint name="j" type="free" armature="1"/>', "0 0 -1", ["'j'", "gravity"]),
     "slide along gravity": (
         '<joint name="j" type="slide" armature="1"/>', "0 0 -1", ["'j'", "gravity"],
     ),
@@ -272,9 +271,29 @@ def test_rotors_that_break_symmetry_are_refused(name: str) -> None:
     assert [word for word in [*words, "armature", "set it to zero"] if word not in said] == []
 
 
+@pytest.mark.parametrize("gravity", ["0 0 -9", "0 0 0"])
+def test_armature_of_free_joint_is_ignored_with_warning(gravity: str) -> None:
+    """Inherited from a <default>: mass, forces and motion equal those of a <freejoint>."""
+    head = (
+        f'<default><joint armature=".1"/><geom contype="0" conaffinity="0"/></default>'
+        f'<option gravity="{gravity}"/>'
+    )
+    arm = f'<body pos="0 .1 .2"><joint name="arm" axis="0 1 0"/>{BOX}</body>'
+    text = world(f'<body><joint name="j" type="free"/>{BOX}{arm}</body>', head)
+    with pytest.warns(ModelWarning, match="free joint 'j' has armature 0.1, which is ignored"):
+        system = pinred.load(mujoco.MjSpec.from_string(text))
+    bare = tree_in(text.replace('<joint name="j" type="free"/>', '<freejoint name="j"/>'))
+    assert worst(bare).worst < EXACT
+    H = [symmetric(pin.crba(m, m.createData(), q)) for m in (system.model, bare.model)
+         for q in (pin.neutral(m),)]  # fmt: skip
+    np.testing.assert_array_equal(*H)
+    assert system.model.armature.tolist() == [0, 0, 0, 0, 0, 0, 0.1]
+    assert system.mass == sum(bare.world.model.body_mass)
+
+
 def test_gravity_argument_decides_about_rotors() -> None:
     """Gravity in the file is not used if another one is passed."""
-    spec = mujoco.MjSpec.from_string(world(f'<body><joint type="free" armature="1"/>{BOX}</body>'))
+    spec = mujoco.MjSpec.from_string(world(f'<body><joint type="slide" armature="1"/>{BOX}</body>'))
     with pytest.raises(ModelError, match="gravity"):
         pinred.load(spec)
     spec.geoms[0].contype = spec.geoms[0].conaffinity = 0
@@ -283,10 +302,8 @@ def test_gravity_argument_decides_about_rotors() -> None:
 
 def test_rotors_of_changed_model() -> None:
     """In a changed model, rotors of one joint can differ; rotation gives them no bias."""
-    for kind, dof in (("free", 1), ("free", 4), ("ball", 1)):
-        text = world(f'<body><joint name="j" type="{kind}" armature="1"/>{BOX}</body>')
-        model = mujoco.MjSpec.from_string(text).compile()
-        model.opt.gravity[:] = 0.0
-        model.dof_armature[dof] = 2.0
-        with pytest.raises(ModelError, match=r"'j'.*the same in all directions"):
-            read_tree(model)
+    text = world(f'<body><joint name="j" type="ball" armature="1"/>{BOX}</body>')
+    model = mujoco.MjSpec.from_string(text).compile()
+    model.dof_armature[1] = 2.0
+    with pytest.raises(ModelError, match=r"'j'.*the same in all directions"):
+        read_tree(model)

@@ -18,8 +18,8 @@ _DEEP = 10_000
     ("text", "message"),
     [
         (f"<mujoco><worldbody>{'<body>' * _DEEP}{'</body>' * _DEEP}</worldbody></mujoco>", "450"),
-        (robot("<link>" * _DEEP + "</link>" * _DEEP), "100 elements within one another"),
-        ("<robot>" + "<link>" * _DEEP, "100 elements within one another"),
+        (robot("<link>" * _DEEP + "</link>" * _DEEP), "100 nested elements"),
+        ("<robot>" + "<link>" * _DEEP, "100 nested elements"),
         (robot(*(link(f"l{k}") for k in range(20_001))), "20001 links, more than 20000"),
     ],
 )

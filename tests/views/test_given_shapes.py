@@ -97,7 +97,7 @@ def test_shapes_on_joints_without_frames() -> None:
         pin.XYZQUATToSE3(stone.placement).homogeneous, place.homogeneous, atol=1e-12
     )
     note = drawn_bodies(pinred.load((model, geometry), lock=["hinge"])).note
-    assert "'stone' sits on joint 'hinge', which is frozen" in note
+    assert "'stone' is attached to joint 'hinge', which is locked" in note
     nothing = drawn_bodies(pinred.load((model, pin.GeometryModel())))
     assert "there are no shapes with the model" in nothing.note
     assert {solid.kind for solid in nothing.solids} <= {"ellipsoid", "capsule"}
@@ -173,11 +173,11 @@ def test_missing_folders_are_rejected(
         pinred.load(robot, meshes="gone")
     with pytest.raises(pinred.InputError, match="a folder or a list"):
         pinred.load(robot, meshes=3)  # type: ignore[arg-type]
-    with pytest.raises(pinred.InputError, match="for robots from files"):
+    with pytest.raises(pinred.InputError, match="to robots from files"):
         pinred.load(pin.buildModelFromUrdf(str(robot)), meshes=package)
     xml = robot.with_suffix(".xml")
     xml.write_text("<mujoco><worldbody/></mujoco>")
-    with pytest.raises(pinred.InputError, match="meshes= is for URDF"):
+    with pytest.raises(pinred.InputError, match="meshes= applies to URDF only"):
         pinred.load(xml, meshes=package)
     assert main(["play", "m.npz", "--meshes", str(package), "--no-meshes"]) == 2
-    assert "give one" in capsys.readouterr().err
+    assert "give one of them" in capsys.readouterr().err

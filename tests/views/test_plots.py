@@ -247,9 +247,9 @@ def test_plots_reject_unknown_kinds_options_joints(cat: pinred.Trajectory) -> No
         pinred.plot(cat, "base", x=1)  # type: ignore[call-overload]
     with pytest.raises(pinred.InputError, match="no joint 'tail'; its joints are bend, sway"):
         pinred.plot(cat, "shape", joints=["tail"])
-    with pytest.raises(pinred.InputError, match="joint 3 is not among the 3 joints"):
+    with pytest.raises(pinred.InputError, match="joint index 3 is out of range for 3 joints"):
         pinred.plot(cat, "shape", joints=[3])
-    with pytest.raises(pinred.InputError, match="different ones"):
+    with pytest.raises(pinred.InputError, match="distinct joints"):
         pinred.plot(cat, "shape", joints=["bend", 0])
     top = pinred.simulate(pinred.load("rigid_body"), duration=0.1)
     with pytest.raises(pinred.InputError, match="at least 1 joint, but 'rigid_body' has 0"):

@@ -153,7 +153,7 @@ def test_portrait_without_potential_states_reason() -> None:
     """For example, a pivot in gravity."""
     top = pinred.load("coupled_spatial", group="SO3", gravity=(0, 0, -9.81))
     figure = plots.phase(pinred.simulate(top, seed=0, duration=0.5))
-    assert "gravity turns the pivot" in figure.get_suptitle()
+    assert "gravity rotates the base" in figure.get_suptitle()
     assert not any(contours(axes) for axes in figure.axes)
     cat = pinred.load("falling_cat")
     still = pinred.simulate(cat, x0=[0.1, 0.2, 0.3], xdot0=[1, 0, 0], momentum=0, duration=0.5)
@@ -396,7 +396,7 @@ def test_section_rejects_invalid_input() -> None:
         pinred.plot(traj, "poincare", value=3.0)
     with pytest.raises(pinred.InputError, match="direction must be"):
         pinred.plot(traj, "poincare", direction=3)
-    with pytest.raises(pinred.InputError, match="must be different"):
+    with pytest.raises(pinred.InputError, match="distinct joints"):
         pinred.plot(traj, "poincare", joints=(1, 1))
     with pytest.raises(pinred.InputError, match="one robot only"):
         plots.poincare([traj, cartpole()])

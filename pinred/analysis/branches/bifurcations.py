@@ -131,7 +131,7 @@ def classify(curve: Curve, at: CurvePoint) -> Bifurcation | None:
 
 
 def _size(e: Energies) -> float:
-    """Return the size of the curvatures, to which tolerances for a zero curvature are relative."""
+    """Return the magnitude of the curvatures, relative to which a curvature counts as zero."""
     return max(float(np.abs(e.hessian).max()), float(e.scale[0]), 1e-300)
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ..equilibria.amended_energy import AmendedEnergy, Energies, Points, tangents
 from ..equilibria.search import residuals
 from ..stability.second_variation import weights
@@ -26,7 +26,7 @@ _CONVERGED = 1e-7  # largest Newton step at convergence; its square is below rou
 
 
 @dataclass(frozen=True)
-class CurvePoint:
+class CurvePoint(FrozenArrays):
     """A point of the curve. Arrays are read-only.
 
     Attributes:
@@ -44,9 +44,6 @@ class CurvePoint:
     tangent: Array
     values: Array
     residual: float
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def points(self) -> Points:

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, as_floats, freeze
+from ...common.arrays import Array, FrozenArrays, as_floats, whole
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
-from ...scene.option_checks import check_seed
 from ...system.system import System, checked_system
 from ..equilibria.amended_energy import AmendedEnergy, Points
+from ..equilibria.distinct_points import DistinctPoints
 from ..equilibria.equilibrium_problem import Problem, problem_of
-from ..equilibria.find import checked_starts, equilibrium_at, search_points
+from ..equilibria.find import ROUNDS, Search, equilibrium_at
 from ..equilibria.relative_equilibrium import RelativeEquilibrium
-from ..equilibria.same_shape import place_of
 from ..equilibria.search import critical_points
 from ..stability.second_variation import second_variation
 from .bifurcations import Bifurcation, bifurcations_between, extended_residual
@@ -32,11 +31,12 @@ _MAX_CURVES = 200
 _UNIT = 0.3  # fraction of the range of momenta that counts as 1 rad
 _SWITCH = 0.02  # rad, first step on a branching curve
 _STARTS = 300  # number of starting points of each search
+_SAME = 1e-5  # largest distance of equal points of a branch [rad | m]
 _ROUND_OFF = 1e-12  # rad | m; smaller values are printed as zero
 
 
 @dataclass(frozen=True, eq=False)
-class BranchPoint:
+class BranchPoint(FrozenArrays):
     """A relative equilibrium on a branch. Arrays are read-only.
 
     Attributes:
@@ -59,9 +59,6 @@ class BranchPoint:
     index: int
     residual: float
     problem: Problem = field(repr=False)
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def equilibrium(self) -> RelativeEquilibrium:
         """Compute the relative equilibrium with its stability, modes and scenes.
@@ -186,11 +183,11 @@ def branches(
         )
     if not (np.isfinite(step) and step > 0.0):
         raise InputError(f"step must be finite and above zero, got {step!r}")
-    starts, seed = checked_starts(starts), check_seed(seed)
+    starts, seed = whole(starts, "starts"), whole(seed, "seed", 0)
     follower = _Follower(problem, low, high, step)
     levels = (low, 0.5 * (low + high), high)
     for J in levels:
-        points, _, _ = search_points(problem, J, starts, seed)
+        points = Search(problem, J, starts, seed, limit=ROUNDS * starts).points()
         for k in range(len(points)):
             follower.add(points[k : k + 1], J)
     follower.follow_all()
@@ -204,6 +201,7 @@ class _Follower:
         self._problem, self._low, self._high, self._step = problem, low, high, step
         self._energy = AmendedEnergy(problem)
         self._curve = Curve(self._energy, _UNIT * (high - low))
+        self._distinct = DistinctPoints(self._energy, high)
         self._starts: list[tuple[Points, float, Array | None]] = []
         self._curves: list[list[CurvePoint]] = []
         self._bifurcations: list[tuple[int, Bifurcation]] = []
@@ -225,7 +223,7 @@ class _Follower:
             if self._is_on_curve(point, J):
                 continue
             first = self._curve.start(point, J, along)
-            detect = along is not None or not self._is_in_family(point, J)
+            detect = along is not None or second_variation(self._energy, point, J).dimension == 0
             number = len(self._curves)
             self._curves.append([first])
             halves = [self._walk(first, sign, number, detect) for sign in (1.0, -1.0)]
@@ -273,7 +271,7 @@ class _Follower:
             The points after the first.
         """
         points: list[CurvePoint] = []
-        point, h = _oriented(first, sign), 0.2 * self._step
+        point, h = replace(first, tangent=sign * first.tangent), 0.2 * self._step
         while len(points) < _MAX_STEPS:
             next_point = self._curve.step(point, h)
             if next_point is None or next_point.tangent @ point.tangent < _BEND:
@@ -342,13 +340,18 @@ class _Follower:
     def _is_on_curve(self, point: Points, J: float) -> bool:
         """Return whether a computed curve contains a critical point."""
         max_distance = 2.0 * self._step
+        is_family = second_variation(self._energy, point, J).dimension > 0
         for curve in self._curves:
             momenta = np.array([at.J for at in curve])
             for a in np.flatnonzero((momenta[:-1] - J) * (momenta[1:] - J) <= 0.0).tolist():
                 for at in (curve[a], curve[a + 1]):
                     guess, _ = critical_points(self._energy, at.points, J)
                     distance = np.linalg.norm(guess.x - at.x) if len(guess) else np.inf
-                    if distance <= max_distance and self._is_same(guess, point):
+                    if distance > max_distance:
+                        continue
+                    if self._is_same(guess, point) or (
+                        is_family and self._distinct.is_same_family(guess, point, J)
+                    ):
                         return True
             ends = [at for at in (curve[0], curve[-1]) if abs(at.J - J) <= 1e-9 * self._curve.unit]
             if any(self._is_same(at.points, point) for at in ends):
@@ -356,21 +359,13 @@ class _Follower:
         return False
 
     def _is_same(self, a: Points, b: Points) -> bool:
-        """Return whether two points are the same equilibrium, up to symmetry."""
-        places = [place_of(self._problem, self._problem.shapes(p.x)[0], p.n[0]) for p in (a, b)]
-        return places[0].same(places[1], reversible=self._problem.reversible)
+        """Return whether two points are equal up to coverings."""
+        return self._distinct.is_same(a, b, _SAME)
 
     def _is_close(self, first: CurvePoint, there: CurvePoint, h: float) -> bool:
         difference = np.concatenate([there.x - first.x, there.n - first.n])
         momentum = abs(there.J - first.J) / self._curve.unit
         return bool(np.linalg.norm(difference) < h and momentum < h)
-
-    def _is_in_family(self, point: Points, J: float) -> bool:
-        return second_variation(self._energy, point, J).dimension > 0
-
-
-def _oriented(at: CurvePoint, sign: float) -> CurvePoint:
-    return CurvePoint(at.x, at.n, at.J, sign * at.tangent, at.values, at.residual)
 
 
 def _momentum_range(problem: Problem, momentum: ArrayLike) -> tuple[float, float]:
@@ -386,8 +381,8 @@ def _momentum_range(problem: Problem, momentum: ArrayLike) -> tuple[float, float
     """
     ends = as_floats(momentum, "momentum")
     if ends.shape != (2,) or not np.isfinite(ends).all() or not ends[0] < ends[1]:
-        raise InputError(f"momentum must be (low, high), both finite, low first, got {momentum!r}")
+        raise InputError(f"momentum must be (low, high), finite and increasing, got {momentum!r}")
     low, high = (float(end) for end in ends)
     if (problem.directional and low < 0.0) or (problem.kind == "free" and low == 0.0):
-        raise InputError(f"momentum is |J|, which is above zero on a branch, got {low:g}")
+        raise InputError(f"momentum: expected magnitudes |J| above zero, got {low:g}")
     return low, high

@@ -188,7 +188,7 @@ class Connection:
             InputError: The connection has no system, or the link is not admissible.
         """
         if self.system is None:
-            raise InputError("only a connection made from a System can be seen from a link")
+            raise InputError("seen_from: expected a connection that was created from a System")
         return self._moved(from_link(self.form, self.system, link))
 
     def in_section(self, pose: Callable[[ca.SX], ca.SX]) -> Connection:
@@ -367,12 +367,12 @@ class Connection:
         if singular.any():
             shape = x[int(np.argmax(singular))]
             raise SingularInertiaError(
-                f"A is not defined at the shape {shape}: {self.form.what} leave a motion of the "
-                "body open there; keep the joints away from it"
+                f"A is not defined at the shape {shape}: {self.form.what} do not determine the "
+                "motion of the body there. Keep the joints away from this shape."
             )
 
     def refuse_crossing(self, health: Array) -> None:
-        """Reject paths across singular shapes, where non-symmetric forms change health sign.
+        """Reject paths across singular shapes, where a non-symmetric form's health changes sign.
 
         Args:
             health: Health of P_b along the path, (N,).
@@ -381,8 +381,8 @@ class Connection:
         """
         if not self.form.symmetric and health.min() < 0.0 < health.max():
             raise SingularInertiaError(
-                f"the gait crosses shapes at which {self.form.what} leave a motion of the body "
-                "open; choose one that stays on one side of them"
+                f"the gait crosses shapes at which {self.form.what} do not determine the motion "
+                "of the body. Choose a gait that stays on one side of these shapes."
             )
 
     def _moved(self, form: ConnectionForm) -> Connection:
@@ -395,5 +395,5 @@ class Connection:
 def _require_metric(form: ConnectionForm, M: Array | None) -> Array:
     """Return the metric M.  Raises InputError if there is none."""
     if M is None:
-        raise InputError(f"{form.what} give no metric on shape space")
+        raise InputError(f"{form.what} define no metric on shape space")
     return M

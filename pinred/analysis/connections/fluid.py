@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -78,16 +78,19 @@ def in_link_frame(tensor: Array, centre: ArrayLike, axis: ArrayLike) -> Array:
 def viscous_form(system: System, drag: Mapping[str, Rod | ArrayLike]) -> ConnectionForm:
     """Return the symmetric form Σ JᵀDJ of the drag forces; for `drag` see `Connection.viscous`."""
     system = checked_system(system, "Connection.viscous")
-    if not isinstance(drag, Mapping) or not drag:
-        raise InputError("drag must be {link: Rod or tensor (6, 6)}, of at least one link")
+    tensors = _tensors(system, drag, "drag", "Rod")
+    return tensor_form(system, tensors, f"drag forces on '{system.name}'", rotors=False)
+
+
+def _tensors(system: System, bodies: Mapping[str, Any], what: str, kinds: str) -> list[Array]:
+    """Return the tensor of each body of a robot from bodies or tensors by link."""
+    if not isinstance(bodies, Mapping) or not bodies:
+        raise InputError(f"{what} must be {{link: {kinds} or tensor (6, 6)}}, of at least one link")
     by_link = {
-        name: body.tensor if isinstance(body, Rod) else np.asarray(body, dtype=float)
-        for name, body in drag.items()
+        name: np.asarray(getattr(body, "tensor", body), dtype=float)
+        for name, body in bodies.items()
     }
-    return tensor_form(
-        system, tensors_by_body(system, by_link, "drag"), f"drag forces on '{system.name}'",
-        rotors=False,
-    )  # fmt: skip
+    return tensors_by_body(system, by_link, what)
 
 
 def tensor_form(system: System, tensors: list[Array], what: str, *, rotors: bool) -> ConnectionForm:
@@ -222,14 +225,7 @@ def fluid_form(
     """
     system = checked_system(system, "Connection.fluid")
     rho = positive(density, "density")
-    if not isinstance(bodies, Mapping) or not bodies:
-        raise InputError("bodies must be {link: Ellipsoid, Ellipse or tensor (6, 6)}, at least one")
-    by_link = {
-        name: rho
-        * (body.tensor if isinstance(body, (Ellipsoid, Ellipse)) else np.asarray(body, dtype=float))
-        for name, body in bodies.items()
-    }
-    added = tensors_by_body(system, by_link, "bodies")
-    tensors = [a + b for a, b in zip(inertia_tensors(system), added, strict=True)]
+    added = _tensors(system, bodies, "bodies", "Ellipsoid, Ellipse")
+    tensors = [a + rho * b for a, b in zip(inertia_tensors(system), added, strict=True)]
     what = f"the momenta of '{system.name}' and the fluid around it"
     return tensor_form(system, tensors, what, rotors=True)

@@ -52,7 +52,7 @@ def link_named(system: System, name: str, what: str) -> Link:
     if frame is None:
         names = list(moving)
         raise InputError(
-            f"{what}: no link {quoted(str(name))} that moves; {nearest(str(name), names)}"
+            f"{what}: no moving link {quoted(str(name))}; {nearest(str(name), names)}"
             f"the links are {listed(names)}"
         )
     return Link(frame.parentJoint, pin.SE3(frame.placement))

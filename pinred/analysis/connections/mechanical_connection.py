@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
@@ -23,16 +25,10 @@ from ...system.system import System, checked_system
 def mechanical_form(system: System) -> ConnectionForm:
     """Return the symmetric form H(x) that maps velocities (ξ, ẋ) to the momenta (μ, π)."""
     system = checked_system(system, "Connection.mechanical")
-
-    def values(x: ca.SX, v: ca.SX) -> ca.SX:
-        return momenta(system, x, v)
-
-    def reference(x: Array) -> Array:
-        return mass_matrix(system, x)
-
     return form_of(
         system.group, system.shape_names, system.units, f"the momenta of '{system.name}'",
-        values, reference, symmetric=True, momentum=True, locked=lambda x: locked(system, x),
+        partial(momenta, system), partial(mass_matrix, system), symmetric=True, momentum=True,
+        locked=partial(locked, system),
     )  # fmt: skip
 
 

@@ -107,7 +107,7 @@ class MixedConnection:
         W = slip_matrix(system, self.slips, shape)
         slip, size = np.abs(W @ v), np.abs(W) @ np.abs(v)
         if (slip > 1e-9 * np.maximum(size, 1e-300)).any():
-            raise InputError(f"the wheels slip with this twist, at {W @ v} m/s; see `velocity`")
+            raise InputError(f"the wheels slip at {W @ v} m/s with this twist; see `velocity`")
         mu = mass_matrix(system, shape)[: system.r] @ v
         return np.asarray(self.free_motions(shape).T @ mu)
 
@@ -145,7 +145,7 @@ class MixedConnection:
         xi = ca.solve(P, ca.vertcat(ca.SX.zeros(k, 1), p) - of_shape)
         A = -ca.jacobian(xi, xdot)
         mu = momenta(system, x, ca.vertcat(xi, xdot))[:r]
-        S = self._kernel_graph(x)
+        S = kernel_graph(self.system, self.slips, self.free, x)
         Sdot = ca.reshape(ca.jtimes(ca.vec(S), x, xdot), r, self.size)
         return x, xdot, p, xi, S.T @ self._coadjoint(xi, mu) + Sdot.T @ mu, A
 
@@ -184,9 +184,6 @@ class MixedConnection:
     def _health(self, x: ca.SX) -> ca.SX:
         r = self.system.r
         return health(self.connection.form, ca.reshape(self.connection.form.locked(x), r, r))
-
-    def _kernel_graph(self, x: ca.SX) -> ca.SX:
-        return kernel_graph(self.system, self.slips, self.free, x)
 
 
 def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> MixedConnection:

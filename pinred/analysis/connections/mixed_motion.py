@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, positive, vector
+from ...common.arrays import Array, FrozenArrays, positive, vector, vector_or_zero
 from ...common.errors import IntegrationError, SingularInertiaError
 from ...kernels.evaluate import evaluate
 from ..gaits.gait import Gait
@@ -20,7 +20,7 @@ _SHAPES = 4096  # number of shapes of a path at which P_b is checked
 
 
 @dataclass(frozen=True)
-class MixedMotion:
+class MixedMotion(FrozenArrays):
     """A motion on wheels; the first axis of every array is time.
 
     Attributes:
@@ -38,9 +38,6 @@ class MixedMotion:
     xdot: Array
     p: Array
     energy: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def simulate_mixed(
@@ -104,7 +101,7 @@ def follow_mixed(
         The motion; errors as in `simulate_mixed`.
     """
     system, k = mixed.system, mixed.size
-    p = np.zeros(k) if np.ndim(p0) == 0 and p0 == 0 else vector(p0, k, "p0")
+    p = vector_or_zero(p0, k, "p0")
     t = _times(times)
     side = _sign_of_health(mixed, gait.at(t[0])[0])
     _require_regular_path(mixed, gait.samples(_SHAPES)[0])
@@ -135,7 +132,8 @@ def _require_regular_path(mixed: MixedConnection, x: Array) -> None:
     if not health.min() > _LEAST_HEALTH:
         raise SingularInertiaError(
             f"the joints pass the shape {x[int(np.argmin(health))]}, where "
-            f"{mixed.connection.form.what} leave a motion of the body open; keep away from it"
+            f"{mixed.connection.form.what} do not determine the motion of the body. Keep the "
+            "joints away from this shape."
         )
 
 
@@ -143,8 +141,8 @@ def _require_regular(mixed: MixedConnection, time: float, health: float) -> None
     """Raise IntegrationError if P_b is nearly singular; `health` has its initial sign."""
     if not health > _LEAST_HEALTH:
         raise IntegrationError(
-            f"at {time:g} s {mixed.connection.form.what} come to a shape at which they leave a "
-            "motion of the body open; the motion is not defined beyond it"
+            f"at t = {time:g} s the joints reach a shape at which {mixed.connection.form.what} "
+            "do not determine the motion of the body; the motion is not defined beyond this shape"
         )
 
 
@@ -173,7 +171,7 @@ def _integrate(
         dense_output=True,
     )
     if result.status != 0 or not np.isfinite(result.y).all():
-        raise IntegrationError(f"the motion cannot be followed to {t[-1]:g} s: {result.message}")
+        raise IntegrationError(f"the motion cannot be integrated to {t[-1]:g} s: {result.message}")
     return np.asarray(result.y.T), result.sol
 
 

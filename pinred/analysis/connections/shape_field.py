@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...common.arrays import Array, freeze, read_only, vector
+from ...common.arrays import Array, FrozenArrays, read_only, vector
 from ...common.errors import SymmetryError
 from ...integrators.stepping.compiling import compiled
 from ...kernels.connection.connection_code import Locals
@@ -25,7 +25,7 @@ _SUSPICIOUS = 16.0
 
 
 @dataclass(frozen=True, eq=False)
-class ShapeField:
+class ShapeField(FrozenArrays):
     """The reduction at many shapes, with the leading axes of x first in every array.
 
     Each array is computed at first use, cached, and read-only.  The attributes are named as in
@@ -41,9 +41,6 @@ class ShapeField:
     x: Array
     _potential: Potential | SymmetryError = field(repr=False)
     _moves: tuple[Moves, ...] = field(repr=False, default=())
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @cached_property
     def mass_matrix(self) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -13,6 +14,7 @@ from ...common.arrays import Array, positive, vector
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...kernels.connection.connection_form import ConnectionForm, form_of
+from ...lie.rotations import hat
 from ...reduction.tree.body_frames import bodies_of
 from ...reduction.tree.momenta import speed_along, twists_at
 from ...system.system import System, checked_system
@@ -78,26 +80,19 @@ def slips_of(system: System, wheels: Sequence[Wheel | Rolling]) -> list[Slip]:
     for wheel in wheels:
         if not isinstance(wheel, (Wheel, Rolling)):
             raise InputError(f"wheels must be Wheel or Rolling, got {wheel!r}")
-        rolls = isinstance(wheel, Rolling)
         link = link_named(system, wheel.link, "wheels")
-        direction = wheel.heading if isinstance(wheel, Rolling) else wheel.axle
-        d = vector(direction, 3, "heading" if rolls else "axle")
-        if not np.linalg.norm(d) > 0.0:
-            raise InputError(f"the direction of a wheel on '{wheel.link}' must not be zero")
         coordinate, radius = -1, 0.0
         if isinstance(wheel, Rolling):
+            d = vector(wheel.heading, 3, "heading")
             coordinate = joint_index(wheel.joint, system.shape_names, "wheels")
             radius = positive(wheel.radius, "radius")
-        placement = link.placement
-        slips.append(
-            Slip(
-                link,
-                placement.rotation @ (d / np.linalg.norm(d)),
-                placement.act(vector(wheel.at, 3, "at")),
-                coordinate,
-                radius,
-            )
-        )
+        else:
+            d = vector(wheel.axle, 3, "axle")
+        if not np.linalg.norm(d) > 0.0:
+            raise InputError(f"the direction of a wheel on '{wheel.link}' must not be zero")
+        direction = link.placement.rotation @ (d / np.linalg.norm(d))
+        point = link.placement.act(vector(wheel.at, 3, "at"))
+        slips.append(Slip(link, direction, point, coordinate, radius))
     return slips
 
 
@@ -130,7 +125,7 @@ def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
     for slip in slips:
         body = Link(slip.link.joint, slip.link.placement.Identity())
         J = link_jacobian(system, body, x)
-        row = slip.direction @ (J[:3] - _hat(slip.point) @ J[3:])
+        row = slip.direction @ (J[:3] - hat(slip.point) @ J[3:])
         if slip.coordinate >= 0:
             row[system.r + slip.coordinate] -= slip.radius
         rows.append(row)
@@ -146,19 +141,7 @@ def kinematic_form(system: System, wheels: Sequence[Wheel | Rolling]) -> Connect
             f"{system.group.name} has {system.r} dimensions, so a kinematic connection needs "
             f"{system.r} wheels, got {len(slips)}; with fewer, see mixed_connection"
         )
-
-    def values(x: ca.SX, v: ca.SX) -> ca.SX:
-        return slip_rows(system, slips, x, v)
-
-    def reference(x: Array) -> Array:
-        return slip_matrix(system, slips, x)
-
     return form_of(
         system.group, system.shape_names, system.units, f"the wheels of '{system.name}'",
-        values, reference, symmetric=False,
+        partial(slip_rows, system, slips), partial(slip_matrix, system, slips), symmetric=False,
     )  # fmt: skip
-
-
-def _hat(p: Array) -> Array:
-    x, y, z = p
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -6,7 +6,7 @@ which move at rates ν and have the inertia matrix H_dd. The momenta are s = (μ
     U = V + ½ σᵀ K⁻¹ σ − ½ νᵀ H_dd ν,     σ = s − H_d ν,
 
 which is minus Routh's function at rest. In free space μ = (0, J n): zero linear momentum in the
-frame of the centre of mass, and a direction n in the body. If gravity turns a pivoted base, only
+frame of the centre of mass, and a direction n in the body. If gravity rotates a pivoted base, only
 the angular momentum J about the vertical is conserved. The base then rotates about the upward
 direction e in the body, K and σ refer to that rotation (E = [e]), and V = m |g| e·c.
 

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...forces.force import Force
-from ...forces.force_model import ForceModel
+from ...forces.force_model import ForceModel, touched_by
 from ...forces.signals import Signal
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.pointwise_reduction import PointwiseReduction
@@ -33,14 +34,14 @@ _TIMES = (0.0, 0.37, 1.0)  # s, times at which prescribed joints are checked
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(FrozenArrays):
     """A system, its forces, and the unknowns of its relative equilibria.
 
     Attributes:
         system: The system.
         scene: Scene with the forces and prescribed joints.
         kind: "axis": the momentum has a fixed axis, or none (ℝ, SO(2), SE(2), ℝ × SE(2)). "free":
-            its direction in the body is unknown (SO(3), SE(3)). "heavy": gravity turns a pivoted
+            its direction in the body is unknown (SO(3), SE(3)). "heavy": gravity rotates a pivoted
             base, and the upward vertical in the body is unknown.
         active: Indices of the unknown joints.
         cyclic: Indices of the cyclic joints.
@@ -59,9 +60,6 @@ class Problem:
     cyclic_momenta: Array
     driven_x: Array
     driven_rate: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def plan(self) -> Plan:
@@ -95,6 +93,18 @@ class Problem:
         """Whether reversing the direction gives the same motion backwards in time."""
         moving = self.cyclic_momenta.any() or self.driven_rate.any()
         return self.kind == "free" and not moving
+
+    @cached_property
+    def turning(self) -> frozenset[int]:
+        """Joints of which a full turn restores all body poses and forces."""
+        system = self.system
+        touched = touched_by(self.forces)
+        angles = {k for k in self.active if system.units[k] == "rad" and k not in touched}
+        if system.coupled is None:
+            return frozenset(angles)
+        ratios = system.coupled.G
+        is_whole = (ratios == np.round(ratios)).all(axis=0)
+        return frozenset(k for k in angles if is_whole[k])
 
     def shapes(self, active: Array) -> Array:
         """Return shapes (N, m) for active joints (N, ma), with cyclic joints at zero."""

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, read_only, vectors
+from ...common.arrays import Array, FrozenArrays, read_only, vectors
 from ...common.errors import InputError, NoConvergence
 from ...lie.group import Group
 from ...lie.rotations import hat, quaternion_exp, quaternion_product, rotation
@@ -155,7 +155,7 @@ def optimal_frame(
     patch: Patch
     if isinstance(limits, Gait):
         if joints is not None or at is not None or nodes is not None:
-            raise InputError("joints, at and nodes go with limits of joints, not with a gait")
+            raise InputError("joints, at and nodes apply to a box of joint limits, not to a gait")
         patch, order = Disc(limits), _DEGREES[2] if degree is None else int(degree)
     else:
         order = _DEGREES[min(len(np.atleast_1d(limits)), 3)] if degree is None else int(degree)
@@ -337,7 +337,7 @@ def _right_slope(phi: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class CorrectedIntegral:
+class CorrectedIntegral(FrozenArrays):
     """The corrected body-velocity integral −∬B of a gait, and the true phase.
 
     Attributes:
@@ -353,9 +353,6 @@ class CorrectedIntegral:
     log: Array
     error: float
     trusted: bool
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def corrected_integral(

@@ -9,16 +9,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...common.arrays import Array, as_floats, freeze, vector
 from ...common.errors import InputError
-from ..gaits.arcs import FourierArc
 from ..gaits.gait import Gait
 
 _RINGS, _SPOKES = 24, 64  # number of radial and of angular quadrature nodes of a disc
@@ -115,10 +113,15 @@ class Disc(Patch):
     gait: Gait
     nodes: Array = field(init=False, repr=False)
     weights: Array = field(init=False, repr=False)
+    _mean: Array = field(init=False, repr=False)
+    _series: NDArray[np.complex128] = field(init=False, repr=False)  # x = mean + Re Σ series_k z^k
 
     def __post_init__(self) -> None:
-        if not self.gait.is_smooth:
-            raise InputError("gait: expected one Fourier series (Gait.fourier), which spans a disc")
+        c = self.gait.series.coefficients()
+        h = len(c) // 2
+        object.__setattr__(self, "_mean", c[0])
+        # On the edge of the disc, z = e^{iψ}, and ψ is the angle from the start of the gait.
+        object.__setattr__(self, "_series", c[1 : 1 + h] - 1j * c[1 + h :])
         s, w = np.polynomial.legendre.leggauss(_RINGS)
         rho, angles = 0.5 * (s + 1.0), 2.0 * np.pi * np.arange(_SPOKES) / _SPOKES
         ring, spoke = (grid.ravel() for grid in np.meshgrid(rho, angles, indexing="ij"))
@@ -128,25 +131,13 @@ class Disc(Patch):
         object.__setattr__(self, "weights", weights)
         freeze(self)
 
-    @cached_property
-    def _series(self) -> Array:
-        """Coefficients c with x = mean + Re Σ c_k z^k, z = u₁ + i u₂, (harmonics, m)."""
-        arc = self.gait.arcs[0]
-        assert isinstance(arc, FourierArc)
-        k = np.arange(1, len(arc.cos) + 1)[:, None]
-        sense = 1.0 if arc.end > arc.start else -1.0
-        # On the edge of the disc z = e^{iψ}, and the phase of the gait is φ = start + sense · ψ.
-        return np.asarray((arc.cos - 1j * sense * arc.sin) * np.exp(1j * sense * k * arc.start))
-
     def _powers(self, u: Array) -> Array:
         z = u[:, 0] + 1j * u[:, 1]
         return np.power.outer(z, np.arange(len(self._series) + 1))
 
     def shapes(self, u: Array) -> Array:
         """Return the shapes at parameters (see Patch.shapes)."""
-        arc = self.gait.arcs[0]
-        assert isinstance(arc, FourierArc)
-        return np.asarray(arc.mean + (self._powers(u)[:, 1:] @ self._series).real)
+        return np.asarray(self._mean + (self._powers(u)[:, 1:] @ self._series).real)
 
     def slopes(self, u: Array) -> Array:
         """Return the derivatives ∂x/∂u at parameters (see Patch.slopes)."""
@@ -156,14 +147,12 @@ class Disc(Patch):
 
     def parameters(self, x: Array) -> Array:
         """Return the parameters of shapes (see Patch.parameters), for a gait with one harmonic."""
-        arc = self.gait.arcs[0]
-        assert isinstance(arc, FourierArc)
         if len(self._series) > 1 and self._series[1:].any():
             raise InputError(
                 "shapes: they determine parameters only on the disc of a gait with one harmonic"
             )
         plane = np.stack([self._series[0].real, -self._series[0].imag], axis=1)
-        return np.asarray(np.linalg.lstsq(plane, (x - arc.mean).T, rcond=None)[0].T)
+        return np.asarray(np.linalg.lstsq(plane, (x - self._mean).T, rcond=None)[0].T)
 
 
 def box_of(

@@ -38,7 +38,7 @@ def points_in(path: Path) -> tuple[Array, Array]:
     except (OSError, ValueError, KeyError) as error:
         raise LoadError(f"cannot read joint data from {name}: {error}") from None
     if t.ndim != 1 or x.ndim != 2 or len(t) != len(x) or len(t) < 4:
-        raise InputError(f"{name} must hold times (T,) and shapes (T, m), T at least 4")
+        raise InputError(f"{name} must contain times (T,) and shapes (T, m), with T at least 4")
     if not (np.isfinite(t).all() and np.isfinite(x).all() and (np.diff(t) > 0.0).all()):
         raise InputError(f"times in {name} must increase, and all numbers be finite")
     gap = np.abs(x[-1] - x[0])
@@ -54,7 +54,7 @@ def _csv(path: Path) -> tuple[Array, Array]:
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.reader(file))
     if not rows or not rows[0] or rows[0][0].strip() != "t":
-        raise ValueError("the first line must be t and the names of the joints")
+        raise ValueError("the first line must contain t and the names of the joints")
     data = as_floats([[float(cell) for cell in row] for row in rows[1:] if row], "the lines")
     return data[:, 0], data[:, 1:]
 

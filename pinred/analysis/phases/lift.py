@@ -119,7 +119,7 @@ def lifted(group: Group, segments: PathSegments, J: Array) -> Lifted:
     )
     if stopped >= 0:
         raise NoConvergence(
-            f"the lift of segment {stopped} of {count} did not converge: the base turns too far",
+            f"the lift of segment {stopped} of {count} did not converge: the base rotates too far",
             float(segments.h[:stopped].sum()), poses[max(stopped - 1, 0)].copy(),
         )  # fmt: skip
     return Lifted(_poses(group, poses, angle), inner)

@@ -15,14 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
-from ...common.errors import InputError
+from ...common.arrays import Array, FrozenArrays
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group
 from ...system.system import System
 from ..connections.connection import Connection
 from ..connections.mechanical_connection import mechanical_code
-from ..gaits.arcs import FourierArc
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lifted, nodes
 
@@ -30,7 +28,7 @@ _PER_HARMONIC = 8  # default number of segments per harmonic
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class Drift(FrozenArrays):
     """The drift twist I⁻¹μ of a free system with constant spatial momentum.
 
     Attributes:
@@ -41,9 +39,6 @@ class Drift:
 
     system: System
     momentum: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def inverse(self, x: Array) -> Array:
         """Compute the inverse locked inertia I⁻¹.
@@ -105,7 +100,7 @@ class Drift:
 
 
 @dataclass(frozen=True, eq=False)
-class PathBasis:
+class PathBasis(FrozenArrays):
     """Basis functions Φ at the N = 8 P Gauss nodes of P segments.
 
     Attributes:
@@ -119,9 +114,6 @@ class PathBasis:
     values: Array
     slopes: Array
     bends: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def weights(self) -> Array:
@@ -302,6 +294,20 @@ def by_coefficients(basis: PathBasis, *rows: Array) -> Array:
     return np.asarray(np.swapaxes(total, 0, 1))
 
 
+def sum_over_nodes(basis: PathBasis, m: int, derivatives: Array) -> Array:
+    """Convert the derivatives of a scalar at the nodes to derivatives by the coefficients.
+
+    Args:
+        basis: Basis functions at the N nodes.
+        m: Number of joints.
+        derivatives: Weighted derivatives with respect to (x, x′), (N, 2m), or (x, x′, x″), (N, 3m).
+    Returns:
+        (K, m).
+    """
+    blocks = [derivatives[:, None, k : k + m] for k in range(0, derivatives.shape[1], max(m, 1))]
+    return np.asarray(by_coefficients(basis, *blocks)[0])
+
+
 def _adjoints(group: Group, inner: Array) -> Array:
     """Compute Ad_g, (N, r, r), from positions and quaternions (N, 7)."""
     linear = inner[:, list(group.axes[: group.linear])]
@@ -313,7 +319,7 @@ def _adjoints(group: Group, inner: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class PhaseSlopes:
+class PhaseSlopes(FrozenArrays):
     """Phase and effort of a Fourier gait at zero momentum, with derivatives.
 
     The coefficients are (1 + 2 harmonics, m): mean, cosines, sines.
@@ -334,9 +340,6 @@ class PhaseSlopes:
     action: float
     action_slope: Array
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
 
 def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = None) -> PhaseSlopes:
     """Compute the phase and the effort of a Fourier gait, and their derivatives.
@@ -351,9 +354,7 @@ def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = Non
         InputError: The gait is not one Fourier series.
     """
     connection.refuse_gravity()
-    arc = gait.arcs[0]
-    if not gait.is_smooth or not isinstance(arc, FourierArc):
-        raise InputError("gait: expected one Fourier series; derivatives refer to its coefficients")
+    arc = gait.series
     harmonics, m = len(arc.cos), connection.m
     count = _PER_HARMONIC * (harmonics + 1) if pieces is None else int(pieces)
     basis = fourier_basis(harmonics, count, start=arc.start, turn=arc.end - arc.start)
@@ -365,12 +366,7 @@ def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = Non
         length, action = float(weights @ speed), float(weights @ lift.square) / arc.time
         with np.errstate(divide="ignore", invalid="ignore"):
             factors = np.where(speed > 0.0, 0.5 / speed, 0.0)
-        length_slope = _sum_over_nodes(basis, (weights * factors)[:, None] * lift.square_slopes)
-        action_slope = _sum_over_nodes(basis, weights[:, None] * lift.square_slopes) / arc.time
+        slopes = lift.square_slopes
+        length_slope = sum_over_nodes(basis, m, (weights * factors)[:, None] * slopes)
+        action_slope = sum_over_nodes(basis, m, weights[:, None] * slopes) / arc.time
     return PhaseSlopes(lift.pose, lift.twist, length, length_slope, action, action_slope)
-
-
-def _sum_over_nodes(basis: PathBasis, derivatives: Array) -> Array:
-    """Convert derivatives (N, 2m) with respect to (x, x′) to derivatives (K, m) by coefficients."""
-    by_x, by_slope = np.split(derivatives[:, None], 2, axis=2)
-    return np.asarray(by_coefficients(basis, by_x, by_slope)[0])

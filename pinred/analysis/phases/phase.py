@@ -16,17 +16,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, positive, vector, whole
+from ...common.arrays import Array, FrozenArrays, positive, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
+from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lift, nodes, travelled
 from .screw import Screw, screw_of
 
 _FLOOR = 64.0 * np.finfo(float).eps  # round-off, relative to the path length of the base
 _LEAST = 1e-14  # smallest tolerance
+_REPEATS = 1e-9  # largest change of body twists over a complete turn, relative to the twists
 
 _LEAST_SAMPLES = 16  # smallest number of samples of a smooth gait
 _PER_HARMONIC = 16  # initial samples per harmonic
@@ -34,14 +36,14 @@ MOST = 2**15  # largest number of samples
 
 
 @dataclass(frozen=True, eq=False)
-class Phase:
+class Phase(FrozenArrays):
     """The motion of the base over one cycle of a gait.
 
     Attributes:
         group: Symmetry group.
         pose: Group element g of the cycle, (size,); the base starts at the identity.
-        error: Error estimate, the difference to half as many samples: rotation [rad] and
-            translation [m].
+        error: Estimated error, the difference from the pose with half as many samples: rotation
+            [rad] and translation [m].
         geometric: Geometric phase, the end of the horizontal lift, (size,); equal to g at zero
             momentum.
         momentum: Body momentum at the start of the cycle, (r,).
@@ -61,9 +63,6 @@ class Phase:
     length: float
     samples: int
     _segments: PathSegments = field(repr=False)
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @cached_property
     def dynamic(self) -> Array:
@@ -144,6 +143,11 @@ def phase(
             f"{type(gait).__name__}"
         )
     connection.refuse_gravity()
+    if len(gait.turns) == connection.m and (joint := _open_joint(connection, gait)):
+        raise InputError(
+            "gait: expected turns only of revolute joints whose complete turn restores the robot, "
+            f"got turns {gait.turns}, with a turn of '{joint}'"
+        )
     goal = max(positive(tolerance, "tolerance"), _LEAST)
     mu = _momentum(connection, momentum)
     group, has_momentum = connection.group, bool(mu.any())
@@ -179,6 +183,32 @@ def phase(
     )
 
 
+def is_closed(connection: Connection, gait: Gait) -> bool:
+    """Return whether a connection repeats itself after the turns of a gait.
+
+    Args:
+        connection: Connection with as many joints as the gait.
+        gait: Path in shape space that may turn joints.
+    Returns:
+        Whether all joints that turn are revolute, and a complete turn of each restores the
+        connection.
+    """
+    return not _open_joint(connection, gait)
+
+
+def _open_joint(connection: Connection, gait: Gait) -> str:
+    """Return a joint whose complete turn does not restore the connection, or ""."""
+    x, xdot = gait.samples(_LEAST_SAMPLES)
+    xi = connection.code.velocities(x, xdot).xi
+    size = float(np.abs(xi).max(initial=0.0))
+    for k in np.flatnonzero(gait.turns).tolist():
+        turned = x + TAU * np.eye(connection.m)[k]
+        change = float(np.abs(connection.code.velocities(turned, xdot).xi - xi).max(initial=0.0))
+        if connection.form.units[k] != "rad" or not change <= _REPEATS * size:
+            return connection.joints[k]
+    return ""
+
+
 def _bound(difference: PoseError, segments: PathSegments, pose: Array) -> PoseError:
     """Return the change of the pose in the last doubling of the samples, plus round-off."""
     rotation, translation = travelled(segments)
@@ -189,11 +219,9 @@ def _bound(difference: PoseError, segments: PathSegments, pose: Array) -> PoseEr
 
 
 def _momentum(connection: Connection, momentum: ArrayLike | float) -> Array:
-    if np.ndim(momentum) == 0 and momentum == 0:
-        return np.zeros(connection.r)
-    mu = vector(np.asarray(momentum), connection.r, "momentum", connection.group.twist_names)
+    mu = vector_or_zero(momentum, connection.r, "momentum", connection.group.twist_names)
     if mu.any() and not connection.form.momentum:
-        raise InputError(f"{connection.form.what} carry no momentum; leave momentum out")
+        raise InputError(f"{connection.form.what} define no momentum. Omit momentum=.")
     return mu
 
 
@@ -215,7 +243,7 @@ def _power(group: Group, g: Array, n: int) -> Array:
 
 @dataclass(frozen=True)
 class Sampled:
-    """A gait with the body twists that the connection gives at its samples.
+    """A gait with the body twists that the connection determines at its samples.
 
     Attributes:
         segments: Body twists at the Gauss nodes.

@@ -5,7 +5,8 @@ elliptic functions. Over one period the body rotates about the fixed J by
 
     Δθ = 2 E T / |J| − Λ   (modulo complete rotations),
 
-with the signed solid angle Λ that the curve encloses. Sources: R. Montgomery, "How much does the
+with the signed solid angle Λ that the curve encloses. Period and solid angle are complete elliptic
+integrals. Sources: R. Montgomery, "How much does the
 rigid body rotate?", Am. J. Phys. 59 (1991); L. Landau, E. Lifshitz, "Mechanics", §37.
 """
 
@@ -16,18 +17,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, vector
+from ...common.arrays import Array, FrozenArrays, vector
 from ...common.errors import InputError
 from ...lie.rotations import TAU
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...system.system import System, checked_system
 
-_EDGE = 1e-12  # relative distance below which a motion counts as on the separatrix
-_NODES = 4096  # number of samples of the momentum curve
+_ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # relative error of the inertia tensor
 
 
 @dataclass(frozen=True)
-class RigidBodyPhase:
+class RigidBodyPhase(FrozenArrays):
     """The motion of a free rigid body over one period of its body momentum.
 
     Attributes:
@@ -47,9 +47,6 @@ class RigidBodyPhase:
     axis: Array
     energy: float
     momentum: float
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
@@ -83,8 +80,7 @@ def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
     J, energy = float(np.linalg.norm(mu)), 0.5 * float(mu @ rates)
     if not J > 0.0:
         raise InputError("omega: expected a non-zero vector; a body at rest has no period")
-    period, curve = _curve(moments, J, energy)
-    solid_angle = _solid_angle(curve)
+    period, solid_angle = _period_and_solid_angle(moments, rates, J)
     dynamic = 2.0 * energy * period / J
     return RigidBodyPhase(
         period=period,
@@ -97,59 +93,52 @@ def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
     )
 
 
-def _outer(moments: Array, J: float, energy: float) -> tuple[int, int, int]:
-    """Return principal axes (i, j, k): the momentum circles axis k; j is the middle axis."""
-    return (0, 1, 2) if 2.0 * energy * moments[1] <= J**2 else (2, 1, 0)
+def _period_and_solid_angle(moments: Array, rates: Array, J: float) -> tuple[float, float]:
+    """Compute the period [s] and the signed solid angle [sr] of the curve of μ/|J|.
 
+    The curve circles the principal axis k.  The middle axis is j.  Differences of J² and 2E are
+    sums over the components, which do not cancel near the axes.
 
-def _curve(moments: Array, J: float, energy: float) -> tuple[float, Array]:
-    """Compute the period and the curve of μ/|J| over one period.
-
-    The axes are (i, j, k) of `_outer`, made right-handed. The curve circles +z as time increases.
-
+    Args:
+        moments: Principal moments of inertia, increasing, (3,) [kg m²].
+        rates: Angular velocity along the principal axes, which are right-handed, (3,) [rad/s].
+        J: Magnitude of the angular momentum [kg m²/s].
     Returns:
-        The period [s], and the curve, (N, 3).
+        The period, and the solid angle, positive if the curve circles +k counterclockwise.
     Raises:
         InputError: The motion has no period.
     """
-    from scipy.special import ellipj, ellipk
+    from scipy.special import ellipkm1, elliprf, elliprj
 
-    i, j, k = _outer(moments, J, energy)
-    a, b, c = moments[[i, j, k]]
-    square, twice = J**2, 2.0 * energy
-    denominator = (c - b) * (square - twice * a)
-    rate = np.sqrt(max(denominator / (a * b * c), 0.0))
-    scale = twice / b
-    if not rate > _EDGE * scale**0.5:
+    squares = moments * rates**2
+    gaps = moments - moments[1]
+    above = float(squares @ gaps)  # J² − 2 E b, of the middle moment b
+    if not abs(above) > _ROUND_OFF * _scale_of_errors(moments, rates):
         raise InputError(
-            "there is no period: the body rotates about its middle axis, or its momentum is "
-            "constant in the body (equal moments of inertia)"
+            "there is no period: the motion is on the separatrix of the middle axis, or the "
+            "momentum is constant in the body (equal moments of inertia)"
         )
-    modulus = max((b - a) * (twice * c - square) / denominator, 0.0)
-    if not modulus < 1.0 - _EDGE:
-        raise InputError("there is no period: the motion is on the separatrix of the middle axis")
-    period = 4.0 * float(ellipk(modulus)) / float(rate)
-    sn, cn, dn, _ = ellipj(rate * period * np.arange(_NODES) / _NODES, modulus)
-    # Landau and Lifshitz (37.10): Ω₁ ∝ cn, Ω₂ ∝ sn, Ω₃ ∝ dn, in the direction of time.
-    along_i = np.sqrt(max(a * (twice * c - square) / (c - a), 0.0)) * cn / J
-    along_j = np.sqrt(max(b * (twice * c - square) / (c - b), 0.0)) * sn / J
-    along_k = np.sqrt(max(c * (square - twice * a) / (c - a), 0.0)) * dn / J
-    hand = 1.0 if (i, j, k) == (0, 1, 2) else -1.0
-    return period, np.stack([along_i, hand * along_j, along_k], axis=1)
+    i, k = (0, 2) if above > 0.0 else (2, 0)
+    a, b, c = moments[[i, 1, k]]
+    near = float(squares @ (moments - a))  # J² − 2 E a, of the same sign as `above`
+    denominator = (c - b) * near
+    complement = min((c - a) * above / denominator, 1.0)  # 1 − m
+    period = 4.0 * float(ellipkm1(complement)) * np.sqrt(a * b * c / denominator)
+    # At azimuth φ from axis i to axis j, cos²θ = (n₀ + g cos²φ)/(d₀ + g cos²φ).  Carlson's
+    # integrals give the mean of cos θ (NIST Digital Library of Mathematical Functions, §19.29).
+    n0, n1 = abs(above) / (b * J**2), abs(near) / (a * J**2)
+    d0, d1, g = abs(c - b) / (b * c), abs(c - a) / (a * c), abs(b - a) / (a * b)
+    p, q = n1 * d0, d1 * n0
+    quarter = n0 * (elliprf(0.0, p, q) + g * d0 / 3.0 * elliprj(0.0, p, q, n0 * d0))
+    hand = 1.0 if i == 0 else -1.0
+    return float(period), hand * (TAU - 4.0 * float(quarter))
 
 
-def _solid_angle(curve: Array) -> float:
-    """Compute the signed solid angle of a closed curve on the sphere, counterclockwise about +z."""
-    x, y, z = curve.T
-    angle = np.unwrap(np.arctan2(y, x))
-    windings = float(np.round((angle[-1] - angle[0]) / TAU))
-    slope = _derivative(angle - windings * TAU * np.arange(len(angle)) / len(angle)) + windings
-    return float(TAU * np.mean((1.0 - z) * slope))
+def _scale_of_errors(moments: Array, rates: Array) -> float:
+    """Return the change of J² − 2 E b per relative error of the inertia tensor.
 
-
-def _derivative(values: Array) -> Array:
-    """Differentiate periodic samples with respect to the phase angle in [0, 2π)."""
-    modes = np.fft.rfft(values)
-    modes *= 1j * np.arange(len(modes))
-    modes[-1] = 0.0
-    return np.asarray(np.fft.irfft(modes, len(values)))
+    The tensor's error turns the principal axes by its ratio to the gap of their moments.
+    """
+    size = float(np.linalg.norm(rates))
+    outer = moments[[0, 2]] * np.abs(rates[[0, 2]])
+    return float(moments[2] * (outer @ (np.abs(rates[[0, 2]]) + 2.0 * size)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...lie.group import Group
 from .lift import in_space
 
@@ -14,7 +14,7 @@ _STRAIGHT = 1e-12  # rad; a smaller rotation counts as a translation
 
 
 @dataclass(frozen=True)
-class Screw:
+class Screw(FrozenArrays):
     """A rotation about an axis with a translation along it, in the initial frame of the base.
 
     Attributes:
@@ -28,9 +28,6 @@ class Screw:
     point: Array
     angle: float
     slide: float
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def radius(self) -> float:

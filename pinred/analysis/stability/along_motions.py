@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import Array, freeze, positive
+from ...common.arrays import Array, FrozenArrays, positive
 from ...common.errors import InputError
 from ...common.progress import Progress, shown
 from ...forces.force_values import ForceInputs
@@ -22,7 +22,7 @@ _MAX_CLOSURE = 1e-6  # largest relative difference between the two ends of a per
 
 
 @dataclass(frozen=True)
-class LyapunovSpectrum:
+class LyapunovSpectrum(FrozenArrays):
     """Lyapunov exponents of a motion on its symplectic leaf. Arrays are read-only.
 
     Attributes:
@@ -37,9 +37,6 @@ class LyapunovSpectrum:
     history: Array
     spread: Array
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
     def __str__(self) -> str:
         lines = [
             f"{value:+.6f} ± {spread:.1g} 1/s"
@@ -49,7 +46,7 @@ class LyapunovSpectrum:
 
 
 @dataclass(frozen=True)
-class FloquetMultipliers:
+class FloquetMultipliers(FrozenArrays):
     """Floquet multipliers of a periodic motion on its symplectic leaf. Arrays are read-only.
 
     Attributes:
@@ -65,9 +62,6 @@ class FloquetMultipliers:
     monodromy: Array
     period: float
     closure: float
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __str__(self) -> str:
         lines = [f"|{abs(mu):.9g}|  {mu.real:+.9g} {mu.imag:+.9g}i" for mu in self.multipliers]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...kernels.derived_code import jacobian_of
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from .reduced_state import Leaf, leaf_of
@@ -16,7 +16,7 @@ _ROUND_OFF = 10.0  # error of the Jacobian, in units of machine epsilon times it
 
 
 @dataclass(frozen=True, eq=False)
-class Linearisation:
+class Linearisation(FrozenArrays):
     """The linearised reduced flow δż = matrix δz. Arrays are read-only.
 
     Attributes:
@@ -37,9 +37,6 @@ class Linearisation:
     modes: NDArray[np.complex128]
     errors: Array
     leaf: Leaf
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __str__(self) -> str:
         lines = ["growth [1/s]      frequency [rad/s]"]

@@ -80,7 +80,15 @@ def leaf_of(kernel: Kernel, y: Array, rate: float = 1.0) -> Leaf:
 
 
 def reduced_names(system: System, kernel: Kernel, indices: Array) -> tuple[str, ...]:
-    """Return the names of the reduced-state entries at the indices."""
+    """Return the names of some entries of the reduced state.
+
+    Args:
+        system: The system.
+        kernel: Kernel whose layout orders the entries.
+        indices: Indices of the entries.
+    Returns:
+        One name per index.
+    """
     layout, base = kernel.layout, kernel.layout.base
     joints = system.shape_names
     names = [joints[k] for k in layout.active]

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...lie.rotations import hat
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.second_derivatives import inertia_derivatives
@@ -46,7 +46,7 @@ _REACH = 1e3  # bound of the multipliers in the search, relative to the body's r
 
 
 @dataclass(frozen=True)
-class SecondVariation:
+class SecondVariation(FrozenArrays):
     """Curvatures of the amended potential at an equilibrium. Arrays are read-only.
 
     Attributes:
@@ -60,9 +60,6 @@ class SecondVariation:
     dimension: int
     index: int
     definite: bool
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def second_variation(energy: AmendedEnergy, point: Points, J: float) -> SecondVariation:
@@ -87,7 +84,7 @@ def second_variation(energy: AmendedEnergy, point: Points, J: float) -> SecondVa
     transverse = values[~flat] if dimension == int(flat.sum()) else values
     index = int((transverse < -floor).sum())
     positive = bool((transverse > floor).all())
-    # A free body without joints changes only its direction; a heavy one also swings about it.
+    # A free body without joints changes only its direction; under gravity it also swings.
     negative = bool((transverse < -floor).all()) and not problem.active and problem.kind == "free"
     definite = positive or negative
     if not definite and problem.kind == "heavy" and not problem.active:
@@ -143,7 +140,7 @@ def _family_dimension(energy: AmendedEnergy, point: Points, J: float, flat: Arra
 
 
 @dataclass(frozen=True)
-class HeavyTop:
+class HeavyTop(FrozenArrays):
     """A body on a pivot under gravity, with steadily spinning rotors. Arrays are read-only.
 
     Attributes:
@@ -161,9 +158,6 @@ class HeavyTop:
     weight: float
     scales: Array
     rate: float
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def axis(self) -> Array | None:

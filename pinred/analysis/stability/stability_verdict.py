@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from .linearisation import Linearisation, eigen, eigenvalue_errors, norm
 from .second_variation import SecondVariation
 
@@ -20,7 +20,7 @@ _NO_GROWTH = 1e-9  # largest growth of an undamped oscillation, relative to the 
 
 
 @dataclass(frozen=True, eq=False)
-class Mode:
+class Mode(FrozenArrays):
     """A mode δz = Re(amplitude e^{λt}) of the linearised reduced flow. Arrays are read-only.
 
     Amplitudes are scaled so that the largest shape amplitude is 1; if all shape
@@ -41,9 +41,6 @@ class Mode:
     shape: NDArray[np.complex128]
     momentum: NDArray[np.complex128]
     base: NDArray[np.complex128]
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +96,9 @@ def assess_stability(
     left, right = left[:, is_transverse], right[:, is_transverse]
     growths = values.real
     is_significant = growths > _SIGNIFICANT * errors
-    top = (
-        int(np.argmax(np.where(is_significant, growths, -np.inf))) if is_significant.any() else None
-    )
-    if top is None and len(growths):
-        top = int(np.argmax(growths))
-    unstable = bool(is_significant.any())
+    unstable, top = bool(is_significant.any()), None
+    if len(growths):
+        top = int(np.argmax(np.where(is_significant, growths, -np.inf) if unstable else growths))
     verdict: Verdict = "unstable" if unstable else "stable" if second.definite else "undecided"
     modes = tuple(
         _mode(value, error, leaf.embed(vector), linear, active, len(joints))

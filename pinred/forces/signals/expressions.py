@@ -99,7 +99,7 @@ class _Reader:
         if len(text) > LONGEST:
             raise InputError(
                 f"an expression has at most {LONGEST} characters, got {len(text)}: "
-                f"{text[:_SHOWN]}… (a table makes long functions of time: Spline)"
+                f"{text[:_SHOWN]}… (use a table, such as Spline, for long functions of time)"
             )
         self.text = text.replace("\r\n", "\n").replace("\r", "\n").strip()
         self.lines = self.text.split("\n")

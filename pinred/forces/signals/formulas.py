@@ -158,8 +158,8 @@ class Fourier(Signal):
 class Expression(Signal):
     """A formula of the time `t`, such as "0.3*sin(2*t)"; see `expressions.parse` for its syntax.
 
-    The signal reports no breaks, because jumps and kinks of the formula are unknown. Use Hold or
-    Linear for a table with known breaks.
+    The signal itself reports no breaks. Integrators stop where conditions in a formula change, such
+    as `where(t > 1, a, b)`. Jumps of other functions are unknown; use Hold or Linear for them.
 
     Attributes:
         text: The formula.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 
 MOST_STAGES = 8
 
@@ -29,7 +29,7 @@ def lanes_of(stages: int) -> int:
 
 
 @dataclass(frozen=True)
-class Tables:
+class Tables(FrozenArrays):
     """Coefficients of the method, padded with zeros to w SIMD lanes.
 
     Attributes:
@@ -46,9 +46,6 @@ class Tables:
     c: Array
     last: Array
     bary: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @cache

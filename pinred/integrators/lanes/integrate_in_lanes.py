@@ -20,8 +20,8 @@ from ..integrate import begun_by
 from ..integrate_many import Solutions, checked_batch, over_threads, solutions
 from ..methods.method import Explicit
 from ..stepping.compiling import compiled
-from . import lane_loop
-from .lane_loop import READY_REGISTERS, READY_ROWS, REGISTERS, Workspace
+from . import members_in_lanes
+from .members_in_lanes import READY_REGISTERS, READY_ROWS, REGISTERS, Workspace
 from .vectors import FUSED, Vector, functions_of_width
 
 WIDTHS = (8, 16)  # supported numbers of SIMD lanes
@@ -86,7 +86,7 @@ class LaneLoop:
 
     Attributes:
         width: Number of lanes.
-        members: Compiled function, see lane_loop.run_members.
+        members: Compiled function, see members_in_lanes.run_members.
         rows: Number of rows of `work`.
     """
 
@@ -127,9 +127,9 @@ def _lane_loop(name: str, order: int, tableau: Tableau, width: int) -> LaneLoop:
     bindings = bind_formulas(
         prefix, order, tableau, numbers, width=width, lane_steps=Vector(width), flags=FUSED
     )
-    for function in lane_loop.INLINED:
+    for function in members_in_lanes.INLINED:
         bindings.add(function)
-    for compiled_function in lane_loop.COMPILED:
+    for compiled_function in members_in_lanes.COMPILED:
         bindings.add(compiled_function, compiled)
     return LaneLoop(width, bindings.values["run_members"], steps.rows + 1)
 

@@ -1,11 +1,7 @@
 """Explicit methods: the dataclasses DOP853, Tsit5 and RKMK4, which hold a method's options.
 
-DOP853 is Dormand and Prince's method of order 8(5,3) in Hairer's form: E. Hairer, S. P. Nørsett,
-G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., Springer 1993, sections II.5 and
-II.6, and Hairer's code dop853.f. Tsit5 is from Ch. Tsitouras, Runge–Kutta pairs of order 5(4)
-satisfying only the first column simplifying assumption, Comput. Math. Appl. 62 (2011) 770–775,
-which contains the pair of methods and an interpolant of order 4 without additional stages. RKMK4 is
-implemented by explicit/munthe_kaas.py.
+Their coefficients are in explicit/dop853_tsit5_coefficients.py and, for RKMK4, in
+explicit/munthe_kaas.py.
 """
 
 from __future__ import annotations
@@ -13,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
-from ...common.memo import once_for_all
-from ..explicit.tableau import Tableau
+from ..explicit.dop853_tsit5_coefficients import dop853_tableau, tsit5_tableau
 from .method import EqualSteps, Explicit
 
 if TYPE_CHECKING:
+    from ..explicit.tableau import Tableau
     from ..stepping.step_loop import Stepper
 
 
@@ -42,38 +36,9 @@ class DOP853(Explicit):
     dense_order: ClassVar[int] = 7
 
     @classmethod
-    @once_for_all
     def tableau(cls) -> Tableau:
-        """Return SciPy's copy of the coefficients."""
-        from scipy.integrate._ivp import dop853_coefficients as scipy
-
-        return Tableau(scipy.A.copy(), np.array([scipy.E5, scipy.E3]), scipy.D.copy())
-
-
-_A = (
-    (),
-    (0.161,),
-    (-0.008480655492356989, 0.335480655492357),
-    (2.8971530571054935, -6.359448489975075, 4.3622954328695815),
-    (5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525),
-    (
-        5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401,
-        -0.028269050394068383,
-    ),
-    (
-        0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081,
-        2.324710524099774,
-    ),
-)  # fmt: skip
-_ERRORS = (
-    -0.00178001105222577714, -0.0008164344596567469, 0.007880878010261995, -0.1447110071732629,
-    0.5823571654525552, -0.45808210592918697, 1 / 66,
-)  # fmt: skip
-# Coefficients of θ⁴ in the interpolant. Values and derivatives at both ends give the lower terms.
-_DENSE = (
-    -1.0530884977290216, 0.1017, 2.490627285651253, -16.548102889244902, 47.37952196281928,
-    -34.87065786149661, 2.5,
-)  # fmt: skip
+        """Return the coefficients of Hairer's code."""
+        return dop853_tableau()
 
 
 @dataclass(frozen=True)
@@ -100,13 +65,9 @@ class Tsit5(Explicit):
     dense_order: ClassVar[int] = 4
 
     @classmethod
-    @once_for_all
     def tableau(cls) -> Tableau:
-        """Return the paper's coefficients."""
-        A = np.zeros((7, 7))
-        for i, row in enumerate(_A):
-            A[i, :i] = row
-        return Tableau(A, np.array([_ERRORS]), np.array([_DENSE]))
+        """Return the coefficients of Tsitouras's paper."""
+        return tsit5_tableau()
 
 
 @dataclass(frozen=True)

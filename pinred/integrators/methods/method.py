@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from ...common.arrays import positive
 from ...common.default_marker import Default
 from ...common.errors import InputError
+from .default_tolerances import ATOL, RTOL
 
 if TYPE_CHECKING:
     from ..explicit.tableau import Tableau
@@ -100,8 +101,8 @@ class ErrorControl(Method):
         max_step: Longest step [s].
     """
 
-    rtol: float = field(default=Default(1e-10), metadata=option("relative tolerance of a step"))
-    atol: float = field(default=Default(1e-12), metadata=option("absolute tolerance of a step"))
+    rtol: float = field(default=RTOL, metadata=option("relative tolerance of a step"))
+    atol: float = field(default=ATOL, metadata=option("absolute tolerance of a step"))
     max_steps: int = field(
         default=1_000_000, metadata=option("largest number of trial steps", least=1)
     )

@@ -63,7 +63,9 @@ def bind_globals(function: _Function, name: str, **values: Any) -> _Function:
     if isinstance(function, numba.core.dispatcher.Dispatcher):
         function = function.py_func
     if name in _names:
-        raise RuntimeError(f"two functions cannot both be called '{name}': one would run the other")
+        raise RuntimeError(
+            f"two compiled functions have the name '{name}', so one would run the other"
+        )
     _names.add(name)
     copy: Any = FunctionType(
         function.__code__, {**function.__globals__, **values}, name, function.__defaults__

@@ -119,13 +119,13 @@ class _Lowering:
         self.used: set[int] = set()
         self.both: dict[str, int] = {}
         self._copies: dict[tuple[str, int], str] = {}  # (scalar, width) → the scalar in all lanes
-        self._sums: set[int] = set()  # widths of the sums over lanes that occur
+        self._sums: set[int] = set()  # widths of the sums over lanes in the Function
         self._marks = marks
-        self._operands: list[str] = []  # operands read so far for the next Mark
-        self._marked: list[str] = []  # names of the results of the Marks so far
+        self._operands: list[str] = []  # operands of the next Mark that were already read
+        self._marked: list[str] = []  # names of the results of all completed Marks
 
     def put(self, new: str, width: int, text: str, *operands: str) -> str:
-        """Write a value in the first stage in which all its operands are available.
+        """Emit a line of IR in the first stage in which all its operands are available.
 
         Args:
             new: Name of the value.
@@ -140,7 +140,7 @@ class _Lowering:
         return self._register(new, width, at)
 
     def operation(self, new: str, op: int, template: str, operands: list[str]) -> str:
-        """Write an operation, in lanes if one of its operands has lanes.
+        """Emit an operation, in lanes if one of its operands has lanes.
 
         Args:
             new: Name of the value.
@@ -161,7 +161,7 @@ class _Lowering:
         return self.put(new, width, template.format(*operands, T=vector(width), one=one), *operands)
 
     def _operate_per_lane(self, new: str, template: str, operands: list[str], width: int) -> str:
-        """Write an operation that LLVM has no vector form of, one lane after another."""
+        """Emit an operation without a vector form in LLVM, one lane after another."""
         packed, T = "poison", vector(width)
         for lane in range(width):
             numbers = [
@@ -330,7 +330,7 @@ def lower(
             new = value[arguments[0]]
         else:
             raise UnsupportedOperationError(
-                f"'{name}' holds the operation '{NAMES.get(op, op)}' (instruction {k}), which "
+                f"'{name}' contains the operation '{NAMES.get(op, op)}' (instruction {k}), which "
                 "cannot be compiled; write the expression without it"
             )
         value[function.instruction_output(k)[0]] = new

@@ -105,7 +105,9 @@ def load_object(code: bytes, name: str) -> NativeCode:
     """
     with _LOCK:
         if code[:_IDENTITY] != _identity():
-            raise InputError(f"{len(code)} bytes for '{name}' are no object code of this machine")
+            raise InputError(
+                f"the {len(code)} bytes for '{name}' are not object code for this machine"
+            )
         machine = _create_machine()
         # Use the global context, because a private one would have to outlive the engine.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
@@ -158,7 +160,7 @@ def _has_fma() -> bool:
 
 def _check(function: ca.Function, name: str, outputs: int) -> None:
     if not (name.isascii() and name.isidentifier()) or name in RESERVED:
-        raise InputError(f"the name of the function must be a free C identifier, got {name!r}")
+        raise InputError(f"the name of the function must be an unused C identifier, got {name!r}")
     if not function.is_a("SXFunction"):
         raise InputError(
             f"'{name}' must be a Function of SX expressions, got {function.class_name()}; "

@@ -196,7 +196,20 @@ def _point(
     prepared: PreparedRun,
     result: object,
 ) -> Point:
-    """Return the errors of a first run, not its time; raise IntegrationError if not finite."""
+    """Return the errors of a first run; its time is measured later.
+
+    Args:
+        problem: Problem that was solved.
+        reference: Reference solution.
+        method: Name of the method.
+        tolerance: Tolerance of the run.
+        prepared: The prepared run.
+        result: Result of the run.
+    Returns:
+        The point without wall time.
+    Raises:
+        IntegrationError: The final state is not finite.
+    """
     end = prepared.end(result)
     if not all(np.isfinite(values).all() for values in (end.x, end.q, end.v)):
         raise IntegrationError("the final state is not finite")

@@ -20,7 +20,7 @@ from ...analysis.equilibria.find import relative_equilibria
 from ...analysis.equilibria.relative_equilibrium import RelativeEquilibrium
 from ...analysis.stability.along_motions import floquet, linearise
 from ...analysis.stability.linearised_flow import without_base
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.progress import Progress, one_by_one
 from ...kernels.derived_code import jacobian_of
 from ...reduction.pointwise_reduction import PointwiseReduction
@@ -35,11 +35,11 @@ from .timing import alternating, repeated
 PROBLEMS = {"double_spherical_pendulum": 2.0, "planar_chain5": 1.0}
 ROUTES = ("pinred.floquet", "differences of pinred.simulate", "SciPy's DOP853 over the kernel")
 _ROUNDS = 5
-_STEP = 1e-4  # step of the finite differences, in shape [rad] and its momentum
+_STEP = 1e-4  # step of the finite differences of shape [rad] and momentum [kg m²/s]
 
 
 @dataclass(frozen=True)
-class FloquetTiming:
+class FloquetTiming(FrozenArrays):
     """Times and errors of the three routes for one relative equilibrium; arrays are read-only.
 
     Attributes:
@@ -53,9 +53,6 @@ class FloquetTiming:
     period: float
     wall: Array
     error: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __str__(self) -> str:
         rows = [

@@ -14,8 +14,8 @@ from .work_precision import WorkPrecision
 Table: TypeAlias = tuple[str, list[tuple[str, list[str]]]]  # title, and (name, cells) of each row
 
 ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)
-LOOSEST, TIGHTEST = 1e-4, 1e-13  # range of tolerances for the ratio error / tolerance
-FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods whose ratio is listed
+LOOSEST, TIGHTEST = 1e-4, 1e-13  # largest and smallest tolerance in the table of error / tolerance
+FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods in this table
 _SIDE_BY_SIDE = 6  # largest number of scenes in one table
 
 
@@ -80,7 +80,7 @@ def _time(error: float, result: WorkPrecision, name: str) -> str:
 
 
 def _following(result: WorkPrecision, method: str) -> str:
-    """Format the range of error / tolerance, for errors above the error of the reference."""
+    """Format the range of error / tolerance over the points with errors above the reference's."""
     if method not in FOLLOWING:
         return "—"
     ratios = [

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
@@ -24,7 +24,7 @@ LONG = 20  # smallest number of joints that enters the fit of the exponent
 
 
 @dataclass(frozen=True)
-class Scaling:
+class Scaling(FrozenArrays):
     """Costs of one family of K chains; arrays are read-only.
 
     Attributes:
@@ -40,9 +40,6 @@ class Scaling:
     instructions: NDArray[np.int64]
     build: Array
     kernel: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def slope(self) -> float:

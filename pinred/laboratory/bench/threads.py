@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...scene.random_state import random_state
@@ -27,7 +27,7 @@ ROUNDS = 5
 
 
 @dataclass(frozen=True)
-class ThreadsTiming:
+class ThreadsTiming(FrozenArrays):
     """Time and memory of calls of simulate_many; arrays are read-only.
 
     Attributes:
@@ -51,9 +51,6 @@ class ThreadsTiming:
     results: Counts
     kept: Counts
     extra: Counts
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def __str__(self) -> str:
         rows = [

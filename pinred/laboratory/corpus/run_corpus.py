@@ -44,7 +44,7 @@ class Corpus:
         return "\n\n".join(filter(None, (self.summary(), self.reasons(), self.slowest())))
 
     def summary(self) -> str:
-        """Format the count of each outcome, and the success rate of descriptions that are due."""
+        """Format the count of each outcome, and the success rate of files that should work."""
         kinds = [kind for kind in ("urdf", "mjcf", "name") if self._of(kind)]
         rows = [f"{'':<38}" + "".join(f"{kind:>8}" for kind in kinds)]
 

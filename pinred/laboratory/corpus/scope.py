@@ -23,7 +23,7 @@ _REGULAR = 1e-13  # least eigenvalue of a regular mass matrix, scaled to a unit 
 
 
 def why_not_due(file: str, kind: str) -> str:
-    """Return a short reason why a description need not work; "" if it should work."""
+    """Return a short reason why a description is not required to work, or ""."""
     reason = _urdf(Path(file)) if kind == "urdf" else _mjcf(file)
     return " ".join(reason.split())[:200]
 
@@ -51,7 +51,7 @@ def _urdf(path: Path) -> str:
 
 
 def _by_mujoco(path: Path, message: str) -> str:
-    """Return why a URDF that Pinocchio rejects need not work; "" if MuJoCo opens it.
+    """Return why a URDF that Pinocchio rejects is not required to work; "" if MuJoCo opens it.
 
     message: Pinocchio's error message.
     """

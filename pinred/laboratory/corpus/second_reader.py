@@ -75,6 +75,9 @@ def differences(
             raise LoadError(f"MuJoCo: {words[0].removeprefix('Error: ')}") from None
         if weightless:
             model.opt.gravity[:] = 0.0
+        for joint in np.flatnonzero(model.jnt_type == int(mujoco_package().mjtJoint.mjJNT_FREE)):
+            first = model.jnt_dofadr[joint]
+            model.dof_armature[first : first + 6] = 0.0  # ignored with a warning
         pair = _Pair(system, model, root)
         rng = np.random.default_rng(0)
         samples = [pair.at_random(rng) for _ in range(STATES)]

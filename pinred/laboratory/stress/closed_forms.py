@@ -87,7 +87,7 @@ def discs(
         Angle of the first disc (T,), which is 0 at time 0, and twists (T, m) [rad].
     """
     m = len(stiffness)
-    absolute = np.tril(np.ones((m + 1, m + 1)))  # from the first angle and twists to all angles
+    absolute = np.tril(np.ones((m + 1, m + 1)))  # maps the first angle and the twists to all angles
     H = absolute.T @ np.diag(moments) @ absolute
     metric = H[1:, 1:] - np.outer(H[0, 1:], H[0, 1:]) / H[0, 0]
     square, modes = eigh(np.diag(stiffness), metric)

@@ -65,11 +65,20 @@ def group_optima(optima: list[Optimum]) -> tuple[Optimum, ...]:
 _ROOTS = {1: "", 2: "√", 4: "⁴√"}
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class BestGait:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class BestGait(Optimum):
     """The best loop of an optimisation, with all other local optima.
 
     Attributes:
+        gait: The best loop.
+        phase: Geometric phase of one cycle of the best loop.
+        value: Objective of one cycle [rad | m]; for a target, the deviation from the target.
+        cost: Cost of one cycle; NaN if no cost is selected.
+        merit: The maximised quantity: the objective, the objective per cost, or the negative cost.
+        residual: Residual of the Karush–Kuhn–Tucker conditions, relative to the merit.
+        margins: Smallest distance to the limits of each kind.
+        winding: Winding number of the loop in the plane of two joints; None for more joints.
+        found: Number of starts that converged to the best loop.
         task: The optimisation task.
         optima: Local optima, best first.
         starts: Number of initial loops.
@@ -81,36 +90,6 @@ class BestGait:
     starts: int
     lost: tuple[str, ...]
 
-    @property
-    def gait(self) -> Gait:
-        """The best loop."""
-        return self.optima[0].gait
-
-    @property
-    def phase(self) -> Phase:
-        """Geometric phase of one cycle of the best loop."""
-        return self.optima[0].phase
-
-    @property
-    def value(self) -> float:
-        """Objective of one cycle [rad | m]; for a target, the deviation from the target."""
-        return self.optima[0].value
-
-    @property
-    def cost(self) -> float:
-        """Cost of one cycle; NaN if no cost is selected."""
-        return self.optima[0].cost
-
-    @property
-    def merit(self) -> float:
-        """The maximised quantity: the objective, the objective per cost, or the negative cost."""
-        return self.optima[0].merit
-
-    @property
-    def winding(self) -> float | None:
-        """Winding number of the loop in the plane of two joints; None for more joints."""
-        return self.optima[0].winding
-
     @cached_property
     def trajectory(self) -> Trajectory:
         """One cycle, simulated at zero momentum with all joints prescribed.
@@ -120,7 +99,11 @@ class BestGait:
         Raises:
             InputError: The connection is not mechanical, or the loop has corners.
         """
-        return cycle(self._system(), self.gait)
+        system, (x, xdot) = self._system(), self.gait.at(0.0)
+        return simulate(
+            system, x0=x, xdot0=xdot, momentum=0, duration=self.gait.period,
+            prescribed=self.gait.signals(system.shape_names),
+        )  # fmt: skip
 
     @cached_property
     def report(self) -> Report:
@@ -153,14 +136,13 @@ class BestGait:
         return connection.system
 
     def __repr__(self) -> str:
-        best = self.optima[0]
         return (
-            f"<BestGait of {self.task.connection}: merit {best.merit:.9g}, "
-            f"{best.found} of {self.starts} starts, {len(self.optima)} local optima>"
+            f"<BestGait of {self.task.connection}: merit {self.merit:.9g}, "
+            f"{self.found} of {self.starts} starts, {len(self.optima)} local optima>"
         )
 
     def __str__(self) -> str:
-        task, best, group = self.task, self.optima[0], self.task.connection.group
+        task, group = self.task, self.task.connection.group
         lines = [f"best gait of {task.connection.form.what}, {group.name} × {task.connection.m}"]
 
         def add_row(name: str, value: float | str, note: str = "") -> None:
@@ -168,26 +150,26 @@ class BestGait:
             lines.append(f"  {name:<26} {shown:>16}{'  ' + note if note else ''}")
 
         if isinstance(task.aim, TargetAim):
-            add_row("deviation from target", best.value)
+            add_row("deviation from target", self.value)
         else:
-            add_row(f"{task.aim.kind} a cycle [{task.aim.unit}]", best.value)
+            add_row(f"{task.aim.kind} a cycle [{task.aim.unit}]", self.value)
         if task.cost is not None:
-            add_row(task.cost, best.cost, ABOUT[task.cost])
+            add_row(task.cost, self.cost, ABOUT[task.cost])
         if task.per_cost and isinstance(task.aim, AxisAim):
             add_row(
-                f"{task.aim.kind} / {_ROOTS[DEGREES[task.cost or 'time']]}{task.cost}", best.merit
+                f"{task.aim.kind} / {_ROOTS[DEGREES[task.cost or 'time']]}{task.cost}", self.merit
             )
-        add_row("period [s]", best.gait.period)
-        if best.winding is not None:
-            add_row("winding number", f"{best.winding:g}")
-        error = best.phase.error
+        add_row("period [s]", self.gait.period)
+        if self.winding is not None:
+            add_row("winding number", f"{self.winding:g}")
+        error = self.phase.error
         add_row(
             "error of the phase",
             f"{float(error.rotation):.1e} rad",
             f"{float(error.translation):.1e} m, by doubled samples",
         )
-        add_row("KKT residual", f"{best.residual:.1e}", "relative to the merit")
-        for name, margin in best.margins.items():
+        add_row("KKT residual", f"{self.residual:.1e}", "relative to the merit")
+        for name, margin in self.margins.items():
             add_row(f"margin to {name}", f"{margin:.2e}")
         lines.append(f"  local optima, from {self.starts} starts:")
         lines += [
@@ -198,17 +180,3 @@ class BestGait:
             f"    failed {self.lost.count(why)} times: {why}" for why in sorted(set(self.lost))
         ]
         return "\n".join(lines)
-
-
-def cycle(system: System, gait: Gait) -> Trajectory:
-    """Simulate one cycle of a gait from zero momentum, with a free base and prescribed joints.
-
-    Args:
-        system: The system.
-        gait: The gait.
-    Returns:
-        The trajectory.
-    """
-    x, xdot = gait.at(0.0)
-    plan = gait.signals(system.shape_names)
-    return simulate(system, x0=x, xdot0=xdot, momentum=0, prescribed=plan, duration=gait.period)

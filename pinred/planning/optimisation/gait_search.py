@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array
 from .ipopt import Minimum, minimum
@@ -44,7 +43,7 @@ class Search:
         Returns:
             The result of IPOPT.
         """
-        y = self.path.unknowns(coefficients_of(gait, (len(self.path.shift) - 1) // 2))
+        y = self.path.unknowns(gait.series.coefficients((len(self.path.shift) - 1) // 2))
         z = np.append(y, gait.period) if self.task.period_is_free else y
         return minimum(problem_of(self.task, self.path), z, most=most)
 

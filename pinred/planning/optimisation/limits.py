@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.gaits.arcs import FourierArc
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import fourier_rows
-from ...common.arrays import Array, as_floats, freeze
+from ...common.arrays import Array, FrozenArrays, as_floats
 from ...common.errors import InputError, ShapeError
 from ...common.names import joint_index
 from .objective import torque_order, torques
@@ -25,7 +24,7 @@ WHOLE_TURN = 2.0 * np.pi  # default limit of rotational joints in either directi
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class Limits(FrozenArrays):
     """Limits of the joints; an infinite entry means that there is no limit.
 
     Attributes:
@@ -37,9 +36,6 @@ class Limits:
     shape: Array
     speed: Array
     torque: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def middle(self) -> Array:
@@ -186,12 +182,12 @@ def violation_times(connection: Connection, gait: Gait, limits: Limits) -> Array
     Returns:
         At most one s per joint and kind of limit; empty if no limit is exceeded.
     """
-    (arc,) = gait.arcs
+    arc = gait.series
     s = arc.extremes()
     x = arc.at(s)[0]
     times = _worst_violations(s, np.maximum(limits.shape[:, 0] - x, x - limits.shape[:, 1]))
     if np.isfinite(limits.speed).any():
-        arc = _rate_gait(gait).arcs[0]
+        arc = _rate_gait(gait).series
         s = arc.extremes()
         times += _worst_violations(s, np.abs(arc.at(s)[0]) - limits.speed)
     if np.isfinite(limits.torque).any():
@@ -270,13 +266,9 @@ def peak_speeds(gait: Gait) -> Array:
 
 def _rate_gait(gait: Gait) -> Gait:
     """Return the joint rates ẋ(t) of a Fourier gait as another Fourier gait."""
-    (arc,) = gait.arcs
-    if not isinstance(arc, FourierArc):
-        raise InputError("gait: expected one Fourier series; create it with Gait.fourier")
+    arc = gait.series
     k = np.arange(1, len(arc.cos) + 1)[:, None] * ((arc.end - arc.start) / gait.period)
-    return Gait(
-        (FourierArc(arc.time, 0.0 * arc.mean, k * arc.sin, -k * arc.cos, arc.start, arc.end),)
-    )
+    return Gait((replace(arc, mean=0.0 * arc.mean, cos=k * arc.sin, sin=-k * arc.cos),))
 
 
 def peak_torques(connection: Connection, gait: Gait) -> tuple[Array, Array]:
@@ -290,9 +282,7 @@ def peak_torques(connection: Connection, gait: Gait) -> tuple[Array, Array]:
     Raises:
         InputError: The gait is not one Fourier series.
     """
-    (arc,) = gait.arcs
-    if not isinstance(arc, FourierArc):
-        raise InputError("gait: expected one Fourier series; create it with Gait.fourier")
+    arc = gait.series
     turn, count = arc.end - arc.start, max(_TIMES, _PER_HARMONIC * len(arc.cos))
     coefficients = np.vstack([arc.mean[None], arc.cos, arc.sin])
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.phases.path_basis import PathBasis, PathLift, by_coefficients
-from ...common.arrays import Array, as_floats, freeze, vector
+from ...analysis.phases.path_basis import PathBasis, PathLift, sum_over_nodes
+from ...common.arrays import Array, FrozenArrays, as_floats, vector
 from ...common.errors import InputError
 from ...common.names import brief
 from ...lie.group import Group
@@ -36,7 +36,7 @@ _LETTERS = {"x": 0, "y": 1, "z": 2}
 
 
 @dataclass(frozen=True, eq=False)
-class AxisAim:
+class AxisAim(FrozenArrays):
     """Objective: maximise the rotation about an axis, or the displacement along an axis.
 
     The rotation of a planar group is the unwrapped angle [rad].  In space it is the component of
@@ -53,9 +53,6 @@ class AxisAim:
     group: Group
     kind: AimKind
     axis: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def unit(self) -> str:
@@ -164,7 +161,9 @@ def axis_aim(group: Group, kind: AimKind, axis: str | ArrayLike | None) -> AxisA
         raise InputError(f"the group {group.name} has no {kind}; its twists are {_names(group)}")
     if axis is None:
         if size > 1 and kind == "rotation":
-            raise InputError("rotation in space needs an axis: 'x', 'y', 'z' or a vector (3,)")
+            raise InputError(
+                "axis: expected 'x', 'y', 'z' or a vector (3,) for a rotation in space, got None"
+            )
         return AxisAim(group, kind, np.eye(size)[0])
     axes = group.axes[group.linear :] if kind == "rotation" else group.axes[: group.linear]
     if isinstance(axis, str):
@@ -247,8 +246,8 @@ def check_cost(connection: Connection, kind: str) -> None:
         raise InputError(f"unknown cost {kind!r}; the costs are {', '.join(COSTS)}")
     if kind != "time" and not connection.has_metric:
         raise InputError(
-            f"{connection.form.what} give no metric on shape space, so that no cost but time "
-            f"is defined; got {kind!r}"
+            f"cost: expected 'time', got {kind!r}, because {connection.form.what} define no metric "
+            "on shape space"
         )
 
 
@@ -327,14 +326,14 @@ def cost_of(
     if kind == "length":
         length = float(np.sqrt(w @ lift.square))
         derivatives = (0.5 * w / max(length, 1e-300))[:, None] * lift.square_slopes
-        return Cost(length, _sum_over_nodes(basis, m, derivatives), 0.0)
+        return Cost(length, sum_over_nodes(basis, m, derivatives), 0.0)
     bend, order = basis.bends @ coefficients, torque_order(connection)
     if kind == "acceleration":
         order = 2
         force = connection.code.covariant_forces(x, slope, bend, np.zeros_like(x))[0]
         M = connection.locals_at(x)[1]
         if M is None:
-            raise InputError(f"{connection.form.what} give no metric on shape space")
+            raise InputError(f"{connection.form.what} define no metric on shape space")
         u: Array = np.linalg.solve(M, force[..., None])[..., 0].astype(float)
         derivatives = 2.0 * connection.code.covariant_forces(x, slope, bend, u)[1]
         derivatives[:, :m] -= _squares(connection, x, u)[:, :m]
@@ -350,7 +349,7 @@ def cost_of(
     scale = period**power
     return Cost(
         scale * value,
-        scale * _sum_over_nodes(basis, m, w[:, None] * derivatives),
+        scale * sum_over_nodes(basis, m, w[:, None] * derivatives),
         power * scale * value,
     )
 
@@ -358,8 +357,3 @@ def cost_of(
 def _squares(connection: Connection, x: Array, u: Array) -> Array:
     """Return the derivatives, (N, 2m), of uᵀM(x)u with respect to (x, u)."""
     return np.asarray(connection.horizontal_slopes(x, u)[:, connection.r])
-
-
-def _sum_over_nodes(basis: PathBasis, m: int, derivatives: Array) -> Array:
-    blocks = [derivatives[:, None, k : k + m] for k in range(0, derivatives.shape[1], m)]
-    return np.asarray(by_coefficients(basis, *blocks)[0])

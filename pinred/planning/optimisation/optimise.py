@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift, polygon_basis
 from ...analysis.phases.phase import phase
@@ -136,8 +135,25 @@ def optimise_gait(
         SymmetryError: Gravity rotates the base.
         NoOptimum: No start converged to an optimum.
     """
-    task = _task(connection, objective, axis, target, cost, most, limits, speeds, torques, period)
-    _check_loops(task, harmonics, vertices, winding, starts, seed)
+    if not isinstance(connection, Connection):
+        raise InputError(
+            f"optimise_gait takes a Connection, got {type(connection).__name__}; "
+            "create one with Connection.mechanical(system)"
+        )
+    connection.refuse_gravity()
+    if connection.m < 2:
+        raise InputError("a loop needs two joints: a single joint can only retrace its path")
+    if cost is not None:
+        check_cost(connection, cost)
+    aim = _aim(connection, objective, axis, target)
+    bounds = limits_of(connection, limits, speeds, torques)
+    bound = None if most is None else positive(most, "most")
+    task = Task(connection, aim, cost, bound, bounds, positive(period, "period"))
+    _check_task(task)
+    _check_loops(task, vertices, winding)
+    harmonics, starts, seed = (
+        whole(harmonics, "harmonics"), whole(starts, "starts"), whole(seed, "seed", 0)
+    )  # fmt: skip
     optima: list[Optimum] = []
     failures: list[str] = []
     with shown(progress, "gaits") as report:
@@ -157,82 +173,55 @@ def optimise_gait(
             f"none of {starts} starts converged to an optimum: {'; '.join(sorted(set(failures)))}; "
             "try more starts, other limits, or fewer harmonics"
         )
-    return BestGait(task, group_optima(optima), starts, tuple(failures))
+    distinct = group_optima(optima)
+    lost = tuple(failures)
+    return BestGait(**vars(distinct[0]), task=task, optima=distinct, starts=starts, lost=lost)
 
 
-def _task(
-    connection: Connection,
-    objective: str,
-    axis: str | ArrayLike | None,
-    target: ArrayLike | None,
-    cost: CostKind | None,
-    most: float | None,
-    limits: LimitsLike | None,
-    speeds: LimitsLike | None,
-    torques: LimitsLike | None,
-    period: float,
-) -> Task:
-    """Create the task from the options of optimise_gait.  Raises InputError."""
-    if not isinstance(connection, Connection):
-        raise InputError(
-            f"optimise_gait takes a Connection, got {type(connection).__name__}; "
-            "create one with Connection.mechanical(system)"
-        )
-    connection.refuse_gravity()
+def _aim(
+    connection: Connection, objective: str, axis: str | ArrayLike | None, target: ArrayLike | None
+) -> AxisAim | TargetAim:
+    """Validate and create the objective."""
     if objective not in AIMS:
         raise InputError(f"objective must be one of {', '.join(AIMS)}, got {brief(objective)}")
-    if connection.m < 2:
-        raise InputError("a loop needs two joints: a single joint can only retrace its path")
     if (objective == "target") != (target is not None):
-        raise InputError("objective 'target' and target= require each other")
-    if cost is not None:
-        check_cost(connection, cost)
-    bounds = limits_of(connection, limits, speeds, torques)
-    limited = np.isfinite(bounds.torque).any()
-    if limited and not connection.has_metric:
         raise InputError(
-            f"torques: {connection.form.what} define no joint torques; leave torques out"
+            "objective 'target' requires target=, and target= requires objective 'target'"
         )
-    if cost == "time" and not (limited or np.isfinite(bounds.speed).any()):
+    if target is None:
+        return axis_aim(connection.group, objective, axis)
+    if axis is not None:
+        raise InputError("axis: expected none with a target. Omit axis=.")
+    return target_aim(connection.group, target)
+
+
+def _check_task(task: Task) -> None:
+    """Raise InputError for a cost or a bound that does not suit the objective or the limits."""
+    connection, cost = task.connection, task.cost
+    limited = np.isfinite(task.limits.torque).any()
+    if limited and not connection.has_metric:
+        raise InputError(f"torques: {connection.form.what} define no joint torques. Omit torques=.")
+    if cost == "time" and not (limited or np.isfinite(task.limits.speed).any()):
         raise InputError(
             "cost 'time' needs limits of speeds or torques, which bound the period from below"
         )
-    aim: AxisAim | TargetAim
-    if target is not None:
-        if cost is None or most is not None:
-            raise InputError("objective 'target' minimises a cost: give cost=, and leave most out")
-        if axis is not None:
-            raise InputError("axis: a target has no axis; leave axis out")
-        aim = target_aim(connection.group, target)
-    else:
-        aim = axis_aim(connection.group, objective, axis)
-    if most is not None and cost is None:
-        raise InputError("most is a bound on a cost: give cost=")
+    if isinstance(task.aim, TargetAim) and (cost is None or task.most is not None):
+        raise InputError("objective 'target' minimises a cost. Give cost= and omit most=.")
+    if task.most is not None and cost is None:
+        raise InputError("most= bounds a cost. Give cost= as well.")
     if cost is None and connection.m > 2:
         raise InputError(
             f"cost: expected a cost for {connection.m} joints, got None; without cost, a cycle "
             "could wind arbitrarily often.  Give a cost, or a cost with a bound, most="
         )
-    bound = None if most is None else positive(most, "most")
-    return Task(connection, aim, cost, bound, bounds, positive(period, "period"))
 
 
-def _check_loops(
-    task: Task,
-    harmonics: int,
-    vertices: int | None,
-    winding: int | None,
-    starts: int,
-    seed: int,
-) -> None:
-    """Raise InputError if an option for the family of loops or for the starts is invalid."""
-    whole(harmonics, "harmonics")
-    whole(starts, "starts")
-    whole(seed, "seed", 0)
+def _check_loops(task: Task, vertices: int | None, winding: int | None) -> None:
+    """Raise InputError for invalid loops, or loops that do not suit the task."""
     if winding not in (1, None):
         raise InputError(
-            f"winding is 1, or None for any, got {brief(winding)}: n turns have n times the effect "
-            "for n times the cost"
+            f"winding must be 1, or None for any number, got {brief(winding)}: n turns have n "
+            "times the effect for n times the cost"
         )
     if winding is None and task.cost is None:
         raise InputError(
@@ -240,15 +229,15 @@ def _check_loops(
         )
     if vertices is not None:
         if task.connection.m != 2:
-            raise InputError(f"a polygon is for two joints, not {task.connection.m}")
+            raise InputError(f"vertices: a polygon needs two joints, got {task.connection.m}")
         whole(vertices, "vertices", 3)
         if task.cost not in (None, "length"):
             raise InputError(
-                f"the {task.cost} of a polygon is infinite at its corners; leave vertices out"
+                f"the {task.cost} of a polygon is infinite at its corners. Omit vertices=."
             )
         if np.isfinite(task.limits.speed).any() or np.isfinite(task.limits.torque).any():
             raise InputError(
-                "limits on speeds and torques need a smooth loop; leave vertices or limits out"
+                "limits of speeds and torques need a smooth loop. Omit vertices=, or these limits."
             )
 
 
@@ -283,7 +272,7 @@ def _initial_loop(task: Task, harmonics: int, rng: np.random.Generator) -> Gait:
     cos, sin = 0.5 * size * rng.uniform(-1.0, 1.0, (2, harmonics, m)) / k**2
     gait = Gait.fourier(mean, cos, sin, period=task.period)
     if isinstance(task.aim, AxisAim):
-        c = coefficients_of(gait, harmonics)
+        c = gait.series.coefficients(harmonics)
         path = fourier_path_of(task, harmonics)
         pose = path_lift(task.connection, path.basis, c).pose
         if task.aim.value(pose)[0] < 0.0:

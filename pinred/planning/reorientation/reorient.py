@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
 from ...analysis.phases.path_basis import Drift, cycloid, fourier_rows, path_lift
 from ...analysis.phases.phase import phase
-from ...common.arrays import Array, as_floats, freeze, positive, vector, whole
+from ...common.arrays import Array, FrozenArrays, as_floats, positive, vector, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...lie.rotations import quaternion_log
 from ...scene import input_formats
@@ -39,7 +38,7 @@ _SAFETY = 1.0 + 1e-6  # factor on the shortest duration, for round-off
 
 
 @dataclass(frozen=True, eq=False)
-class Peaks:
+class Peaks(FrozenArrays):
     """Largest speed and torque of each joint for a total duration of 1 s.
 
     Attributes:
@@ -49,9 +48,6 @@ class Peaks:
 
     speed: Array
     torque: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     def needed(self, limits: Limits) -> float:
         """Return the shortest duration within limits [s]; zero if there are no limits."""
@@ -90,7 +86,7 @@ def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
     """
     if not connection.form.momentum:
         raise InputError("reorient needs a mechanical connection, without drag")
-    c = coefficients_of(gait)
+    c = gait.series.coefficients()
 
     def motion(u: Array) -> tuple[Array, Array, Array]:
         angle, rate, bend = cycloid(u, cycles)
@@ -106,13 +102,6 @@ def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
 _TURN = 2.0 * np.pi
 _PER_RADIAN = 4  # number of quadrature segments per radian of tumbling
 _MOST = 200.0  # largest tumbling angle of a plan [rad]
-
-
-def initial_momentum(system: System, momentum: ArrayLike | float) -> Array:
-    """Return the initial body momentum, (r,), or zeros for 0.  Raises ShapeError."""
-    if np.ndim(momentum) == 0 and momentum == 0:
-        return np.zeros(system.r)
-    return vector(np.asarray(momentum), system.r, "momentum", system.group.twist_names)
 
 
 def passage_of(system: System, momentum: Array, start: Array, cycles: int, time: float) -> Passage:
@@ -242,7 +231,7 @@ def reorient(
     bounds = limits_of(connection, limits, speeds, torques)
     start = _initial_shape(system, bounds, x0)
     turn = _target_rotation(system, target)
-    mu = initial_momentum(system, momentum)
+    mu = vector_or_zero(momentum, system.r, "momentum", group.twist_names)
     if mu.any() and np.isfinite(bounds.torque).any():
         raise InputError(
             "torques: limits need zero momentum, where torques scale with the duration. With "
@@ -354,7 +343,7 @@ def _plan_with_momentum(request: _Request, n: int, *, quick: bool) -> TurnPlan:
             "another duration, which also determines how far the base drifts"
         )
     path = fine_path(system.m, start, passage, finer=2)
-    end = path_lift(request.connection, path.basis, coefficients_of(gait), passage.drift).pose
+    end = path_lift(request.connection, path.basis, gait.series.coefficients(), passage.drift).pose
     return _create_plan(request, gait, n, aim, end, seconds, peaks)
 
 
@@ -375,7 +364,7 @@ def _create_plan(
     """Return a plan with final pose `end`.  Raises StartFailed if it is not the target."""
     remaining = float(np.linalg.norm(aim.error(end)[0]))
     if not remaining <= n * _REMAINING:
-        raise StartFailed(f"the loop leaves {remaining:.1e} rad of the target")
+        raise StartFailed(f"the final attitude misses the target by {remaining:.1e} rad")
     shape_margins = margins(request.connection, gait, _shape_limits(request.bounds))
     return TurnPlan(
         system=request.system, aim=aim, gait=gait.lasting(seconds / n), cycles=n, duration=seconds,

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from ...analysis.gaits.coefficients import rest_to_rest
 from ...analysis.gaits.gait import Gait
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...judge.compare import compare
 from ...judge.verdict import Report
 from ...simulation.simulate import simulate
@@ -22,7 +21,7 @@ TOLERANCES = (1e-12, 1e-14)  # relative and absolute tolerance of a plan's simul
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TurnPlan:
+class TurnPlan(FrozenArrays):
     """A reorientation: a loop of the joints, repeated from rest to rest.
 
     Attributes:
@@ -48,9 +47,6 @@ class TurnPlan:
     momentum: Array
     left: Array
     margins: Mapping[str, float]
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -105,6 +101,34 @@ class TurnPlan:
             f"  remaining [rad]         {self.remaining:.1e}",
         ]
         if self.momentum.any():
-            lines.append(f"  tumble left [rad/s]     {self.tumble:.6g}, which momentum fixes")
+            lines.append(f"  tumble left [rad/s]     {self.tumble:.6g}, determined by the momentum")
         lines += [f"  margin to {name:<13} {value:.3g}" for name, value in self.margins.items()]
         return "\n".join(lines)
+
+
+def rest_to_rest(gait: Gait, joints: Sequence[str], cycles: int, duration: float) -> dict[str, str]:
+    """Return the motion of each joint through several cycles of a gait, from rest to rest.
+
+    The phase angle is the cycloid φ = cycles (a − sin a), a = 2πt/duration. Rates and accelerations
+    are zero at both ends.
+
+    Args:
+        gait: Gait that is one Fourier series.
+        joints: Names of the joints, in order.
+        cycles: Number of cycles.
+        duration: Duration of all cycles [s].
+    Returns:
+        A formula in t per joint, for `prescribed` of a Scene.
+    """
+    c = gait.series.coefficients()
+    h = (len(c) - 1) // 2
+    a = f"(2*pi*t/{float(duration)!r})"
+    angle = f"({cycles}*({a} - sin({a})))"
+    formulas = {}
+    for j, name in enumerate(joints):
+        terms = [repr(float(c[0, j]))]
+        for k in range(1, h + 1):
+            terms.append(f"({float(c[k, j])!r})*cos({k}*{angle})")
+            terms.append(f"({float(c[h + k, j])!r})*sin({k}*{angle})")
+        formulas[name] = " + ".join(terms)
+    return formulas

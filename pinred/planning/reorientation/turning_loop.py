@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from ...analysis.connections.connection import Connection
-from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...common.arrays import Array
@@ -155,26 +154,26 @@ def turning_loop(task: Task, start: Array, turn: Array, *, quick: bool = False) 
     gait = first_loop(task.connection, start, turn, task.limits.shape)
     if quick:
         path = fourier_path_of(task, _HARMONICS, start=start)
-        y = approach_target(task, aim, path, path.unknowns(coefficients_of(gait, _HARMONICS)))
+        y = approach_target(task, aim, path, path.unknowns(gait.series.coefficients(_HARMONICS)))
         gait = Search(task, path).gait(y)
     else:
-        gait = _shortest_loop(task, gait, start)
+        gait = _shortest_loop(task, aim, gait, start)
     fine = fine_path(m, start, task.passage)
-    y = polish_loop(task, aim, fine, fine.unknowns(coefficients_of(gait)))
+    y = polish_loop(task, aim, fine, fine.unknowns(gait.series.coefficients()))
     loop = Search(task, fine).gait(y)
     if margins(task.connection, loop, task.limits)["limits"] < 0.0:
         raise StartFailed("the polished loop exceeds the limits")
     return loop
 
 
-def _shortest_loop(task: Task, gait: Gait, start: Array) -> Gait:
+def _shortest_loop(task: Task, aim: TargetAim, gait: Gait, start: Array) -> Gait:
     """Return the shortest loop within limits near a gait.  Raises StartFailed."""
     if task.passage is not None:  # reserve range for the final Newton steps
         edge = _EDGE * task.limits.reach[:, None] * np.array([1.0, -1.0])
         task = replace(task, limits=replace(task.limits, shape=task.limits.shape + edge))
     search = Search(task, fourier_path_of(task, _HARMONICS, start=start))
     best = search.optimise_from(gait, most=_ITERATIONS)
-    if not _target_error(search, best.z) <= _REACHED:
+    if not _newton_step(task, aim, search.path, best.z)[0] <= _REACHED:
         raise StartFailed(f"the optimiser did not reach the target ({best.status})")
     search, best = enforce_limits(search, best, _HARMONICS, start)
     return search.gait(best.z)
@@ -195,13 +194,3 @@ def fine_path(m: int, start: Array, passage: Passage | None, *, finer: int = 1) 
     return fourier_path(
         _HARMONICS, m, pieces=pieces, checks=np.zeros(1), power=1, start=start, passage=passage
     )
-
-
-def _target_error(search: Search, z: Array) -> float:
-    aim, path = search.task.aim, search.path
-    if not isinstance(aim, TargetAim):
-        return np.inf
-    pose = path_lift(
-        search.task.connection, path.basis, search.coefficients(z), search.task.drift
-    ).pose
-    return float(np.linalg.norm(aim.error(pose)[0]))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ...system.coupling import Coupled
 from ...system.system import System
 from .scalars import Scalar, add, mul
 
@@ -17,8 +18,8 @@ def joint_values(system: System, x: Sequence[Scalar]) -> list[Scalar]:
     coupled = system.coupled
     if coupled is None:
         return list(x)
-    joints = zip(coupled.of, coupled.ratio.tolist(), coupled.offset.tolist(), strict=True)
-    return [add(mul(ratio, x[k]), offset) for k, ratio, offset in joints]
+    offsets = coupled.offset.tolist()
+    return [add(_sum(coupled, j, x), offset) for j, offset in enumerate(offsets)]
 
 
 def joint_rates(system: System, xdot: Sequence[Scalar]) -> list[Scalar]:
@@ -26,8 +27,7 @@ def joint_rates(system: System, xdot: Sequence[Scalar]) -> list[Scalar]:
     coupled = system.coupled
     if coupled is None:
         return list(xdot)
-    joints = zip(coupled.of, coupled.ratio.tolist(), strict=True)
-    return [mul(ratio, xdot[k]) for k, ratio in joints]
+    return [_sum(coupled, j, xdot) for j in range(len(coupled.G))]
 
 
 def on_shape(system: System, momenta: Sequence[Scalar]) -> list[Scalar]:
@@ -36,6 +36,15 @@ def on_shape(system: System, momenta: Sequence[Scalar]) -> list[Scalar]:
     if coupled is None:
         return list(momenta)
     sums: list[Scalar] = [0.0] * system.m
-    for k, ratio, value in zip(coupled.of, coupled.ratio.tolist(), momenta, strict=True):
-        sums[k] = add(sums[k], mul(ratio, value))
+    for j, value in enumerate(momenta):
+        for k, ratio in coupled.terms(j):
+            sums[k] = add(sums[k], mul(ratio, value))
     return sums
+
+
+def _sum(coupled: Coupled, joint: int, numbers: Sequence[Scalar]) -> Scalar:
+    """Return a joint's row of G times numbers of the shape, (m)."""
+    total: Scalar = 0.0
+    for k, ratio in coupled.terms(joint):
+        total = add(total, mul(ratio, numbers[k]))
+    return total

@@ -122,11 +122,9 @@ def sweep(
             joint = _drive(link.body, inner, rate, step)
             groups.drive(i, link.body, rate)
         elif k in groups.members:
-            none: Vec = [0.0, 0.0, 0.0]
-            joint = Eliminated(inner, none, none, 0.0, step)
-            groups.join(i, link.body, inner)
+            joint = _join(groups, i, link.body, inner, step)
         else:
-            momentum = lanes.pack([pi[groups.of[j]] for j in link.lanes])
+            momentum = lanes.pack([pi[groups.terms[j][0][0]] for j in link.lanes])
             joint = _eliminate(link.body, inner, momentum, step)
             groups.eliminate(i, link.body, inner, joint.drive)
         joints[i] = joint
@@ -148,7 +146,7 @@ def sweep(
         rate = groups.rate(i, rate)
         h = solved.inner
         along: Scalar = 0.0  # momentum of the subtree along a prescribed joint
-        if link.lanes[0] in groups.driven:
+        if groups.is_driven(link.lanes[0]):
             along = linear_row(h, 2, vi, wi) if body.prismatic else angular_row(h, 2, vi, wi)
             along = add(along, groups.momentum(i, 2, angular=not body.prismatic))
             along = add(along, mul(body.armature, rate))
@@ -169,12 +167,14 @@ def sweep(
         v.append(vi)
         w.append(wi)
         for lane, j in enumerate(link.lanes):
-            k, ratio = groups.of[j], groups.ratio[j]
             if groups.leads(j):
-                xdot[k] = lanes.lane(rate, lane, len(link.lanes))
-            pidot[k] = add(pidot[k], mul(ratio, lanes.lane(force, lane, len(link.lanes))))
-            if k in rates:
-                momenta[k] = add(momenta[k], mul(ratio, lanes.lane(along, lane, len(link.lanes))))
+                xdot[groups.terms[j][0][0]] = lanes.lane(rate, lane, len(link.lanes))
+            own_force = lanes.lane(force, lane, len(link.lanes))
+            for k, ratio in groups.terms[j]:
+                pidot[k] = add(pidot[k], mul(ratio, own_force))
+                if k in rates:
+                    own = lanes.lane(along, lane, len(link.lanes))
+                    momenta[k] = add(momenta[k], mul(ratio, own))
     return Swept(linear, angular, xdot, momenta, pidot)
 
 
@@ -205,6 +205,19 @@ def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated
     if free:
         (lin if pris else ang)[2] = pi
     return Eliminated(Articulated(M, B, I, lin, ang), gain, gain_angular, drive, step)
+
+
+def _join(groups: Groups, i: int, body: Body, a: Articulated, step: Step) -> Eliminated:
+    """Leave a joint's rate to its groups, except a prescribed part; a: inertia of the subtree."""
+    rate = groups.pushed.get(groups.number(i))
+    if rate is None:
+        none: Vec = [0.0, 0.0, 0.0]
+        joint = Eliminated(a, none, none, 0.0, step)
+    else:
+        joint = _drive(body, a, rate, step)
+        groups.drive(i, body, rate)
+    groups.join(i, body, joint.inner)
+    return joint
 
 
 def _drive(body: Body, a: Articulated, rate: Scalar, step: Step) -> Eliminated:

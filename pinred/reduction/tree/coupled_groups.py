@@ -1,6 +1,7 @@
 """Groups of joints that follow a common coordinate; the sweep eliminates each group at once.
 
-The joints j of a group move at rates k_j ẏ.  In the inward pass, a group is open from its first
+The joints j of a group move at rates k_j ẏ.  A joint that follows several coordinates is a member
+of several groups, and its rate is the sum.  In the inward pass, a group is open from its first
 member until it is eliminated.  In addition to its articulated inertia and momentum, a subtree then
 has the momentum u per unit of ẏ, and the group has an inertia D and a momentum s.  The subtree's
 part of π = ∂L/∂ẏ is u · v + D ẏ + s, with the twist v of its root body.  At a member with axis S,
@@ -8,9 +9,9 @@ part of π = ∂L/∂ẏ is u · v + D ẏ + s, with the twist v of its root bod
     D += 2 k S·u + k² (S·I S + armature),   s += k S·p,   u += k I S,
 
 and every other joint that is eliminated on the way removes its share from u, D and s.  At the
-deepest body that carries all members the group is eliminated like a joint: I −= u uᵀ/D.  If several
-groups are open, D is a matrix.  In the outward sweep, π̇ = Σ k_j (v_j × S_j) · h_j, where h_j
-includes u ẏ.
+deepest body that carries all members the group is eliminated like a joint: I −= u uᵀ/D.  If
+several groups are open, D is a matrix, to which a member of two groups adds
+k k′ (S·I S + armature).  In the outward sweep, π̇ = Σ k_j (v_j × S_j) · h_j, where h_j includes u ẏ.
 """
 
 from __future__ import annotations
@@ -59,10 +60,12 @@ class Groups:
     """The groups of one sweep.
 
     Attributes:
-        of: Shape coordinate that the joint of each body follows; −1 at the root.
-        ratio: Rate of the joint of each body per unit rate of this coordinate.
+        terms: Shape coordinates that the joint of each body follows, with the rate of the joint
+            per unit rate of the coordinate; empty at the root.
         driven: Rates of joints whose rates are prescribed, by body.
-        members: Groups of the bodies whose joints share a free coordinate with others.
+        pushed: Prescribed parts of the rates of members, by body.
+        members: Groups of the bodies whose joints share a free coordinate with others, with the
+            ratios.
     """
 
     def __init__(
@@ -76,23 +79,30 @@ class Groups:
             coupled: Coupling of joints that follow others; None if no joint follows another.
         """
         count = range(1, len(bodies))
-        self.of = [-1, *(k - 1 for k in count)]
-        self.ratio = [1.0] * len(bodies)
+        self.terms: list[list[tuple[int, float]]] = [[], *([(k - 1, 1.0)] for k in count)]
         if coupled is not None:
-            self.of[1:] = coupled.of.tolist()
-            self.ratio[1:] = coupled.ratio.tolist()
+            self.terms[1:] = [coupled.terms(k - 1) for k in count]
         self._leads = {1 + j for j in coupled.leads.tolist()} if coupled else set(count)
         self.driven: dict[int, Scalar] = {}
+        self.pushed: dict[int, Scalar] = {}
         followers: dict[int, list[int]] = {}
         for i in count:
-            if self.of[i] in rates:
-                self.driven[i] = mul(self.ratio[i], rates[self.of[i]])
-            elif self.ratio[i] == 0.0:
-                self.driven[i] = 0.0
-            else:
-                followers.setdefault(self.of[i], []).append(i)
+            rate: Scalar = 0.0
+            for k, ratio in self.terms[i]:
+                if k in rates:
+                    rate = add(rate, mul(ratio, rates[k]))
+                else:
+                    followers.setdefault(k, []).append(i)
+            free = [k for k, _ in self.terms[i] if k not in rates]
+            if not free:
+                self.driven[i] = rate
+            elif len(free) < len(self.terms[i]):
+                self.pushed[i] = rate
         together = {k: group for k, group in followers.items() if len(group) > 1}
-        self.members = {i: k for k, group in together.items() for i in group}
+        self.members = {
+            i: [(k, ratio) for k, ratio in self.terms[i] if k in together]
+            for i in sorted({i for group in together.values() for i in group})
+        }
         self._homes = {k: _home(bodies, group) for k, group in together.items()}
         self._open: list[dict[int, Column]] = []
         self._shares: list[dict[int, Scalar]] = []
@@ -106,6 +116,14 @@ class Groups:
     def leads(self, body: int) -> bool:
         """Return whether the joint of a body follows no other joint."""
         return body in self._leads
+
+    def is_driven(self, body: int) -> bool:
+        """Return whether the rate of a joint, or a part of it, is prescribed."""
+        return body in self.driven or body in self.pushed
+
+    def number(self, i: int) -> int:
+        """Return the index of the first body of link i."""
+        return self._links[i].lanes[0]
 
     def meet(self, links: list[Link]) -> None:
         """Store the links of the sweep, and where each group is eliminated."""
@@ -157,24 +175,34 @@ class Groups:
             self._momentum[k] = add(self._momentum[k], momentum)
 
     def join(self, i: int, body: Body, a: Articulated) -> None:
-        """Add a member to its group; the first member opens it.  a: inertia of the subtree."""
-        number = self._links[i].lanes[0]
-        k, ratio, columns = self.members[number], self.ratio[number], self._open[i]
+        """Add a member to its groups; the first member opens a group.
+
+        Args:
+            i: Index of the link.
+            body: Body of the link.
+            a: Inertia of the subtree, with the momentum of the prescribed part of the rate.
+        """
+        number = self.number(i)
+        terms, columns = self.members[number], self._open[i]
         U, Ua = momentum_of_rate(body, a)
-        zero: Vec = [0.0, 0.0, 0.0]
-        column = columns.get(k, Column(zero, zero))
         along = {g: along_joint(body, c.lin, c.ang) for g, c in columns.items()}
-        for g, share in along.items():
-            twice = 2.0 if g == k else 1.0
-            self._add_between(k, g, mul(twice * ratio, share))
         inertia = add(along_joint(body, U, Ua), body.armature)
-        self._add_between(k, k, mul(ratio * ratio, inertia))
-        momentum = mul(ratio, along_joint(body, a.lin, a.ang))
-        self._momentum[k] = add(self._momentum.get(k, 0.0), momentum)
-        columns[k] = Column(
-            plus(column.lin, [mul(ratio, c) for c in U]),
-            plus(column.ang, [mul(ratio, c) for c in Ua]),
-        )
+        momentum = along_joint(body, a.lin, a.ang)
+        if number in self.pushed:
+            momentum = add(momentum, mul(body.armature, self.pushed[number]))
+        for n, (k, ratio) in enumerate(terms):
+            for g, share in along.items():
+                twice = 2.0 if g == k else 1.0
+                self._add_between(k, g, mul(twice * ratio, share))
+            for g, other in terms[n:]:
+                self._add_between(k, g, mul(ratio * other, inertia))
+            self._momentum[k] = add(self._momentum.get(k, 0.0), mul(ratio, momentum))
+            zero: Vec = [0.0, 0.0, 0.0]
+            column = columns.get(k, Column(zero, zero))
+            columns[k] = Column(
+                plus(column.lin, [mul(ratio, c) for c in U]),
+                plus(column.ang, [mul(ratio, c) for c in Ua]),
+            )
 
     def eliminate(self, i: int, body: Body, a: Articulated, drive: Scalar) -> None:
         """Remove the share of an eliminated joint from the open groups at link i.
@@ -219,9 +247,12 @@ class Groups:
 
     def rate(self, i: int, alone: Scalar) -> Scalar:
         """Return the joint rate of link i; alone: joint rate at zero rates of the open groups."""
-        number = self._links[i].lanes[0]
+        number = self.number(i)
         if number in self.members:
-            return mul(self.ratio[number], self._rates[self.members[number]])
+            rate = self.pushed.get(number, 0.0)
+            for k, ratio in self.members[number]:
+                rate = add(rate, mul(ratio, self._rates[k]))
+            return rate
         for g, share in self._shares[i].items():
             alone = sub(alone, mul(share, self._rates[g]))
         return alone

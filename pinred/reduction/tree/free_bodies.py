@@ -236,7 +236,14 @@ def other_placement(parent: Body, body: Body, pattern: str, rng: np.random.Gener
 
 
 def of_bodies(bodies: Sequence[Body], freed: Freed) -> list[Scalar]:
-    """Return the variable parameters of inertias and steps of bodies, numbers or symbols."""
+    """Return the variable parameters of the inertias and steps of bodies.
+
+    Args:
+        bodies: Bodies of the system, root first.
+        freed: Which parameters are variable.
+    Returns:
+        Numbers, or symbols if the bodies contain symbols: first inertias, then steps.
+    """
     variable = [bodies[i] for i in freed.inertias]
     inertias = [n for body in variable for n in (body.mass, *body.moment, *body.inertia)]
     return inertias + [number for i, _ in freed.steps for number in _step_of(bodies[i])]

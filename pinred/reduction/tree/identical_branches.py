@@ -22,7 +22,7 @@ WIDEST = 4  # largest number of lanes; a 256-bit register holds 4 doubles
 
 @dataclass(frozen=True)
 class Mark:
-    """The definition of a symbol that enters or leaves packed form.
+    """The definition of a symbol that packs numbers into lanes, or unpacks lanes to a number.
 
     Attributes:
         kind: "pack" (one number per lane), "lane" (the number in lane `lane`) or "sum" (the sum

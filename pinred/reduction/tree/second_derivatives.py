@@ -21,14 +21,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...lie.spatial_groups import SE3
 from ...system.joints import axes_of, is_prismatic
 from ...system.system import System
 
 
 @dataclass(frozen=True)
-class InertiaDerivatives:
+class InertiaDerivatives(FrozenArrays):
     """H(x) and the centre of mass c(x) with two derivatives; arrays are read-only.
 
     Attributes:
@@ -46,9 +46,6 @@ class InertiaDerivatives:
     com: Array
     dcom: Array
     d2com: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def inertia_derivatives(
@@ -193,7 +190,7 @@ class _Tree:
         return screws, inertias
 
     def _on_shape(self, H: Array, dH: Array, d2H: Array, *com: Array) -> InertiaDerivatives:
-        """Convert derivatives by all joints x = G y + b to derivatives by the shape y."""
+        """Convert derivatives with respect to all joints x = G y + b to those for the shape y."""
         coupled, r = self._system.coupled, self._root.shape[1]
         c, dc, d2c = com[0][:, 0, 0], np.moveaxis(com[1][:, 0], 1, -1), np.moveaxis(com[2], 3, 1)
         if coupled is None:

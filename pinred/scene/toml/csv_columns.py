@@ -93,7 +93,8 @@ def _index(column: str | int, header: list[str], count: int, path: Path) -> int:
         return header.index(column)
     if column >= count:
         raise InputError(
-            f"{quoted_path(path)} has {count} columns, so none is number {column} from 0"
+            f"{quoted_path(path)} has {count} columns, so column {column} (counted from 0) is "
+            "missing"
         )
     return column
 

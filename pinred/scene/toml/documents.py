@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...common.errors import InputError, LoadError, PinredError
+from ...common.files import is_file
 from ...system.catalogue import bundled_robots
 from ...system.load import load
 from ...system.system import System
@@ -75,7 +76,7 @@ def robot_in(document: Mapping[str, Any], folder: Path, place: Place) -> System:
         options["meshes"] = [folder / path for path in paths]
     source: str | Path = robot
     file = folder / robot
-    exists = _is_file(file)
+    exists = is_file(file)
     if robot not in bundled_robots() and (exists or "/" in robot or Path(robot).suffix):
         if not exists:
             (place / "robot").fail(f"no such file: {str(file)!r}")
@@ -85,10 +86,3 @@ def robot_in(document: Mapping[str, Any], folder: Path, place: Place) -> System:
     except PinredError as error:
         key = "load" if isinstance(error, InputError) else "robot"
         raise type(error)((place / key).message(one_line(error))) from None
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # The name is not valid for a file.
-        return False

@@ -164,7 +164,7 @@ FORCES: dict[str, ForceKind] = {
     ),
 }
 _NO_FUNCTIONS = (
-    "a Controller is a Python function, and what stands in a file is never executed; "
+    "a Controller is a Python function, and scene files are never executed; "
     "write it in Python, or use pd, computed_torque or torque"
 )
 FORCE = Tagged(

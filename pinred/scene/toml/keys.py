@@ -5,48 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ...lie.groups import GROUPS
+from ..load_options import LOAD
 from ..scene_options import RUN_OPTIONS, SCENE_OPTIONS, Option, list_conflicts
-from .schema import ByName, Either, Flag, Key, ListOf, Schema, Table, Text, document_schema
-from .signal_tables import NUMBER
+from .schema import Key, Schema, Table, Text, document_schema
 
-LOAD = Table(
-    {
-        "group": Key(
-            Text(tuple(GROUPS)),
-            f"symmetry group: {', '.join(GROUPS)}",
-            default="motion of the root joint",
-            command="--group G",
-        ),
-        "gravity": Key(
-            ListOf(NUMBER, 3),
-            "gravity in the world frame [m/s²]",
-            default="the robot's own",
-            command="--gravity V1,V2,…",
-        ),
-        "lock": Key(
-            Either((ListOf(Text((), "the name of a joint")), ByName(NUMBER))),
-            "joints to lock at zero, or at the values stated by name [rad | m]",
-            default="none",
-            command="--lock J1,J2=VALUE,…",
-        ),
-        "root": Key(
-            Text((), "the name of a body"),
-            "root body of the robot, for MJCF files in which several bodies of the world move",
-            default="the only one that moves",
-            command="--root BODY",
-        ),
-        "strict": Key(
-            Flag(), "reject a robot that causes a warning", default="false", command="--strict"
-        ),
-        "meshes": Key(
-            Either((Text((), "a folder"), ListOf(Text((), "a folder")))),
-            "folders with the meshes of a URDF, relative to this file",
-            default="folders above the robot's file",
-        ),
-    },
-    "the options of pinred.load",
-)
 # The keys of scene files and gait files that name the robot.
 ROBOT = {
     "robot": Key(

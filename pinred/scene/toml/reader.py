@@ -142,11 +142,9 @@ class _Builder:
         return value
 
     def _momentum(self, value: float | list[float], place: Place) -> Any:
-        if not isinstance(value, float) or value == 0.0:
-            return value
-        if self.system.r > 1:
+        if isinstance(value, float) and value != 0.0 and self.system.r > 1:
             place.fail(f"must be a list of {self.system.r} numbers, or 0")
-        return [value]
+        return value
 
     def _force(self, entry: dict[str, Any], place: Place) -> Force:
         """Return a force, with its joint names validated and its formulas parsed."""

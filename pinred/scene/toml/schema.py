@@ -283,7 +283,7 @@ class Table(Node):
                 (place / second).fail(f"give {first} or {second}, not both")
         for name, required in self.needs.items():
             if name in value and required not in value:
-                (place / name).fail(f"'{name}' has no meaning without '{required}'")
+                (place / name).fail(f"'{name}' requires '{required}'")
         if self.one_of and sum(name in value for name in self.one_of) != 1:
             place.fail(f"must have one of the keys {', '.join(self.one_of)}")
         return {

@@ -10,6 +10,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.memo import once
 from ...forces.force_values import BaseInSpace
+from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
 from ...kernels.derived_code import tangent_of, wide_rate
@@ -74,7 +75,8 @@ class CompiledFlow:
         """Return a copy of the parameters that selects the table segments between two stops."""
         parameters, forces = self.parameters.copy(), self.kernel.forces
         if forces is not None:
-            parameters[..., self.numbers_at][..., forces.within] = 0.5 * (start + stop)
+            numbers = parameters[..., self.numbers_at]
+            numbers[..., forces.within] = time_within(start, stop)
         return parameters
 
     def sample(self, t: float, y: Array, parameters: Array | None = None) -> Sample:
@@ -121,7 +123,7 @@ class CompiledFlow:
         return evaluate(self.kernel.rate.address, parameters, y, y.shape[1])
 
     def address(self, method: Method) -> int:
-        """Return the address of the vector field in the form that a method calls."""
+        """Return the address of the vector field with as many lanes as a method evaluates."""
         return rate_address(self.kernel, method)
 
     def tangent(self) -> int:
@@ -140,7 +142,7 @@ class CompiledFlow:
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:
-    """Return the address of a kernel's vector field in the form that a method calls."""
+    """Return the address of a kernel's vector field with as many lanes as a method evaluates."""
     lanes = method.lanes
     return (kernel.rate if lanes == 1 else wide_rate(kernel, lanes)).address
 
@@ -227,8 +229,8 @@ def _set_up(
     layout, base = kernel.layout, kernel.layout.base
     if plan.method.steady_momentum and base.momentum:
         raise InputError(
-            f"{plan.method.name} needs a constant angular momentum, and here gravity or a "
-            "wrench changes it; Gauss and the others take that"
+            f"{plan.method.name} needs a constant angular momentum, but gravity or a wrench "
+            "changes it. Use another method, such as Gauss."
         )
     active, cyclic = list(layout.active), list(layout.cyclic)
     attitude = given.pose[:, system.group.linear :]

@@ -127,9 +127,9 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
         joint = plan.system.joint_number(names[k])
         if units[joint] == "rad" and not most < _WILD:
             return (
-                f"joint {quoted(names[k])} of '{plan.system.name}' turns by {most:.1e} rad within "
-                f"one step of {step:g} s, which {plan.method.name} cannot follow; take shorter "
-                "steps, or a method with step control"
+                f"joint {quoted(names[k])} of '{plan.system.name}' rotates by {most:.1e} rad "
+                f"within one step of {step:g} s, which {plan.method.name} cannot resolve; use "
+                "shorter steps, or a method with step control"
             )
     return ""
 
@@ -166,7 +166,7 @@ def explained(
         message = f"{entry} of '{name}' is not finite after t = {time:g} s, at {shape}"
         return NonFiniteState(message, time, stop.state, stop.entry)
     return type(stop)(
-        f"'{name}' cannot be followed beyond t = {time:g} s of {scene.end:g} s at "
+        f"'{name}' cannot be integrated beyond t = {time:g} s of {scene.end:g} s at "
         f"rtol = {scene.rtol:g}, {shape}: {stop}",
         time,
         stop.state,

@@ -14,7 +14,7 @@ import numpy as np
 from ...common.arrays import Array
 from .flow_columns import Columns
 
-FIRST_ORDER = "flows have derivatives of first order only, and a second was asked for"
+FIRST_ORDER = "flows only have first derivatives, but a second derivative was requested"
 
 
 class Batched:

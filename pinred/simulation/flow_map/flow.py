@@ -153,7 +153,7 @@ class Flow:
         return self.input_map.by_name(by_state @ state + by_constants @ constants)
 
     def explain(self) -> str:
-        """Describe in lines the skipped terms, the integrated variables and the inputs."""
+        """Describe the skipped terms, the integrated variables and the inputs, one per line."""
         from ..explain import integrated, seen_and_integrated, skipped, varying
 
         plan = self.propagator.plan

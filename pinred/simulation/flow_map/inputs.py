@@ -57,7 +57,7 @@ class Inputs:
         Args:
             scene: The scene.
             kernel: Kernel of the scene.
-            gravity: The part of gravity that acts on the shape or turns the base, (3,) [m/s²].
+            gravity: The part of gravity that acts on the shape or rotates the base, (3,) [m/s²].
             wrt: Names of the inputs with derivatives.
         Raises:
             InputError: A name is unknown or repeated, or two inputs have the same name.
@@ -87,8 +87,8 @@ class Inputs:
         for name in self._parameters:
             if name in self._places or name in self._robot_values:
                 raise InputError(
-                    f"a Parameter of the forces is called '{name}', as another input of the flow; "
-                    "give it another name"
+                    f"a Parameter of the forces has the name '{name}' of another input of the "
+                    "flow. Rename the Parameter."
                 )
         self.known = (*self._places, *self._parameters, *self._robot_values)
         self.names = tuple(_checked_names(wrt, self.known))

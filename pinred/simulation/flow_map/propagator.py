@@ -9,8 +9,14 @@ import numpy as np
 
 from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
+from ...forces.switch_times import time_within
 from ...integrators.integrate import Integration
-from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, run_along, run_back
+from ...integrators.run_derivatives import (
+    SmoothField,
+    refuse_without_derivatives,
+    run_along,
+    run_back,
+)
 from ...integrators.solution import Solution
 from ...kernels.derived_code import tangent_of
 from ...kernels.differentiable import call_value
@@ -21,11 +27,12 @@ from ...system.state_fields import Outcome, ShapeState, State, map_arrays
 from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address
 from ..compiled.integrator import explained, wild_steps
 from ..members.integrate_members import integrate_members
-from ..plan import Plan, Span
+from ..plan import Plan, Span, spans_between
 from .initial_map import InitialMap
 from .inputs import Given, motion_of
 from .lazy_state import lazy_state
-from .outcome_adjoint import OutcomeAdjoint
+from .outcome_adjoint import OutcomeAdjoint, OutputCovectors
+from .switch_jumps import jumps_of
 
 
 @dataclass
@@ -35,11 +42,13 @@ class Run:
     Attributes:
         given: The inputs.
         flow: The compiled flow that starts from these inputs.
-        solutions: Solution between each two stops.
+        spans: Time spans between the stops of the run.
+        solutions: Solution over each span.
     """
 
     given: Given
     flow: CompiledFlow
+    spans: list[Span]
     solutions: list[Solution]
 
 
@@ -51,8 +60,7 @@ class Propagator:
         method: Integrator.
         zero_momentum: Whether the angular momentum is zero for all inputs.
         kernel: Machine code and layout.
-        address: Address of the vector field.
-        slopes: Addresses of the derivatives of the vector field.
+        field: Addresses of the vector field and of its derivatives.
     """
 
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
@@ -61,17 +69,18 @@ class Propagator:
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             raise InputError(
-                f"{controller.name} is a function of Python, which has no derivatives; write it as "
+                f"{controller.name} is a Python function, which has no derivatives; write it as "
                 "a Torque of CasADi expressions, or use simulate"
             )
         if plan.scene.events_given:
-            raise InputError("a flow map looks for no events; use simulate for them")
+            raise InputError("a flow map does not detect events; use simulate")
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
         self._initial = InitialMap(kernel, motion_of(plan.scene))
-        self.address, self.rate = rate_address(kernel, self.method), rate_of(kernel)
-        rate, layout = self.rate, kernel.layout
-        self.slopes = Slopes(
+        rate, layout = rate_of(kernel), kernel.layout
+        self.field = SmoothField(
+            address=rate_address(kernel, self.method),
+            quaternion=layout.quaternion,
             tangent=lambda: rate.tangent.address,
             adjoint=lambda: rate.adjoint.address,
             tangents=lambda count: rate.wide_tangent(count).address,
@@ -79,13 +88,24 @@ class Propagator:
         )
         self._n = max(layout.size, 1)
         self._backs: dict[tuple[Row, ...], OutcomeAdjoint] = {}
-        self._integrations = [
-            Integration(
-                self.method, self.address, self._n, span.stop - span.start, span.times,
-                layout.quaternion, layout.canonical, lambda: tangent_of(kernel).address,
-            )
-            for span in plan.spans
-        ]  # fmt: skip
+        self._integrations = [self._integration(span) for span in plan.spans]
+
+    def _integration(self, span: Span) -> Integration:
+        """Prepare the integration over one span."""
+        kernel, layout = self.kernel, self.kernel.layout
+        return Integration(
+            self.method, self.field.address, self._n, span.stop - span.start, span.times,
+            layout.quaternion, layout.canonical, lambda: tangent_of(kernel).address,
+        )  # fmt: skip
+
+    def _spans_of(self, flow: CompiledFlow) -> tuple[list[Span], list[Integration]]:
+        """Return the spans of a run with their integrations: the scene's, unless stops vary."""
+        plan = self.plan
+        if not plan.stops_vary:
+            return plan.spans, self._integrations
+        (stops,) = plan.stops_of_runs(flow.numbers[None])
+        spans = spans_between(stops, plan.scene.report_times)
+        return spans, [self._integration(span) for span in spans]
 
     def run(self, given: Given, *, stages: bool = False) -> Run:
         """Integrate the flow from inputs.
@@ -102,7 +122,8 @@ class Propagator:
         flow = self._initial(given)
         y, layout = flow.y0, self.kernel.layout
         solutions: list[Solution] = []
-        for span, integrate in zip(self.plan.spans, self._integrations, strict=True):
+        spans, integrations = self._spans_of(flow)
+        for span, integrate in zip(spans, integrations, strict=True):
             if solutions:
                 y = solutions[-1].states[-1].copy()
                 if layout.quaternion >= 0 and self.method.lanes == 1:
@@ -118,11 +139,11 @@ class Propagator:
                 if wild:
                     raise IntegrationError(wild)
             solutions.append(solution)
-        return Run(given, flow, solutions)
+        return Run(given, flow, spans, solutions)
 
     def end(self, run: Run) -> State | ShapeState:
         """Return the final full state of a run; its fields are computed at first access."""
-        span, solution = self.plan.spans[-1], run.solutions[-1]
+        span, solution = run.spans[-1], run.solutions[-1]
         time = span.start + span.times[-1]
         return self._state(run.flow, time, solution.y[-1], solution.params)
 
@@ -159,27 +180,35 @@ class Propagator:
             IntegrationError: The integration of a member fails.
         """
         flow, kernel, count = self._initial.of_many(states, constants), self.kernel, len(states)
-        batch = integrate_members(flow, self.plan, np.arange(count), threads)
+        plan = self.plan
+        batch = integrate_members(flow, plan, np.arange(count), threads)
         if batch.failures:
             failure = min(batch.failures, key=lambda failure: failure.member)
             raise IntegrationError(
                 f"member {failure.member} of {count} stopped at t = {failure.time:g} s: "
                 f"{failure.reason}"
             )
-        outputs = []
-        for span in self.plan.spans:
-            T = len(span.times)
-            inputs = batch.y[:, span.rows, : kernel.layout.size].reshape(
-                count * T, kernel.layout.size
-            )
-            if not kernel.layout.clock:
-                inputs = np.hstack([inputs, np.tile(span.start + span.times, count)[:, None]])
-            constants = np.hstack([flow.parameters_between(span.start, span.stop), flow.path])
-            rows_of_outputs = evaluate(
-                kernel.outputs.address, np.repeat(constants, T, axis=0), inputs, kernel.where.size
-            )
-            outputs.append(rows_of_outputs.reshape(count, T, kernel.where.size))
-        return np.concatenate(outputs, axis=1)
+        T = len(plan.scene.report_times)
+        times = np.tile(plan.scene.report_times, count)
+        inputs = batch.y[:, :, : kernel.layout.size].reshape(count * T, kernel.layout.size)
+        if not kernel.layout.clock:
+            inputs = np.hstack([inputs, times[:, None]])
+        parameters = np.repeat(flow.parameters, T, axis=0)
+        if plan.forces is not None:
+            reports = plan.scene.report_times
+            within = [
+                time_within(span.start, span.stop)
+                for stops in plan.stops_of_runs(flow.numbers)
+                for span in spans_between(stops, reports)
+                for _ in range(len(span.times))
+            ]
+            numbers = parameters[:, flow.numbers_at]
+            numbers[:, plan.forces.within] = np.array(within)[:, None]
+        path = np.repeat(flow.path, T, axis=0)
+        rows_of_outputs = evaluate(
+            kernel.outputs.address, np.hstack([parameters, path]), inputs, kernel.where.size
+        )
+        return rows_of_outputs.reshape(count, T, kernel.where.size)
 
     def entries(self, rows: Iterable[Outcome]) -> Indices:
         """Return the indices, among the kernel's outputs, of fields of State."""
@@ -201,10 +230,14 @@ class Propagator:
         layout, size = self.kernel.layout, self._size(rows)
         y, parameters, path = self._initial.along(run.given, state, constants)
         outcome, derivatives = outcome_of(self.kernel, rows), []
-        for span, solution in zip(self.plan.spans, run.solutions, strict=True):
+        jumps = jumps_of(self.kernel, self.plan, run.flow.numbers, run.spans, run.solutions)
+        numbers = parameters[run.flow.numbers_at]
+        for k, (span, solution) in enumerate(zip(run.spans, run.solutions, strict=True)):
+            if k in jumps:
+                y = y + np.outer(jumps[k].change, jumps[k].delay(numbers))
             tangents = run_along(
-                self.method, self.address, self.slopes, solution.params, solution.states[0],
-                solution.knots, span.times, layout.quaternion, y, parameters, solution.states,
+                self.method, self.field, solution.params, solution.states[0], solution.knots,
+                span.times, y, parameters, solution.states,
             )  # fmt: skip
             y = tangents.end_slopes
             if not span.times.size:
@@ -235,20 +268,20 @@ class Propagator:
         p = layout.parameters
         by_rest = np.zeros(p + len(run.flow.path))
         covector = np.zeros(self._n)
-        for span, solution in zip(self.plan.spans[::-1], run.solutions[::-1], strict=True):
+        jumps = jumps_of(self.kernel, self.plan, run.flow.numbers, run.spans, run.solutions)
+        by_numbers = by_rest[:p][run.flow.numbers_at]
+        for k in range(len(run.spans) - 1, -1, -1):
+            span, solution = run.spans[k], run.solutions[k]
             at_times = np.zeros((len(span.times), self._n))
             if len(span.times):
                 constants = np.concatenate([solution.params, run.flow.path])
-                adjoint(
-                    span.start, span.times, solution.y, constants, covectors[span.rows], at_times,
-                    by_rest,
-                )  # fmt: skip
-            gradients = run_back(
-                self.method, self.address, self.slopes, solution.params, solution, span.times,
-                layout.quaternion, covector, at_times,
-            )  # fmt: skip
+                times, weights = span.start + span.times, covectors[span.rows]
+                adjoint(OutputCovectors(times, solution.y, constants, weights, at_times, by_rest))
+            gradients = run_back(self.method, self.field, solution, span.times, covector, at_times)
             covector = gradients.by_state
             by_rest[:p] += gradients.by_parameters
+            if k in jumps:
+                by_numbers += (covector @ jumps[k].change) * jumps[k].only_slopes()
         return self._initial.back(run.given, covector, by_rest[:p], by_rest[p:])
 
     def one_step(
@@ -275,18 +308,18 @@ class Propagator:
             IntegrationError: The state is not finite.
         """
         kernel, layout = self.kernel, self.kernel.layout
-        self._check_step(t, h)
         state, constants = columns or (
             np.zeros((len(a), 0)) for a in (given.state, given.constants)
         )
         flow = self._initial(given, t)
+        self._check_step(t, h, flow.numbers)
         y_along, parameters_along, path_along = self._initial.along(given, state, constants, t)
         if layout.clock:
             flow.y0[layout.size - 1] = t
         parameters, knots = read_only(flow.parameters_between(t, t + h)), np.array([0.0, h])
         step = run_along(
-            self.method, self.address, self.slopes, parameters, flow.y0, knots, knots[1:],
-            layout.quaternion, y_along, parameters_along,
+            self.method, self.field, parameters, flow.y0, knots, knots[1:], y_along,
+            parameters_along,
         )  # fmt: skip
         if not np.isfinite(step.y).all():
             raise IntegrationError(
@@ -321,21 +354,22 @@ class Propagator:
 
     def _reported(self, run: Run) -> Iterator[tuple[Span, Solution]]:
         """Yield each span that contains report times, with its solution."""
-        for span, solution in zip(self.plan.spans, run.solutions, strict=True):
+        for span, solution in zip(run.spans, run.solutions, strict=True):
             if span.times.size:
                 yield span, solution
 
-    def _check_step(self, t: float, h: float) -> None:
+    def _check_step(self, t: float, h: float, numbers: Array) -> None:
         plan = self.plan
         if not (np.isfinite(t) and t >= 0.0 and t + h <= plan.scene.end * (1.0 + 1e-12)):
             raise InputError(
                 f"a step of {h:g} s from t = {t:g} s is not within the scene's {plan.scene.end:g} s"
             )
-        inside = plan.stops[(plan.stops > t + 1e-12) & (plan.stops < t + h - 1e-12)]
+        (stops,) = plan.stops_of_runs(numbers[None])
+        inside = stops[(stops > t + 1e-12) & (stops < t + h - 1e-12)]
         if inside.size:
             raise InputError(
                 f"a function of time is not smooth at t = {inside[0]:g} s, within the step of "
-                f"{h:g} s from {t:g} s; let steps end there"
+                f"{h:g} s from {t:g} s; choose steps that end there"
             )
         if t and plan.acting.driven:
             raise InputError("a step of a scene with prescribed joints begins at t = 0")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...common.arrays import Array, freeze, positive
+from ...common.arrays import Array, FrozenArrays, positive
 from ...common.errors import InputError
 from ...common.names import brief
 from ...scene.scene import Scene
@@ -18,7 +18,7 @@ STATE: dict[str, Outcome] = {"pose0": "pose", "x0": "x", "xdot0": "xdot", "xi0":
 
 
 @dataclass(frozen=True)
-class LinearStep:
+class LinearStep(FrozenArrays):
     """A step and its derivatives; arrays are read-only.
 
     Attributes:
@@ -31,9 +31,6 @@ class LinearStep:
     state: State
     by_state: Array
     by_parameters: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 class StepMap:

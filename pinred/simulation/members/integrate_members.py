@@ -16,7 +16,7 @@ from ...kernels.kernel import Kernel
 from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import wild_steps
-from ..plan import Plan, Span
+from ..plan import Plan, Span, spans_between
 from .trajectories import Batch, Failure
 
 # Largest number of kernel instructions for which the state of sixteen lanes fits in registers.
@@ -41,7 +41,42 @@ def integrate_members(
     Returns:
         The solutions of all members.
     """
-    began, reports, count, spans = perf_counter(), plan.scene.report_times, len(members), plan.spans
+    sets: dict[bytes, list[int]] = {}
+    stops = plan.stops_of_runs(flow.numbers)
+    for k, row in enumerate(stops):
+        sets.setdefault(row.tobytes(), []).append(k)
+    parts = []
+    for group in map(np.array, sets.values()):
+        spans = spans_between(stops[group[0]], plan.scene.report_times)
+        own = flow if len(sets) == 1 else flow[group]
+        parts.append(_integrate_spans(own, plan, spans, members[group], threads, progress))
+    return parts[0] if len(parts) == 1 else _joined(flow, members, list(sets.values()), parts)
+
+
+def _joined(
+    flow: CompiledFlow, members: Indices, groups: list[list[int]], parts: list[Batch]
+) -> Batch:
+    """Return the results of groups of members with different stops as one batch."""
+    order = np.argsort(np.concatenate(groups))
+    y, steps, evaluations = (
+        np.concatenate([getattr(part, name) for part in parts])[order]
+        for name in ("y", "steps", "evaluations")
+    )
+    failures = [failure for part in parts for failure in part.failures]
+    wall = sum(part.wall * len(part.members) for part in parts) / len(members)
+    return Batch(members, flow, parts[0].method, y, steps, evaluations, failures, wall)
+
+
+def _integrate_spans(
+    flow: CompiledFlow,
+    plan: Plan,
+    spans: list[Span],
+    members: Indices,
+    threads: int | None,
+    progress: Callable[[float], None] | None,
+) -> Batch:
+    """Integrate members with equal stops; see `integrate_members`."""
+    began, reports, count = perf_counter(), plan.scene.report_times, len(members)
     # A single body that only translates has no state; integrate one zero instead.
     y0 = flow.y0 if flow.y0.shape[1] else np.zeros((count, 1))
     y = np.full((count, len(reports), y0.shape[1]), np.nan)

@@ -41,11 +41,11 @@ class Group:
         """The reason to simulate these members one by one; "" if they can run together."""
         plan = self.plan
         if plan.scene.events_given:
-            return "events are looked for"
+            return "events are detected"
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
-            return f"{controller.name} has to be called every {controller.period:g} s"
-        if len(plan.stops) > 1 and plan.acting.driven:
+            return f"{controller.name} is called every {controller.period:g} s"
+        if (len(plan.stops) > 1 or plan.stops_vary) and plan.acting.driven:
             return f"a plan of a joint is not smooth at t = {plan.stops[0]:g} s"
         return ""
 

@@ -28,7 +28,7 @@ from ..simulate import as_scene
 from .member_groups import Group, Members, members_plan
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
-# (option, field of State) that q0 and v0 determine, and fields that a random state determines.
+# Pairs (option, field of State) that q0 and v0 determine; then the fields that a seed determines.
 _OF_Q = (("pose0", "pose"), ("x0", "x"))
 _OF_V = (("xi0", "xi"), ("xdot0", "xdot"))
 _OF_SEED = ("x", "xdot", "xi")
@@ -78,7 +78,9 @@ class MemberOptions:
         values = _parameter_values(system, self.common.pop("parameters", None), scene_values)
         for name, value in _checked_members(members).items():
             if name in (*self.common, *values):
-                raise InputError(f"'{name}' is given among the members and beside them")
+                raise InputError(
+                    f"'{name}' is given in members and also for all members. Omit one of them."
+                )
             if name == "gravity" and vectors(value, 3, "gravity").ndim != 2:
                 raise ShapeError(f"gravity must have shape (N, 3), got {np.shape(value)}")
             (self.common if name in STATES else values)[name] = value
@@ -169,8 +171,8 @@ class MemberOptions:
         for name in self.parameters:
             if name not in (*names, *self.robot):
                 raise InputError(
-                    f"members: nothing called {brief(name)} varies in these scenes; "
-                    f"{kinds_near(self.system, name, [*STATES, *names])}; of the scenes "
+                    f"members: {brief(name)} cannot vary in these scenes; "
+                    f"{kinds_near(self.system, name, [*STATES, *names])}; these scenes accept "
                     f"{_OPTIONS}: {listed(names, 60) or 'none'}"
                 )
         first_scene = self.scene(0)  # validates the options that all members share
@@ -294,8 +296,8 @@ def _parameter_values(system: System, parameters: Any, own: Mapping[str, Any]) -
     values, others = requested(system, parameters)
     if others:
         raise InputError(
-            f"parameters: {brief(others[0])} is no number of the robot, and has no value "
-            "here; give {name: value}"
+            f"parameters: {brief(others[0])} is not a robot parameter, so it needs a value. "
+            "Give {name: value}."
         )
     return values | {name: own[name] for name in values if name in own}
 

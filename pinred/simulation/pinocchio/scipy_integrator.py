@@ -85,7 +85,7 @@ def integrator(
                 )
             if solver.status == "failed":
                 raise IntegrationError(
-                    f"'{scene.system.name}' cannot be followed beyond t = {solver.t:g} s of "
+                    f"'{scene.system.name}' cannot be integrated beyond t = {solver.t:g} s of "
                     f"{scene.end:g} s at rtol = {scene.rtol:g}: {message}{lost()}"
                 )
             knots.append(solver.t)

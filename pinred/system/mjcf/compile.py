@@ -37,11 +37,13 @@ _FINITE = (
     *("jnt_pos", "jnt_axis", "dof_armature", "qpos0", "key_qpos", "key_qvel"),
 )
 
-_DEEPEST = 450  # largest depth of nested elements; MuJoCo refuses 500
+_DEEPEST = 450  # largest depth of nested elements; MuJoCo rejects 500
 _DEEPEST_INCLUDES = 50  # largest depth of nested includes
-_MOST = 100_000  # largest number of expanded elements; the largest known files have a tenth
+_MOST = 100_000  # largest number of expanded elements; the largest known files have a tenth of it
 _CELLS = 100  # number of height-field cells that need as much memory as one element
-_MOST_ATTRIBUTES = 100  # largest number of attributes per element; MuJoCo's schema has half
+_MOST_ATTRIBUTES = (
+    100  # largest number of attributes per element; MuJoCo's schema allows half of it
+)
 _MOST_LETTERS = 64_000_000  # largest number of characters of all files together
 
 
@@ -227,7 +229,7 @@ def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
         stack.append(element)
         size.count += 1
         if depth + len(stack) > _DEEPEST:
-            raise LoadError(f"{where()}: more than {_DEEPEST} elements within one another")
+            raise LoadError(f"{where()}: more than {_DEEPEST} nested elements")
         if len(attributes) > _MOST_ATTRIBUTES:
             raise LoadError(f"{where()}: <{tag}> has more than {_MOST_ATTRIBUTES} attributes")
         if element.tag in ("include", "model") and "file" in attributes:
@@ -257,7 +259,7 @@ def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
 
     def check_count() -> None:
         if size.count > _MOST:
-            raise LoadError(f"{where()}: more than {_MOST} elements of MJCF in all")
+            raise LoadError(f"{where()}: more than {_MOST} elements of MJCF in total")
 
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = start, end
@@ -295,7 +297,7 @@ def _product(counts: str) -> int:
     for word in counts.split():
         try:
             product *= max(1.0, float(word))
-        except ValueError:  # MuJoCo refuses the word.
+        except ValueError:  # MuJoCo rejects a count that is not a number.
             continue
     return int(min(product, _CELLS * _MOST))
 

@@ -79,7 +79,7 @@ def root_motion(joints: Sequence[Joint], gravity: Array, turn: Array) -> RootMot
     if _is_spatial(joints):
         return _spatial(joints, in_body)
     if first.kind == "free":
-        return _free(first, gravity)
+        return _free(first)
     return _ball(first) if first.kind == "ball" else _single(first, in_body)
 
 
@@ -111,7 +111,7 @@ def _ball(joint: Joint) -> RootMotion:
     )
 
 
-def _free(joint: Joint, gravity: Array) -> RootMotion:
+def _free(joint: Joint) -> RootMotion:
     """Return the motion of a free joint.  MuJoCo's pose and linear velocity are in world axes."""
     q, v = joint.q_at, joint.v_at
 
@@ -124,7 +124,7 @@ def _free(joint: Joint, gravity: Array) -> RootMotion:
         model=pin.JointModelFreeFlyer(),
         before=pin.SE3.Identity(),
         behind=pin.SE3.Identity(),
-        rotors=rotors.of_free(joint, gravity),
+        rotors=pin.Inertia.Zero(),
         pose=lambda qpos: np.concatenate([qpos[q : q + 3], _quaternion(qpos[q + 3 :])]),
         twist=twist,
         in_world=True,

@@ -38,24 +38,27 @@ def of_slides(slides: Sequence[Joint], gravity: Array) -> pin.Inertia:
 
 
 def of_ball(joint: Joint) -> pin.Inertia:
-    """Return the rotor inertia of a ball, or of a free joint's rotation.
+    """Return the rotor inertia of a ball.
 
     It must be the same in all directions, so that it causes no gyroscopic moment.
     """
-    angular = joint.armature[-3:]
-    if np.ptp(angular) != 0.0:
+    if np.ptp(joint.armature) != 0.0:
         _refuse([joint], "it must be the same in all directions")
-    return pin.Inertia(0.0, np.zeros(3), angular[0] * np.eye(3))
+    return pin.Inertia(0.0, np.zeros(3), joint.armature[0] * np.eye(3))
 
 
-def of_free(joint: Joint, gravity: Array) -> pin.Inertia:
-    """Return the rotor inertia of a free joint.  gravity: (3,) [m/s²], in the world frame."""
-    linear = joint.armature[:3]
-    if np.ptp(linear) != 0.0:
-        _refuse([joint], "it must be the same in all directions")
-    if linear.any():
-        _refuse_falling([joint], gravity, np.eye(3))
-    return _mass(linear[0]) + of_ball(joint)
+def ignored_rotors(joints: Sequence[Joint]) -> tuple[str, ...]:
+    """Return a warning for each free joint with armature.
+
+    No motor drives a free joint, so such armature is ignored.  Files usually inherit it from the
+    <default> of their other joints.
+    """
+    return tuple(
+        f"free joint '{joint.name}' has armature {joint.armature.max():g}, which is ignored; add "
+        "it to the inertia of the body to keep it"
+        for joint in joints
+        if joint.kind == "free" and joint.armature.any()
+    )
 
 
 def of_plane(joints: Sequence[Joint], gravity: Array) -> pin.Inertia:

@@ -127,8 +127,8 @@ def _locked(world: World, lock: Mapping[str, float]) -> dict[int, float]:
             raise InputError(f"lock: no joint {quoted(name)}; the joints are {listed(ids, 60)}")
         if world.kind(ids[name]) in ("ball", "free") and value != 0.0:
             raise InputError(
-                f"lock: joint {quoted(name)} has several degrees of freedom and freezes "
-                "at zero only"
+                f"lock: joint {quoted(name)} has several degrees of freedom and "
+                "can only be locked at zero"
             )
         values[ids[name]] = value
     return values

@@ -18,7 +18,8 @@ from ...system.catalogue import bundled_robots, example_robot
 from ...system.mjcf.compile import compiled
 from ...system.mjcf.mujoco_joints import frame
 from ...system.mjcf.world import World, robot_in
-from ...system.robot_files import URDFDOM, is_mjcf, read_text
+from ...system.read_urdf import URDFDOM, drawn_text
+from ...system.robot_files import is_mjcf, read_text
 from ...system.system import System
 from ...system.visuals import Visuals, mesh_folders
 
@@ -178,10 +179,11 @@ def _from_urdf(path: Path, folders: Sequence[str]) -> Visuals:
     # Packages are searched in all parent folders of the file, in `folders`, and next to them.
     named = [path for folder in folders for path in (folder, str(Path(folder).parent))]
     above = [str(folder) for folder in path.resolve().parents][:-1]
+    text = drawn_text(path)
     with library_output(URDFDOM):
-        raw = pin.buildModelFromUrdf(str(path))
-        geometry = pin.buildGeomFromUrdf(
-            raw, str(path), pin.GeometryType.VISUAL, package_dirs=[*named, *above]
+        raw = pin.buildModelFromXML(text)
+        geometry = pin.buildGeomFromUrdfString(
+            raw, text, pin.GeometryType.VISUAL, package_dirs=[*named, *above]
         )
     return Visuals(raw, geometry)
 
@@ -236,7 +238,7 @@ def _on_joint(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]
     if entry.parentJoint == 0:
         return int(not raw.existJointName(system.root_name)), entry.placement
     if not system.model.existJointName(name):
-        raise LoadError(f"shape '{entry.name}' sits on joint '{name}', which is frozen")
+        raise LoadError(f"shape '{entry.name}' is attached to joint '{name}', which is locked")
     return system.model.getJointId(name), entry.placement
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...lie.rotations import rotation
 from .drawn_bodies import Bodies, extents
 from .playback import Playback
@@ -20,7 +20,7 @@ _FAR = 10.0  # half of the side length of the grid, in radii
 
 
 @dataclass(frozen=True)
-class Framing:
+class Framing(FrozenArrays):
     """Framing of a film; vectors are (3,) in the world frame, lengths are in m.
 
     Attributes:
@@ -50,9 +50,6 @@ class Framing:
     wide: float
     grid: Array
     normal: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def frame(film: Playback, bodies: Bodies) -> Framing:

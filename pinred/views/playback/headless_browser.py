@@ -121,7 +121,9 @@ class Browser:
             if self.run(condition):
                 return
             time.sleep(0.02)
-        raise OutputError(f"the page did not reach '{condition}' within {_PATIENCE:g} s")
+        raise OutputError(
+            f"the condition '{condition}' was not true on the page within {_PATIENCE:g} s"
+        )
 
     def screenshot(self) -> bytes:
         """Return a screenshot of the page as PNG."""

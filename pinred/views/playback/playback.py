@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...judge.reference_solution import FullState
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
+from ...system.joints import axes_of
 from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
@@ -27,7 +28,7 @@ STILL = 1e-9  # momentum that counts as zero, relative to √(2 · mass · kinet
 
 
 @dataclass(frozen=True)
-class Ghost:
+class Ghost(FrozenArrays):
     """The full simulation, drawn next to the reduced one; arrays are read-only.
 
     Attributes:
@@ -39,12 +40,9 @@ class Ghost:
     placements: Array
     apart: Array
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
 
 @dataclass(frozen=True)
-class Playback:
+class Playback(FrozenArrays):
     """A motion at F frames; arrays are read-only, in the world frame.
 
     Attributes:
@@ -71,9 +69,6 @@ class Playback:
     momentum: Momentum
     ghost: Ghost | None
 
-    def __post_init__(self) -> None:
-        freeze(self)
-
 
 def playback(source: MotionSource, view: View) -> Playback:
     """Compute the quantities for drawing a motion.
@@ -94,7 +89,7 @@ def playback(source: MotionSource, view: View) -> Playback:
     if view.ghost:
         if not isinstance(source, Trajectory):
             raise InputError(
-                "a file of a motion holds no forces, so the full simulation cannot be run; play "
+                "a file of a motion contains no forces, so the full simulation cannot be run; play "
                 "the trajectory or its scene file with ghost=True"
             )
         ghost = _ghost(source, states.t, placements)
@@ -124,7 +119,7 @@ def frame_times(source: MotionSource, view: View, most: int, *, even: bool = Fal
     if isinstance(source, Recording):
         start, end = float(source.t[0]), float(source.t[-1])
         if len(source.t) < 2:
-            raise InputError(f"{source.path} holds one time only; a film needs two at least")
+            raise InputError(f"{source.path} contains only one time; a film needs at least two")
     else:
         start, end = 0.0, source.scene.end
     requested = min((end - start) / view.speed * view.fps, 1e15)
@@ -195,7 +190,7 @@ def _ellipsoid(inertia: Array, mass: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Momentum:
+class Momentum(FrozenArrays):
     """The momentum that the group conserves, over F frames; arrays are read-only.
 
     Attributes:
@@ -209,9 +204,6 @@ class Momentum:
     tail: Array
     words: str
     unit: str
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
@@ -254,10 +246,8 @@ def _axes(system: System) -> Array:
     The axes belong to the root joint's frame. If there are fewer than three, the motion does not
     change their directions.
     """
-    model, data = system.model, system.model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    motion = np.array(data.joints[1].S).reshape(6, system.r)
-    linear = system.group.linear
+    model, linear = system.model, system.group.linear
+    motion = axes_of(model.joints[1])
     axes = motion[3:, linear:] if system.group.turns else motion[:3]
     return np.asarray(model.jointPlacements[1].rotation @ axes)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...analysis.full_reduction import Reduction
-from ...common.arrays import Array, freeze
+from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...system.system import System
 
@@ -18,7 +18,7 @@ _LEAST = 0.2  # smallest range of an axis [rad | m]
 
 
 @dataclass(frozen=True)
-class ShapePanel:
+class ShapePanel(FrozenArrays):
     """A path in the plane of two coordinates; arrays are read-only.
 
     With a single joint, the second axis is the joint rate, and there is no curvature field. The
@@ -40,9 +40,6 @@ class ShapePanel:
     high: Array
     components: tuple[str, ...]
     field: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def shape_panel(

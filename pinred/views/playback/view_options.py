@@ -59,6 +59,11 @@ class ViewOptions(TypedDict, total=False):
     meshes: bool | str | Path | Sequence[str | Path]
 
 
+def default_fps(out: Path | None) -> float:
+    """Return the default frames per second of a file, or of a browser if there is no file."""
+    return FPS if out is None or out.suffix == ".html" else FILM_FPS
+
+
 def as_view(options: Mapping[str, Any], what: str) -> View:
     """Build a View from options; raise InputError for an unknown option."""
     names = [entry.name for entry in fields(View)]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from ...analysis.branches.follow import Branches, BranchPoint
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...common.names import joint_index
+from .motion_labels import labels_of
 from .style import PALETTE, figure, legend, styled
 
 GREY = "#555555"
@@ -45,13 +45,8 @@ def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
             f"a branch diagram takes the result of pinred.branches, got {type(found).__name__}"
         )
     system = found.system
-    k: int | None = None
-    if isinstance(joint, str):
-        k = joint_index(joint, system.shape_names, "joint")
-    elif joint is not None:
-        if isinstance(joint, bool) or not 0 <= joint < system.m:
-            raise InputError(f"joint must be a name or an index from 0 to {system.m - 1}")
-        k = int(joint)
+    names = labels_of(system)
+    k = None if joint is None else names.index(joint)
     drawing = figure(f"{system.name}: relative equilibria", height=4.4)
     axes = drawing.subplots()
 
@@ -83,8 +78,7 @@ def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
             )  # fmt: skip
     is_linear = system.group.turns == 0
     axes.set_xlabel("momentum [N·s]" if is_linear else "angular momentum [N·m·s]")
-    unit = "" if k is None else system.units[k]
-    axes.set_ylabel("amended potential [J]" if k is None else f"{system.shape_names[k]} [{unit}]")
+    axes.set_ylabel("amended potential [J]" if k is None else names.with_unit(k))
     legend(axes)
     return drawing
 

@@ -14,29 +14,15 @@ from ...analysis.full_reduction import Reduction
 from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array, vector
 from ...common.errors import InputError
-from ...common.names import joint_index
 from ...lie.group import Group
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.system import System, checked_system
 from ..motion_source import MotionSource
 from .fine_path import fine_path
-from .motion_labels import labels_of
-from .shape_plane import (
-    NONE,
-    Limits,
-    around,
-    checked_path,
-    draw_path,
-    fill,
-    name_axes,
-    outline,
-    plane,
-    reach,
-    title_at,
-)
+from .motion_labels import labels_of, labels_of_connection
+from .shape_plane import NONE, Limits, around, checked_path, draw_field, plane, reach, title_at
 from .style import BLACK, figure, styled
-from .time_series import require_joints
 
 Part = Literal["curvature", "exterior", "bracket", "connection"]
 _PARTS = ("curvature", "exterior", "bracket", "connection")
@@ -78,7 +64,8 @@ def field(
         raise InputError(f"field draws a Connection, got {type(source).__name__}")
     if part not in _PARTS:
         raise InputError(f"part must be one of {', '.join(_PARTS)}, got {part!r}")
-    pair = _pair(source, joints)
+    names = labels_of_connection(source)
+    pair = names.pair(joints, "a field")
     path = None if gait is None else _closed_path(source, gait)
     start = np.zeros(source.m) if path is None else path[0]
     frozen = start if at is None else vector(at, source.m, "at", source.joints)
@@ -103,45 +90,26 @@ def field(
         title += _enclosed(source, gait, pair, part, index)
     drawing = figure(title, height=4.4)
     axes = drawing.subplots()
-    filled = fill(axes, shapes.axes, values)
-    if part == "connection":
+    what, is_flow = f"{titles[part]}, component {label}", part == "connection"
+    axes_labels = [names.with_unit(k) for k in pair]
+    draw_field(axes, shapes, values, axes_labels, what, path=path, contours=not is_flow)
+    if is_flow:
         flow = local[..., index, :]
         u, v = shapes.axes
         axes.streamplot(u, v, flow[..., 0], flow[..., 1], color=BLACK, linewidth=0.6, arrowsize=0.8)
-    else:
-        outline(axes, shapes.axes, values, filled)
-    if path is not None:
-        draw_path(axes, path[:, pair[0]], path[:, pair[1]])
-    what = f"{titles[part]}, component {label}"
-    name_axes(axes, filled, (a, b), units, limits, what)
     return drawing
-
-
-def _pair(source: Connection, joints: Sequence[str | int] | None) -> list[int]:
-    if source.m < 2:
-        raise InputError(f"a field needs two joints; {source} has {source.m}")
-    selected = (0, 1) if joints is None else tuple(joints)
-    if len(selected) != 2:
-        raise InputError(f"joints must be two for a field, got {len(selected)}")
-    pair = [
-        joint_index(item, source.joints, "joints") if isinstance(item, str) else int(item)
-        for item in selected
-    ]
-    if pair[0] == pair[1] or not all(0 <= k < source.m for k in pair):
-        raise InputError(f"joints must be two different ones of {', '.join(source.joints)}")
-    return pair
 
 
 def _closed_path(source: Connection, gait: Gait) -> Array:
     if gait.m != source.m:
         raise InputError(f"the gait moves {gait.m} joints, but {source} has {source.m}")
-    return gait.at(np.linspace(0.0, gait.period, _ALONG_GAIT, endpoint=False))[0][
-        [*range(_ALONG_GAIT), 0]
-    ]
+    return gait.at(np.linspace(0.0, gait.period, _ALONG_GAIT + 1))[0]
 
 
 def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which: int) -> str:
     """Format the gait's signed area, and the integral of the field over it, for the title."""
+    if gait.turns:
+        return ""  # A path around a torus encloses no area.
     x, xdot = gait.samples(4096)
     a, b = pair
     area = 0.5 * gait.period * float(np.mean(x[:, a] * xdot[:, b] - x[:, b] * xdot[:, a]))
@@ -188,10 +156,7 @@ def curvature(
     """
     system = _system(source)
     names = labels_of(system)
-    require_joints(names, 2, "a plot of the curvature")
-    pair = names.indices(joints if joints is not None else (0, 1))
-    if len(pair) != 2:
-        raise InputError(f"joints must be two for a plot of the curvature, got {len(pair)}")
+    pair = names.pair(joints, "a plot of the curvature")
     drawn: Array | None = None
     if path is not None:
         drawn = checked_path(path, system.m)
@@ -216,13 +181,9 @@ def curvature(
         + (f"\n{frozen_joints}" if frozen_joints else ""),
         height=4.4,
     )
-    axes = drawing.subplots()
-    filled = fill(axes, shapes.axes, values)
-    outline(axes, shapes.axes, values, filled)
-    if drawn is not None:
-        draw_path(axes, drawn[:, pair[0]], drawn[:, pair[1]])
     what = f"B, component {label} [{_unit(label, units)}]"
-    name_axes(axes, filled, (a, b), units, limits, what)
+    axes_labels = [names.with_unit(k) for k in pair]
+    draw_field(drawing.subplots(), shapes, values, axes_labels, what, path=drawn)
     return drawing
 
 

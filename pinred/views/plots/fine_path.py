@@ -76,7 +76,7 @@ def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:
 
         return dense
     if len(motion.t) < 2:
-        raise InputError(f"{motion.path} holds one time only, so it has no path")
+        raise InputError(f"{motion.path} contains only one time, so it has no path")
     x = CubicHermiteSpline(motion.t, motion.x, motion.xdot)
     xdot = x.derivative()
     return lambda t: (np.asarray(x(t)), np.asarray(xdot(t)))

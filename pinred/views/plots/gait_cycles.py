@@ -22,7 +22,8 @@ from ...lie.group import Group
 from ...planning.optimisation.best_gait import BestGait
 from ...planning.reorientation.turn_plan import TurnPlan
 from .connection_field import component_of
-from .shape_plane import around, draw_path, fill, name_axes, outline, plane
+from .motion_labels import labels_of_connection
+from .shape_plane import around, draw_field, plane
 from .style import BLACK, RED, figure, legend, line, styled
 
 _MOST = 1000
@@ -146,14 +147,11 @@ def _on_curvature(axes: Axes, connection: Connection, gaits: list[Gait]) -> None
     shapes = plane(pair, limits, paths[0][0])
     curvature = connection.grid(shapes.shapes).curvature[..., pair[0], pair[1]]
     index = component_of(connection.group, None, curvature)
-    filled = fill(axes, shapes.axes, curvature[..., index])
-    outline(axes, shapes.axes, curvature[..., index], filled)
+    names = [labels_of_connection(connection).with_unit(k) for k in pair]
+    what = f"B, component {connection.group.twist_names[index]}"
+    draw_field(axes, shapes, curvature[..., index], names, what, path=paths[0])
     for path in paths[1:]:
         axes.plot(path[:, pair[0]], path[:, pair[1]], color="white", linewidth=0.8, zorder=3)
-    draw_path(axes, paths[0][:, pair[0]], paths[0][:, pair[1]])
-    a, b = (connection.joints[k] for k in pair)
-    what = f"B, component {connection.group.twist_names[index]}"
-    name_axes(axes, filled, (a, b), units, limits, what)
 
 
 def _over_time(axes: Axes, group: Group, t: Array, poses: Array) -> None:

@@ -18,7 +18,8 @@ from ...system.system import System
 from ..motion_source import MotionSource
 from .fine_path import Path, fine_path, state_at
 from .motion_labels import labels, robot_of
-from .style import BLACK, RED, figure, styled
+from .shape_plane import mark_start
+from .style import RED, figure, styled
 
 _NONE = 1e-12  # momentum that counts as zero, relative to the moment of inertia times 1 rad/s
 _CONSTANT = 1e-6  # largest relative change of |L| that counts as constant
@@ -73,8 +74,7 @@ def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
             _draw(axes, curve, view, f"levels of the energy{frozen}" if k == 0 else "",
                   color="#777777", linewidth=0.8)  # fmt: skip
     _draw(axes, L, view, "path", color=RED, linewidth=2.2)
-    axes.plot(*L[:1].T, "o", color="white", markeredgecolor=BLACK, markersize=6, label="start",
-              linestyle="none", zorder=6)  # fmt: skip
+    mark_start(axes, *L.T)
     reach = 1.05 * max(size, float(np.abs(L).max()))
     _draw_axes(axes, reach)
     drawing.legend(loc="outside lower left", ncols=3, frameon=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from ...common.errors import InputError, LoadError
 from ...simulation.recording import Recording
@@ -11,6 +12,9 @@ from ...simulation.trajectory import Trajectory
 from ...system.state_fields import FIELDS
 from ...system.system import System
 from ..motion_source import MotionSource
+
+if TYPE_CHECKING:
+    from ...analysis.connections.connection import Connection
 
 FEW = 6  # up to this number, all joints share a panel even if they are on different branches
 MOST = 8  # largest number of lines in a panel
@@ -44,7 +48,10 @@ class Labels:
                 )
             return self.joints.index(joint)
         if isinstance(joint, bool) or not 0 <= joint < len(self.joints):
-            raise InputError(f"joint {joint!r} is not among the {len(self.joints)} joints from 0")
+            raise InputError(
+                f"joint index {joint!r} is out of range for {len(self.joints)} joints, counted "
+                "from 0"
+            )
         return int(joint)
 
     def indices(self, joints: Sequence[str | int] | str | int) -> list[int]:
@@ -52,8 +59,28 @@ class Labels:
         names = [joints] if isinstance(joints, (str, int)) else list(joints)
         indices = [self.index(joint) for joint in names]
         if not indices or len(set(indices)) != len(indices):
-            raise InputError(f"joints must be different ones, at least one, got {names}")
+            raise InputError(f"joints must be one or more distinct joints, got {names}")
         return indices
+
+    def require(self, least: int, what: str) -> None:
+        """Raise InputError if there are fewer joints than a plot needs."""
+        if len(self.joints) < least:
+            raise InputError(
+                f"{what} needs a robot with at least {least} joint{'s' * (least > 1)}, "
+                f"but '{self.robot}' has {len(self.joints)}"
+            )
+
+    def pair(self, joints: Sequence[str | int] | None, what: str) -> list[int]:
+        """Return the indices of two joints, the first two if None; or raise InputError."""
+        self.require(2, what)
+        pair = self.indices((0, 1) if joints is None else joints)
+        if len(pair) != 2:
+            raise InputError(f"joints must be two for {what}, got {len(pair)}")
+        return pair
+
+    def with_unit(self, joint: int) -> str:
+        """Return the name and the unit of a joint, for an axis."""
+        return f"{self.joints[joint]} [{self.units[joint]}]"
 
     def panels(self, joints: Sequence[str | int] | str | int | None = None) -> list[list[int]]:
         """Group joints into panels; a panel has one unit, and one branch or several small ones."""
@@ -112,6 +139,12 @@ def labels_of(system: System) -> Labels:
     """Return the labels of a system."""
     limbs = _limbs(system)
     return Labels(system.name, system.group.name, system.shape_names, system.units, limbs)
+
+
+def labels_of_connection(connection: Connection) -> Labels:
+    """Return the labels of a connection; it has no branches."""
+    form = connection.form
+    return Labels(repr(connection), form.group.name, form.joints, form.units, ())
 
 
 def _limbs(system: System) -> tuple[tuple[int, ...], ...]:

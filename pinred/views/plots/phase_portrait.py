@@ -19,9 +19,8 @@ from ...system.system import System
 from ..motion_source import MotionSource
 from .fine_path import Path, fine_path, state_at
 from .motion_labels import Labels, labels, robot_of
-from .shape_plane import Limits, Plane, around, draw_path, plane, title_at
+from .shape_plane import Limits, Plane, around, draw_path, mark_start, plane, title_at
 from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, styled
-from .time_series import require_joints
 
 _LEVELS = 14  # number of level curves of the potential and of the energy
 _TRIED = 50  # largest number of states of a recording whose energy is checked
@@ -59,7 +58,7 @@ def phase(
         InputError: A robot without joints, or unknown names.
     """
     names = labels(motion)
-    require_joints(names, 1, "a phase portrait")
+    names.require(1, "a phase portrait")
     selected = names.indices(joints if joints is not None else range(min(2, len(names.joints))))
     if len(selected) > 2:
         raise InputError(f"joints must be one or two for a phase portrait, got {len(selected)}")
@@ -153,7 +152,7 @@ def _is_all_energy(states: State, system: System) -> bool:
 
 def _remark(names: Labels, landscape: _Landscape | None, values: Array | None) -> str:
     if landscape is None or values is None:
-        return f" (gravity turns the pivot: no potential on the shape of {names.group} alone)"
+        return f" (gravity rotates the base: no potential on the shape of {names.group} alone)"
     if _is_flat(values):
         return f" (the amended potential is {values.flat[0]:.4g} J everywhere)"
     return "" if landscape.is_exact else f", potential for μ of t = {landscape.time:g} s"
@@ -193,7 +192,7 @@ def _draw_one_joint(
         )
         portrait.plot([], [], color="#999999", linewidth=0.7, label="levels of the energy")
         portrait.set_ylim(low, high)
-    portrait.set_xlabel(f"{names.joints[joint]} [{names.units[joint]}]")
+    portrait.set_xlabel(names.with_unit(joint))
     legend(portrait)
     return drawing
 
@@ -218,13 +217,12 @@ def _draw_two_joints(
     draw_path(main, path.x[:, a], path.x[:, b])
     main.grid(visible=False)
     main.set(xlim=shapes.axes[0][[0, -1]], ylim=shapes.axes[1][[0, -1]])
-    main.set_xlabel(f"{names.joints[a]} [{names.units[a]}]")
-    main.set_ylabel(f"{names.joints[b]} [{names.units[b]}]")
+    main.set(xlabel=names.with_unit(a), ylabel=names.with_unit(b))
     main.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     for panel, joint in enumerate((a, b)):
         axes = drawing.add_subplot(grid[panel, 1])
         _portrait(axes, path, names, joint)
-        axes.set_xlabel(f"{names.joints[joint]} [{names.units[joint]}]")
+        axes.set_xlabel(names.with_unit(joint))
     return drawing
 
 
@@ -233,6 +231,5 @@ def _portrait(axes: Axes, path: Path, names: Labels, joint: int) -> None:
     unit = names.units[joint].replace(" | ", "/s | ")
     x, rate = path.x[:, joint], path.xdot[:, joint]
     axes.plot(x, rate, color=BLUE, linewidth=1.6, label="path", zorder=3)
-    axes.plot(x[:1], rate[:1], "o", color="white", markeredgecolor=BLACK, markersize=6,
-              label="start", linestyle="none", zorder=5)  # fmt: skip
+    mark_start(axes, x, rate)
     axes.set_ylabel(f"rate [{unit}/s]")

@@ -15,7 +15,6 @@ from ..motion_source import MotionSource
 from .fine_path import fine_path, fine_times, shape_path
 from .motion_labels import labels
 from .style import dots, figure, legend, styled
-from .time_series import require_joints
 
 _HALVINGS = 64  # number of bisections, enough to resolve adjacent floating-point numbers
 
@@ -49,11 +48,7 @@ def poincare(
     names = labels(sources[0])
     if any(labels(motion) != names for motion in sources):
         raise InputError("a Poincaré section takes motions of one robot only")
-    require_joints(names, 2, "a Poincaré section")
-    pair = names.indices(joints if joints is not None else (0, 1))
-    if len(pair) != 2:
-        raise InputError(f"joints must be two for a Poincaré section, got {len(pair)}")
-    crossed, shown = pair
+    crossed, shown = names.pair(joints, "a Poincaré section")
     if direction not in (-1, 0, 1):
         raise InputError(f"direction must be 1, -1 or 0 for both, got {direction!r}")
     unit = names.units[crossed]
@@ -84,8 +79,8 @@ def poincare(
             *crossed_at.T, linestyle="none", markersize=size, markeredgewidth=0.0,
             label=f"motion {k + 1}: {len(crossed_at)} crossings", **dots(k),
         )  # fmt: skip
-    axes.set_xlabel(f"{names.joints[shown]} [{names.units[shown]}]")
-    axes.set_ylabel(f"rate of {names.joints[shown]} [{names.units[shown]}/s]")
+    rate = f"rate of {names.joints[shown]} [{names.units[shown]}/s]"
+    axes.set(xlabel=names.with_unit(shown), ylabel=rate)
     legend(axes)
     return drawing
 

@@ -111,9 +111,14 @@ def draw_path(axes: Axes, x: Array, y: Array) -> None:
     """Draw a curve with a white outline over a field, and a dot at its start."""
     halo = [Stroke(linewidth=3.4, foreground="white"), withStroke(linewidth=0.0)]
     axes.plot(x, y, color=RED, linewidth=1.6, label="path", path_effects=halo, zorder=4)
+    mark_start(axes, x, y)
+
+
+def mark_start(axes: Any, *path: Array) -> None:
+    """Draw a dot at the first point of a path, given by its coordinates, (T,) each."""
     axes.plot(
-        x[:1], y[:1], "o", color="white", markeredgecolor=BLACK, markersize=6, label="start",
-        linestyle="none", zorder=5,
+        *(values[:1] for values in path), "o", color="white", markeredgecolor=BLACK, markersize=6,
+        label="start", linestyle="none", zorder=6,
     )  # fmt: skip
 
 
@@ -129,7 +134,35 @@ def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
     )
 
 
-def fill(axes: Axes, plane: Sequence[Array], values: Array) -> QuadContourSet:
+def draw_field(
+    axes: Axes, plane: Plane, values: Array, labels: Sequence[str], value: str, *,
+    path: Array | None = None, contours: bool = True,
+) -> None:  # fmt: skip
+    """Draw a function of two joints in colours, with a colour bar and a legend.
+
+    Args:
+        axes: Where to draw.
+        plane: The shapes.
+        values: The function, on the grid of the plane.
+        labels: Names and units of both joints.
+        value: Name and unit of the function.
+        path: Shapes of a path to draw, (T, m) [rad | m].
+        contours: Whether to draw level curves.
+    """
+    filled = _fill(axes, plane.axes, values)
+    if contours:
+        _outline(axes, plane.axes, values, filled)
+    if path is not None:
+        draw_path(axes, *path[:, list(plane.joints)].T)
+    axes.grid(visible=False)
+    x, y = plane.axes
+    axes.set(xlabel=labels[0], ylabel=labels[1], xlim=x[[0, -1]], ylim=y[[0, -1]])
+    bar = axes.figure.colorbar(filled, ax=axes, location="left", pad=0.02, shrink=0.9)
+    bar.set_label(value)
+    legend(axes)
+
+
+def _fill(axes: Axes, plane: Sequence[Array], values: Array) -> QuadContourSet:
     """Draw values at the points of a plane of shapes as filled contours."""
     low, high = float(values.min()), float(values.max())
     if high - low < NONE:
@@ -140,7 +173,7 @@ def fill(axes: Axes, plane: Sequence[Array], values: Array) -> QuadContourSet:
     return axes.contourf(*plane, values, levels=levels, cmap=FIELD)
 
 
-def outline(axes: Axes, plane: Sequence[Array], values: Array, filled: QuadContourSet) -> None:
+def _outline(axes: Axes, plane: Sequence[Array], values: Array, filled: QuadContourSet) -> None:
     """Draw every second level as a line, and zero as a thick line, unless all is round-off."""
     if np.abs(values).max() < NONE:
         return
@@ -150,20 +183,3 @@ def outline(axes: Axes, plane: Sequence[Array], values: Array, filled: QuadConto
     if values.min() < 0.0 < values.max():
         axes.contour(*plane, values, levels=[0.0], colors=BLACK, linewidths=2.0)
         axes.plot([], [], color=BLACK, linewidth=2.0, label="zero")
-
-
-def name_axes(
-    axes: Axes,
-    filled: QuadContourSet,
-    joints: Sequence[str],
-    units: Sequence[str],
-    limits: Limits,
-    value: str,
-) -> None:
-    """Label both joint axes and the colour bar, and set the limits."""
-    axes.grid(visible=False)
-    axes.set(xlabel=f"{joints[0]} [{units[0]}]", ylabel=f"{joints[1]} [{units[1]}]")
-    axes.set(xlim=limits[0], ylim=limits[1])
-    bar = axes.figure.colorbar(filled, ax=axes, location="left", pad=0.02, shrink=0.9)
-    bar.set_label(value)
-    legend(axes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,7 +18,7 @@ from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import FIELDS
 from ..motion_source import MotionSource
-from .motion_labels import Labels, labels
+from .motion_labels import labels
 from .style import legend, line, on_log, over_time, shown, steady, styled
 
 _TWIST_TO_MOMENTUM = str.maketrans("vω", "pL")  # twist component → momentum component
@@ -38,20 +38,22 @@ def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) ->
         InputError: Unknown joints, or a robot without joints.
     """
     names = labels(motion)
-    require_joints(names, 1, "a plot of the shape")
+    names.require(1, "a plot of the shape")
     panels = names.panels(joints)
     figure, axes_list = over_time(f"{names.robot}: shape", len(panels))
     for axes, panel in zip(axes_list, panels, strict=True):
-        for k, joint in enumerate(panel):
-            axes.plot(motion.t, motion.x[:, joint], label=shown(names.joints[joint]), **line(k))
-        steady(axes, motion.x[:, panel])
-        axes.set_ylabel(
-            f"{names.joints[panel[0]]} [{names.units[panel[0]]}]"
-            if len(panel) == 1
-            else f"shape [{names.units[panel[0]]}]"
-        )
-        legend(axes)
+        title = names.with_unit(panel[0]) if len(panel) == 1 else f"shape [{names.units[panel[0]]}]"
+        _lines(axes, motion.t, motion.x[:, panel], [shown(names.joints[k]) for k in panel], title)
     return figure
+
+
+def _lines(axes: Axes, t: Array, values: Array, names: Sequence[str], title: str) -> None:
+    """Draw the columns of `values`, (T, n), over time in one panel with a legend."""
+    for k, (name, column) in enumerate(zip(names, values.T, strict=True)):
+        axes.plot(t, column, label=name, **line(k))
+    steady(axes, values)
+    axes.set_ylabel(title)
+    legend(axes)
 
 
 @styled
@@ -71,18 +73,34 @@ def base(motion: MotionSource) -> Figure:
     group = group_named(names.group)
     k, pose = group.linear, continuous(motion.pose) if group.turns == 3 else motion.pose
     attitude = "quaternion [1]" if group.turns == 3 else "angle [rad]"
-    quantities = [("position [m]", group.pose_names[:k]), (attitude, group.pose_names[k:])]
-    quantities = [(quantity, entries) for quantity, entries in quantities if entries]
-    figure, panels = over_time(f"{names.robot}: pose of the base ({names.group})", len(quantities))
-    first = 0
-    for axes, (quantity, entries) in zip(panels, quantities, strict=True):
-        for k, entry in enumerate(entries):
-            axes.plot(motion.t, pose[:, first + k], label=entry, **line(k))
-        steady(axes, pose[:, first : first + len(entries)])
-        axes.set_ylabel(quantity if len(entries) > 1 else f"{entries[0]}: {quantity}")
-        legend(axes)
-        first += len(entries)
-    return figure
+    title = f"{names.robot}: pose of the base ({names.group})"
+    quantities = {"position [m]": slice(0, k), attitude: slice(k, None)}
+    return _quantities(title, motion.t, pose, group.pose_names, quantities)[0]
+
+
+def _quantities(
+    title: str, t: Array, values: Array, names: Sequence[str], columns: Mapping[str, slice],
+    more: int = 0,
+) -> tuple[Figure, list[Axes]]:  # fmt: skip
+    """Draw quantities over time in one panel each.
+
+    Args:
+        title: Title of the figure.
+        t: Times, (T,) [s].
+        values: Values, (T, n).
+        names: Names of the n columns.
+        columns: Columns of each quantity, by name and unit; a quantity without columns is left out.
+        more: Number of further, empty panels.
+    Returns:
+        The figure and its panels.
+    """
+    columns = {quantity: part for quantity, part in columns.items() if names[part]}
+    figure, panels = over_time(title, len(columns) + more)
+    for axes, (quantity, part) in zip(panels, columns.items(), strict=False):
+        entries = names[part]
+        label = quantity if len(entries) > 1 else f"{entries[0]}: {quantity}"
+        _lines(axes, t, values[:, part], entries, label)
+    return figure, panels
 
 
 def continuous(pose: Array) -> Array:
@@ -91,15 +109,6 @@ def continuous(pose: Array) -> Array:
     flips = np.sign(np.sum(quaternion[1:] * quaternion[:-1], axis=1))
     signs = np.cumprod(np.append(1.0, np.where(flips == 0.0, 1.0, flips)))
     return np.concatenate([pose[:, :-4], quaternion * signs[:, None]], axis=1)
-
-
-def require_joints(names: Labels, least: int, what: str) -> None:
-    """Raise InputError if a robot has fewer joints than a plot needs."""
-    if len(names.joints) < least:
-        raise InputError(
-            f"{what} needs a robot with at least {least} joint{'s' * (least > 1)}, "
-            f"but '{names.robot}' has {len(names.joints)}"
-        )
 
 
 @styled
@@ -120,7 +129,7 @@ def error(compared: Report | Trajectory) -> Figure:
         compared = compare(compared)
     if isinstance(compared, Recording):
         raise InputError(
-            f"{compared.path} holds no forces, so the full simulation cannot be run; "
+            f"{compared.path} contains no forces, so the full simulation cannot be run; "
             "plot the error of the robot or of its scene file"
         )
     if not isinstance(compared, Report):
@@ -160,31 +169,26 @@ def momentum(motion: MotionSource) -> Figure:
     """Draw the spatial momentum over time, and its drift on a logarithmic axis.
 
     The momentum is expressed in the root joint's fixed frame, about its origin. The drift is the
-    largest of the linear and of the angular components. For a Trajectory it is the relative drift
-    of `compare`: Pinocchio computes the momentum from q and v, and free fall and impulses are
-    subtracted; the angular momentum is about the centre of mass if the group translates. For a
-    recording the drift is the change since the start.
+    largest change of a linear component, and of an angular component. For a Trajectory it is the
+    relative drift that `compare` reports: Pinocchio computes the momentum from q and v, and the
+    effects of free fall and of impulses are subtracted. If the group contains translations, the
+    angular momentum is then about the centre of mass. For a recording the drift is the change since
+    the start.
 
     Args:
         motion: Trajectory, or a recording read from a file.
     Returns:
         The figure.
     Raises:
-        InputError: The base was left out.
+        InputError: The motion was simulated without its base (outputs="shape").
     """
     names = labels(motion)
     group = group_named(names.group)
     linear, values = group.linear, motion.spatial_momentum
     entries = [name.translate(_TWIST_TO_MOMENTUM) for name in group.twist_names]
-    quantities = [(LINEAR, range(linear)), (ANGULAR, range(linear, len(entries)))]
-    quantities = [(quantity, columns) for quantity, columns in quantities if len(columns)]
-    figure, panels = over_time(f"{names.robot}: spatial momentum", len(quantities) + 1)
-    for axes, (quantity, columns) in zip(panels, quantities, strict=False):
-        for k, entry in enumerate(columns):
-            axes.plot(motion.t, values[:, entry], label=entries[entry], **line(k))
-        steady(axes, values[:, list(columns)])
-        axes.set_ylabel(f"{entries[columns[0]]}: {quantity}" if len(columns) == 1 else quantity)
-        legend(axes)
+    title = f"{names.robot}: spatial momentum"
+    quantities = {LINEAR: slice(0, linear), ANGULAR: slice(linear, None)}
+    figure, panels = _quantities(title, motion.t, values, entries, quantities, more=1)
     if isinstance(motion, Trajectory):
         drift = _largest_by_quantity(audit_trajectory(motion, motion.states).momenta, linear)
         _drift_panel(panels[-1], motion, drift)
@@ -216,21 +220,17 @@ def energy(motion: MotionSource) -> Figure:
     names = labels(motion)
     figure, panels = over_time(f"{names.robot}: energy", 2)
     top, bottom = panels
-    top.plot(motion.t, motion.energy, label="energy", **line(0))
-    drawn = [motion.energy]
+    drawn, entries = motion.energy[:, None], ["energy"]
     if isinstance(motion, Trajectory):
         balance = motion.energy_balance
-        for k, label in enumerate(balance.labels, start=1):
-            top.plot(motion.t, balance.work[:, k - 1], label=f"work of {label}", **line(k))
-            drawn.append(balance.work[:, k - 1])
+        drawn = np.hstack([drawn, balance.work])
+        entries += [f"work of {label}" for label in balance.labels]
         _drift_panel(bottom, motion, {"energy": audit_trajectory(motion, motion.states).energies})
     else:
         _change_panel(
             bottom, motion.t, {"energy": motion.energy - motion.energy[0]}, FIELDS["energy"].unit
         )
-    steady(top, np.concatenate(drawn))
-    top.set_ylabel(f"energy [{FIELDS['energy'].unit}]")
-    legend(top)
+    _lines(top, motion.t, drawn, entries, f"energy [{FIELDS['energy'].unit}]")
     return figure
 
 

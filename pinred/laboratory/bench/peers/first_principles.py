@@ -61,7 +61,7 @@ def _articulated(system: System, x: ca.SX, v: ca.SX, lift: ca.SX) -> ca.SX:
         inertia[parent] += ca.mtimes(steps[k].T, ca.mtimes(I, steps[k]))
         force[parent] += ca.mtimes(steps[k].T, p)
     S = _constant(axes[0])
-    base = ca.vertcat(lift, ca.SX(3, 1))  # acceleration of the frame, instead of gravity
+    base = ca.vertcat(lift, ca.SX(3, 1))  # gravity as an acceleration of the frame
     H = ca.mtimes(S.T, ca.mtimes(inertia[0], S)) + ca.SX(ca.diag(ca.DM(model.armature[:r])))
     load = -ca.mtimes(S.T, force[0] + ca.mtimes(inertia[0], base))
     root = _solve_by_cholesky(ca.densify(H), load)

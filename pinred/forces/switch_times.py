@@ -1,0 +1,252 @@
+"""The times at which conditions on time change: all of them, or an error.
+
+The argument g of a switch is solved exactly if it is linear in time. Otherwise, intervals are
+bisected until bounds of g exclude a root, or bounds of its derivative show that there is at most
+one. Switches within the argument of another come first, so that g is smooth in each span.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..common.arrays import Array, read_only
+from ..common.errors import InputError
+from ..system.coordinates import Indices
+from .root_search import MOST_TIMES, Spans, bisected_roots, linear_roots
+from .time_switches import Switch
+from .vector_program import VectorProgram
+
+_FRACTION = 0.3819660112501051  # golden section of a span
+_REMEMBERED = 16  # number of runs whose times are cached
+ROUND_OFF = 1e-12  # times closer than this fraction of the duration are merged
+
+
+@dataclass(frozen=True)
+class Times:
+    """Times at which switches change, sorted by run and time.
+
+    Attributes:
+        run: Index of the run, (K,).
+        time: Times, (K,) [s].
+        switch: Index of the switch, (K,); −1 for the breaks of tables.
+    """
+
+    run: Indices
+    time: Array
+    switch: Indices
+
+    def joined(self, others: Sequence[Times]) -> Times:
+        """Return these and other times, sorted."""
+        rows = (self, *others)
+        run, time, switch = (
+            np.concatenate([getattr(r, name) for r in rows]) for name in ("run", "time", "switch")
+        )
+        order = np.lexsort((time, run))
+        return Times(run[order], time[order], switch[order])
+
+
+class SwitchTimes:
+    """The times at which the functions of time in one force model are not smooth.
+
+    Attributes:
+        used: Indices of the numbers on which these times depend.
+        conditions: (t, numbers) → the values of all conditions on time, as the forces are written;
+            None if there are none.
+    """
+
+    def __init__(
+        self,
+        switches: Sequence[Switch],
+        t: ca.SX,
+        within: ca.SX,
+        numbers: Sequence[ca.SX],
+        breaks: Array,
+    ) -> None:
+        """Prepare the search.
+
+        Args:
+            switches: The switches, inner ones first.
+            t: Time.
+            within: The time at which conditions are evaluated.
+            numbers: Symbols of the numbers, (p,).
+            breaks: Sorted breaks of tables, (B,) [s].
+        Raises:
+            InputError: A condition contains an operation that has no bounds.
+        """
+        self._breaks = breaks
+        self._known: dict[tuple[float, bytes], Array] = {}
+        self.conditions: ca.Function | None = None
+        self._located = [s for s in switches if s.argument is not None]
+        arguments = [s.argument for s in self._located if s.argument is not None]
+        if arguments:
+            written = ca.vertcat(*(s.written for s in self._located))
+            values = ca.densify(ca.substitute(written, within, t))
+            self.conditions = ca.Function("conditions", [t, ca.vertcat(*numbers)], [values])
+        inside = _symbols_in(arguments)
+        states = [s for s in switches if s.state.element_hash() in inside]
+        inside |= _symbols_in([s.value for s in states])
+        inside -= {within.element_hash()}
+        self.used = [k for k, number in enumerate(numbers) if number.element_hash() in inside]
+        own = [numbers[k] for k in self.used]
+        self._states = VectorProgram([within, *own], [s.value for s in states])
+        self._symbols, self._time, self._numbers = [s.state for s in states], t, own
+        # Tables within an argument select their segment by `within`, too.
+        inputs = [t, within, *self._symbols, *own]
+        rates = [ca.jacobian(g, t) for g in arguments]
+        self._linear = [not ca.depends_on(rate, t) for rate in rates]
+        self._programs = [
+            VectorProgram(inputs, [g, rate]) for g, rate in zip(arguments, rates, strict=True)
+        ]
+        self._slopes: dict[int, VectorProgram] = {}
+        self._inputs, self._arguments = inputs, arguments
+        self._levels = sorted({s.level for s in self._located})
+
+    def breaks(self, end: float, numbers: Array) -> Array:
+        """Return the sorted times before `end` at which a function of time is not smooth.
+
+        Args:
+            end: End time [s].
+            numbers: Numbers of one run, (p,).
+        Returns:
+            The times; times that differ by round-off are one [s].
+        """
+        key = (end, numbers[self.used].tobytes())
+        breaks = self._known.get(key)
+        if breaks is None:
+            times = self.find(end, numbers[None]).time
+            distinct = np.append(np.diff(times) > ROUND_OFF * end, True)[: len(times)]
+            breaks = read_only(np.asarray(times[distinct]))
+            while len(self._known) >= _REMEMBERED:
+                self._known.pop(next(iter(self._known)), None)
+            self._known[key] = breaks
+        return breaks
+
+    def find(self, end: float, numbers: Array) -> Times:
+        """Find all times between 0 and `end`, with the breaks of tables.
+
+        Args:
+            end: End time [s].
+            numbers: Numbers of N runs, (N, p).
+        Returns:
+            The times; equal ones of several switches are repeated.
+        Raises:
+            InputError: There are too many, or a condition cannot be decided.
+        """
+        count, breaks = len(numbers), self._breaks
+        breaks = breaks[(breaks > 0.0) & (breaks < end)]
+        own = np.ascontiguousarray(numbers[:, self.used].T)
+        times = Times(
+            np.repeat(np.arange(count), len(breaks)),
+            np.tile(breaks, count),
+            np.full(count * len(breaks), -1),
+        )
+        for level in self._levels:
+            spans = _spans_between(times, count, end)
+            columns = self._columns(spans, own)
+            found = [
+                self._roots(k, spans, columns, end)
+                for k, switch in enumerate(self._located)
+                if switch.level == level
+            ]
+            times = times.joined(found)
+            if len(times.time) > MOST_TIMES:
+                raise InputError(
+                    f"forces: conditions on time change more than {MOST_TIMES} times until "
+                    f"{end:g} s. Shorten the motion, or use a smooth function"
+                )
+        return times
+
+    def slopes(self, stops: Array, numbers: Array) -> list[Array]:
+        """Return the derivatives of stops with respect to the numbers.
+
+        Args:
+            stops: Sorted times at which integration stops, its end included, (S,) [s].
+            numbers: Numbers of the run, (p,).
+        Returns:
+            For each stop, an array (C, p) with a row for each function of time that changes there.
+        """
+        times, starts = self.find(float(stops[-1]), numbers[None]), np.append(0.0, stops)
+        rows: list[list[Array]] = [[] for _ in stops]
+        for time, switch in zip(times.time.tolist(), times.switch.tolist(), strict=True):
+            # A stop is the last of the times that differ by round-off.
+            k = min(int(np.searchsorted(stops, time)), len(stops) - 1)
+            within = time_within(float(starts[k]), float(stops[k]))
+            is_table = switch < 0
+            rows[k].append(
+                np.zeros(len(numbers)) if is_table else self._slope(switch, time, within, numbers)
+            )
+        return [np.array(own).reshape(-1, len(numbers)) for own in rows]
+
+    def _slope(self, switch: int, time: float, within: float, numbers: Array) -> Array:
+        """Return the derivative of a time with respect to the numbers, (p,).
+
+        Args:
+            switch: Index of the switch.
+            time: Time at which it changes [s].
+            within: A time in the span before it [s].
+            numbers: Numbers of the run, (p,).
+        Returns:
+            The derivative; not finite where g only touches zero.
+        """
+        if switch not in self._slopes:
+            column = ca.vertcat(self._time, *self._numbers)
+            row = ca.jacobian(self._arguments[switch], column)
+            self._slopes[switch] = VectorProgram(self._inputs, ca.horzsplit(row))
+        own = numbers[self.used]
+        states = self._states(within, *own)
+        rate, *rest = (float(v) for v in self._slopes[switch](time, within, *states, *own))
+        slopes = np.zeros(len(numbers))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slopes[self.used] = -np.array(rest) / rate
+        return slopes
+
+    def _columns(self, spans: Spans, own: Array) -> list[Array]:
+        """Return all inputs of the arguments except time, (P,) each."""
+        numbers = list(own[:, spans.run])
+        within = time_within(spans.start, spans.stop)
+        states = (np.broadcast_to(v, within.shape) for v in self._states(within, *numbers))
+        return [within, *states, *numbers]
+
+    def _roots(self, switch: int, spans: Spans, columns: list[Array], end: float) -> Times:
+        program, whole = self._programs[switch], self._located[switch].whole
+        if self._linear[switch]:
+            at, time = linear_roots(program, spans, columns, whole=whole)
+        else:
+            at, time = bisected_roots(
+                program, spans, columns, whole=whole, tiny=0.5 * ROUND_OFF * end
+            )
+        keep = (time > ROUND_OFF * end) & (time < (1.0 - ROUND_OFF) * end)
+        keep &= (time >= spans.start[at]) & (time <= spans.stop[at])
+        at, time = at[keep], time[keep]
+        return Times(spans.run[at], time, np.full(len(time), switch))
+
+
+def time_within(start: Any, stop: Any) -> Any:
+    """Return the times [s] in spans at which conditions on time are evaluated.
+
+    They are not the middles, because symmetric functions often touch a threshold in the middle.
+    """
+    return start + _FRACTION * (stop - start)
+
+
+def _symbols_in(expressions: Sequence[ca.SX]) -> set[int]:
+    """Return the hashes of all symbols in expressions."""
+    column = ca.vertcat(ca.SX(0, 1), *expressions)
+    return {symbol.element_hash() for symbol in ca.symvar(column)}
+
+
+def _spans_between(times: Times, count: int, end: float) -> Spans:
+    """Return the spans between the times of each run; times that differ by round-off are one."""
+    runs = np.arange(count)
+    run = np.concatenate([times.run, runs, runs])
+    time = np.concatenate([times.time, np.zeros(count), np.full(count, end)])
+    order = np.lexsort((time, run))
+    run, time = run[order], time[order]
+    start, stop = time[:-1], time[1:]
+    keep = (run[:-1] == run[1:]) & (stop - start > ROUND_OFF * end)
+    return Spans(run[:-1][keep], start[keep], stop[keep])

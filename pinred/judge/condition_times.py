@@ -1,0 +1,55 @@
+"""Times at which conditions on time change, found by sampling the forces as they are written.
+
+This search is independent of the one that decides where integrators stop. It samples all conditions
+densely and bisects where they differ, so it can miss a pulse that is shorter than its spacing. Such
+a pulse is seen if the motion stops at one of its ends: the middle of each span is sampled, too.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from ..common.arrays import Array
+from ..forces.force_model import ForceModel
+
+_SAMPLES = 1 << 14
+_RESOLUTION = 1e-14  # length at which bisection ends, as a fraction of the duration
+
+
+def condition_times(forces: ForceModel, stops: Array, numbers: Array) -> Array:
+    """Return the sorted times before the last stop at which a condition on time changes.
+
+    Args:
+        forces: The forces.
+        stops: Sorted times at which the motion stops, its end included, (S,) [s].
+        numbers: Force parameters, (p,).
+    Returns:
+        The times, (K,) [s].
+    """
+    conditions = forces.switching.conditions
+    if conditions is None:
+        return np.empty(0)
+    end = float(stops[-1])
+    span_ends = np.concatenate([[0.0], stops])
+    middles = 0.5 * (span_ends[1:] + span_ends[:-1])
+    times = np.union1d(np.linspace(0.0, end, _SAMPLES), middles)
+    values = _values(conditions, times, numbers)
+    changes = np.flatnonzero((values[1:] != values[:-1]).any(axis=1))
+    a, b, at_a, at_b = times[changes], times[changes + 1], values[changes], values[changes + 1]
+    while a.size and (b - a).max() > _RESOLUTION * end:
+        middle = 0.5 * (a + b)
+        at = _values(conditions, middle, numbers)
+        left, right = (at != at_a).any(axis=1), (at != at_b).any(axis=1)
+        a, b = np.append(a[left], middle[right]), np.append(middle[left], b[right])
+        at_a, at_b = (
+            np.concatenate(rows) for rows in ((at_a[left], at[right]), (at[left], at_b[right]))
+        )
+    return np.unique(b)
+
+
+def _values(conditions: ca.Function, times: Array, numbers: Array) -> Array:
+    """Return the values of all conditions, (T, C), at times (T,)."""
+    mapped = conditions.map(len(times))
+    values = mapped(times[None], ca.repmat(ca.DM(numbers), 1, len(times)))
+    return np.asarray(values.T)

@@ -1,0 +1,45 @@
+"""The options of `pinred.load`, each described once, for scene files and the command line."""
+
+from __future__ import annotations
+
+from ..lie.groups import GROUPS
+from .toml.schema import ByName, Either, Flag, Key, ListOf, Table, Text
+from .toml.signal_tables import NUMBER
+
+LOAD = Table(
+    {
+        "group": Key(
+            Text(tuple(GROUPS)),
+            f"symmetry group: {', '.join(GROUPS)}",
+            default="motion of the root joint",
+            command="--group G",
+        ),
+        "gravity": Key(
+            ListOf(NUMBER, 3),
+            "gravity in the world frame [m/s²]",
+            default="the robot's own",
+            command="--gravity V1,V2,…",
+        ),
+        "lock": Key(
+            Either((ListOf(Text((), "the name of a joint")), ByName(NUMBER))),
+            "joints to lock at zero, or at the values stated by name [rad | m]",
+            default="none",
+            command="--lock J1,J2=VALUE,…",
+        ),
+        "root": Key(
+            Text((), "the name of a body"),
+            "root body of the robot, for MJCF files in which several bodies of the world move",
+            default="the only one that moves",
+            command="--root BODY",
+        ),
+        "strict": Key(
+            Flag(), "reject a robot that causes a warning", default="false", command="--strict"
+        ),
+        "meshes": Key(
+            Either((Text((), "a folder"), ListOf(Text((), "a folder")))),
+            "folders with the meshes of a URDF, relative to this file",
+            default="folders above the robot's file",
+        ),
+    },
+    "the options of pinred.load",
+)

@@ -1,0 +1,204 @@
+"""Equality constraints of an MJCF file.
+
+Constraints that couple joints linearly become couplings.  Those that close loops are refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ...common.errors import ModelError
+from ..coupling import ties_of, with_constants, with_followers
+from ..locked_joints import Tie
+from ..robot_file_contents import Coupling
+from .linear_laws import (
+    Constraint,
+    active_constraints,
+    couples_joints,
+    joints_of,
+    not_linear,
+    proportional,
+    proportional_couplings,
+    tendon_laws,
+)
+from .mujoco_forces import moving_tendons
+from .mujoco_joints import joint_of
+from .tree import Tree
+from .world import World
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """The active equality constraints of a robot.
+
+    Attributes:
+        couplings: Couplings of followers in proportion to their leaders.
+        outside: Names of constraints that tie the robot to other bodies, or act on tendons or
+            flexible bodies.
+    """
+
+    couplings: tuple[Coupling, ...]
+    outside: tuple[str, ...]
+
+
+def constraints_of(tree: Tree) -> Constraints:
+    """Return the constraints that act on a robot.
+
+    Raises:
+        ModelError: A constraint closes a loop, fixes a joint, contradicts another one, or couples
+            joints by a law that is not linear.
+    """
+    couplings: list[Coupling] = []
+    outside: list[str] = []
+    for constraint in active_constraints(tree.world):
+        if constraint.kind in ("connect", "weld"):
+            if _ties_outside(tree, constraint):
+                outside.append(constraint.name)
+        elif constraint.kind == "joint":
+            couplings += _coupling(tree, constraint)
+        elif constraint.kind != "tendon" or _is_outside(tree, constraint):
+            outside.append(constraint.name)
+    return Constraints((*couplings, *_tendon_couplings(tree)), tuple(outside))
+
+
+def _is_outside(tree: Tree, constraint: Constraint) -> bool:
+    """Return whether the constraint of a tendon acts on another body than the robot.
+
+    Raises:
+        ModelError: The constraint is not linear in the joints of the robot.
+    """
+    world, moving = tree.world, set(moving_tendons(tree))
+    if moving.isdisjoint(constraint.objects):
+        return False
+    why = not_linear(world, constraint)
+    if why:
+        raise ModelError(
+            f"{why}: equality tendon '{constraint.name}' is not supported; only fixed tendons in "
+            "proportion couple joints. Lock the joints that the tendon moves (lock=), remove it or "
+            'set active="false"'
+        )
+    return not set(joints_of(world, constraint)) <= set(world.all_joints)
+
+
+def _tendon_couplings(tree: Tree) -> list[Coupling]:
+    """Return the couplings of free joints that fixed tendons define."""
+    world = tree.world
+    values = {world.joint_names[joint]: value for joint, value in tree.locked.items()}
+    laws = tendon_laws(world, proportional_couplings(world))
+    for name, (value, constraint) in laws.held.items():
+        if name not in values:
+            raise ModelError(
+                f"an equality that fixes a joint is not supported: joint '{name}' by equality "
+                f"'{constraint}'; lock the joint (lock={{'{name}': {value:g}}}), or remove the "
+                "constraint"
+            )
+    free = [coupling for coupling in laws.couplings if coupling.follower not in values]
+    return [with_constants(coupling, values) for coupling in free]
+
+
+def _ties_outside(tree: Tree, constraint: Constraint) -> bool:
+    """Return whether a constraint ties the robot to a body that is not part of it.
+
+    Raises:
+        ModelError: The constraint connects two bodies of the robot, or one body and the ground,
+            that move relative to each other.
+    """
+    world, model = tree.world, tree.world.model
+    bodies = list(constraint.objects)
+    if constraint.on_sites:
+        bodies = [int(model.site_bodyid[site]) for site in bodies]
+    on_robot = [body for body in bodies if body in tree.carriers]
+    ground = [body for body in bodies if _is_ground(tree, body)]
+    if not on_robot:
+        return False
+    if len(on_robot) + len(ground) < 2:
+        return True
+    ends = {tree.carriers[body].joint for body in on_robot} | ({0} if ground else set())
+    if len(ends) == 1:  # The two bodies do not move relative to each other.
+        return False
+    names = " and ".join(f"'{world.body_names[body] or 'world'}'" for body in bodies)
+    raise ModelError(
+        f"closed loops are not supported: equality {constraint.kind} '{constraint.name}' ties "
+        f"{names}; remove it or set "
+        'active="false", or lock the joints between them (lock=)'
+    )
+
+
+def _is_ground(tree: Tree, body: int) -> bool:
+    """Return whether a body is fixed: it has no motion and is no mocap body."""
+    model = tree.world.model
+    while body:
+        if body in tree.carriers or model.body_jntnum[body] or model.body_mocapid[body] >= 0:
+            return False
+        body = int(model.body_parentid[body])
+    return True
+
+
+def _coupling(tree: Tree, constraint: Constraint) -> Sequence[Coupling]:
+    """Return the coupling that a joint constraint defines, if the follower is not frozen.
+
+    MuJoCo's polynomial applies to displacements from the reference configuration (qpos0).
+
+    Raises:
+        ModelError: The constraint fixes a joint, is not proportional, or its leader is frozen.
+    """
+    world, free = tree.world, tree.free_joints
+    first, second = constraint.objects
+    if first not in free and second not in free:
+        return ()
+    follower = joint_of(world, first)
+    c0, _, *higher = constraint.coefficients
+    words = f"joint '{follower.name}' by equality '{constraint.name}'"
+    if second < 0:
+        raise ModelError(
+            f"an equality that fixes a joint is not supported: {words}; lock the joint "
+            f"(lock={{'{follower.name}': {follower.q0 + c0:g}}}), or remove the constraint"
+        )
+    if first not in free:  # The follower is frozen, so the constraint would freeze its leader.
+        return ()
+    leader = joint_of(world, second)
+    if any(higher):
+        raise ModelError(
+            f"a joint that follows '{leader.name}' nonlinearly is not supported: "
+            f"{words}; lock it (lock=['{follower.name}']), write a polynomial of degree one, or "
+            "remove the constraint"
+        )
+    if second not in free:
+        raise ModelError(
+            f"'{leader.name}' is the leader of {words}, but it is locked; lock the follower as "
+            f"well (lock=['{follower.name}']), or remove the constraint"
+        )
+    return (proportional(follower, leader, constraint),)
+
+
+def locked_with_followers(
+    world: World, lock: Mapping[str, float]
+) -> tuple[dict[str, float], dict[str, Tie], tuple[str, ...]]:
+    """Return locks that include the followers of locked joints, and the ties of these followers.
+
+    The third value has the locked joints in couplings with several leaders.  Followers of locked
+    joints may use any polynomial.
+
+    Raises:
+        InputError: A proportional follower is locked without its leader.
+    """
+    couplings = proportional_couplings(world)
+    couplings += tendon_laws(world, couplings).couplings
+    nonlinear: list[tuple[str, Tie]] = []
+    for constraint in active_constraints(world):
+        if couples_joints(world, constraint) and any(constraint.coefficients[2:]):
+            follower, leader = (joint_of(world, joint) for joint in constraint.objects)
+            c0, *higher = constraint.coefficients
+            law = (follower.q0 + c0, *higher)
+            nonlinear.append((follower.name, Tie(leader.name, law, at=leader.q0)))
+    names = [world.joint_names[joint] for joint in world.all_joints]
+    values, _ = with_followers(lock, couplings, names)
+    ties: dict[str, Tie] = {}
+    for name, tie in nonlinear:
+        if tie.leader in values and name not in values:
+            ties[name] = tie
+            values[name], _ = tie.follow(values[tie.leader])
+            values, _ = with_followers(values, couplings, names)
+    linear_ties, shared = ties_of(values, couplings, names)
+    return values, ties | linear_ties, shared

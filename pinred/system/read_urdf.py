@@ -1,0 +1,123 @@
+"""read_urdf(): the model and the joint couplings of a URDF file, without meshes.
+
+Pinocchio ignores, or replaces by defaults, entries that change the dynamics: mimic joints, links
+on two joints, axes of length zero, incomplete inertias.  `urdf_elements` reads these entries from
+the file; they are used or refused.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.errors import LoadError, ModelError
+from ..common.library_output import library_output
+from ..common.names import plain_path
+from .robot_file_contents import Coupling
+from .robot_files import read_text, read_xml
+from .urdf_elements import (
+    UNLIMITED,
+    check_urdf,
+    keep_dynamics,
+    mimic_couplings,
+    reduced_text,
+    replace_commas,
+    total_mass,
+    tree_depth,
+)
+
+# Message of the URDF parser: one line with the error, and one with a position in its C++ source.
+URDFDOM = re.compile(
+    rb"^(?:Error|Warning|Info|Debug):[^\n]*\n +at line \d+ in [^\n]*\n?", re.MULTILINE
+)
+# Above this depth of links, the parser runs in a thread with this stack size per link [byte].
+_DEEP, _STACK = 500, 65536
+_MOST_LINKS = 20_000  # largest accepted number of links, because the parser recurses once per link
+
+
+def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...], str]:
+    """Return the model in a URDF file, its joint couplings, and a warning about its text or "".
+
+    The model has the root joint of the file.
+
+    Raises:
+        LoadError: The file cannot be read.
+        ModelError: pinred cannot reduce the robot.
+    """
+    root = read_xml(path)
+    _refuse_macros(path, root)
+    if root.tag != "robot":
+        raise LoadError(
+            f"{plain_path(path)} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>"
+        )
+    if (links := len(root.findall("link"))) > _MOST_LINKS:
+        raise LoadError(f"{plain_path(path)} has {links} links, more than {_MOST_LINKS}")
+    warning = replace_commas(root)
+    check_urdf(root)
+    depth = tree_depth(root)
+    couplings = mimic_couplings(root)
+    model, why = None, ""
+    with library_output(URDFDOM) as messages:
+        try:
+            model = _parse(reduced_text(root), depth)
+        except Exception as error:  # Pinocchio raises parser errors of any type.
+            why = str(error).strip() or type(error).__name__
+    if model is None:
+        reason = messages[0].splitlines()[0] if messages else why.splitlines()[-1]
+        raise LoadError(
+            f"Pinocchio cannot read {plain_path(path)}: {reason.removeprefix('Error:').strip()}"
+        )
+    _check_mass(path, model, total_mass(root))
+    keep_dynamics(root, model)
+    for limits in (model.lowerPositionLimit, model.upperPositionLimit):
+        limits[np.abs(limits) >= UNLIMITED] *= np.inf
+    return model, couplings, warning
+
+
+def drawn_text(path: Path) -> str:
+    """Return the text of a URDF file for Pinocchio's parser of shapes.  Raises LoadError."""
+    root = read_xml(path)
+    if replace_commas(root):
+        return ElementTree.tostring(root, encoding="unicode")
+    return read_text(path)
+
+
+def _parse(text: str, depth: int) -> pin.Model:
+    """Return Pinocchio's model of a URDF text whose chains have at most `depth` links."""
+    if depth < _DEEP:
+        return pin.buildModelFromXML(text)
+    # The parser recurses once per link and would overflow the default stack.
+    before = threading.stack_size(_STACK * depth)
+    try:
+        with ThreadPoolExecutor(1) as one:
+            return one.submit(pin.buildModelFromXML, text).result()
+    finally:
+        threading.stack_size(before)
+
+
+def _check_mass(path: Path, model: pin.Model, file_mass: float) -> None:
+    """Refuse a model from which Pinocchio dropped the inertia of a link."""
+    model_mass = sum(inertia.mass for inertia in model.inertias)
+    if abs(model_mass - file_mass) > 1e-9 * max(model_mass, file_mass):
+        raise ModelError(
+            f"{plain_path(path)} has links of {file_mass:g} kg in total, but Pinocchio reads "
+            f"{model_mass:g} kg; check the inertial elements"
+        )
+
+
+def _refuse_macros(path: Path, root: ElementTree.Element) -> None:
+    """Refuse a template that xacro must expand.  Raises LoadError with the command to run."""
+    used = next((e.tag for e in root.iter() if e.tag.startswith("xacro:")), "")
+    if used or any(mark in reduced_text(root) for mark in ("${", "$(")):
+        name = path.name.partition(".")[0] + ("" if path.suffix == ".xacro" else "_expanded")
+        shown = plain_path(path)
+        raise LoadError(
+            f"{shown} is a template with macros{f' (<{used}>)' if used else ''}; expand it with "
+            f"`xacro {shown} > {plain_path(Path(name))}.urdf`, and load the result"
+        )

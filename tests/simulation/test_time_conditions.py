@@ -1,0 +1,190 @@
+"""Conditions on time in forces: no pulse is skipped, and flows know how switch times move."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import pinred
+from pinred import InputError, Parameter
+from pinred.forces import Torque
+from pinred.forces.switch_times import SwitchTimes
+from pinred.judge.reference_solution import FullState
+from pinred.signals import Hold
+
+START, WIDTH, SIZE = Parameter("start", 0.4), Parameter("width", 0.1), Parameter("size", 0.2)
+TIMES = np.array([0.0, 0.35, 1.0])
+
+
+def pulse(s: Any) -> dict[str, Any]:
+    """Return a torque pulse."""
+    t = s.t
+    return {"bend": ca.if_else(t > START, ca.if_else(t < START + WIDTH, SIZE, 0.0), 0.0)}
+
+
+PULSE = Torque(pulse)
+
+
+def scene(*forces: Any, **options: Any) -> pinred.Scene:
+    """Return a scene of the falling cat."""
+    settings: dict[str, Any] = {
+        "times": TIMES, "x0": [0.3, 0.2, 0.1], "xdot0": [0.1, 0.2, 0.3], "rtol": 1e-9,
+    } | options  # fmt: skip
+    return pinred.Scene(system=pinred.load("falling_cat"), forces=list(forces), **settings)
+
+
+def written_end(traj: pinred.Trajectory, torque: Any, spacing: float = 2e-3) -> Any:
+    """Return the final shape from ABA with a torque as written, in steps between its switches."""
+    full, start = FullState(scene()), traj.scene.start
+    y = full.state(start.pose, start.x, start.xi, start.xdot)
+    joint = np.zeros(full.system.n)
+
+    def rate(t: float, y: Any) -> Any:
+        base = full.rate(t, y)
+        q, v = full.q(y), y[len(y) - full.system.n :]
+        joint[6] = torque(t)
+        base[-full.system.n :] = full.couplings.acceleration(q, v, joint)
+        return base
+
+    ends = np.union1d(np.arange(0.0, 1.0, spacing), np.append(traj.plan.stops, 1.0))
+    for a, b in pairwise(ends.tolist()):
+        inside = a + (b - a) * 1e-9, b - (b - a) * 1e-9
+        y = solve_ivp(
+            lambda t, y, inside=inside: rate(float(np.clip(t, *inside)), y), (a, b), y,
+            method="DOP853", rtol=1e-12, atol=1e-13,
+        ).y[:, -1]  # fmt: skip
+    return full.couplings.shape(y[7 : 7 + full.joints])
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-10])
+def test_pulses_equal_tables(rtol: float) -> None:
+    """A pulse written in time takes the steps of the same pulse as a Hold, wherever it is."""
+    rng = np.random.default_rng(0)
+    ends = {}
+    for width in (1e-3, 5e-3, 2e-2, 5e-2):
+        for start in rng.uniform(0.0, 0.9, 10).tolist():
+            values = {"start": start, "width": width, "size": 0.5}
+            traj = pinred.simulate(scene(PULSE, rtol=rtol, parameters=values))
+            table = Hold([0.0, start, start + width], [0.0, 0.5, 0.0])
+            held = pinred.simulate(scene(Torque({"bend": table}), rtol=rtol))
+            assert traj.run.evaluations == held.run.evaluations
+            assert traj.motion.steps == held.motion.steps
+            assert np.abs(traj.x - held.x).max() < 1e-12
+            ends[start] = traj.x[-1]
+    free = pinred.simulate(scene(rtol=rtol)).x[-1]
+    assert min(np.abs(end - free).max() for end in ends.values()) > 1e-7
+
+
+FUNCTIONS: dict[str, Any] = {
+    "pulse width modulation": lambda t: 0.2 * ca.if_else(ca.fmod(t, 0.05) < 0.02, 1, -1),
+    "floor": lambda t: 0.02 * ca.floor(7 * ca.fabs(ca.sin(3 * t))),
+    "fmax": lambda t: ca.fmax(0.1 * ca.sin(9 * t), 0.05),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_written_force_in_short_steps_agrees(name: str, engine: Any) -> None:
+    """ABA with the force as written, in short steps between its switches, is the reference."""
+    function = FUNCTIONS[name]
+    traj = pinred.simulate(
+        scene(Torque(lambda s: {"bend": function(s.t)}), rtol=1e-12), engine=engine
+    )
+    t = ca.SX.sym("t")
+    torque = ca.Function("torque", [t], [function(t)])
+    expected = written_end(traj, lambda t: float(torque(t)), spacing=0.05)
+    assert np.abs(traj.x[-1] - expected).max() < 1e-10
+
+
+def test_engines_agree_on_a_short_pulse() -> None:
+    """Both engines stop where the pulse begins and ends."""
+    values = {"start": 0.613, "width": 2e-3, "size": 0.5}
+    both = [
+        pinred.simulate(scene(PULSE, parameters=values), engine=engine)
+        for engine in ("compiled", "pinocchio")
+    ]
+    assert both[0].plan.stops.tolist() == pytest.approx([0.613, 0.615, 1.0], abs=1e-15)
+    assert np.abs(both[0].x - both[1].x).max() < 1e-8
+
+
+def test_compare_judges_forces_as_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A motion passes, and fails if any one of its switches is dropped."""
+    options = scene(PULSE, parameters={"width": 0.05}, times=[0.6], rtol=1e-6)
+    assert pinred.compare(pinred.simulate(options)).verdict == "PASSED"
+    found = SwitchTimes.breaks
+    for dropped in (0, 1):
+
+        def breaks(self: Any, *arguments: Any, dropped: int = dropped) -> Any:
+            return np.delete(found(self, *arguments), dropped)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(SwitchTimes, "breaks", breaks)
+            width = 0.05 + 1e-9 * (dropped + 1)  # another scene, so that nothing is cached
+            mutant = scene(PULSE, parameters={"width": width}, times=[0.6], rtol=1e-6)
+            assert pinred.compare(pinred.simulate(mutant)).verdict == "FAILED"
+
+
+@pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
+def test_flow_by_switch_times_equals_differences(method: Any) -> None:
+    """Derivatives by the times of a pulse equal Richardson differences, forward and backward."""
+    names = ("start", "width", "size")
+    flow = pinred.flow(
+        scene(PULSE, rtol=1e-12, times=[1.0], method=method), wrt=names, of=("x", "xdot")
+    )
+    jacobian = flow.jacobian()
+
+    def end(name: str, change: float) -> Any:
+        state = flow(**{name: flow.own(name)[0] + change})
+        return np.concatenate([state.x, state.xdot]).ravel()
+
+    for name in names:
+        rows = [(end(name, h) - end(name, -h)) / (2.0 * h) for h in 8e-3 / 2.0 ** np.arange(4)]
+        for k in range(1, 4):
+            rows = [(4**k * b - a) / (4**k - 1) for a, b in pairwise(rows)]
+        assert np.abs(rows[0]).max() > 1e-2
+        assert np.abs(jacobian[name].ravel() - rows[0]).max() < 1e-8 * np.abs(rows[0]).max()
+    covector = np.random.default_rng(0).normal(size=jacobian["start"].shape)
+    pulled = flow.vjp(covector)
+    for name in names:
+        assert pulled[name] == pytest.approx(np.vdot(covector, jacobian[name]), rel=1e-10)
+
+
+def test_flow_by_coinciding_switches_is_refused() -> None:
+    """Two conditions that change at once with different derivatives have no derivative."""
+    stairs = Torque(lambda s: {"bend": SIZE * ((s.t > START) + (s.t > 0.4))})
+    flow = pinred.flow(scene(stairs, times=[1.0]), wrt=("start", "size"))
+    with pytest.raises(InputError, match="several conditions"):
+        flow.jacobian()
+    assert np.isfinite(flow.jvp({"size": 1.0})).all()
+    assert np.isfinite(flow.jacobian(start=0.5)["start"]).all()
+
+
+def test_members_have_switches_of_their_own() -> None:
+    """Each member of a batch stops at its own switches, in SIMD lanes and in flows of columns."""
+    rng = np.random.default_rng(1)
+    starts, widths = rng.uniform(0.05, 0.8, 12), rng.uniform(1e-3, 0.1, 12)
+    options = scene(PULSE)
+    batch = pinred.simulate_many(options, members={"start": starts, "width": widths})
+    assert not batch.failures
+    flow = pinred.flow(scene(PULSE, times=[1.0]), wrt=("start", "width"))
+    for k in range(12):
+        values = {"start": float(starts[k]), "width": float(widths[k])}
+        one = pinred.simulate(scene(PULSE, parameters=values))
+        assert np.abs(batch.x[k] - one.x).max() < 1e-8
+        assert np.abs(flow(**values).x - one.x[-1]).max() < 1e-8
+
+
+def test_step_map_checks_the_switches_of_its_own_parameters() -> None:
+    """A step may not contain a switch of the given parameters; those of the scene do not count."""
+    step = pinred.flow(scene(PULSE, times=[1.0]), wrt=("start", "width")).step(0.05)
+    step(t=0.37, start=0.6)
+    with pytest.raises(InputError, match=r"not smooth at t = 0\.4 s"):
+        step(t=0.37)
+    with pytest.raises(InputError, match=r"not smooth at t = 0\.6 s"):
+        step(t=0.58, start=0.6)
