@@ -11,6 +11,7 @@ from weakref import WeakValueDictionary
 
 from numpy.typing import ArrayLike
 
+from .argument_kinds import checks_arguments
 from .errors import InputError
 from .names import brief
 
@@ -22,6 +23,7 @@ _by_symbol: WeakValueDictionary[int, Parameter] = (
 )  # Parameters by the hash of their symbol
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Parameter:
     """A named number in forces and signals that is an input of the compiled kernel.

@@ -10,6 +10,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
@@ -24,6 +25,7 @@ from .reduced_flow import Integrate, ReducedFlow
 from .trajectory import Cost, Trajectory
 
 
+@checks_arguments
 @shows_fields(Scene)
 def simulate(
     scene: System | Scene,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import positive
 from ..common.errors import InputError, ModelError
 from ..common.names import plain, quoted
@@ -21,6 +22,7 @@ BASE = "springs, damping and friction of the base"
 UNEVEN = "dry friction that is not the same in both directions"
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Spring(Force):
     """A spring with potential V = ½ k y², where y = x − rest, or x − x_to − rest.
@@ -72,6 +74,7 @@ class Spring(Force):
         return Terms(potential=potential)
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Damper(Force):
     """A damper with torque τ = −c v, where v = ẋ, or ẋ − ẋ_to between two joints.
@@ -122,6 +125,7 @@ class Damper(Force):
         return Terms(torque={k: torque} if j is None else {k: torque, j: -torque})
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Friction(Force):
     """Dry friction at a joint, as the smooth law τ = −most · tanh(ẋ / width).

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, whole
 from ...common.errors import InputError
 from ...forces.force import Force
@@ -34,6 +35,7 @@ _STARTS = 300  # number of starting points of each search
 _ROUND_OFF = 1e-12  # rad | m; smaller values are printed as zero
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class BranchPoint(FrozenArrays):
     """A relative equilibrium on a branch. Arrays are read-only.
@@ -71,6 +73,7 @@ class BranchPoint(FrozenArrays):
         )
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Branches:
     """Branches of relative equilibria over a range of momenta.
@@ -134,6 +137,7 @@ class Branches:
         return "\n".join(lines)
 
 
+@checks_arguments
 def branches(
     system: System,
     *,

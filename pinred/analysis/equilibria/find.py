@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, whole
 from ...common.errors import InputError
 from ...forces.force import Force
@@ -30,6 +31,7 @@ _ROUND_OFF = 1e-14  # angles [rad] and direction components below this are set t
 _SAME_ENERGY = 1e-8  # largest relative difference of energies within one family
 
 
+@checks_arguments
 def relative_equilibria(
     system: System,
     *,

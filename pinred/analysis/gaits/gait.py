@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats, positive, read_only, vector, vectors
 from ...common.errors import InputError
 from ...common.names import joint_index
@@ -20,6 +21,7 @@ _CLOSED = 1e-9  # largest gap between arcs, relative to the size of the path
 _TURNS = 0.05  # turns, largest angle between two samples seen from the centre
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Gait:
     """A closed path in shape space, traversed once per period.
