@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from inspect import unwrap
-from inspect import unwrap
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from ...common.argument_kinds import checks_arguments
