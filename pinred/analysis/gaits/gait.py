@@ -195,9 +195,7 @@ class Gait:
         from .recorded import points_in
 
         t, x = points_in(Path(path))
-        T = float(t[-1] - t[0])
-        closed = np.vstack([x[:-1]])
-        gait = cls.spline(closed, times=t[:-1] - t[0], period=T)
+        gait = cls.spline(x[:-1], times=t[:-1] - t[0], period=float(t[-1] - t[0]))
         return gait if period is None else gait.lasting(period)
 
     @cached_property
