@@ -19,23 +19,9 @@ from ..common.errors import (
 )
 from .methods.method import Method
 from .solution import Solution, checked_times
-from .stepping.run_state import (
-    AUTO,
-    DIVERGED,
-    DONE,
-    ENDS_KEPT,
-    FIXED_POINT,
-    FULL,
-    LAYOUT,
-    NOT_FINITE,
-    NOTHING_KEPT,
-    STAGES_KEPT,
-    UNDERFLOW,
-    WANTED,
-    Runs,
-    Y,
-    new_run,
-)
+from .stepping.codes import AUTO, DIVERGED, DONE, FIXED_POINT, FULL, NOT_FINITE, UNDERFLOW, WANTED
+from .stepping.run_state import ENDS_KEPT, LAYOUT, NOTHING_KEPT, STAGES_KEPT, Runs, new_run
+from .stepping.state_rows import Y
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]

@@ -16,7 +16,9 @@ from ..common.errors import IntegrationError
 from .integrate import Canonical, Progress, Tangent, begun_by, doubled, failure, give_tangent
 from .methods.method import ErrorControl
 from .solution import Solution
-from .stepping.run_state import DONE, ENDS_KEPT, FULL, LAYOUT, UNDERFLOW, WANTED, Runs, Y
+from .stepping.codes import DONE, FULL, UNDERFLOW, WANTED
+from .stepping.run_state import ENDS_KEPT, LAYOUT, Runs
+from .stepping.state_rows import Y
 
 _NO_TIMES = read_only(np.empty(0))
 _FIRST_KNOTS = 8  # initial number of step ends per part

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from ..common.errors import MissingPackageError
+from ..common.optional_packages import optional_package
 from ..system.state_fields import (
     FIELDS,
     State,
@@ -92,9 +91,4 @@ class OverTime(StateArrays):
 
 
 def _import_package(package: str) -> Any:
-    try:
-        return import_module(package)
-    except ImportError as missing:
-        raise MissingPackageError(
-            f"this needs {package}: pip install 'pinred[{package}]'"
-        ) from missing
+    return optional_package(package, f"this needs {package}: pip install 'pinred[{package}]'")

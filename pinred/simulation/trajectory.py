@@ -124,12 +124,8 @@ class Trajectory(OverTime):
     @property
     def ended_by(self) -> str | None:
         """Name of the terminal event that ended the motion; None if no event ended it."""
-        terminal_crossing = self.motion.ended_by
-        return (
-            None
-            if terminal_crossing is None
-            else self.scene.events_given[terminal_crossing.event].name
-        )
+        crossing = self.motion.ended_by
+        return None if crossing is None else self.scene.events_given[crossing.event].name
 
     @property
     def actions(self) -> tuple[ControlAction, ...]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from ...common.errors import InputError
 from ..gauss.tables import MOST_STAGES, lanes_of
-from ..stepping.run_state import AUTO, FIXED_POINT, NEWTON
+from ..stepping.codes import AUTO, FIXED_POINT, NEWTON
 from .method import EqualSteps, ErrorControl, option
 
 if TYPE_CHECKING:

@@ -14,25 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
+from .codes import AGAIN, DONE, ENDS, FULL, NOT_FINITE, PAUSED, STEP, TOO_MANY, UNDERFLOW, WANTED
 from .compiling import bind_globals, compiled, inlined, unbound
-from .run_state import (
-    AGAIN,
-    DONE,
-    ENDS,
-    FULL,
-    NEW,
-    NOT_FINITE,
-    PAUSED,
-    STEP,
-    TOO_MANY,
-    UNDERFLOW,
-    WANTED,
-    Run,
-    Runs,
-    Y,
-    keep_state,
-    unit_alone,
-)
+from .run_state import Run, Runs, keep_state
+from .state_rows import NEW, Y, unit_alone
 
 _EPS = float(np.finfo(float).eps)
 
@@ -47,6 +32,11 @@ def equal_steps(run: Run) -> float:
     """Implement the hook `next_end_time` for run.total steps of equal length."""
     k = run.steps + 1
     return run.t_end if k == run.total else k * run.h
+
+
+@inlined
+def load_ends(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:
+    """Implement the hook `load_step` for methods that need only the ends of a stored step."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +54,12 @@ class Hooks:
             DONE; AGAIN, with the next step in run.h; WANTED; or the reason of a failure.
         accept_step: (run, work, t_new): continue from the end of the step, and choose the length of
             the next step.
-        load_step: (run, params, work, t_new, end_states, k): restore the work rows of the stored
-            step k, whose ends are in rows Y and NEW; end_states are the stored states, (K, …).
         write_state: (run, params, work, time, t_new, out): write the state (n,) at a time from
             run.t to t_new, NaN if it is not computed, with a normalised quaternion. run.known
             states the contents of the work rows. Returns DONE, AGAIN, WANTED, or the reason of a
             failure.
+        load_step: (run, params, work, t_new, stored): restore the work rows of a step whose ends
+            are in rows Y and NEW; `stored` was stored at its end, (n + …,).
         store_end: (run, work, t, end_times, end_states): store the state at the step end t.
     """
 
@@ -77,8 +67,8 @@ class Hooks:
     next_end_time: Callable[..., float]
     attempt_step: Callable[..., int]
     accept_step: Callable[..., None]
-    load_step: Callable[..., None]
     write_state: Callable[..., int]
+    load_step: Callable[..., None] = load_ends
     store_end: Callable[..., None] = keep_state
 
 
@@ -192,7 +182,7 @@ def recall(
             for i in range(run.n):
                 work[Y, i] = end_states[k, i]
                 work[NEW, i] = end_states[k + 1, i]
-            load_step(run, params, work, end_times[k + 1], end_states, k)
+            load_step(run, params, work, end_times[k + 1], end_states[k + 1])
         write_state(run, params, work, times[j], end_times[k + 1], out[j])
 
 

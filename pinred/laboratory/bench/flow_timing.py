@@ -132,9 +132,13 @@ def _bench_flow(name: str) -> FlowTiming:
     (solution,) = by_motion.run({}).solutions
     y, times = solution.states[0].copy(), solution.times
     integration = Integration(
-        propagator.method, propagator.address, len(y), _SPAN, times,
-        propagator.kernel.layout.quaternion,
-    )  # fmt: skip
+        propagator.method,
+        propagator.field.address,
+        len(y),
+        _SPAN,
+        times,
+        propagator.field.quaternion,
+    )
     step = by_motion.step(solution.knots[1])
     one = np.ones(sum(place.stop - place.start for place in by_motion.outputs.values()))
     actions: list[Callable[[], object]] = [
@@ -224,7 +228,7 @@ def _evaluations(made: Flow) -> list[float]:
     rng = np.random.default_rng(0)
     y = 0.5 * rng.normal(size=kernel.layout.size)
     rates = [(one.rate.address, one.random_parameters(rng)) for one in (kernel, *loose)]
-    adjoint, p, covector = made.propagator.rate.adjoint.address, rates[0][1], np.ones(len(y))
+    adjoint, p, covector = made.propagator.field.adjoint(), rates[0][1], np.ones(len(y))
     out = np.empty(len(y) + len(p))
     times = alternating(
         [
