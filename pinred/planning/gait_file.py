@@ -120,6 +120,7 @@ CONNECTIONS = {
     ),
 }
 _PERIOD = Key(POSITIVE, "time of one cycle [s]", default="1")
+_TURNS = Key(NUMBERS, "complete turns of each joint per cycle", default="none")
 _POINTS = Key(_ROWS, "shapes, each with a number for every joint [rad | m]", required=True)
 GAITS = {
     "fourier": Table(
@@ -128,10 +129,13 @@ GAITS = {
             "cos": Key(_ROWS, "amplitudes of cos(2πkt/period), a row for each k", required=True),
             "sin": Key(_ROWS, "amplitudes of sin(2πkt/period), a row for each k", required=True),
             "period": _PERIOD,
+            "turns": _TURNS,
         },
         "a Fourier series",
     ),
-    "waypoints": Table({"points": _POINTS, "period": _PERIOD}, "a polygon at one speed"),
+    "waypoints": Table(
+        {"points": _POINTS, "period": _PERIOD, "turns": _TURNS}, "a polygon at one speed"
+    ),
     "spline": Table(
         {
             "points": _POINTS,

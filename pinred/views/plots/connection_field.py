@@ -103,13 +103,13 @@ def field(
 def _closed_path(source: Connection, gait: Gait) -> Array:
     if gait.m != source.m:
         raise InputError(f"the gait moves {gait.m} joints, but {source} has {source.m}")
-    return gait.at(np.linspace(0.0, gait.period, _ALONG_GAIT, endpoint=False))[0][
-        [*range(_ALONG_GAIT), 0]
-    ]
+    return gait.at(np.linspace(0.0, gait.period, _ALONG_GAIT + 1))[0]
 
 
 def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which: int) -> str:
     """Format the gait's signed area, and the integral of the field over it, for the title."""
+    if gait.turns:
+        return ""  # A path around a torus encloses no area.
     x, xdot = gait.samples(4096)
     a, b = pair
     area = 0.5 * gait.period * float(np.mean(x[:, a] * xdot[:, b] - x[:, b] * xdot[:, a]))
