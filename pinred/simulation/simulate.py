@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
@@ -21,7 +21,7 @@ from ..system.model_parameters import joined
 from ..system.system import System, checked_system
 from .motion import follow
 from .plan import Plan, plan_of
-from .reduced_flow import Integrate, ReducedFlow
+from .reduced_flow import Integrate, ReducedFlow, Segments
 from .trajectory import Cost, Trajectory
 
 
@@ -108,11 +108,12 @@ def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
 def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
+    from .compiled.through_stops import through_stops
 
     flow = CompiledFlow.of_plan(plan)
-    return _integrate_plan(
-        plan, flow, integrator(flow, plan, progress), "compiled", plan.method.name
-    )
+    through = through_stops(flow, plan, progress)
+    integrate = integrator(flow, plan, progress)
+    return _integrate_plan(plan, flow, integrate, "compiled", plan.method.name, through)
 
 
 def trajectory_of(scene: Scene) -> Trajectory:
@@ -121,10 +122,15 @@ def trajectory_of(scene: Scene) -> Trajectory:
 
 
 def _integrate_plan(
-    plan: Plan, flow: ReducedFlow, integrate: Integrate, engine: Engine, method: str
+    plan: Plan,
+    flow: ReducedFlow,
+    integrate: Integrate,
+    engine: Engine,
+    method: str,
+    through: Callable[[], Segments] | None = None,
 ) -> Trajectory:
     started = time.perf_counter()
-    motion = follow(plan, flow, integrate)
+    motion = follow(plan, flow, integrate, through)
     wall = time.perf_counter() - started
     run = Cost(engine, method, motion.steps, motion.evaluations, wall)
     terminal_crossing = motion.ended_by
