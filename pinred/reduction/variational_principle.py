@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, vector
 from ..common.errors import InputError
 from ..lie.group import Group
@@ -27,6 +28,7 @@ from ..system.coordinates import Velocity
 from .pointwise_reduction import PointwiseReduction
 
 
+@checks_arguments
 def infinitesimal_generator(red: PointwiseReduction, pose: ArrayLike, zeta: ArrayLike) -> Velocity:
     """Compute the infinitesimal generator ζ_Q(q) = d/ds exp(sζ)·q at s = 0.
 
@@ -57,6 +59,7 @@ class ConstrainedVariation(FrozenArrays):
     locked: Array
 
 
+@checks_arguments
 def constrained_variation(
     red: PointwiseReduction,
     x: ArrayLike,
@@ -116,6 +119,7 @@ class InvariantMotion(FrozenArrays):
     energy: float
 
 
+@checks_arguments
 def euler_poincare_of_lagrangian(
     group: Group, lagrangian: Callable[[Any], Any], xi: ArrayLike
 ) -> InvariantMotion:
