@@ -19,23 +19,9 @@ from ..common.errors import (
 )
 from .methods.method import Method
 from .solution import Solution, checked_times
-from .stepping.run_state import (
-    AUTO,
-    DIVERGED,
-    DONE,
-    ENDS_KEPT,
-    FIXED_POINT,
-    FULL,
-    LAYOUT,
-    NOT_FINITE,
-    NOTHING_KEPT,
-    STAGES_KEPT,
-    UNDERFLOW,
-    WANTED,
-    Runs,
-    Y,
-    new_run,
-)
+from .stepping.codes import AUTO, DIVERGED, DONE, FIXED_POINT, FULL, NOT_FINITE, UNDERFLOW, WANTED
+from .stepping.run_state import ENDS_KEPT, LAYOUT, NOTHING_KEPT, STAGES_KEPT, Runs, new_run
+from .stepping.state_rows import Y
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]
@@ -188,7 +174,7 @@ class Integration:
                 self._capacity = 2 * len(knots)
                 if stages and 8 * self._capacity * width > MOST_STAGE_BYTES:
                     return self(params, y0, progress=progress, watch=watch)
-                knots, end_states = _doubled(knots), _doubled(end_states)
+                knots, end_states = doubled(knots), doubled(end_states)
             elif status == WANTED:
                 give_tangent(self._tangent, self._method, run)
                 work = stepper.widened(n, work)
@@ -313,7 +299,8 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
         raise InputError(f"the quaternion in {what} is zero")
 
 
-def _doubled(array: Array) -> Array:
+def doubled(array: Array) -> Array:
+    """Return a copy of an array with space for twice as many entries."""
     larger = np.empty((2 * len(array), *array.shape[1:]))
     larger[: len(array)] = array
     return larger

@@ -25,7 +25,8 @@ from .integrate import (
 )
 from .methods.method import Method
 from .solution import checked_times
-from .stepping.run_state import DIVERGED, DONE, NOT_FINITE, PAUSED, TOO_MANY, UNDERFLOW, copied
+from .stepping.codes import DIVERGED, DONE, NOT_FINITE, PAUSED, TOO_MANY, UNDERFLOW
+from .stepping.run_state import copied
 from .stepping.step_loop import OUTCOME, Batch
 
 STATUS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..common.arrays import Array
-from ..forces.force_values import BaseInSpace
+from ..forces.force_values import BaseInSpace, ForceInputs
 
 
 @dataclass(frozen=True)
@@ -27,3 +27,7 @@ class Sample:
     mu: Array
     weight: Array
     base: BaseInSpace | None = None
+
+    def force_inputs(self, t: float, numbers: Array) -> ForceInputs:
+        """Return the arguments of a ForceModel at time t [s] with force parameters (p,)."""
+        return ForceInputs(float(t), self.x, self.xdot, self.xi, self.mu, numbers, self.base)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
 from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, with_base
@@ -48,6 +49,7 @@ class Cost:
     notices: tuple[str, ...] = ()
 
 
+@checks_arguments
 class Trajectory(OverTime):
     """The motion of a scene: fields of State at the report times; call it for other times.
 
@@ -126,12 +128,8 @@ class Trajectory(OverTime):
     @property
     def ended_by(self) -> str | None:
         """Name of the terminal event that ended the motion; None if no event ended it."""
-        terminal_crossing = self.motion.ended_by
-        return (
-            None
-            if terminal_crossing is None
-            else self.scene.events_given[terminal_crossing.event].name
-        )
+        crossing = self.motion.ended_by
+        return None if crossing is None else self.scene.events_given[crossing.event].name
 
     @property
     def actions(self) -> tuple[ControlAction, ...]:

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import Bindings, compiled, unbound
-from ..stepping.run_state import padded_rows
-from .forward_sensitivities import across, fill_weights, to_unit, weights_of
+from ..stepping.replay import Cotangents, Replay, across
+from ..stepping.state_rows import add_row, padded_rows, unit_alone
+from .forward_sensitivities import fill_weights, weights_of
 from .row_programs import Pullback, Rate, Sum, Terms, pullback_program, row_program
 from .runge_kutta import digest
 from .tableau import Tableau
@@ -48,39 +49,20 @@ fill_rates = fill_dense_rates = pull_back = pull_back_inside = unbound
 
 
 def sweep_back(
-    address: int,
-    adjoint: int,
-    params: Array,
-    quaternion: int,
-    dense: Array,
-    knots: Array,
-    stored: Array,
-    times: Array,
-    at_times: Array,
-    covector: Array,
-    by_params: Array,
-    work: Array,
-    both: Array,
-    w: Array,
+    replay: Replay, adjoint: int, dense: Array, back: Cotangents, work: Array, w: Array
 ) -> None:
     """Propagate a covector (n,) at the last step end back to the first, in place.
 
     Args:
-        address: Address of the kernel.
-        adjoint: Address of its adjoint kernel.
-        params: Parameters, (p,).
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        replay: The steps.
+        adjoint: Address of the adjoint kernel.
         dense: Weights of the stage rates in the dense output, see Weights.
-        knots: Times of the step ends, (K,) [s].
-        stored: States at the step ends, (K, n), or (K, n + S n) with the stage rates of each step.
-        times: Sorted report times, (T,) [s].
-        at_times: Covectors of the states at the report times, (T, n); overwritten.
-        covector: Covector, changed in place.
-        by_params: Derivative with respect to the parameters, (p,); the result is added to it.
+        back: The covector, and the stored steps.
         work: Work rows, see AdjointSweep.
-        both: Workspace (n + p,) for the output of the adjoint kernel.
         w: Workspace (S,) for weights.
     """
+    knots, times, params, quaternion = replay.knots, replay.times, replay.params, replay.quaternion
+    stored, covector, at_times = back.stored, back.covector, back.at_times
     n, first = covector.shape[0], times.shape[0]
     for step in range(knots.shape[0] - 2, -1, -1):
         h = knots[step + 1] - knots[step]
@@ -90,14 +72,12 @@ def sweep_back(
         inside = last > first and times[first] < knots[step + 1]
         for r in range(first, last):
             if times[r] >= knots[step + 1]:
-                for k in range(n):
-                    covector[k] += at_times[r, k]
+                add_row(at_times[r], covector)
         for k in range(n):
             work[STAGE, k] = stored[step + 1, k]
             work[BEGIN, k] = stored[step, k]
-        size = to_unit(work[STAGE], quaternion)
-        across(work[STAGE], size, quaternion, covector, 1)
-        to_unit(work[BEGIN], quaternion)
+        across(work[STAGE], unit_alone(work[STAGE], quaternion), quaternion, covector, 1)
+        unit_alone(work[BEGIN], quaternion)
         for k in range(n):
             work[COVECTOR, k] = covector[k]
         if stored.shape[1] > n:
@@ -105,9 +85,9 @@ def sweep_back(
                 for k in range(n):
                     work[RATES + i, k] = stored[step + 1, (i + 1) * n + k]
         else:
-            fill_rates(address, params, work, h)
+            fill_rates(replay.address, params, work, h)
         if inside:
-            fill_dense_rates(address, params, work, h)
+            fill_dense_rates(replay.address, params, work, h)
             for i in range(SIZE):
                 for k in range(n):
                     work[RATES + 2 * SIZE + i, k] = 0.0
@@ -115,15 +95,14 @@ def sweep_back(
                 if times[r] < knots[step + 1]:
                     fill_weights(dense, (times[r] - knots[step]) / h, w)
                     pull_back_report(work, w, h, quaternion, at_times[r], covector)
-            pull_back_inside(adjoint, params, work, both, by_params, h)
+            pull_back_inside(adjoint, params, work, back.both, back.by_params, h)
         else:
-            pull_back(adjoint, params, work, both, by_params, h)
+            pull_back(adjoint, params, work, back.both, back.by_params, h)
         for i in range(SIZE if inside else STAGES):
             for k in range(n):
                 covector[k] += work[RATES + SIZE + i, k]
     for r in range(first):
-        for k in range(n):
-            covector[k] += at_times[r, k]
+        add_row(at_times[r], covector)
 
 
 def pull_back_report(
@@ -145,10 +124,8 @@ def pull_back_report(
     for i in range(SIZE):
         for k in range(n):
             work[STAGE, k] += h * w[i] * work[RATES + i, k]
-    size = to_unit(work[STAGE], quaternion)
-    across(work[STAGE], size, quaternion, at_time, 1)
-    for k in range(n):
-        covector[k] += at_time[k]
+    across(work[STAGE], unit_alone(work[STAGE], quaternion), quaternion, at_time, 1)
+    add_row(at_time, covector)
     for i in range(SIZE):
         for k in range(n):
             work[RATES + 2 * SIZE + i, k] += h * w[i] * at_time[k]

@@ -14,20 +14,11 @@ from __future__ import annotations
 from math import cos, sin, sqrt, tan
 
 from ...common.arrays import Array
+from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_state import (
-    DONE,
-    NEW,
-    NOT_FINITE,
-    Run,
-    Y,
-    copy_an_end,
-    first_not_finite,
-    keep_state,
-    padded_rows,
-    unit_alone,
-)
+from ..stepping.run_state import Run, copy_an_end, keep_state
+from ..stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .row_programs import row_sum
 
@@ -76,14 +67,7 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
 
 
 @inlined
-def load_step(
-    run: Run,
-    params: Array,
-    work: Array,
-    t_new: float,
-    end_states: Array,  # noqa: ARG001
-    k: int,  # noqa: ARG001
-) -> None:
+def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
     """Recompute a stored step, so that states inside it can be written (hook)."""
     _rate(run.address, params, work, work[Y], RATE, run.quaternion)
     _step(run.address, params, work, run.quaternion, t_new - run.t)
@@ -195,7 +179,7 @@ def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Ar
 
 STEPPER = Stepper(
     loops(
-        "RKMK4", Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state)
+        "RKMK4", Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state, load_step)
     ),
     lambda n, tangent: padded_rows(ROWS, n),  # noqa: ARG005
 )

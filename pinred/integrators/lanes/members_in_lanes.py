@@ -15,36 +15,20 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ..explicit.step_formulas import (
-    BEGIN_RATE,
-    CRASH,
-    END_RATE,
-    GROW,
-    RATES,
-    SAFETY,
-    SHRINK,
     dense_value,
     fill_hermite,
     first_step,
     get,
-    larger,
+    next_step,
     put,
-    root,
     same,
-    smaller,
 )
+from ..explicit.step_rows import BEGIN_RATE, END_RATE, RATES
+from ..stepping.codes import DONE, NOT_FINITE, TOO_MANY, UNDERFLOW
 from ..stepping.compiling import compiled, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_state import (
-    DONE,
-    NEW,
-    NOT_FINITE,
-    TOO_MANY,
-    UNDERFLOW,
-    Run,
-    Runs,
-    Y,
-    unit_alone,
-)
+from ..stepping.run_state import Run, Runs
+from ..stepping.state_rows import NEW, Y, unit_alone
 from ..stepping.step_loop import Batch
 from .vectors import bits, choose, fetch_and_add
 
@@ -94,7 +78,7 @@ BEGUN, AT_STEP, AT_END, AT_DENSE = 2.0, 1.0, 1.0, 0.0
 fill_step = fill_end = fill_errors = fill_dense = estimate = unbound
 
 
-# --- step control -------------------------------------------------------------------------------
+# --- operations on rows -----------------------------------------------------------------------
 
 
 def normalise(run: Run, rows: Array, y: int, rate: int, lanes: Any) -> None:
@@ -133,25 +117,6 @@ def accept_steps(run: Run, work: Array, accepted: Any) -> None:
         rate = choose(accepted, get(work, END_RATE, i), get(work, BEGIN_RATE, i))
         put(work, BEGIN_RATE, i, rate)
     normalise(run, work, Y, BEGIN_RATE, accepted)
-
-
-def next_step(error: Any, h: Any, accepted: Any, again: Any, max_step: float) -> Any:
-    """Return the lengths of the next steps.
-
-    Args:
-        error: Errors of the steps, in units of the tolerance.
-        h: Lengths of the steps [s].
-        accepted: Mask of the accepted steps.
-        again: Mask of the lanes whose previous trial was rejected.
-        max_step: Longest step [s].
-    Returns:
-        A vector of step lengths [s].
-    """
-    ideal = SAFETY / larger(root(error), same(1e-300))
-    growth = smaller(same(GROW), larger(same(SHRINK), ideal))
-    growth = choose(again, smaller(growth, same(1.0)), growth)
-    shrink = choose((error > 1.0) & (error < np.inf), larger(same(SHRINK), ideal), CRASH)
-    return choose(accepted, smaller(h * growth, same(max_step)), h * shrink)
 
 
 # --- members enter and leave lanes --------------------------------------------------------------
@@ -357,5 +322,5 @@ def run_members(
                 live += enter_lane(run, batch, queue, space, lane, most)
 
 
-INLINED = (normalise, is_finite, accept_steps, next_step, report_state)
+INLINED = (normalise, is_finite, accept_steps, report_state)
 COMPILED = (prepare_members, non_finite_entry, enter_lane, run_members)

@@ -16,17 +16,13 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
+from ..stepping.codes import DENSE, DONE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, jacobian, solve
-from ..stepping.run_state import DENSE, DONE, NEW, Run, Y, copy_an_end, unit, unit_alone
-
-# Rows of `work`: rates at both ends of a step; stages minus the state; corrections at the ends;
-# free rows; rows of Newton's method and of the Jacobian.
-RATE, END_RATE, Z, CORRECTION, FREE, PIVOTS, ALONG = 2, 4, 5, 8, 11, 18, 21
-SLOPES = ALONG + SEEDS
-MATRIX = SLOPES + SEEDS  # the Jacobian, three systems of a step, and one of the corrections
-KEPT = 4  # number of floats stored at a step end per entry of the state
+from ..stepping.run_state import Run, copy_an_end
+from ..stepping.state_rows import NEW, Y, unit, unit_alone
+from .radau_rows import ALONG, CORRECTION, END_RATE, FREE, MATRIX, PIVOTS, RATE, SLOPES, Z
 
 GAMMA = float(tableau.MU_REAL)
 _C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
@@ -49,18 +45,11 @@ def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Arr
 
 
 @inlined
-def load_step(
-    run: Run,
-    params: Array,
-    work: Array,
-    t_new: float,  # noqa: ARG001
-    end_states: Array,
-    k: int,
-) -> None:
+def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
     """Restore the stages of a stored step, and evaluate the rates at its ends (hook)."""
     for i in range(run.n):
         for row in range(3):
-            work[Z + row, i] = end_states[k + 1, (row + 1) * run.n + i]
+            work[Z + row, i] = stored[(row + 1) * run.n + i]
     call(run.address, work[Y], params, work[RATE])
     call(run.address, work[NEW], params, work[END_RATE])
     unit(work[Y], work[RATE], run.quaternion)

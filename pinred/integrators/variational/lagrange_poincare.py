@@ -28,21 +28,11 @@ from math import sqrt
 import numpy as np
 
 from ...common.arrays import Array
+from ..stepping.codes import DIVERGED, DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_state import (
-    DIVERGED,
-    DONE,
-    NEW,
-    NOT_FINITE,
-    Run,
-    Y,
-    copy_an_end,
-    first_not_finite,
-    keep_state,
-    padded_rows,
-    unit_alone,
-)
+from ..stepping.run_state import Run, copy_an_end, keep_state
+from ..stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 
 # Rows of `work` after the state: six rows for the step (MAIN), and six for a shorter step to a
@@ -88,13 +78,6 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
     """Start the next step at the end of this step (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
-
-
-@inlined
-def load_step(
-    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
-) -> None:
-    """Do nothing, because the states at the ends of a stored step suffice (hook)."""
 
 
 @inlined
@@ -246,7 +229,7 @@ def _write_stage_quaternion(y: Array, u: Array, params: Array, out: Array, quate
 STEPPER = Stepper(
     loops(
         "Variational",
-        Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state),
+        Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state),
     ),
     lambda n, tangent: padded_rows(ROWS, max(n, LEAST)),  # noqa: ARG005
 )

@@ -65,10 +65,7 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
 
     def own() -> Any:
         (now,) = propagator.run(run.given, stages=True).solutions
-        return run_back(
-            propagator.method, propagator.address, propagator.slopes, now.params, now, times,
-            quaternion, covector, none,
-        )  # fmt: skip
+        return run_back(propagator.method, propagator.field, now, times, covector, none)
 
     theirs = [np.array(each).ravel() for each in by_cvodes()]
     mine = own()

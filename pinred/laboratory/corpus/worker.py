@@ -11,7 +11,6 @@ import signal
 import tempfile
 import time
 from multiprocessing.connection import Connection
-from types import TracebackType
 
 from .corpus_entry import Entry, Outcome
 from .description_files import Description
@@ -33,12 +32,7 @@ class Worker:
     def __enter__(self) -> Worker:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop()
         self._cache.cleanup()
 

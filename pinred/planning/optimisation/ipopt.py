@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ...common.arrays import Array
+from ...common.casadi_callback import ArrayCallback, dense
 from ...common.interrupts import held_interrupt
 
 # Function from the unknowns z, (n,), to the values of the objective and of k constraints,
@@ -140,67 +141,31 @@ def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
     return float(np.linalg.norm(residual))
 
 
-class _Function(ca.Callback):
+class _Function(ArrayCallback):
     """Objective and constraints as a CasADi callback."""
 
     def __init__(self, problem: Problem, stopped: Callable[[], bool]) -> None:
-        ca.Callback.__init__(self)
         self._problem, self._stopped = problem, stopped
         self._last: tuple[Array, tuple[Array, Array]] | None = None
-        self.construct("gait", {})
+        self._size = 1 + problem.constraints
+        outputs = [dense("values", self._size)]
+        super().__init__("gait", [dense("z", problem.size)], outputs, lambda z: [self.at(z[0])[0]])
 
-    def at(self, z: Array) -> tuple[Array, Array]:
+    def at(self, column: Array) -> tuple[Array, Array]:
         """Return values and derivatives; after Ctrl-C return NaN, which stops IPOPT."""
+        z = column.ravel()
         if self._last is None or not np.array_equal(self._last[0], z):
             values, slopes = self._problem.evaluate(z)
             self._last = z.copy(), (values, slopes)
         values, slopes = self._last[1]
         return (np.full_like(values, np.nan), slopes) if self._stopped() else (values, slopes)
 
-    def get_n_in(self) -> int:
-        return 1
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, _: int) -> Any:
-        return ca.Sparsity.dense(self._problem.size, 1)
-
-    def get_sparsity_out(self, _: int) -> Any:
-        return ca.Sparsity.dense(1 + self._problem.constraints, 1)
-
-    def eval(self, inputs: Any) -> Any:
-        return [self.at(np.array(inputs[0]).ravel())[0]]
-
     def has_jacobian(self) -> bool:
         return True
 
-    def get_jacobian(self, name: str, *_: Any) -> Any:
-        self._jacobian = _Jacobian(name, self)  # store a reference, because CasADi stores none
+    def get_jacobian(self, name: str, inames: Any, onames: Any, _options: Any) -> Any:
+        inputs = [dense(inames[0], self._problem.size), dense(inames[1], self._size)]
+        outputs = [dense(onames[0], self._size, self._problem.size)]
+        # Store a reference, because CasADi stores none.
+        self._jacobian = ArrayCallback(name, inputs, outputs, lambda z: [self.at(z[0])[1]])
         return self._jacobian
-
-
-class _Jacobian(ca.Callback):
-    """The derivatives of objective and constraints as a CasADi callback."""
-
-    def __init__(self, name: str, function: _Function) -> None:
-        ca.Callback.__init__(self)
-        self._function = function
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return 2
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, k: int) -> Any:
-        f = self._function
-        return f.get_sparsity_out(0) if k else f.get_sparsity_in(0)
-
-    def get_sparsity_out(self, _: int) -> Any:
-        f = self._function
-        return ca.Sparsity.dense(f.get_sparsity_out(0).size1(), f.get_sparsity_in(0).size1())
-
-    def eval(self, inputs: Any) -> Any:
-        return [self._function.at(np.array(inputs[0]).ravel())[1]]

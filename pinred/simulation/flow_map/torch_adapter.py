@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ...common.errors import InputError, MissingPackageError, ShapeError
+from ...common.errors import InputError, ShapeError
 from ...common.memo import once_for_all
 from ...common.names import brief
+from ...common.optional_packages import optional_package
 from .batched import FIRST_ORDER, Batched
 from .flow_columns import Columns
 
@@ -33,10 +34,7 @@ def torch_function(columns: Columns) -> Callable[..., Any]:
     Raises:
         MissingPackageError: PyTorch is not installed.
     """
-    try:
-        import torch
-    except ImportError as missing:
-        raise MissingPackageError("this needs PyTorch: pip install torch") from missing
+    torch = optional_package("torch", "this needs PyTorch: pip install torch")
     apply, number = _function(), next(_numbers)
     _flows[number] = Batched(columns)
 
