@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from point_pendulum import urdf
 from spinning_robots import rods
 from test_branches import HUB, LENGTH, MASS, SLIM, WIDE, G, governor, squared_momentum_at
 
@@ -201,6 +203,16 @@ def test_equilibria_of_different_index_are_distinct() -> None:
     assert [orbit.hits for orbit in known.orbits] == [3, 2, 2]
 
 
+@pytest.mark.parametrize(("apart", "count"), [(4e-4, 1), (4e-3, 2)])
+def test_degenerate_points_within_1e_3_are_one(apart: float, count: int) -> None:
+    """Newton's method ends up to 1e-3 from a degenerate equilibrium."""
+    energy = AmendedEnergy(problem(rods()))
+    points = Points(np.array([[1.0, 0.5], [1.0, 0.5 + apart]]), np.zeros((2, 0)))
+    flat = np.repeat(np.diag([1.0, 0.0])[None], 2, axis=0)
+    e = replace(energy(points, 1.0), gradient=np.zeros((2, 2)), hessian=flat)
+    assert len(DistinctPoints(energy, 1.0).add(points, e, is_random=True)) == count
+
+
 def test_point_beyond_newton_step_of_1e_6_is_no_equilibrium() -> None:
     """A small gradient is no equilibrium if Newton's next step is longer than 1e-6."""
     energy = AmendedEnergy(problem(rods()))
@@ -227,6 +239,16 @@ def test_euler_characteristic_needs_torus_springs_or_sphere() -> None:
     sprung = pinred.relative_equilibria(rods(), momentum=1.0, springs=springs)
     assert sprung.census.agrees
     assert sprung.census.morse_sum == sum((-1) ** e.stability.index for e in sprung) == 1
+
+
+def test_singular_mass_matrix_has_no_sum(tmp_path: Path) -> None:
+    """Where point masses are on the vertical axis, the amended potential is infinite."""
+    path = tmp_path / "pendulum.urdf"
+    path.write_text(urdf((1.0, 1.0), (1.0, 1.0)), encoding="utf-8")
+    with pytest.warns(pinred.ModelWarning):
+        system = pinred.load(path, group="SO2")
+    reason = "the mass matrix is singular at some shapes"
+    assert euler_characteristic(problem(system)) == (None, reason)
 
 
 def test_census_of_sliding_joint_has_no_sum() -> None:
