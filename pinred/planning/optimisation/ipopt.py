@@ -12,9 +12,19 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.interrupts import held_interrupt
 
+# Options that keep the first iterate near bounds that are active at the start.
+_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+_WARM = {f"ipopt.{name}": 1e-8 for name in _PUSHES} | {
+    "ipopt.mu_strategy": "monotone",
+    "ipopt.mu_init": 1e-5,
+}
+
 # Function from the unknowns z, (n,), to the values of the objective and of k constraints,
 # (1 + k,), and to their derivatives, (1 + k, n).
 Evaluate: TypeAlias = Callable[[Array], tuple[Array, Array]]
+
+
+_STEP = 1e-6  # step of the differences of gradients
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +68,17 @@ class Minimum:
     residual: float
 
 
-def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: int = 500) -> Minimum:
+def minimum(
+    problem: Problem,
+    start: Array,
+    *,
+    tolerance: float = 1e-8,
+    most: int = 500,
+    newton: bool = False,
+) -> Minimum:
     """Find a local minimum near an initial point.
 
-    The Hessian is approximated by L-BFGS.  A failure raises no error; check the residual to see
+    A failure raises no error; check the residual to see
     whether the final iterate is a minimum.
 
     Args:
@@ -69,6 +86,8 @@ def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: in
         start: Initial point, (n,).
         tolerance: IPOPT's tolerance.
         most: Maximum number of iterations.
+        newton: Whether to compute the Hessian by differences of gradients; otherwise it is
+            approximated by L-BFGS.
     Returns:
         The result at the final iterate.
     """
@@ -97,6 +116,9 @@ def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: in
             "print_time": False,
             "show_eval_warnings": False,
         }
+        if newton:
+            hessian = _Hessian(function, len(problem.lower))
+            options |= {"ipopt.hessian_approximation": "exact", "hess_lag": hessian} | _WARM
         solver = ca.nlpsol("gait", "ipopt", nlp, options)
         solution = solver(x0=start, lbg=problem.lower, ubg=problem.upper)
         stats = solver.stats()
@@ -204,3 +226,34 @@ class _Jacobian(ca.Callback):
 
     def eval(self, inputs: Any) -> Any:
         return [self._function.at(np.array(inputs[0]).ravel())[1]]
+
+
+class _Hessian(ca.Callback):
+    """The upper triangle of the Hessian of the Lagrangian, by differences of gradients."""
+
+    def __init__(self, function: _Function, constraints: int) -> None:
+        ca.Callback.__init__(self)
+        self._function, self._constraints = function, constraints
+        self.construct("hessian", {})
+
+    def get_n_in(self) -> int:
+        return 4
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, k: int) -> Any:
+        n = self._function.get_sparsity_in(0).size1()
+        return ca.Sparsity.dense((n, 0, 1, self._constraints)[k], 1)
+
+    def get_sparsity_out(self, _: int) -> Any:
+        return ca.Sparsity.upper(self._function.get_sparsity_in(0).size1())
+
+    def eval(self, inputs: Any) -> Any:
+        z, lam_f, lam_g = (np.array(inputs[k]).ravel() for k in (0, 2, 3))
+        rows = self._function.get_sparsity_out(0).size1()
+        weights = np.concatenate([lam_f, lam_g[: rows - 1]])
+        gradient = weights @ self._function.at(z)[1]
+        moved = [weights @ self._function.at(z + step)[1] for step in _STEP * np.eye(len(z))]
+        hessian = (np.array(moved) - gradient) / _STEP
+        return [ca.triu(ca.DM(0.5 * (hessian + hessian.T)))]

@@ -16,7 +16,7 @@ from ...common.errors import InputError, IntegrationError, NoOptimum, SingularIn
 from ...common.names import brief
 from ...common.progress import Progress, shown
 from .best_gait import BestGait, Optimum, group_optima
-from .gait_search import Search, StartFailed, enforce_limits, fourier_path_of
+from .gait_search import RESIDUAL, Search, StartFailed, finish, fourier_path_of
 from .ipopt import Minimum, minimum
 from .limits import LimitsLike, limits_of, margins
 from .objective import (
@@ -72,7 +72,6 @@ def polygon_gait(path: Path, y: Array, period: float) -> Gait:
     return Gait.waypoints(path.coefficients(y), period=period)
 
 
-RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
 _CONTINUED = (1, 3, 5, 9)  # numbers of harmonics of successive optimisations
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 
@@ -253,7 +252,7 @@ def _optimise_fourier(
         search = Search(task, fourier_path_of(task, h))
         best = search.optimise_from(gait)
         gait = search.gait(best.z)
-    search, best = enforce_limits(search, best, harmonics)
+    search, best = finish(search, gait)
     gait = search.gait(best.z)
     turns = None
     if m == 2:

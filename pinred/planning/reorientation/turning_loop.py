@@ -15,7 +15,7 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ..optimisation.gait_search import Search, StartFailed, enforce_limits, fourier_path_of
+from ..optimisation.gait_search import Search, StartFailed, finish, fourier_path_of
 from ..optimisation.limits import margins
 from ..optimisation.objective import TargetAim
 from ..optimisation.transcription import Passage, Path, Task, fourier_path
@@ -175,8 +175,7 @@ def _shortest_loop(task: Task, aim: TargetAim, gait: Gait, start: Array) -> Gait
     best = search.optimise_from(gait, most=_ITERATIONS)
     if not _newton_step(task, aim, search.path, best.z)[0] <= _REACHED:
         raise StartFailed(f"the optimiser did not reach the target ({best.status})")
-    search, best = enforce_limits(search, best, _HARMONICS, start)
-    return search.gait(best.z)
+    return search.gait(finish(search, search.gait(best.z), newton=False)[1].z)
 
 
 def fine_path(m: int, start: Array, passage: Passage | None, *, finer: int = 1) -> Path:
