@@ -32,7 +32,7 @@ class SmoothField:
 
     Attributes:
         address: Address of the kernel.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         tangent: Address of the kernel of (y, params, δy, δparams), with SEEDS directions at once.
         adjoint: Address of the kernel of (y, params, λ).
         tangents: Function of the number of lanes that returns the address of the tangent kernel for

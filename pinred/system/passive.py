@@ -66,11 +66,11 @@ class Spring(JointForce):
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may vary.
+            number: Function that replaces a value by a symbol if it may vary.
         Returns:
             Terms with the potential.
         Raises:
-            InputError: Both ends are the same joint.
+            InputError: The force connects a joint with itself.
         """
         k, j = _ends(self, s)
         length = s.x[k] if j is None else s.x[k] - s.x[j]
@@ -112,11 +112,11 @@ class Damper(JointForce):
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may vary.
+            number: Function that replaces a value by a symbol if it may vary.
         Returns:
             Terms with the torques.
         Raises:
-            InputError: Both ends are the same joint.
+            InputError: The force connects a joint with itself.
         """
         import casadi as ca
 
@@ -176,7 +176,7 @@ class Friction(JointForce):
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may vary.
+            number: Function that replaces a value by a symbol if it may vary.
         Returns:
             Terms with the torque.
         Raises:

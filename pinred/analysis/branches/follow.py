@@ -31,7 +31,7 @@ _MAX_CURVES = 200
 _UNIT = 0.3  # fraction of the range of momenta that counts as 1 rad
 _SWITCH = 0.02  # rad, first step on a branching curve
 _STARTS = 300  # number of starting points of each search
-_ROUND_OFF = 1e-12  # rad | m; smaller values are printed as zero
+_ROUND_OFF = 1e-12  # values below this bound are printed as zero [rad | m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Branches:
         system: The system.
         momentum: Range of momenta (low, high) [N s | N m s].
         points: Points of all branches, one branch after the other.
-        folds: Points where a branch turns back in momentum. Their residual includes the distance to
+        folds: Points where a branch reverses in momentum. Their residual includes the distance to
             the solution of the extended system, relative to the range of momenta.
         pitchforks: Points where a symmetric pair of branches begins.
         crossings: Points where two branches cross without symmetry.

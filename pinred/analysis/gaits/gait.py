@@ -17,7 +17,7 @@ from ...forces.signals import Fourier
 from .arcs import TAU, Arc, FourierArc, PolynomialArc, line
 
 _CLOSED = 1e-9  # largest gap between arcs, relative to the size of the path
-_TURNS = 0.05  # turns, largest angle between two samples seen from the centre
+_TURNS = 0.05  # largest angle about the centre between two samples [turns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Gait:
             raise InputError("arcs: expected at least one arc")
         ends = [arc.at(np.array([0.0, 1.0]))[0] for arc in self.arcs]
         if not all(np.isfinite(end).all() for end in ends):
-            raise InputError("a gait must consist of finite numbers")
+            raise InputError("arcs: all coefficients of a gait must be finite")
         size = max(1.0, *(float(np.abs(end).max(initial=0.0)) for end in ends))
         for k, end in enumerate(ends):
             following = ends[(k + 1) % len(ends)][0]
@@ -373,13 +373,17 @@ class Gait:
             arms = np.concatenate([arc.at(s)[0][:, pair] for arc in self.arcs]) - c
             if not np.hypot(*arms.T).min() > 1e-9:
                 raise InputError(
-                    f"the gait passes through the centre {c}: it has no winding number"
+                    f"the gait passes through the centre {c}, so its winding number is undefined. "
+                    "Choose another centre"
                 )
             steps = np.diff(np.unwrap(np.arctan2(arms[:, 1], arms[:, 0])))
             if np.abs(steps).max() < _TURNS * TAU:
                 return float(round(steps.sum() / TAU))
             count *= 4
-        raise InputError(f"the gait passes too close to the centre {c} to count its windings")
+        raise InputError(
+            f"the gait passes too close to the centre {c} to count its windings. "
+            "Choose another centre"
+        )
 
 
 def _points(points: ArrayLike, least: int) -> Array:

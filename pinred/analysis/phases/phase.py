@@ -29,7 +29,7 @@ _FLOOR = 64.0 * np.finfo(float).eps  # round-off, relative to the path length of
 _LEAST = 1e-14  # smallest tolerance
 
 _LEAST_SAMPLES = 16  # smallest number of samples of a smooth gait
-_PER_HARMONIC = 16  # initial samples per harmonic
+_PER_HARMONIC = 16  # initial number of samples per harmonic
 MOST = 2**15  # largest number of samples
 
 

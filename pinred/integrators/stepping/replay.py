@@ -1,4 +1,4 @@
-"""Steps that are repeated with their lengths fixed, and what derivatives propagate over them."""
+"""Repetition of stored steps with fixed lengths; tangents and cotangents propagated over them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Replay(NamedTuple):
 
     Attributes:
         address: Address of the kernel.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         params: Parameters, (p,).
         knots: Times of the step ends, (K,) [s].
         times: Sorted report times within the steps, (T,) [s].
@@ -48,7 +48,7 @@ class Tangents(NamedTuple):
 
 
 class Cotangents(NamedTuple):
-    """A covector that is propagated back over stored steps, and what is added to it.
+    """A covector propagated back over stored steps, with the covectors of reports added to it.
 
     Attributes:
         stored: States at the step ends, (K, n), or (K, n + …) with the stages of each step.
@@ -72,7 +72,7 @@ def across(y: Array, factor: float, quaternion: int, v: Array, width: int) -> No
     Args:
         y: State after `unit_alone`.
         factor: Return value of `unit_alone`.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         v: Tangents or covectors, (n width,), changed in place.
         width: Number of consecutive values in v for each entry of the state.
     """
@@ -100,7 +100,7 @@ def back_to_given(y0: Array, quaternion: int, covector: Array, y: Array) -> None
 
     Args:
         y0: State before normalisation.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         covector: Covector, changed in place.
         y: Workspace (n,).
     """

@@ -63,7 +63,7 @@ def differences(
         The largest differences.
     Raises:
         LoadError: MuJoCo does not read the file, or bodies cannot be matched.
-        PinredError: pinred refuses a part of the file.
+        PinredError: pinred rejects a part of the file.
     """
     with library_output(EVERYTHING), warnings_kept():
         try:

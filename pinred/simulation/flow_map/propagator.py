@@ -323,7 +323,7 @@ class Propagator:
         )  # fmt: skip
         if not np.isfinite(step.y).all():
             raise IntegrationError(
-                f"a step of {h:g} s of '{kernel.system.name}' is not finite: take shorter ones"
+                f"a step of {h:g} s of '{kernel.system.name}' is not finite; choose a shorter step"
             )
         end_state = self._state(flow, t + h, step.y[0], parameters)
         if columns is None or not isinstance(end_state, State):

@@ -121,7 +121,7 @@ def _integrate_span(
     threads: int | None,
     progress: Callable[[float], None] | None,
 ) -> Solutions:
-    """Integrate members from y0 (N, k) over one span; the last states are those at the stop."""
+    """Integrate members from y0 (N, k) over one span, and report their states at its end, too."""
     kernel, length, times = flow.kernel, span.stop - span.start, span.times
     if not (times.size and times[-1] == length):
         times = np.append(times, length)
