@@ -23,6 +23,7 @@ from .analysis.connections.mixed_motion import simulate_mixed as simulate_mixed
 from .analysis.connections.shape_field import ShapeField as ShapeField
 from .analysis.connections.wheels import Rolling as Rolling
 from .analysis.connections.wheels import Wheel as Wheel
+from .analysis.equilibria.census import Census as Census
 from .analysis.equilibria.find import relative_equilibria as relative_equilibria
 from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium

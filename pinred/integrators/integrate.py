@@ -174,7 +174,7 @@ class Integration:
                 self._capacity = 2 * len(knots)
                 if stages and 8 * self._capacity * width > MOST_STAGE_BYTES:
                     return self(params, y0, progress=progress, watch=watch)
-                knots, end_states = _doubled(knots), _doubled(end_states)
+                knots, end_states = doubled(knots), doubled(end_states)
             elif status == WANTED:
                 give_tangent(self._tangent, self._method, run)
                 work = stepper.widened(n, work)
@@ -300,7 +300,8 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
         raise InputError(f"the quaternion in {what} is zero")
 
 
-def _doubled(array: Array) -> Array:
+def doubled(array: Array) -> Array:
+    """Return a copy of an array with space for twice as many entries."""
     larger = np.empty((2 * len(array), *array.shape[1:]))
     larger[: len(array)] = array
     return larger

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.progress import Progress, shown
@@ -51,6 +52,7 @@ _SAFETY = 10.0  # margin, because growth and defects are only sampled
 _ROUND_OFF = 1e-15  # relative round-off of one step
 
 
+@checks_arguments
 def compare(traj: Trajectory, *, progress: Progress | bool | None = None) -> Report:
     """Compare a trajectory with the full simulation of its scene, which uses Pinocchio's ABA.
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
@@ -20,10 +21,11 @@ from ..system.model_parameters import joined
 from ..system.system import System, checked_system
 from .motion import follow
 from .plan import Plan, plan_of
-from .reduced_flow import Integrate, ReducedFlow
+from .reduced_flow import Integrate, ReducedFlow, Segments
 from .trajectory import Cost, Trajectory
 
 
+@checks_arguments
 @shows_fields(Scene)
 def simulate(
     scene: System | Scene,
@@ -106,11 +108,12 @@ def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
 def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
+    from .compiled.through_stops import through_stops
 
     flow = CompiledFlow.of_plan(plan)
-    return _integrate_plan(
-        plan, flow, integrator(flow, plan, progress), "compiled", plan.method.name
-    )
+    through = through_stops(flow, plan, progress)
+    integrate = integrator(flow, plan, progress)
+    return _integrate_plan(plan, flow, integrate, "compiled", plan.method.name, through)
 
 
 def trajectory_of(scene: Scene) -> Trajectory:
@@ -119,10 +122,15 @@ def trajectory_of(scene: Scene) -> Trajectory:
 
 
 def _integrate_plan(
-    plan: Plan, flow: ReducedFlow, integrate: Integrate, engine: Engine, method: str
+    plan: Plan,
+    flow: ReducedFlow,
+    integrate: Integrate,
+    engine: Engine,
+    method: str,
+    through: Callable[[], Segments] | None = None,
 ) -> Trajectory:
     started = time.perf_counter()
-    motion = follow(plan, flow, integrate)
+    motion = follow(plan, flow, integrate, through)
     wall = time.perf_counter() - started
     run = Cost(engine, method, motion.steps, motion.evaluations, wall)
     terminal_crossing = motion.ended_by

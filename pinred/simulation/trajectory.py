@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
 from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, with_base
@@ -46,6 +47,7 @@ class Cost:
     wall: float
 
 
+@checks_arguments
 class Trajectory(OverTime):
     """The motion of a scene: fields of State at the report times; call it for other times.
 

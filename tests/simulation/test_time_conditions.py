@@ -16,6 +16,7 @@ from pinred.forces import Torque
 from pinred.forces.switch_times import SwitchTimes
 from pinred.judge.reference_solution import FullState
 from pinred.signals import Hold
+from pinred.simulation.compiled import through_stops as through_stops_module
 
 START, WIDTH, SIZE = Parameter("start", 0.4), Parameter("width", 0.1), Parameter("size", 0.2)
 TIMES = np.array([0.0, 0.35, 1.0])
@@ -100,6 +101,38 @@ def test_written_force_in_short_steps_agrees(name: str, engine: Any) -> None:
     torque = ca.Function("torque", [t], [function(t)])
     expected = written_end(traj, lambda t: float(torque(t)), spacing=0.05)
     assert np.abs(traj.x[-1] - expected).max() < 1e-10
+
+
+@pytest.mark.parametrize(
+    "method",
+    ["DOP853", *(pytest.param(m, marks=pytest.mark.slow) for m in ("AdaptiveGauss", "Radau"))],
+)
+def test_run_through_all_stops_equals_its_segments(
+    method: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The compiled loop over 100 spans takes the steps that one call for each span takes."""
+    period = Parameter("period", 0.02)
+    waves = Torque(lambda s: {"bend": 0.1 * ca.if_else(ca.fmod(s.t, period) < 0.4 * period, 1, -1)})
+    options = scene(waves, method=method, rtol=1e-6, xi0=[0.0, 0.0, 0.0, 0.3, -0.2, 0.5])
+    through = pinred.simulate(options)
+    with monkeypatch.context() as patch:
+        patch.setattr(through_stops_module, "through_stops", lambda *_: None)
+        one_by_one = pinred.simulate(options)
+    assert len(through.plan.stops) == 100
+    assert isinstance(through.motion.segments, through_stops_module.PartSegments)
+    assert through.run.evaluations == one_by_one.run.evaluations
+    np.testing.assert_array_equal(through.motion.knots, one_by_one.motion.knots)
+    times = np.linspace(0.0, 1.0, 73)
+    for name in ("x", "xdot", "pose"):
+        first, second = (getattr(traj(times), name) for traj in (through, one_by_one))
+        assert np.abs(first - second).max() < 1e-13
+
+
+def test_failure_in_a_span_names_its_time() -> None:
+    """A run through all stops that fails reports the time and the shape, as any other."""
+    blowing = Torque(lambda s: {"bend": ca.if_else(s.t > 0.3, 1e3 * s.xdot["bend"] ** 3, 0.0)})
+    with pytest.raises(pinred.IntegrationError, match=r"t = 0\.3\d* s"):
+        pinred.simulate(scene(blowing))
 
 
 def test_engines_agree_on_a_short_pulse() -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import TYPE_CHECKING, ClassVar
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ..gauss.tables import MOST_STAGES, lanes_of
 from ..stepping.codes import AUTO, FIXED_POINT, NEWTON
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 SOLVERS = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Gauss(EqualSteps):
     """Gauss–Legendre collocation with fixed steps: symplectic, symmetric, of even order.
@@ -96,6 +98,7 @@ class Gauss(EqualSteps):
         return super().registers(t_end) | solved
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class AdaptiveGauss(ErrorControl):
     """Gauss–Legendre collocation of order 16 with step control, for tight tolerances.
@@ -133,6 +136,7 @@ class AdaptiveGauss(ErrorControl):
         return super().registers(t_end) | solved
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Radau(ErrorControl):
     """Radau IIA of order 5 with step control, in Hairer and Wanner's form: for stiff systems.
@@ -164,6 +168,7 @@ class Radau(ErrorControl):
         return STEPPER
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Variational(EqualSteps):
     """A discrete Lagrange–Poincaré integrator of order 2 with fixed steps.

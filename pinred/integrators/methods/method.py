@@ -7,6 +7,7 @@ from dataclasses import Field, dataclass, field
 from math import ceil, inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
 from ...common.default_marker import Default
 from ...common.errors import InputError
@@ -33,6 +34,7 @@ def option(about: str, **more: Any) -> dict[str, Any]:
     return {"about": about, **more}
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Method(ABC):
     """Base class of integrators; an instance holds the options of a method.
@@ -86,6 +88,7 @@ class Method(ABC):
         """
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ErrorControl(Method):
     """A method that controls the error of its steps.
@@ -140,6 +143,7 @@ class ErrorControl(Method):
         }
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class EqualSteps(Method):
     """A method with steps of equal length.
@@ -175,6 +179,7 @@ class EqualSteps(Method):
         return {"h": t_end / total, "total": total, "max_steps": total}
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Explicit(ErrorControl):
     """An explicit Runge–Kutta method with step control, defined by its tableau.

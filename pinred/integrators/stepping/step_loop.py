@@ -17,7 +17,7 @@ from ...common.arrays import Array
 from .codes import AGAIN, DONE, ENDS, FULL, NOT_FINITE, PAUSED, STEP, TOO_MANY, UNDERFLOW, WANTED
 from .compiling import bind_globals, compiled, inlined, unbound
 from .run_state import Run, Runs, keep_state
-from .state_rows import NEW, Y
+from .state_rows import NEW, Y, unit_alone
 
 _EPS = float(np.finfo(float).eps)
 
@@ -264,6 +264,63 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
     return last
 
 
+def through(
+    runs: Runs,
+    first_run: Runs,
+    params: Array,
+    lengths: Array,
+    work: Array,
+    no_times: Array,
+    no_states: Array,
+    end_times: Array,
+    end_states: Array,
+    first: NDArray[np.int64],
+    place: NDArray[np.int64],
+) -> int:
+    """Integrate over successive parts of time, each with its own parameters.
+
+    Args:
+        runs: Registers of the parts, (S,), output; a part that has not begun has no end time.
+        first_run: Registers of a run before its first step, (1,).
+        params: Parameters of the parts, (S, p).
+        lengths: Lengths of the parts, (S,) [s].
+        work: Work rows, with the state in row Y.
+        no_times: Empty array in place of report times, (0,).
+        no_states: Empty array in place of states at report times, (0, n).
+        end_times: Times of the step ends of all parts, (K,) [s], output.
+        end_states: Stored states of all parts, (K, …), output.
+        first: Index of the first step end of each part, (S + 1,), output.
+        place: Index of the current part, (1,).
+    Returns:
+        DONE, or the status of the current part.
+    """
+    spent = 0
+    for k in range(place[0], lengths.shape[0]):
+        run: Run = runs[k]
+        start = first[k]
+        if end_times.shape[0] < start + 2:
+            return FULL
+        if run.t_end == 0.0:
+            runs[k] = first_run[0]
+            run.t_end = lengths[k]
+        status: int = advance(
+            runs[k : k + 1], params[k], work, no_times, no_states, end_times[start:],
+            end_states[start:],
+        )  # fmt: skip
+        if status != DONE:
+            return status
+        last = start + run.steps
+        for i in range(run.n):
+            work[Y, i] = end_states[last, i]
+        unit_alone(work[Y], run.quaternion)
+        first[k + 1] = last + 1
+        place[0] = k + 1
+        spent += run.evaluations
+        if spent >= run.budget and k + 1 < lengths.shape[0]:
+            return PAUSED
+    return DONE
+
+
 @dataclass(frozen=True)
 class Loops:
     """The compiled loops of a method: copies of the functions with the same names."""
@@ -271,6 +328,7 @@ class Loops:
     advance: Callable[..., int]
     recall: Callable[..., None]
     members: Callable[..., int]
+    through: Callable[..., int]
 
 
 def loops(name: str, hooks: Hooks) -> Loops:
@@ -291,6 +349,7 @@ def loops(name: str, hooks: Hooks) -> Loops:
         bound_advance,
         compiled(bind_globals(recall, f"{name}_recall", **bindings)),
         compiled(bind_globals(members, f"{name}_members", advance=bound_advance)),
+        compiled(bind_globals(through, f"{name}_through", advance=bound_advance)),
     )
 
 

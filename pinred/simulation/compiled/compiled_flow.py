@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.arrays import Array
+from ...common.arrays import Array, read_only
 from ...common.errors import InputError
 from ...common.memo import once
 from ...forces.force_values import BaseInSpace
@@ -78,6 +78,14 @@ class CompiledFlow:
             numbers = parameters[..., self.numbers_at]
             numbers[..., forces.within] = time_within(start, stop)
         return parameters
+
+    def parameters_within(self, within: Array) -> Array:
+        """Return a row of parameters for each time `within` a span (S,), (S, p)."""
+        rows, forces = np.repeat(self.parameters[None], len(within), axis=0), self.kernel.forces
+        if forces is not None:
+            numbers = rows[:, self.numbers_at]
+            numbers[:, forces.within] = within[:, None]
+        return read_only(rows)
 
     def sample(self, t: float, y: Array, parameters: Array | None = None) -> Sample:
         """Return the state at time t that forces depend on; see `states`."""
