@@ -38,6 +38,7 @@ class Cost:
         steps: Number of accepted steps.
         evaluations: Number of evaluations of the vector field.
         wall: Wall time [s].
+        notices: Sentences on errors that the integrator does not control; empty if there are none.
     """
 
     engine: Engine
@@ -45,6 +46,7 @@ class Cost:
     steps: int
     evaluations: int
     wall: float
+    notices: tuple[str, ...] = ()
 
 
 @checks_arguments
@@ -198,7 +200,7 @@ class Trajectory(OverTime):
             f"{len(self)} times to {self.scene.end:g} s, {run.steps} steps of {run.method} "
             f"({run.engine}), {run.evaluations} evaluations in {run.wall:.3g} s",
             table("shape [rad | m]", ["joint", "start", "end", "least", "greatest"], rows),
-            *map(line, lines),
+            *map(line, (*lines, *run.notices)),
             momenta,
         )
 

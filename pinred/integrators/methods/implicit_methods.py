@@ -50,6 +50,7 @@ class Gauss(EqualSteps):
 
     about: ClassVar[str] = "Gauss–Legendre collocation with fixed steps, symplectic"
     symplectic: ClassVar[bool] = True
+    needs_smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -119,6 +120,7 @@ class AdaptiveGauss(ErrorControl):
     atol: float = 1e-14
 
     about: ClassVar[str] = "Gauss–Legendre collocation of order 16, for tight tolerances"
+    needs_smooth: ClassVar[bool] = True
     lanes: ClassVar[int] = lanes_of(MOST_STAGES)
     stages: ClassVar[int] = MOST_STAGES
     order: ClassVar[int] = 2 * MOST_STAGES

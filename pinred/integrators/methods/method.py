@@ -44,12 +44,14 @@ class Method(ABC):
         adaptive: Whether an error estimate controls the step lengths.
         symplectic: Whether the map of a step is symplectic for systems in canonical form.
         steady_momentum: Whether the method requires an angular momentum that is constant in space.
+        needs_smooth: Whether kinks of the vector field cause errors that no estimate shows.
     """
 
     about: ClassVar[str]
     adaptive: ClassVar[bool]
     symplectic: ClassVar[bool] = False
     steady_momentum: ClassVar[bool] = False
+    needs_smooth: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
