@@ -290,11 +290,11 @@ class System:
         return v if self.coupled is None else self.coupled.rates(v, self.r)
 
     def on_shape(self, forces: Array) -> Array:
-        """Map generalised forces of `model`, (..., nv), to forces on base and shape, (..., n)."""
+        """Map forces (..., nv) on the joints of `model` to forces on base and shape, (..., n)."""
         return forces if self.coupled is None else self.coupled.forces(forces, self.r)
 
     def sizes_on_shape(self, sizes: Array) -> Array:
-        """Bound the entries of `on_shape`, (..., n), for forces of magnitudes sizes, (..., nv)."""
+        """Bound the entries of `on_shape`, (..., n), for forces of magnitudes sizes (..., nv)."""
         return sizes if self.coupled is None else self.coupled.sizes(sizes, self.r)
 
     def coupled_matrix(self, matrix: Array) -> Array:
