@@ -33,7 +33,7 @@ class Gait:
     """
 
     arcs: tuple[Arc, ...]
-    turns: tuple[int, ...] = ()
+    turns: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.arcs:
