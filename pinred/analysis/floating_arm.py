@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only, vector, vectors, whole
 from ..common.errors import InputError
 from ..common.names import joint_index, listed, nearest, quoted
@@ -31,6 +32,7 @@ _NO_REACTION = 1e-10  # singular values of A below this fraction of the largest 
 _ROOT_SAMPLES = 721  # number of samples of a path that bracket the roots
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Singularity(FrozenArrays):
     """The distance of a free-floating arm from a dynamic singularity at a shape.
@@ -58,6 +60,7 @@ class Singularity(FrozenArrays):
         return float(self.values[0] / self.values[-1]) if self.values[-1] > 0.0 else np.inf
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class FloatingArm:
     """The hand of a robot with a free base.

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector, vectors
 from ..common.errors import InputError
 from ..lie.group import Group
@@ -54,6 +55,7 @@ class SplitVelocity:
     horizontal: Velocity
 
 
+@checks_arguments
 class Reduction(PointwiseReduction):
     """The reduction of one system, at any shape or over many shapes.
 

@@ -152,5 +152,9 @@ class ModelWarning(UserWarning):
     """A robot can be simulated, but its model is doubtful or its file is not read as written."""
 
 
+class AccuracyWarning(UserWarning):
+    """The error of a simulation may be larger than its tolerance."""
+
+
 class CacheWarning(UserWarning):
     """The kernel cache on disk cannot be used; kernels are compiled again."""

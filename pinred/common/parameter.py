@@ -12,6 +12,7 @@ from weakref import WeakValueDictionary
 
 from numpy.typing import ArrayLike
 
+from .argument_kinds import checks_arguments
 from .errors import InputError
 from .names import brief
 
@@ -34,6 +35,7 @@ def _both_sides(operation: _Operator) -> tuple[_Operator, _Operator]:
     )
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Parameter:
     """A named number in forces and signals that is an input of the compiled kernel.

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import positive
 from ..common.errors import InputError
 from ..common.names import brief
@@ -36,6 +37,7 @@ class Named(Force):
         return self.name
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Limit:
     """Bounds on torques.

@@ -24,7 +24,7 @@ _REMEMBERED = 16  # largest number of cached models per system
 
 def cached_force_model(
     system: System,
-    springs: Mapping[str, tuple[float, float]],
+    springs: Mapping[str, tuple[float | Parameter, float | Parameter]],
     forces: Sequence[Force],
     prescribed: Mapping[str, Signal],
     varied: ModelParameters | None = None,

@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import as_floats
 from ..common.errors import InputError
 from ..common.names import brief, one_of
@@ -31,6 +32,7 @@ Axes: TypeAlias = Literal["body", "world"]
 AXES: tuple[Axes, ...] = ("body", "world")
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Wrench(Named):
     """A wrench [linear; angular], such as thrust, drag, or a pull at a hand.

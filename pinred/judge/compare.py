@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.progress import Progress, shown
@@ -51,6 +52,7 @@ _SAFETY = 10.0  # margin, because growth and defects are only sampled
 _ROUND_OFF = 1e-15  # relative round-off of one step
 
 
+@checks_arguments
 def compare(traj: Trajectory, *, progress: Progress | bool | None = None) -> Report:
     """Compare a trajectory with the full simulation of its scene, which uses Pinocchio's ABA.
 
@@ -103,7 +105,6 @@ def _compare(traj: Trajectory, progress: Progress) -> Report:
     reasons = explain_uninformative_times(times, count, bounds.relative, growth)
     audit = audit_trajectory(traj, states)
     progress(1.0)
-    steps = len(traj.motion.knots) - 1
     growth_at_last = float(growth[max(count - 1, 0)])
     return Report(
         robot=traj.system.name,
@@ -128,7 +129,7 @@ def _compare(traj: Trajectory, progress: Progress) -> Report:
         reference_error=float(reference_difference[:count].max(initial=0.0)),
         equations_bound=EQUATION_BOUND,
         defect_bound=DEFECT_BOUND * tolerance,
-        drift_bound=max(DRIFT_BOUND * tolerance, 2.0 * bounds.mean_defect * steps),
+        drift_bound=max(DRIFT_BOUND * tolerance, 2.0 * bounds.total_defect),
         field_bound=FIELD_BOUND,
         reference_bound=min(REFERENCE_BOUND * tolerance * growth_at_last, INFORMATIVE),
         growth=growth,
@@ -202,12 +203,12 @@ class ErrorBounds:
     Attributes:
         relative: Bounds in units of the motion's size, (T,).
         distance: The same bounds in the units of each error, (T, …).
-        mean_defect: Mean defect of a step, limited to the largest defect that passes.
+        total_defect: Sum of the defects of all steps, limited to what passes.
     """
 
     relative: Array
     distance: Distance
-    mean_defect: float
+    total_defect: float
 
 
 def compute_error_bounds(
@@ -232,15 +233,22 @@ def compute_error_bounds(
     Returns:
         Bounds at all times.
     """
-    steps = np.searchsorted(traj.motion.knots, times, side="left")
+    knots, smooth = traj.motion.knots, defects.smooth
+    steps = np.searchsorted(knots, times, side="left")
     # A failing defect must not loosen the bound on errors, so defects are limited to what passes.
-    mean, worst = float(defects.steps.mean()), float(defects.subintervals.max())
-    largest_mean, largest = DEFECT_BOUND * tolerance, DENSE_BOUND * tolerance
-    mean_share, share = largest_mean / max(mean, largest_mean), largest / max(worst, largest)
-    per_step = mean_share * float(defects.motion_steps.mean())
+    mean = float(defects.steps[smooth].mean())
+    worst = float(defects.subintervals[smooth].max())
+    largest_step, largest = DEFECT_BOUND * tolerance, DENSE_BOUND * tolerance
+    mean_share, share = largest_step / max(mean, largest_step), largest / max(worst, largest)
+    per_step = mean_share * float(defects.motion_steps[smooth].mean())
     # Times lie inside steps, where dense output has an error of lower order.
-    dense = share * float(defects.motion_subintervals.max())
-    local = steps * per_step + np.where(steps > 0, dense, 0.0) + _ROUND_OFF * (steps + 1)
+    dense = share * float(defects.motion_subintervals[smooth].max())
+    # Steps with kinks are exempt from the bound on defects, so each of them is limited by itself.
+    kinked_steps = defects.steps[~smooth]
+    shares = largest_step / np.maximum(kinked_steps, largest_step)
+    sampled = (len(knots) - 1) / len(smooth)  # at most 200 steps are evaluated
+    kinked = sampled * float((shares * defects.motion_steps[~smooth]).sum())
+    local = steps * per_step + np.where(steps > 0, kinked + dense, 0.0) + _ROUND_OFF * (steps + 1)
     local += defects.round_off_rate * times  # round-off of ABA affects the references, too
     floor = RESOLUTION + np.maximum.accumulate(reference_difference)
     relative = _SAFETY * (growth * local + floor)
@@ -250,4 +258,5 @@ def compute_error_bounds(
         # Positions far from the origin have the round-off of their distance on both sides.
         position=relative * size.position + _SAFETY * _ROUND_OFF * size.away,
     )
-    return ErrorBounds(relative, bounds, mean_share * mean)
+    total = mean_share * mean * (len(knots) - 1) + sampled * float((shares * kinked_steps).sum())
+    return ErrorBounds(relative, bounds, total)

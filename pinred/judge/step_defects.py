@@ -33,7 +33,7 @@ _KINK = 10.0
 
 @dataclass(frozen=True)
 class Defects:
-    """Relative defects of steps (S,) and of their subintervals (P,).
+    """Relative defects of S steps and of their subintervals.
 
     The unit of each kind of number is the largest value of that kind. For rates the unit is at
     least atol/rtol, because the tolerance is defined that way. The `motion_*` fields use the
@@ -41,12 +41,13 @@ class Defects:
 
     Attributes:
         steps: Defects of steps, (S,).
-        subintervals: Defects of subintervals, (P,); these also test the dense output.
+        subintervals: Largest defect of a subinterval of each step, (S,); these also test the
+            dense output.
         smooth: Whether the equations are smooth within the step, (S,). No method keeps its order
             across a kink of a force.
         motion_steps: Defects of steps in units of the motion, (S,). Residuals inside a step count
             by their effect on its end, even if they cancel in the integral.
-        motion_subintervals: Defects of subintervals in units of the motion, (P,).
+        motion_subintervals: The same for subintervals, (S,).
         round_off_rate: Rate at which round-off of ABA itself perturbs the motion [1/s].
     """
 
@@ -166,10 +167,10 @@ def _defects_of_steps(
     )
     return Defects(
         steps=(of_steps / sizes).max(axis=1),
-        subintervals=(missed / sizes).max(axis=1),
+        subintervals=np.maximum.reduceat((missed / sizes).max(axis=1), first),
         smooth=np.ones(len(steps), dtype=bool),
         motion_steps=(np.maximum(of_steps, propagated) / motion_sizes).max(axis=1),
-        motion_subintervals=(missed / motion_sizes).max(axis=1),
+        motion_subintervals=np.maximum.reduceat((missed / motion_sizes).max(axis=1), first),
         round_off_rate=float((spread / motion_sizes).max()),
     )
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ShapeError
 from .rotations import apply, hat, plane_rotation, rotation
@@ -16,6 +17,7 @@ from .rotations import apply, hat, plane_rotation, rotation
 _NORM_TOLERANCE = 1e-3
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class PoseError:
     """Distance between two poses g and h: the norms of the two parts of log(g⁻¹h).
@@ -31,6 +33,7 @@ class PoseError:
     translation: Array
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False, repr=False)
 class Group(ABC):
     """A Lie group of base motions: a subgroup of SE(3), in the frame of the root joint.

@@ -27,6 +27,7 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
+from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from .group import Group
 from .planar_groups import SE2 as SE2
@@ -49,6 +50,7 @@ def _groups() -> dict[str, Group]:
 GROUPS = _groups()
 
 
+@checks_arguments
 def group_named(name: str) -> Group:
     """Return the group with a name.
 

@@ -13,6 +13,7 @@ from ..analysis.connections.connection import Connection
 from ..analysis.connections.fluid import Ellipse, Ellipsoid, Rod
 from ..analysis.connections.wheels import Rolling, Wheel
 from ..analysis.gaits.gait import Gait
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector_or_zero
 from ..common.errors import InputError
 from ..scene.scene_options import SCENE_OPTIONS
@@ -264,11 +265,13 @@ GAIT_FILE = Table(
 )
 
 
+@checks_arguments
 def gait_schema() -> Schema:
     """Return the JSON Schema (draft 2020-12) of gait files."""
     return document_schema(GAIT_FILE, "pinred gait")
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class GaitFile:
     """The contents of a gait file.
@@ -299,6 +302,7 @@ class GaitFile:
         return self.gait
 
 
+@checks_arguments
 def load_gait(path: str | Path) -> GaitFile:
     """Read a gait file: robot, connection, gait and objectives in TOML (see docs/phases.md).
 

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, vector
 from ..common.errors import SingularInertiaError
 from ..common.names import quoted
@@ -24,6 +25,7 @@ _SINGULAR = 1e-6
 _SHARE = 0.1
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class InertiaSplit(FrozenArrays):
     """Blocks of the mass matrix at one shape, and their Schur complement; read-only arrays.

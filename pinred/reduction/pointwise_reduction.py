@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector
 from ..common.errors import InputError, SymmetryError
 from ..lie.group import Group
@@ -26,6 +27,7 @@ from .potential import Potential, Springs, pivot_weight
 from .section import MovedFrame, Section
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ReducedShape(InertiaSplit):
     """The reduction at one shape; arrays are read-only.
@@ -90,6 +92,7 @@ class ReducedShape(InertiaSplit):
         )
 
 
+@checks_arguments
 class PointwiseReduction:
     """The reduction of one system, evaluated by Pinocchio at one shape at a time.
 

@@ -33,6 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, read_only, vector
 from ..common.errors import InputError
 from ..lie.rotations import apply, rotation
@@ -162,6 +163,7 @@ class EulerPoincare:
         return f"d/dt mu\n{self.momentum}\nxidot  {_row(self.xidot)}"
 
 
+@checks_arguments
 def lagrange_poincare(
     red: PointwiseReduction,
     x: ArrayLike,
@@ -201,6 +203,7 @@ def lagrange_poincare(
     return LagrangePoincare(shape, momentum, read_only(xddot), read_only(xidot))
 
 
+@checks_arguments
 def hamilton_poincare(
     red: PointwiseReduction,
     x: ArrayLike,
@@ -241,6 +244,7 @@ def hamilton_poincare(
     )
 
 
+@checks_arguments
 def euler_poincare(
     red: PointwiseReduction,
     x: ArrayLike,

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.names import brief
 from .toml.schema import Flag, Key, Table, Text, Whole
@@ -30,6 +31,7 @@ EVENT_TABLE = Table(
 )  # fmt: skip
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Event:
     """A time at which an expression of the state crosses zero, also inside integration steps.

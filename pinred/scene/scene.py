@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, positive, read_only, vector, vector_or_zero, whole
 from ..common.default_marker import is_given
 from ..common.errors import InputError
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from ..forces.formula import Watched
 
 
+@checks_arguments
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene(SceneFields):
     """A system, its initial state, and how long and how accurately to simulate it.

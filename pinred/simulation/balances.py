@@ -22,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.polynomial import legendre
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only
 from ..reduction.canonical_form import CanonicalForm
 from ..reduction.pointwise_reduction import PointwiseReduction
@@ -38,6 +39,7 @@ _POINTS = 8  # Number of Gauss points in each step.
 _DRIVES = "prescribed joints"  # Label for the work done by the drives of prescribed joints.
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class EnergyBalance(FrozenArrays):
     """The balance of energy and work; arrays are read-only.
@@ -71,6 +73,7 @@ class EnergyBalance(FrozenArrays):
         return card("Energy", f"balance to {self.t[-1]:g} s", table("", ["", "J"], rows))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class MomentumBalance(FrozenArrays):
     """The balance of momentum and impulse in the root joint's fixed frame, about its origin.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 from ..common.errors import IntegrationError
 from ..forces.formula import Watched
@@ -27,6 +28,7 @@ _ROUND_OFF = 1e-12  # Times count as equal if they differ by less than this frac
 _EPS = 4.0 * float(np.finfo(float).eps)
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Crossings(FrozenArrays):
     """The zero crossings of one event, in order; arrays are read-only.

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.optional_packages import optional_package
 from ..system.state_fields import (
     FIELDS,
@@ -19,6 +20,7 @@ from ..system.state_fields import (
 from ..system.system import System
 
 
+@checks_arguments
 class OverTime(StateArrays):
     """A motion with known states at the report times: fields of State, with time as first axis."""
 

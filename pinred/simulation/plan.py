@@ -205,6 +205,18 @@ class Plan:
         """The method of the compiled engine."""
         return self.choice.method
 
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Sentences on errors that the method does not control; empty if there are none."""
+        forces, method = self.forces, self.scene.integrator  # "auto" avoids such methods
+        if forces is None or method is None or not (method.needs_smooth and forces.has_kinks):
+            return ()
+        return (
+            f"method: {method.name} loses its order where a force of '{self.system.name}' has a "
+            "kink (abs, sign, limits, conditions on the state), so errors exceed the tolerance "
+            "there. Use DOP853, or smooth forces",
+        )
+
     def kind(self, *, zero_momentum: bool, generic: bool = False) -> Kind:
         """Return the equations with or without angular momentum, cached.
 

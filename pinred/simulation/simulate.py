@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -10,7 +11,8 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..common.errors import InputError
+from ..common.argument_kinds import checks_arguments
+from ..common.errors import AccuracyWarning, InputError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
@@ -24,6 +26,7 @@ from .reduced_flow import Integrate, ReducedFlow, Segments
 from .trajectory import Cost, Trajectory
 
 
+@checks_arguments
 @shows_fields(Scene)
 def simulate(
     scene: System | Scene,
@@ -130,7 +133,9 @@ def _integrate_plan(
     started = time.perf_counter()
     motion = follow(plan, flow, integrate, through)
     wall = time.perf_counter() - started
-    run = Cost(engine, method, motion.steps, motion.evaluations, wall)
+    run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
+    for notice in run.notices:
+        warnings.warn(notice, AccuracyWarning, stacklevel=5)
     terminal_crossing = motion.ended_by
     scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
     return Trajectory(scene, motion, run, partial(simulate, plan.scene, engine=engine))

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Unpack
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import entries_of, whole
 from ..common.errors import InputError, IntegrationError
 from ..common.names import brief
@@ -21,6 +22,7 @@ from .simulate import trajectory_of
 from .trajectory import Trajectory
 
 
+@checks_arguments
 @shows_fields(Scene)
 def simulate_many(
     system: System | Scene | Sequence[Scene],

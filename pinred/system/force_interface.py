@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.names import brief, joint_index
 from ..common.parameter import Parameter
@@ -27,6 +28,7 @@ def _unknown_dynamics(_: Mapping[int, ca.SX]) -> ca.SX:
     )
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class SeenState:
     """The state that is passed to a force, controller or event function of one argument.
@@ -190,6 +192,7 @@ class Terms:
         return [value for value in values if value is not None]
 
 
+@checks_arguments
 class Force(ABC):
     """A force that acts on the system.
 

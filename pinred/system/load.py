@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector
 from ..common.errors import (
     ChoiceError,
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
 _HUGE = 1e100  # largest accepted gravity, because products of larger numbers overflow [m/s²]
+_CALLER = 3  # stack level of the caller of `load` for warnings, outside the check of arguments
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ class _Robot:
     warning: str = ""
 
 
+@checks_arguments
 def load(
     source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec,
     *,
@@ -160,13 +163,13 @@ def load(
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
-        warnings.warn(message, LeftOutWarning, stacklevel=2)
+        warnings.warn(message, LeftOutWarning, stacklevel=_CALLER)
     for warning in system.contents.warnings:
-        warnings.warn(f"{quoted(system.name)}: {warning}", ModelWarning, stacklevel=2)
+        warnings.warn(f"{quoted(system.name)}: {warning}", ModelWarning, stacklevel=_CALLER)
     for doubt in doubts:
         if strict:
             raise ModelError(f"{quoted(system.name)} is refused because of strict=True: {doubt}")
-        warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=2)
+        warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=_CALLER)
     return with_parameters(system, {} if parameters is None else parameters)
 
 

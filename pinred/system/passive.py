@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pinocchio as pin
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import positive
 from ..common.errors import InputError, ModelError
 from ..common.names import plain, quoted
@@ -35,6 +36,7 @@ class JointForce(Force):
         return f"{self.kind} {ends}"
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Spring(JointForce):
     """A spring with potential V = ½ k y², where y = x − rest, or x − x_to − rest.
@@ -83,6 +85,7 @@ class Spring(JointForce):
         return Terms(potential=potential)
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Damper(JointForce):
     """A damper with torque τ = −c v, where v = ẋ, or ẋ − ẋ_to between two joints.
@@ -130,6 +133,7 @@ class Damper(JointForce):
         return Terms(torque={k: torque} if j is None else {k: torque, j: -torque})
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Friction(JointForce):
     """Dry friction at a joint, as the smooth law τ = −most · tanh(ẋ / width).

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError
 
@@ -93,6 +94,7 @@ def _describe_fields(kind: _Kind) -> _Kind:
     return kind
 
 
+@checks_arguments
 @_describe_fields
 @dataclass(frozen=True)
 class ShapeState(FrozenArrays):
@@ -104,6 +106,7 @@ class ShapeState(FrozenArrays):
     energy: Array
 
 
+@checks_arguments
 @_describe_fields
 @dataclass(frozen=True)
 class State(FrozenArrays):

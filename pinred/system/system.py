@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
@@ -34,6 +35,7 @@ from .robot_file_contents import Contents, Coupling, Keyframe, LeftOut, Origin
 T = TypeVar("T")
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class System:
     """A multibody system with symmetry: the root joint is the group, the others the shape.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, whole
 from ...common.errors import InputError
 from ...forces.force import Force
@@ -35,6 +36,7 @@ _SAME = 1e-5  # largest distance of equal points of a branch [rad | m]
 _ROUND_OFF = 1e-12  # rad | m; smaller values are printed as zero
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class BranchPoint(FrozenArrays):
     """A relative equilibrium on a branch. Arrays are read-only.
@@ -72,6 +74,7 @@ class BranchPoint(FrozenArrays):
         )
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Branches:
     """Branches of relative equilibria over a range of momenta.
@@ -135,6 +138,7 @@ class Branches:
         return "\n".join(lines)
 
 
+@checks_arguments
 def branches(
     system: System,
     *,

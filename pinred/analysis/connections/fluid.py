@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, positive, vector
 from ...common.errors import InputError
 from ...kernels.connection.connection_form import ConnectionForm, form_of
@@ -23,6 +24,7 @@ from ...system.system import System, checked_system
 from .links import summed, tensors_by_body
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Rod:
     """A slender rod in a viscous fluid, modelled with resistive-force theory.
@@ -120,6 +122,7 @@ def tensor_form(system: System, tensors: list[Array], what: str, *, rotors: bool
     )  # fmt: skip
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Ellipsoid:
     """An ellipsoid in a perfect fluid, with the formulas of Lamb, Hydrodynamics, §114 and §373.
@@ -148,6 +151,7 @@ class Ellipsoid:
         object.__setattr__(self, "tensor", in_link_frame(about_centre, self.centre, self.axis))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Ellipse:
     """An elliptic cylinder across the plane of a planar robot, per metre of its height.

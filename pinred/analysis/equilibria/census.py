@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ...common.argument_kinds import checks_arguments
 
+
+@checks_arguments
 @dataclass(frozen=True)
 class Census:
     """The count of a search for relative equilibria, and the evidence for its completeness.

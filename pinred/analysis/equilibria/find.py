@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, whole
 from ...common.errors import InputError
 from ...forces.force import Force
@@ -33,6 +34,7 @@ _BATCH = 64  # number of equilibria from which walks run together
 _MINIMISATIONS = 24  # number of starts from which the energy is also minimised
 
 
+@checks_arguments
 def relative_equilibria(
     system: System,
     *,

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.names import listed
+from ...common.parameter import Parameter
 from ...system.singular_mass_matrix import singular_shapes
 from .amended_energy import AmendedEnergy, Points, tangents
 from .distinct_points import FLAT, DistinctPoints, Orbit
@@ -55,7 +56,8 @@ def _is_sprung(problem: Problem, k: int) -> bool:
     scene = problem.scene
     stiffness, _ = scene.springs.get(problem.system.shape_names[k], (0.0, 0.0))
     is_alone = not scene.forces and not scene.passive and not problem.driven_rate.any()
-    return bool(stiffness > 0.0 and is_alone)
+    number = stiffness.value if isinstance(stiffness, Parameter) else stiffness
+    return bool(number > 0.0 and is_alone)
 
 
 def morse_sum(energy: AmendedEnergy, points: DistinctPoints, J: float) -> int | None:

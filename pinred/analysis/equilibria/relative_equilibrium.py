@@ -8,6 +8,7 @@ from typing import overload
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...lie.rotations import quaternion_exp
@@ -19,6 +20,7 @@ from .census import Census
 from .equilibrium_problem import Problem
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class RelativeEquilibrium(FrozenArrays):
     """A steady motion with constant shape.
@@ -172,6 +174,7 @@ class RelativeEquilibrium(FrozenArrays):
         return f"{shape or 'rigid'}: {self.verdict}{_growth(self.stability)}"
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Equilibria(Sequence[RelativeEquilibrium]):
     """The relative equilibria found by a search, sorted by amended potential.

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, vector
 from ...common.errors import InputError
 from ..connections.connection import Connection
@@ -27,6 +28,7 @@ _RANDOM = 2000  # number of random shapes, for more than three joints
 _SEGMENTS = 32  # number of segments of a lifted path
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Flatness(FrozenArrays):
     """Flatness of a connection over a box of shapes.
@@ -121,6 +123,7 @@ class Flatness(FrozenArrays):
         return connection.group.inverse(g)
 
 
+@checks_arguments
 def flatness(
     connection: Connection, limits: ArrayLike | None = None, *, samples: int | None = None
 ) -> Flatness:

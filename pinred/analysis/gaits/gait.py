@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats, positive, read_only, vector, vector_or_zero, vectors
 from ...common.errors import InputError
 from ...common.names import joint_index
@@ -18,6 +19,7 @@ from .arcs import TAU, Arc, FourierArc, PolynomialArc, line, raised
 from .closed_paths import check_joined, winding_number
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Gait:
     """A closed path in shape space, traversed once per period.
@@ -31,7 +33,7 @@ class Gait:
     """
 
     arcs: tuple[Arc, ...]
-    turns: tuple[int, ...] = ()
+    turns: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.arcs:
@@ -193,9 +195,7 @@ class Gait:
         from .recorded import points_in
 
         t, x = points_in(Path(path))
-        T = float(t[-1] - t[0])
-        closed = np.vstack([x[:-1]])
-        gait = cls.spline(closed, times=t[:-1] - t[0], period=T)
+        gait = cls.spline(x[:-1], times=t[:-1] - t[0], period=float(t[-1] - t[0]))
         return gait if period is None else gait.lasting(period)
 
     @cached_property

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group
@@ -318,6 +319,7 @@ def _adjoints(group: Group, inner: Array) -> Array:
     return group.Ad(np.concatenate([linear, angle], axis=1) if group.turns else linear)
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class PhaseSlopes(FrozenArrays):
     """Phase and effort of a Fourier gait at zero momentum, with derivatives.
@@ -341,6 +343,7 @@ class PhaseSlopes(FrozenArrays):
     action_slope: Array
 
 
+@checks_arguments
 def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = None) -> PhaseSlopes:
     """Compute the phase and the effort of a Fourier gait, and their derivatives.
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...integrators.gauss.tables import tables
@@ -35,6 +36,7 @@ _PER_HARMONIC = 16  # initial samples per harmonic
 MOST = 2**15  # largest number of samples
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Phase(FrozenArrays):
     """The motion of the base over one cycle of a gait.
@@ -112,6 +114,7 @@ class Phase(FrozenArrays):
         return pose
 
 
+@checks_arguments
 def phase(
     connection: Connection,
     gait: Gait,

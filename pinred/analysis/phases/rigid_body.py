@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, vector
 from ...common.errors import InputError
 from ...lie.rotations import TAU
@@ -26,6 +27,7 @@ from ...system.system import System, checked_system
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # relative error of the inertia tensor
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class RigidBodyPhase(FrozenArrays):
     """The motion of a free rigid body over one period of its body momentum.
@@ -49,6 +51,7 @@ class RigidBodyPhase(FrozenArrays):
     momentum: float
 
 
+@checks_arguments
 def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
     """Compute the phase of a free rigid body.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...lie.group import Group
 from .lift import in_space
@@ -13,6 +14,7 @@ from .lift import in_space
 _STRAIGHT = 1e-12  # rad; a smaller rotation counts as a translation
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Screw(FrozenArrays):
     """A rotation about an axis with a translation along it, in the initial frame of the base.

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import TYPE_CHECKING, ClassVar
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ..gauss.tables import MOST_STAGES, lanes_of
 from ..stepping.codes import AUTO, FIXED_POINT, NEWTON
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 SOLVERS = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Gauss(EqualSteps):
     """Gauss–Legendre collocation with fixed steps: symplectic, symmetric, of even order.
@@ -48,6 +50,7 @@ class Gauss(EqualSteps):
 
     about: ClassVar[str] = "Gauss–Legendre collocation with fixed steps, symplectic"
     symplectic: ClassVar[bool] = True
+    needs_smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,6 +99,7 @@ class Gauss(EqualSteps):
         return super().registers(t_end) | solved
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class AdaptiveGauss(ErrorControl):
     """Gauss–Legendre collocation of order 16 with step control, for tight tolerances.
@@ -116,6 +120,7 @@ class AdaptiveGauss(ErrorControl):
     atol: float = 1e-14
 
     about: ClassVar[str] = "Gauss–Legendre collocation of order 16, for tight tolerances"
+    needs_smooth: ClassVar[bool] = True
     lanes: ClassVar[int] = lanes_of(MOST_STAGES)
     stages: ClassVar[int] = MOST_STAGES
     order: ClassVar[int] = 2 * MOST_STAGES
@@ -133,6 +138,7 @@ class AdaptiveGauss(ErrorControl):
         return super().registers(t_end) | solved
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Radau(ErrorControl):
     """Radau IIA of order 5 with step control, in Hairer and Wanner's form: for stiff systems.
@@ -164,6 +170,7 @@ class Radau(ErrorControl):
         return STEPPER
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Variational(EqualSteps):
     """A discrete Lagrange–Poincaré integrator of order 2 with fixed steps.

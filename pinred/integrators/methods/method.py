@@ -7,6 +7,7 @@ from dataclasses import Field, dataclass, field
 from math import ceil, inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
 from ...common.default_marker import Default
 from ...common.errors import InputError
@@ -33,6 +34,7 @@ def option(about: str, **more: Any) -> dict[str, Any]:
     return {"about": about, **more}
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Method(ABC):
     """Base class of integrators; an instance holds the options of a method.
@@ -42,12 +44,14 @@ class Method(ABC):
         adaptive: Whether an error estimate controls the step lengths.
         symplectic: Whether the map of a step is symplectic for systems in canonical form.
         steady_momentum: Whether the method requires an angular momentum that is constant in space.
+        needs_smooth: Whether kinks of the vector field cause errors that no estimate shows.
     """
 
     about: ClassVar[str]
     adaptive: ClassVar[bool]
     symplectic: ClassVar[bool] = False
     steady_momentum: ClassVar[bool] = False
+    needs_smooth: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -86,6 +90,7 @@ class Method(ABC):
         """
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ErrorControl(Method):
     """A method that controls the error of its steps.
@@ -140,6 +145,7 @@ class ErrorControl(Method):
         }
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class EqualSteps(Method):
     """A method with steps of equal length.
@@ -175,6 +181,7 @@ class EqualSteps(Method):
         return {"h": t_end / total, "total": total, "max_steps": total}
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Explicit(ErrorControl):
     """An explicit Runge–Kutta method with step control, defined by its tableau.

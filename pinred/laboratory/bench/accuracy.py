@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import IntegrationError, PinredError
 from ...common.progress import Progress, quiet, shown
 from ...judge.distances import FullMotion
@@ -23,6 +24,7 @@ from .work_precision import Point, WorkPrecision
 YARDSTICK = "pinred"  # method that is part of every run, so that time ratios stay within one run
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Effort:
     """Time limits and repetitions of a benchmark.
@@ -52,6 +54,7 @@ def run_name() -> str:
     return f"{time.strftime('%Y%m%dT%H%M%S')}-{os.getpid()}"
 
 
+@checks_arguments
 def bench_accuracy(
     problems: Sequence[Problem] | None = None,
     *,

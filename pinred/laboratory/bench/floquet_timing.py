@@ -20,6 +20,7 @@ from ...analysis.equilibria.find import relative_equilibria
 from ...analysis.equilibria.relative_equilibrium import RelativeEquilibrium
 from ...analysis.stability.along_motions import floquet, linearise
 from ...analysis.stability.linearised_flow import without_base
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.progress import Progress, one_by_one
 from ...kernels.derived_code import jacobian_of
@@ -38,6 +39,7 @@ _ROUNDS = 5
 _STEP = 1e-4  # step of the finite differences of shape [rad] and momentum [kg m²/s]
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class FloquetTiming(FrozenArrays):
     """Times and errors of the three routes for one relative equilibrium; arrays are read-only.
@@ -62,6 +64,7 @@ class FloquetTiming(FrozenArrays):
         return "\n".join([f"{self.robot}: multipliers over {self.period:.3f} s", *rows])
 
 
+@checks_arguments
 def bench_floquet(
     *, rounds: int = _ROUNDS, progress: Progress | bool | None = None
 ) -> list[FloquetTiming]:

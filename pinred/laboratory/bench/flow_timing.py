@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.progress import Progress, one_by_one
 from ...integrators.integrate import Integration
@@ -30,6 +31,7 @@ _COUNT = 200  # number of evaluations in one timed call
 _ROUNDS, _BURST = 300, 1e-3  # many short rounds [s], so that some are not interrupted
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class FlowTiming:
     """Cost of one robot's flow: the fastest of several alternating rounds.
@@ -104,6 +106,7 @@ class FlowTiming:
         )
 
 
+@checks_arguments
 def bench_flow(
     robots: Sequence[str] = (), *, progress: Progress | bool | None = None
 ) -> list[FlowTiming]:

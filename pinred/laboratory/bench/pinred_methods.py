@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import read_only
 from ...integrators.methods import (
     DOP853_LEAST,
@@ -26,6 +27,7 @@ from .solver import ATOL, End, PreparedRun, Solver, decades, halvings
 FROM_TOLERANCE = decades(2, 14)
 
 
+@checks_arguments
 def own_method(
     name: str,
     about: str,

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError, LoadError
 from ...common.files import write_table
 from .work_precision import Point, WorkPrecision
@@ -26,6 +27,7 @@ _ABOUT = (
 COLUMNS = (*_ABOUT, "about", *_POINT, "error")
 
 
+@checks_arguments
 def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> None:
     """Write results to a csv file; on failure an existing file is kept.
 
@@ -49,6 +51,7 @@ def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> N
     write_table(path, COLUMNS, rows)
 
 
+@checks_arguments
 def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
     """Read the results from a csv file, in the order of the file.
 

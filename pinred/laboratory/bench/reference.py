@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...judge.distances import FullMotion
@@ -27,6 +28,7 @@ _EPS = float(np.finfo(float).eps)
 CONFIRMED = 1e-9  # a larger distance from ABA [rad | m] counts as the error of the reference
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Reference:
     """The final state of a problem.
@@ -44,6 +46,7 @@ class Reference:
     about: str
 
 
+@checks_arguments
 def reference_of(problem: Problem) -> Reference:
     """Compute the final state of a problem.
 

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ...scene.random_state import random_state
 from ...system.catalogue import INSTALL_ROBOTS, bundled_robots, has_example_robots
@@ -85,6 +86,7 @@ def _factories() -> dict[str, Callable[[], Problem]]:
 SCENES = _factories()
 
 
+@checks_arguments
 def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], list[str]]:
     """Build the problems with the given names.
 

@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 
 ERRORS = tuple(float(f"1e-{k}") for k in range(4, 14))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Point:
     """Result of one method at one tolerance, at the final time of a problem.
@@ -48,6 +50,7 @@ class Point:
         return float(np.max([self.shape, self.rotation, self.position]))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class WorkPrecision:
     """Run times and errors of methods on one problem, measured in one run.

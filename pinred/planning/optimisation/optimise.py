@@ -11,6 +11,7 @@ from ...analysis.connections.connection import Connection
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift, polygon_basis
 from ...analysis.phases.phase import phase
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, positive, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...common.names import brief
@@ -77,6 +78,7 @@ _CONTINUED = (1, 3, 5, 9)  # numbers of harmonics of successive optimisations
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 
 
+@checks_arguments
 def optimise_gait(
     connection: Connection,
     *,

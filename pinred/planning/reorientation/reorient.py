@@ -21,6 +21,7 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
 from ...analysis.phases.path_basis import Drift, cycloid, fourier_rows, path_lift
 from ...analysis.phases.phase import phase
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, positive, vector, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...lie.rotations import quaternion_log
@@ -182,6 +183,7 @@ _REMAINING = 1e-10  # largest error of the final attitude, per cycle [rad]
 _SECONDS = 2.0  # default duration of a cycle [s]
 
 
+@checks_arguments
 def reorient(
     system: System,
     target: ArrayLike,

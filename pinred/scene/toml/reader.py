@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import PinredError
 from ...common.parameter import Parameter
 from ...forces.columns import symbols_of
@@ -44,6 +45,7 @@ class SceneFile:
     engine: Engine
 
 
+@checks_arguments
 def load_scene(path: str | Path) -> Scene:
     """Read a scene from a TOML file; docs/scenes.md lists the keys.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
 from ...common.names import brief
@@ -34,6 +35,7 @@ _ALL: tuple[Outcome, ...] = ("x", "xdot", "pose", "xi")
 _SHAPE: tuple[Outcome, ...] = ("x", "xdot")
 
 
+@checks_arguments
 class Flow:
     """The map of a scene from inputs to states, with derivatives.
 
@@ -295,6 +297,7 @@ class Flow:
         return rows if self.over_times else rows[-1]
 
 
+@checks_arguments
 @shows_fields(Scene)
 def flow(
     scene: System | Scene,

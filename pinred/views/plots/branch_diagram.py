@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...analysis.branches.follow import Branches, BranchPoint
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from .motion_labels import labels_of
@@ -26,6 +27,7 @@ _LINES: dict[
 _MARKS = {"folds": "o", "pitchforks": "^", "crossings": "s"}
 
 
+@checks_arguments
 @styled
 def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
     """Draw the branches of relative equilibria against the momentum.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from inspect import unwrap
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ...common.signatures import shows_overloads
 from .. import plots
@@ -124,6 +126,7 @@ def plot(source: BestGait | TurnPlan, kind: Literal["loop"]) -> Figure: ...
 def plot(source: Any, kind: str) -> Figure: ...
 
 
+@checks_arguments
 @shows_overloads
 def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     """Draw a figure by the function of pinred.plots with the name `kind`.
@@ -169,6 +172,7 @@ def draw(source: Any, kind: str, options: Mapping[str, Any]) -> Figure:
     return figure
 
 
+@checks_arguments
 def options_of(kind: str) -> tuple[str, ...]:
     """Return the names of the options of a kind of plot.
 
@@ -181,4 +185,4 @@ def options_of(kind: str) -> tuple[str, ...]:
     """
     if kind not in plots.KINDS:
         raise InputError(f"no plot of kind {kind!r}; the kinds are {', '.join(plots.KINDS)}")
-    return tuple(getattr(plots, kind).__wrapped__.__kwdefaults__ or ())
+    return tuple(unwrap(getattr(plots, kind)).__kwdefaults__ or ())

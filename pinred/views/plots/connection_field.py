@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ...analysis.connections.connection import Connection
 from ...analysis.full_reduction import Reduction
 from ...analysis.gaits.gait import Gait
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, vector
 from ...common.errors import InputError
 from ...lie.group import Group
@@ -31,6 +32,7 @@ _ALONG_GAIT = 400
 Source: TypeAlias = System | Reduction | MotionSource
 
 
+@checks_arguments
 @styled
 def field(
     source: Connection,
@@ -128,6 +130,7 @@ def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which:
     return f"{text}, integral over it {integral:.4g}"
 
 
+@checks_arguments
 @styled
 def curvature(
     source: Source,

@@ -16,6 +16,7 @@ from ...analysis.connections.connection import Connection
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.lift import in_space
 from ...analysis.phases.phase import Phase
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...lie.group import Group
@@ -32,6 +33,7 @@ _TIMES = 400
 _OTHERS = 5  # largest number of further local optima in the figure
 
 
+@checks_arguments
 @styled
 def cycles(source: Phase, *, count: int = 5) -> Figure:
     """Draw the path of the body in the plane over some cycles, or its coordinates over time.
@@ -89,6 +91,7 @@ def _arrows(axes: Axes, places: Array, angles: Array, path: Array) -> None:
     )  # fmt: skip
 
 
+@checks_arguments
 @styled
 def loop(source: BestGait | TurnPlan) -> Figure:
     """Draw a best gait or a reorientation plan: the loop, its joints, and the base.

@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ...analysis.full_reduction import Reduction
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...lie.groups import GROUPS, group_named
@@ -27,6 +28,7 @@ _CURVES = 4  # number of energy level curves on each side of the separatrix
 _POINTS = 181  # number of points of a level curve
 
 
+@checks_arguments
 @styled
 def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
     """Draw the path of the angular momentum in the body frame on its sphere.

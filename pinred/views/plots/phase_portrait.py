@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...analysis.full_reduction import Reduction
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError, SymmetryError
 from ...reduction.inertia_split import symmetric
@@ -28,6 +29,7 @@ _CLOSE = 1e-7  # largest relative difference of energies that count as equal
 _FLAT = 1e-9  # relative change that counts as constant; also the least scale of potentials [J]
 
 
+@checks_arguments
 @styled
 def phase(
     motion: MotionSource,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError
 from ...simulation.recording import Recording
@@ -19,6 +20,7 @@ from .style import dots, figure, legend, styled
 _HALVINGS = 64  # number of bisections, enough to resolve adjacent floating-point numbers
 
 
+@checks_arguments
 @styled
 def poincare(
     motions: MotionSource | Sequence[MotionSource],
