@@ -23,7 +23,7 @@ from .gauss.fixed_points import sensitivity_rows
 from .methods import AdaptiveGauss, Explicit, Gauss, Method
 from .solution import Solution
 from .stepping.kernel_call import SEEDS, from_lanes, to_lanes
-from .stepping.replay import Cotangents, Replay, Tangents, back_to_given
+from .stepping.replay import Replay, back_to_given
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class SmoothField:
 
     def replay(self, params: Array, knots: Array, times: Array) -> Replay:
         """Return the steps between `knots`, with reports at `times`, see Replay."""
-        arrays = (read_only(array.view()) for array in (params, knots, times))
-        return Replay(self.address, self.quaternion, *arrays)
+        params, knots, times = (read_only(array.view()) for array in (params, knots, times))
+        return self.address, self.quaternion, params, knots, times
 
 
 @dataclass(frozen=True)
@@ -136,17 +136,15 @@ def run_along(
     if isinstance(method, Explicit):
         return _explicit_along(method, field, replay, y0, along, along_params)
     (n, count), (stages, lanes) = along.shape, _stages_of(method)
-    directions, out = np.array(along.T, order="C"), np.empty((len(times), n))
-    tangents = Tangents(
-        y0.copy(), directions, np.ascontiguousarray(along_params.T), out,
-        np.empty((len(times), count, n)),
-    )  # fmt: skip
+    y, directions = y0.copy(), np.array(along.T, order="C")
+    out, out_along = np.empty((len(times), n)), np.empty((len(times), count, n))
+    tangents = (y, directions, np.ascontiguousarray(along_params.T), out, out_along)
     slopes = field.tangents(lanes) if count else 0
     starts = read_only(np.empty((0, n)) if states is None else states.view())
     rows = sensitivity_rows(stages, n)
     failed = gauss.forward(replay, slopes, lanes, starts, tangents, rows)
-    _refuse_failed(failed, knots, tangents.y)
-    return Along(out, np.moveaxis(tangents.out_along, 1, 2), tangents.y, directions.T)
+    _refuse_failed(failed, knots, y)
+    return Along(out, np.moveaxis(out_along, 1, 2), y, directions.T)
 
 
 def run_back(
@@ -173,13 +171,11 @@ def run_back(
     """
     replay, stored = field.replay(run.params, run.knots, times), run.stored
     n, p = len(covector), len(run.params)
-    lanes = method.lanes
-    back = Cotangents(
-        stored, covector.copy(), at_times.copy(), np.zeros(p), np.empty((n + p) * lanes)
-    )
+    covector, by_params, lanes = covector.copy(), np.zeros(p), method.lanes
+    back = (stored, covector, at_times.copy(), by_params, np.empty((n + p) * lanes))
     if isinstance(method, Explicit):
         tableau = type(method).tableau()
-        dense, adjoint = weights_of(tableau).dense, adjoint_sweep_of(tableau)
+        (_, dense, _), adjoint = weights_of(tableau), adjoint_sweep_of(tableau)
         w = np.empty(dense.shape[1])
         adjoint.sweep(replay, field.adjoint(), dense, back, adjoint.rows(n), w)
     else:
@@ -187,8 +183,8 @@ def run_back(
         rows = sensitivity_rows(stages, n)
         failed = gauss_reverse.reverse(replay, field.adjoints(lanes), stages, lanes, back, rows)
         _refuse_failed(failed, run.knots, stored[max(failed - 1, 0), :n])
-    back_to_given(stored[0, :n], field.quaternion, back.covector, np.empty(n))
-    return Back(back.covector, back.by_params)
+    back_to_given(stored[0, :n], field.quaternion, covector, np.empty(n))
+    return Back(covector, by_params)
 
 
 def _explicit_along(
@@ -200,7 +196,7 @@ def _explicit_along(
     along_params: Array,
 ) -> Along:
     """Propagate tangents over the steps of an explicit method."""
-    (n, count), T = along.shape, len(replay.times)
+    (n, count), T = along.shape, len(replay[-1])
     weights, batches = weights_of(type(method).tableau()), -(-count // SEEDS)
     directions, param_directions = (
         np.zeros((batches, len(a) * SEEDS)) for a in (along, along_params)
@@ -208,14 +204,15 @@ def _explicit_along(
     to_lanes(np.ascontiguousarray(along), directions)
     to_lanes(np.ascontiguousarray(along_params), param_directions)
     out, out_lanes = np.empty((T, n)), np.empty((T, batches, n * SEEDS))
-    tangents = Tangents(y0.copy(), directions, param_directions, out, out_lanes)
+    y = y0.copy()
+    tangents = (y, directions, param_directions, out, out_lanes)
     slopes = field.tangent() if count else 0
     explicit.forward(replay, slopes, weights, tangents, explicit.workspace_of(weights, n))
     out_along, end_along = np.empty((T, n, count)), np.empty((n, count))
     for k in range(T):
         from_lanes(out_lanes[k], out_along[k])
     from_lanes(directions, end_along)
-    return Along(out, out_along, tangents.y, end_along)
+    return Along(out, out_along, y, end_along)
 
 
 def _stages_of(method: Method) -> tuple[int, int]:

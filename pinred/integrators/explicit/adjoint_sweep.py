@@ -61,8 +61,8 @@ def sweep_back(
         work: Work rows, see AdjointSweep.
         w: Workspace (S,) for weights.
     """
-    knots, times, params, quaternion = replay.knots, replay.times, replay.params, replay.quaternion
-    stored, covector, at_times = back.stored, back.covector, back.at_times
+    address, quaternion, params, knots, times = replay
+    stored, covector, at_times, by_params, both = back
     n, first = covector.shape[0], times.shape[0]
     for step in range(knots.shape[0] - 2, -1, -1):
         h = knots[step + 1] - knots[step]
@@ -85,9 +85,9 @@ def sweep_back(
                 for k in range(n):
                     work[RATES + i, k] = stored[step + 1, (i + 1) * n + k]
         else:
-            fill_rates(replay.address, params, work, h)
+            fill_rates(address, params, work, h)
         if inside:
-            fill_dense_rates(replay.address, params, work, h)
+            fill_dense_rates(address, params, work, h)
             for i in range(SIZE):
                 for k in range(n):
                     work[RATES + 2 * SIZE + i, k] = 0.0
@@ -95,9 +95,9 @@ def sweep_back(
                 if times[r] < knots[step + 1]:
                     fill_weights(dense, (times[r] - knots[step]) / h, w)
                     pull_back_report(work, w, h, quaternion, at_times[r], covector)
-            pull_back_inside(adjoint, params, work, back.both, back.by_params, h)
+            pull_back_inside(adjoint, params, work, both, by_params, h)
         else:
-            pull_back(adjoint, params, work, back.both, back.by_params, h)
+            pull_back(adjoint, params, work, both, by_params, h)
         for i in range(SIZE if inside else STAGES):
             for k in range(n):
                 covector[k] += work[RATES + SIZE + i, k]
@@ -150,7 +150,7 @@ class AdjointSweep:
 @once_for_all
 def adjoint_sweep_of(tableau: Tableau) -> AdjointSweep:
     """Return the adjoint sweep of a tableau, compiled at its first call."""
-    A, s, size = weights_of(tableau).A, tableau.stages, len(tableau.A)
+    A, s, size = weights_of(tableau)[0], tableau.stages, len(tableau.A)
 
     def weighted(base: int, weights: Array) -> Terms:
         return [(base + j, a) for j, a in enumerate(weights.tolist()) if a != 0.0]

@@ -8,7 +8,7 @@ the dense output, which is linear in the rates of all stages.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,44 +20,21 @@ from ..stepping.replay import Replay, Tangents, normalise_with, report
 from ..stepping.state_rows import copy_row
 from .tableau import Tableau
 
+# The coefficients of a tableau: weights of the rates in the state of each stage, (S, S), where row
+# number `stages` is the step end; weights of the rates in the terms F₀, F₁, … of Tableau's
+# polynomial, (d + 3, S); number of stages, without the step end.
+Weights: TypeAlias = tuple[Array, Array, int]
 
-class Weights(NamedTuple):
-    """The coefficients of a tableau as arrays for compiled loops.
-
-    Attributes:
-        A: Weights of the rates in the state of each stage, (S, S); row `stages` is the step end.
-        dense: Weights of the rates in the terms F₀, F₁, … of Tableau's polynomial, (d + 3, S).
-        stages: Number of stages, without the step end.
-    """
-
-    A: Array
-    dense: Array
-    stages: int
-
-
-class Workspace(NamedTuple):
-    """The arrays that a step overwrites.
-
-    Attributes:
-        Y: States of the stages, (S, n).
-        K: Rates of the stages, (S, n).
-        V: Stage directions, (n SEEDS,).
-        L: Rates of the stage directions, (S, n SEEDS).
-        w: Weights, (S,).
-    """
-
-    Y: Array
-    K: Array
-    V: Array
-    L: Array
-    w: Array
+# The arrays that a step overwrites: states and rates of the stages, both (S, n); stage directions,
+# (n SEEDS,), and their rates, (S, n SEEDS); weights, (S,).
+Workspace: TypeAlias = tuple[Array, Array, Array, Array, Array]
 
 
 def workspace_of(weights: Weights, n: int) -> Workspace:
     """Allocate the workspace for states with n entries."""
-    size = len(weights.A)
+    size = len(weights[0])
     Y, K = np.empty((2, size, n))
-    return Workspace(Y, K, np.empty(n * SEEDS), np.empty((size, n * SEEDS)), np.empty(size))
+    return Y, K, np.empty(n * SEEDS), np.empty((size, n * SEEDS)), np.empty(size)
 
 
 @once_for_all
@@ -68,7 +45,7 @@ def weights_of(tableau: Tableau) -> Weights:
     begin, end = np.zeros(size), np.zeros(size)
     begin[0], end[s] = 1.0, 1.0
     terms = [end_weights, begin - end_weights, 2.0 * end_weights - begin - end, *tableau.dense]
-    return Weights(np.ascontiguousarray(tableau.A), np.array(terms), s)
+    return np.ascontiguousarray(tableau.A), np.array(terms), s
 
 
 @compiled
@@ -121,10 +98,9 @@ def forward(
         tangents: The state and its tangents, SEEDS directions per row.
         work: Workspace.
     """
-    knots, times, params, quaternion = replay.knots, replay.times, replay.params, replay.quaternion
-    A, dense, stages = weights.A, weights.dense, weights.stages
-    y, along, out, out_along = tangents.y, tangents.along, tangents.out, tangents.out_along
-    Y, K, V, L, w = work.Y, work.K, work.V, work.L, work.w
+    address, quaternion, params, knots, times = replay
+    (A, dense, stages), (Y, K, V, L, w) = weights, work
+    y, along, along_params, out, out_along = tangents
     normalise_with(y, quaternion, along, SEEDS)
     first = 0
     while first < times.shape[0] and times[first] <= knots[0]:
@@ -139,13 +115,13 @@ def forward(
         for i in range(end):
             _add_up(Y[i], y, A[i], K, i, h)
             if inside or i < stages:
-                call(replay.address, Y[i], params, K[i])
+                call(address, Y[i], params, K[i])
         for b in range(along.shape[0]):
             for i in range(end):
                 if i == stages and not inside:
                     break
                 _add_up(V, along[b], A[i], L, i, h)
-                call_slopes(slopes, Y[i], params, V, tangents.along_params[b], L[i])
+                call_slopes(slopes, Y[i], params, V, along_params[b], L[i])
             for r in range(first, last):
                 if times[r] < knots[step + 1]:
                     fill_weights(dense, (times[r] - knots[step]) / h, w)

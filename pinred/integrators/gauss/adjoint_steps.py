@@ -41,8 +41,8 @@ def reverse(
     Returns:
         0, or 1 plus the index of the first step whose equations did not converge.
     """
-    knots, times, params, quaternion = replay.knots, replay.times, replay.params, replay.quaternion
-    stored, covector, at_times = back.stored, back.covector, back.at_times
+    address, quaternion, params, knots, times = replay
+    stored, covector, at_times, _, both = back
     n, first, last_h = covector.shape[0], times.shape[0], 0.0
     for step in range(knots.shape[0] - 2, -1, -1):
         for i in range(n):
@@ -66,13 +66,13 @@ def reverse(
         elif near:
             guess(work, n, lanes, GUESS, OLD, L)
         else:
-            start_evenly(replay.address, params, work, n, lanes, L, h)
+            start_evenly(address, params, work, n, lanes, L, h)
         if near:
             guess(work, n, lanes, GUESS, OLD_Z, Z)
         else:
             work[Z] = 0.0
         if not (
-            find_stages(replay.address, params, work, n, lanes, L, h, params)
+            find_stages(address, params, work, n, lanes, L, h, params)
             and step_back(adjoint, params, work, lanes, Z, h, covector, back)
         ):
             return step + 1
@@ -85,9 +85,9 @@ def reverse(
             elapsed = times[first] - knots[step]
             prepare_guess(work, lanes, stages, WITHIN, 0.0, elapsed / h)
             guess(work, n, lanes, WITHIN, L, SUB)
-            if not find_stages(replay.address, params, work, n, lanes, SUB, elapsed, params):
+            if not find_stages(address, params, work, n, lanes, SUB, elapsed, params):
                 return step + 1
-            inside = back.both[:n]
+            inside = both[:n]
             copy_row(work[Y], inside)
             add_increments(work, SUB, lanes, inside)
             factor = unit_alone(inside, quaternion)
@@ -126,12 +126,12 @@ def step_back(
     Returns:
         Whether the iteration converged.
     """
-    n = covector.shape[0]
+    n, (_, _, _, by_params, both) = covector.shape[0], back
     for i in range(n):
         work[NEW, i] = covector[i]
-    converged: bool = find_covectors(adjoint, params, work, n, lanes, row, h, back.both)
+    converged: bool = find_covectors(adjoint, params, work, n, lanes, row, h, both)
     add_increments(work, row, lanes, covector)
-    for i in range(back.by_params.shape[0]):
+    for i in range(by_params.shape[0]):
         for j in range(lanes):
-            back.by_params[i] += h * work[B, j] * back.both[(n + i) * lanes + j]
+            by_params[i] += h * work[B, j] * both[(n + i) * lanes + j]
     return converged

@@ -39,8 +39,8 @@ def forward(
     Returns:
         0, or 1 plus the index of the first step whose equations did not converge.
     """
-    knots, times, quaternion = replay.knots, replay.times, replay.quaternion
-    y, along, out, out_along = tangents.y, tangents.along, tangents.out, tangents.out_along
+    _, quaternion, _, knots, times = replay
+    y, along, along_params, out, out_along = tangents
     normalise_with(y, quaternion, along, 1)
     first = 0
     while first < times.shape[0] and times[first] <= knots[0]:
@@ -54,12 +54,14 @@ def forward(
             for d in range(along.shape[0]):
                 copy_row(along[d], out_along[first, d])
             h = times[first] - knots[step]
-            if not _step(replay, slopes, lanes, h, out[first], out_along[first], tangents, work):
+            if not _step(
+                replay, slopes, lanes, h, out[first], out_along[first], along_params, work
+            ):
                 return step + 1
             normalise_with(out[first], quaternion, out_along[first], 1)
             first += 1
         h = knots[step + 1] - knots[step]
-        if not _step(replay, slopes, lanes, h, y, along, tangents, work):
+        if not _step(replay, slopes, lanes, h, y, along, along_params, work):
             return step + 1
         while first < times.shape[0] and times[first] <= knots[step + 1]:
             report(tangents, first, quaternion, 1)
@@ -75,15 +77,15 @@ def _step(
     h: float,
     y: Array,
     along: Array,
-    tangents: Tangents,
+    along_params: Array,
     work: Array,
 ) -> bool:
     """Propagate a state (n,) and directions (N, n) over a step; return whether it was solved."""
-    n, params = y.shape[0], replay.params
+    n, (address, _, params, _, _) = y.shape[0], replay
     for i in range(n):
         work[Y, i] = y[i]
-    start_evenly(replay.address, params, work, n, lanes, L, h)
-    if not find_stages(replay.address, params, work, n, lanes, L, h, params):
+    start_evenly(address, params, work, n, lanes, L, h)
+    if not find_stages(address, params, work, n, lanes, L, h, params):
         return False
     add_increments(work, L, lanes, y)
     for d in range(along.shape[0]):
@@ -91,9 +93,9 @@ def _step(
             work[NEW, i] = along[d, i]
         work[Z] = 0.0
         multiply(work, SEED, NEW, MU, Z, n, lanes)
-        fill_tangent_rates(slopes, params, work, tangents.along_params[d], n * lanes)
+        fill_tangent_rates(slopes, params, work, along_params[d], n * lanes)
         refresh(work, Z, n, lanes, h)
-        if not find_tangents(slopes, params, work, n, lanes, Z, h, tangents.along_params[d]):
+        if not find_tangents(slopes, params, work, n, lanes, Z, h, along_params[d]):
             return False
         add_increments(work, Z, lanes, along[d])
     return True

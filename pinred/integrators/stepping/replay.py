@@ -2,67 +2,30 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeAlias
 
 from ...common.arrays import Array
 from .compiling import compiled
 from .state_rows import copy_row, unit_alone
 
+# These values are plain tuples: numba takes microseconds to find the type of a named tuple.
 
-class Replay(NamedTuple):
-    """The steps of a run.
+# The steps of a run: address of the kernel; index of the first of the quaternion's four entries, −1
+# for none; parameters, (p,); times of the step ends, (K,) [s]; sorted report times, (T,) [s].
+Replay: TypeAlias = tuple[int, int, Array, Array, Array]
 
-    Attributes:
-        address: Address of the kernel.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
-        params: Parameters, (p,).
-        knots: Times of the step ends, (K,) [s].
-        times: Sorted report times within the steps, (T,) [s].
-    """
+# A state and tangent directions, and their reports. N rows contain one direction each, or SEEDS
+# directions with consecutive values for each entry: state, (n,), and directions of the state,
+# (N, n …), both changed in place; directions of the parameters, (N, p …); states at the report
+# times, (T, n), and their tangents, (T, N, n …), both output.
+Tangents: TypeAlias = tuple[Array, Array, Array, Array, Array]
 
-    address: int
-    quaternion: int
-    params: Array
-    knots: Array
-    times: Array
-
-
-class Tangents(NamedTuple):
-    """A state and tangent directions that are propagated over steps, and their reports.
-
-    N rows contain one direction each, or SEEDS directions with consecutive values for each entry.
-
-    Attributes:
-        y: State, (n,), changed to the state at the end.
-        along: Directions of the state, (N, n …), changed in place.
-        along_params: Directions of the parameters, (N, p …).
-        out: States at the report times, (T, n), output.
-        out_along: Tangents of these states, (T, N, n …), output.
-    """
-
-    y: Array
-    along: Array
-    along_params: Array
-    out: Array
-    out_along: Array
-
-
-class Cotangents(NamedTuple):
-    """A covector that is propagated back over stored steps, and what is added to it.
-
-    Attributes:
-        stored: States at the step ends, (K, n), or (K, n + …) with the stages of each step.
-        covector: Covector (n,) at the last step end, changed to the covector at the first.
-        at_times: Covectors of the states at the report times, (T, n); overwritten.
-        by_params: Derivative with respect to the parameters, (p,); the result is added to it.
-        both: Workspace for the output of the adjoint kernel, (n + p,) per state.
-    """
-
-    stored: Array
-    covector: Array
-    at_times: Array
-    by_params: Array
-    both: Array
+# A covector that is propagated back over stored steps: states at the step ends, (K, n), or
+# (K, n + …) with the stages of each step; covector (n,) at the last step end, changed to the
+# covector at the first; covectors of the states at the report times, (T, n), overwritten;
+# derivative with respect to the parameters, (p,), to which the result is added; workspace for the
+# output of the adjoint kernel, (n + p,) per state.
+Cotangents: TypeAlias = tuple[Array, Array, Array, Array, Array]
 
 
 @compiled
@@ -112,7 +75,8 @@ def back_to_given(y0: Array, quaternion: int, covector: Array, y: Array) -> None
 @compiled
 def report(tangents: Tangents, r: int, quaternion: int, width: int) -> None:
     """Write the state and its tangents as report r, with the quaternion normalised."""
-    copy_row(tangents.y, tangents.out[r])
-    for row in range(tangents.along.shape[0]):
-        copy_row(tangents.along[row], tangents.out_along[r, row])
-    normalise_with(tangents.out[r], quaternion, tangents.out_along[r], width)
+    y, along, _, out, out_along = tangents
+    copy_row(y, out[r])
+    for row in range(along.shape[0]):
+        copy_row(along[row], out_along[r, row])
+    normalise_with(out[r], quaternion, out_along[r], width)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 
@@ -12,25 +12,11 @@ from ...integrators.stepping.kernel_call import call, call_adjoint
 from ...kernels.flow_functions import Row, outcome_of
 from ...kernels.kernel import Kernel
 
-
-class OutputCovectors(NamedTuple):
-    """Covectors of rows of the outputs at T times of a segment, and their derivatives.
-
-    Attributes:
-        times: Times, (T,) [s].
-        y: Reduced states at these times, (T, n), read-only.
-        constants: Constants of the kernel, (p,).
-        covectors: Covectors of the rows, (T, rows).
-        at_times: Derivatives with respect to y, (T, n), which are overwritten.
-        by_constants: Derivatives with respect to the constants, (p,), which are added to.
-    """
-
-    times: Array
-    y: Array
-    constants: Array
-    covectors: Array
-    at_times: Array
-    by_constants: Array
+# Covectors of rows of the outputs at T times of a segment, and their derivatives: times, (T,) [s];
+# reduced states at these times, (T, n), read-only; constants of the kernel, (p,); covectors of the
+# rows, (T, rows); derivatives with respect to the states, (T, n), overwritten, and with respect to
+# the constants, (p,), to which the result is added.
+OutputCovectors: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
 
 
 class OutcomeAdjoint:
@@ -47,7 +33,7 @@ class OutcomeAdjoint:
     def __call__(self, back: OutputCovectors) -> None:
         """Compute the derivatives of Σ covectors · rows."""
         argument = np.zeros(self._argument_size)
-        slopes = np.empty(len(argument) + len(back.constants))
+        slopes = np.empty(len(argument) + len(back[2]))
         addresses = (self._outputs.address, self._outcome.adjoint.address)
         out = np.empty(self._output_size)
         _propagate_covectors(addresses, self._size, self._pose, back, argument, out, slopes)
@@ -71,17 +57,18 @@ def _propagate_covectors(
     argument: work space for (y, t, pose); the output function reads only y and t.
     out, slopes: work space for the outputs and for the derivatives at one time.
     """
-    argument_size, constants = argument.shape[0], back.constants
-    for j in range(back.times.shape[0]):
+    times, y, constants, covectors, at_times, by_constants = back
+    argument_size = argument.shape[0]
+    for j in range(times.shape[0]):
         for k in range(size):
-            argument[k] = back.y[j, k]
-        argument[size] = back.times[j]
+            argument[k] = y[j, k]
+        argument[size] = times[j]
         if pose >= 0:
             call(addresses[0], argument, constants, out)
             for k in range(size + 1, argument_size):
                 argument[k] = out[pose + k - size - 1]
-        call_adjoint(addresses[1], argument, constants, back.covectors[j], slopes)
+        call_adjoint(addresses[1], argument, constants, covectors[j], slopes)
         for k in range(size):
-            back.at_times[j, k] = slopes[k]
+            at_times[j, k] = slopes[k]
         for k in range(constants.shape[0]):
-            back.by_constants[k] += slopes[argument_size + k]
+            by_constants[k] += slopes[argument_size + k]

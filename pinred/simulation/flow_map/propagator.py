@@ -31,7 +31,7 @@ from ..plan import Plan, Span, spans_between
 from .initial_map import InitialMap
 from .inputs import Given, motion_of
 from .lazy_state import lazy_state
-from .outcome_adjoint import OutcomeAdjoint, OutputCovectors
+from .outcome_adjoint import OutcomeAdjoint
 from .switch_jumps import jumps_of
 
 
@@ -276,7 +276,7 @@ class Propagator:
             if len(span.times):
                 constants = np.concatenate([solution.params, run.flow.path])
                 times, weights = span.start + span.times, covectors[span.rows]
-                adjoint(OutputCovectors(times, solution.y, constants, weights, at_times, by_rest))
+                adjoint((times, solution.y, constants, weights, at_times, by_rest))
             gradients = run_back(self.method, self.field, solution, span.times, covector, at_times)
             covector = gradients.by_state
             by_rest[:p] += gradients.by_parameters
