@@ -35,7 +35,7 @@ def across(y: Array, factor: float, quaternion: int, v: Array, width: int) -> No
     Args:
         y: State after `unit_alone`.
         factor: Return value of `unit_alone`.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         v: Tangents or covectors, (n width,), changed in place.
         width: Number of consecutive values in v for each entry of the state.
     """
@@ -63,7 +63,7 @@ def back_to_given(y0: Array, quaternion: int, covector: Array, y: Array) -> None
 
     Args:
         y0: State before normalisation.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         covector: Covector, changed in place.
         y: Workspace (n,).
     """
