@@ -55,6 +55,7 @@ class SwitchTimes:
 
     Attributes:
         used: Indices of the numbers on which these times depend.
+        tables: Sorted breaks of tables, (B,) [s].
         conditions: (t, numbers) → the values of all conditions on time, as the forces are written;
             None if there are none.
     """
@@ -78,7 +79,7 @@ class SwitchTimes:
         Raises:
             InputError: A condition contains an operation that has no bounds.
         """
-        self._breaks = breaks
+        self.tables = breaks
         self._known: dict[tuple[float, bytes], Array] = {}
         self.conditions: ca.Function | None = None
         self._located = [s for s in switches if s.argument is not None]
@@ -137,7 +138,7 @@ class SwitchTimes:
         Raises:
             InputError: There are too many, or a condition cannot be decided.
         """
-        count, breaks = len(numbers), self._breaks
+        count, breaks = len(numbers), self.tables
         breaks = breaks[(breaks > 0.0) & (breaks < end)]
         own = np.ascontiguousarray(numbers[:, self.used].T)
         times = Times(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import numpy as np
@@ -198,6 +199,9 @@ def begun_by(
     The run ends at `end` [s]; `keep` is the code of the data that it stores at step ends.
     """
     pairs, spin = canonical
+    registers = method.registers(end)
+    if keep != NOTHING_KEPT:
+        refuse_beyond_memory(registers.get("total", 0.0), 1 + method.stepper().kept * n)
     return new_run(
         address=address,
         n=n,
@@ -206,8 +210,30 @@ def begun_by(
         pairs=pairs,
         spin=spin,
         keep=keep,
-        **method.registers(end),
+        **registers,
     )
+
+
+def memory() -> int:
+    """Return the size of the machine's memory [bytes]."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def refuse_beyond_memory(steps: float, width: int) -> None:
+    """Reject step ends that the memory cannot hold, before the first step.
+
+    Args:
+        steps: Number of steps.
+        width: Number of stored values per step.
+    Raises:
+        InputError: They take more than the memory of the machine.
+    """
+    needed, available = 8.0 * steps * width, memory()
+    if needed > available:
+        raise InputError(
+            f"step: expected step ends that fit into {available / 1e9:.3g} GB of memory, got "
+            f"{steps:.3g} steps with {needed / 1e9:.3g} GB. Choose a longer step."
+        )
 
 
 def failure(status: int, run: Runs, state: Array) -> IntegrationError:

@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..common.errors import IntegrationError
 from ..forces.force_values import BaseInSpace, ForceInputs
 from ..forces.switch_times import time_within
 from ..kernels.loads_by_pinocchio import LoadsByPinocchio
@@ -28,6 +27,7 @@ from .distances import Distance, FullMotion, Size
 from .full_coordinates import Configuration, root_motion
 from .hairer_integrators import Hairer
 from .system_totals import SystemTotals
+from .time_budget import AbaStopped, TimeBudget
 
 FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy
 OFFSET = 1e-5  # least length unit, as a fraction of the distance from the origin
@@ -51,15 +51,19 @@ class FullState:
         totals: Energies and momenta of the whole system.
     """
 
-    def __init__(self, scene: Scene, replay: Replay | None = None) -> None:
+    def __init__(
+        self, scene: Scene, replay: Replay | None = None, budget: TimeBudget | None = None
+    ) -> None:
         """Prepare Pinocchio's work space.
 
         Args:
             scene: The scene to simulate.
             replay: Recorded commands of controllers. Without it, every run calls them again.
+            budget: Time limit of all runs together.
         """
         system, self._replay = scene.system, replay
         self._scene, self._forces = scene, scene.force_model
+        self._limited_rate = budget.limit(self.rate) if budget else self.rate
         self._stops, self._switches = stops_of(scene), np.empty(0)
         self._parameters = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         if self._forces is not None and self._forces.switching.conditions is not None:
@@ -166,7 +170,7 @@ class FullState:
         Returns:
             The motion at `times`.
         Raises:
-            IntegrationError: A time cannot be reached at this tolerance.
+            AbaStopped: A time cannot be reached at this tolerance, or within the budget.
         """
         end, y, t = float(times[-1]), y0, 0.0
         round_off = 1e-12 * end  # times closer than this count as reached [s]
@@ -177,15 +181,16 @@ class FullState:
             stop = actions.begin(self._parameters, t, stop, partial(self.sample, y))
             if self._switches.size and self._forces is not None:
                 self._parameters[self._forces.within] = time_within(t, stop)
-            solver = Hairer(self.rate, method, y, t, rtol, atol, self._scene.end)
+            solver = Hairer(self._limited_rate, method, y, t, rtol, atol, self._scene.end)
             targets = times[(times > t) & (times <= stop)]
             for target in (*targets.tolist(), *([stop] if stop <= end else [])):
                 if target - solver.t > round_off:
                     reached = solver.integrate(target)
                     if reached is None:
-                        raise IntegrationError(
+                        raise AbaStopped(
                             f"the full simulation of '{self._model.name}' cannot be integrated to "
-                            f"t = {target:g} s at rtol = {rtol:g}"
+                            f"t = {target:g} s at rtol = {rtol:g}",
+                            solver.t,
                         )
                     y = reached
                 states[target] = y

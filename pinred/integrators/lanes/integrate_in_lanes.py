@@ -34,7 +34,7 @@ def integrate_in_lanes(
     width: int,
     params: ArrayLike,
     y0: ArrayLike,
-    t_end: float,
+    t_end: ArrayLike,
     times: ArrayLike,
     quaternion: int = -1,
     threads: int | None = None,
@@ -53,8 +53,8 @@ def integrate_in_lanes(
         width: Number of SIMD lanes, one of WIDTHS.
         params: Parameters, (N, p).
         y0: Initial states, (N, n).
-        t_end: End time [s].
-        times: Sorted report times within [0, t_end], (T,) [s].
+        t_end: End time, or one for each member, (N,) [s].
+        times: Sorted report times, (T,) or (N, T), as for `integrate_many` [s].
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
         threads: Number of threads, None for all processors.
         progress: Called with the finished fraction of the members.

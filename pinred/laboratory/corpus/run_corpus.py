@@ -16,6 +16,7 @@ from .description_files import Description, find_descriptions
 from .trial import TrialOptions
 from .worker import Worker
 
+_LONGEST = 1e6  # longest time limit that the operating system can wait for [s]
 _WRITE_INTERVAL = 20  # number of entries between two updates of the csv file
 
 
@@ -128,8 +129,11 @@ def corpus(
         LoadError: A folder is missing.
         OutputError: `out` cannot be written.
     """
-    if not (duration > 0.0 and patience > 0.0):
-        raise InputError("duration and patience must be positive numbers of seconds")
+    if not (0.0 < duration < np.inf and 0.0 < patience <= _LONGEST):
+        raise InputError(
+            f"duration, patience: expected positive seconds, patience up to {_LONGEST:g}, "
+            f"got {duration:g} and {patience:g}"
+        )
     search = find_descriptions(folders)
     descriptions = list(search.descriptions)
     if robots:

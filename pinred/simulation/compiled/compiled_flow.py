@@ -71,8 +71,11 @@ class CompiledFlow:
         """Force parameters: a view of the last entries of `parameters`."""
         return self.parameters[..., self.numbers_at]
 
-    def parameters_between(self, start: float, stop: float) -> Array:
-        """Return a copy of the parameters that selects the table segments between two stops."""
+    def parameters_between(self, start: float | Array, stop: float | Array) -> Array:
+        """Return a copy of the parameters that selects the table segments between two stops.
+
+        For members, the stops may have a row for each member, (N, 1).
+        """
         parameters, forces = self.parameters.copy(), self.kernel.forces
         if forces is not None:
             numbers = parameters[..., self.numbers_at]
