@@ -15,7 +15,7 @@ from ...kernels.kernel import Kernel
 # Covectors of rows of the outputs at T times of a segment, and their derivatives: start of the
 # segment [s]; times after the start, (T,) [s]; reduced states at these times, (T, n), read-only;
 # constants of the kernel, (p,); covectors of the rows, (T, rows); derivatives with respect to the
-# states, (T, n), overwritten, and with respect to the constants, (p,), to which the result is added.
+# states, (T, n), overwritten, and to the constants, (p,), to which the result is added.
 OutputCovectors: TypeAlias = tuple[float, Array, Array, Array, Array, Array, Array]
 
 
