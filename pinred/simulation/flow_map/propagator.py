@@ -275,8 +275,8 @@ class Propagator:
             at_times = np.zeros((len(span.times), self._n))
             if len(span.times):
                 constants = np.concatenate([solution.params, run.flow.path])
-                times, weights = span.start + span.times, covectors[span.rows]
-                adjoint((times, solution.y, constants, weights, at_times, by_rest))
+                times, weights = span.times, covectors[span.rows]
+                adjoint((span.start, times, solution.y, constants, weights, at_times, by_rest))
             gradients = run_back(self.method, self.field, solution, span.times, covector, at_times)
             covector = gradients.by_state
             by_rest[:p] += gradients.by_parameters
