@@ -69,7 +69,7 @@ class Solutions(FrozenArrays):
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Flags of the runs that reached the end, (N,)."""
+        """Whether each run reached the end, (N,)."""
         return np.asarray(self.status == DONE)
 
 
@@ -99,7 +99,7 @@ def integrate_many(
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times within [0, t_end], (T,), or a row for each member, (N, T); rows
             with fewer times end with infinity [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         threads: Number of threads, None for all processors. Results do not depend on this number.
         tangent: As for `integrate`.
         canonical: As for `integrate`.
@@ -164,7 +164,7 @@ def checked_batch(
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times within [0, t_end], (T,), or a row for each member, (N, T); rows
             with fewer times end with infinity [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         threads: Number of threads, None for all processors.
     Returns:
         The request.

@@ -55,7 +55,7 @@ def integrate_in_lanes(
         y0: Initial states, (N, n).
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times, (T,) or (N, T), as for `integrate_many` [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         threads: Number of threads, None for all processors.
         progress: Called with the finished fraction of the members.
     Returns:
@@ -135,7 +135,7 @@ def _lane_loop(name: str, order: int, tableau: Tableau, width: int) -> LaneLoop:
 
 
 def _aligned(rows: int, size: int) -> Array:
-    """Return zeros (rows, size) that start at a cache line."""
+    """Return zeros, (rows, size), aligned to a cache line."""
     raw = np.zeros(rows * size + _CACHE_LINE // 8)
     first = -(raw.ctypes.data // 8) % (_CACHE_LINE // 8)
     return raw[first : first + rows * size].reshape(rows, size)

@@ -182,7 +182,7 @@ def _kernel(kind: Kind) -> Kernel:
 def flows_of(
     plan: Plan, given: GivenStates, own: MemberParameters = NO_DIFFERENCES
 ) -> list[tuple[Indices, CompiledFlow]]:
-    """Return two flows of N members: of those with angular momentum and of those without.
+    """Return separate flows for the members with and without angular momentum.
 
     Args:
         plan: The plan of all members.

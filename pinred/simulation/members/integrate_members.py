@@ -150,7 +150,7 @@ def _integrate_piece(
     threads: int | None,
     progress: Callable[[float], None] | None,
 ) -> Solutions:
-    """Integrate members from y0 (N, k) over one span of each."""
+    """Integrate members from y0 (N, k), each over one time span."""
     kernel, times = flow.kernel, piece.times
     lengths: Array | float = piece.stop - piece.start
     if len(times) == 1:
