@@ -166,7 +166,7 @@ class Plan:
         """The time spans between stops; a report time at a stop belongs to the span before it."""
         return spans_between(self.stops, self.scene.report_times)
 
-    @property
+    @cached_property
     def stops_vary(self) -> bool:
         """Whether the stops depend on Parameters, through conditions on time."""
         return self.forces is not None and bool(
