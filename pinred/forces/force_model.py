@@ -200,11 +200,11 @@ class ForceModel:
         self.switching = SwitchTimes(separated.switches, t, symbol, numbers.symbols, breaks)
 
     def on(self, system: System) -> ForceModel:
-        """Return this model for the robot with other parameters; compiled functions are shared."""
+        """Return this model for other parameters of the robot; compiled functions are shared."""
         return self._changed(("_once", "robot"), _system=system)
 
     def with_values(self, values: Mapping[str, Any]) -> ForceModel:
-        """Return this model with other Parameter values {name: value}; functions are shared."""
+        """Return this model with new Parameter values {name: value}; functions are shared."""
         changes = np.array(
             [values.get(parameter.name, parameter.value) for parameter in self.parameters]
         )
@@ -249,7 +249,7 @@ class ForceModel:
     def acting_apart(self, at: ForceInputs) -> tuple[Acting, Array]:
         """Return torque and wrench without loads on links, and these loads, (9, L).
 
-        The forces are evaluated as they are written, with conditions on time at the time itself.
+        Conditions on time are evaluated at the time itself, not at `within`.
         The loads are not mapped to the coordinates. A caller can therefore map them with an
         independent implementation.
 
@@ -295,7 +295,7 @@ class ForceModel:
             base: tuple[Array, ...] = (at.base.pose, at.base.xi, at.base.mu, at.base.J)
         elif self.sees_attitude or self.sees_place:
             raise InputError(
-                "these forces depend on the base; give base= with its pose and momenta"
+                "these forces depend on the base; pass base= with its pose and momenta"
             )
         else:
             base = self._unseen
@@ -346,7 +346,7 @@ class ForceModel:
         return numbers
 
     def random_numbers(self, rng: np.random.Generator) -> Array:
-        """Return random numbers (p,) to test kernels with."""
+        """Return random force parameters, (p,), for tests of kernels."""
         return random_numbers(self.numbers, self._in_formulas, rng)
 
     def potential(self, x: Array, numbers: Array) -> float:

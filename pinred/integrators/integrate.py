@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import numpy as np
@@ -198,6 +199,9 @@ def begun_by(
     The run ends at `end` [s]; `keep` is the code of the data that it stores at step ends.
     """
     pairs, spin = canonical
+    registers = method.registers(end)
+    if keep != NOTHING_KEPT:
+        refuse_beyond_memory(registers.get("total", 0.0), 1 + method.stepper().kept * n)
     return new_run(
         address=address,
         n=n,
@@ -206,8 +210,30 @@ def begun_by(
         pairs=pairs,
         spin=spin,
         keep=keep,
-        **method.registers(end),
+        **registers,
     )
+
+
+def memory() -> int:
+    """Return the size of the machine's memory [bytes]."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def refuse_beyond_memory(steps: float, width: int) -> None:
+    """Reject step ends that the memory cannot hold, before the first step.
+
+    Args:
+        steps: Number of steps.
+        width: Number of stored values per step.
+    Raises:
+        InputError: They take more than the memory of the machine.
+    """
+    needed, available = 8.0 * steps * width, memory()
+    if needed > available:
+        raise InputError(
+            f"step: expected step ends that fit into {available / 1e9:.3g} GB of memory, got "
+            f"{steps:.3g} steps with {needed / 1e9:.3g} GB. Choose a longer step."
+        )
 
 
 def failure(status: int, run: Runs, state: Array) -> IntegrationError:
@@ -278,7 +304,7 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
 
     Args:
         y0: Initial states, (…, n).
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         what: Name of the argument in messages.
         ndim: Expected number of axes.
     Raises:
@@ -293,7 +319,8 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
     n = y0.shape[-1]
     if quaternion != -1 and not 0 <= quaternion <= n - 4:
         raise InputError(
-            f"quaternion must be −1 or the index of four of the {n} numbers, got {quaternion}"
+            f"quaternion must be −1 or the index of the first of its four entries among {n}, "
+            f"got {quaternion}"
         )
     if quaternion >= 0 and not y0[..., quaternion : quaternion + 4].any(axis=-1).all():
         raise InputError(f"the quaternion in {what} is zero")

@@ -74,7 +74,7 @@ class Event:
 
 
 def watched_of(system: System, events: Sequence[Event], *, base: bool) -> Watched | None:
-    """Build the expressions of events.
+    """Compile the expressions of events.
 
     Args:
         system: System whose state the events observe.
@@ -110,5 +110,5 @@ def list_events(events: Any) -> tuple[Event, ...]:
     names = [event.name for event in entries]
     repeated = [name for name in names if names.count(name) > 1]
     if repeated:
-        raise InputError(f"two events are called '{repeated[0]}'; give each a name of its own")
+        raise InputError(f"two events are called '{repeated[0]}'; give each a unique name")
     return entries

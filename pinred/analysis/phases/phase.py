@@ -32,7 +32,7 @@ _LEAST = 1e-14  # smallest tolerance
 _REPEATS = 1e-9  # largest change of body twists over a complete turn, relative to the twists
 
 _LEAST_SAMPLES = 16  # smallest number of samples of a smooth gait
-_PER_HARMONIC = 16  # initial samples per harmonic
+_PER_HARMONIC = 16  # initial number of samples per harmonic
 MOST = 2**15  # largest number of samples
 
 

@@ -1,4 +1,4 @@
-"""Gradients of flows compared with CVODES's adjoints (by CasADi) of the same equations."""
+"""Gradients of flows, compared with CasADi's CVODES adjoints of the same equations."""
 
 from __future__ import annotations
 

@@ -12,8 +12,8 @@ from .ipopt import Minimum, minimum
 from .limits import tighten_limits, violation_times
 from .transcription import Path, Task, fourier_path, problem_of
 
-_PIECES = 2  # number of quadrature segments of order 16, divided by (harmonics + 3)
-_CHECKS = 4  # number of times at which limits are imposed, divided by (harmonics + 1)
+_PIECES = 2  # number of quadrature segments of order 16 per (harmonics + 3)
+_CHECKS = 4  # number of times at which limits are imposed per (harmonics + 1)
 _ROUNDS = 6  # largest number of repeated optimisations that enforce limits between check times
 _EXCHANGED = 2  # number of first repetitions that add times instead of tightening limits
 

@@ -169,7 +169,7 @@ def find_extremes(values: Callable[[Array], Array], s: Array) -> tuple[Array, Ar
 
 _TIMES = 1024  # smallest number of torque samples in a cycle
 _PER_HARMONIC = 64  # number of torque samples per harmonic
-_OVERCORRECTION = 1.1  # factor on violations by which limits are tightened
+_OVERCORRECTION = 1.1  # ratio of the tightening of a limit to its violation
 
 
 def violation_times(connection: Connection, gait: Gait, limits: Limits) -> Array:
