@@ -14,6 +14,7 @@ import numpy as np
 
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError
+from ..common.memo import once
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..system.system import System
 from .columns import load_column, seen_of_base
@@ -23,6 +24,7 @@ from .force_numbers import ForceNumbers, RobotSymbols, numbers_of, random_number
 from .force_values import Acting, ForceInputs, Prescribed
 from .signals import Signal
 from .switch_times import SwitchTimes, time_within
+from .time_functions import TimeFunctions
 from .time_switches import KINKS, separate
 
 
@@ -319,6 +321,17 @@ class ForceModel:
         return any(
             f.instruction_id(k) in KINKS for f in functions for k in range(f.n_instructions())
         )
+
+    @property
+    def time_functions(self) -> TimeFunctions:
+        """The functions of time in the forces, shared by models with other numbers."""
+
+        def make() -> TimeFunctions:
+            functions = [(self.acting_function, 5), (self.prescribed_function, 1)]
+            held = {k for _, where in self.held for k in range(where.start, where.stop)}
+            return TimeFunctions(functions, len(self.numbers), held)
+
+        return once(self.switching, TimeFunctions, make)
 
     def breaks(self, end: float) -> Array:
         """Return the sorted times before `end` at which a function of time is not smooth [s]."""

@@ -206,6 +206,14 @@ class Plan:
         return self.choice.method
 
     @property
+    def has_time_functions(self) -> bool:
+        """Whether forces contain functions of time, and step control decides where to see them."""
+        forces = self.forces
+        if forces is None or not (forces.needs_time and forces.time_functions.count):
+            return False
+        return bool(self.scene.integrator is None or self.scene.integrator.adaptive)
+
+    @property
     def notices(self) -> tuple[str, ...]:
         """Sentences on errors that the method does not control; empty if there are none."""
         forces, method = self.forces, self.scene.integrator  # "auto" avoids such methods
