@@ -23,6 +23,7 @@ from .analysis.connections.mixed_motion import simulate_mixed as simulate_mixed
 from .analysis.connections.shape_field import ShapeField as ShapeField
 from .analysis.connections.wheels import Rolling as Rolling
 from .analysis.connections.wheels import Wheel as Wheel
+from .analysis.equilibria.census import Census as Census
 from .analysis.equilibria.find import relative_equilibria as relative_equilibria
 from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
@@ -51,6 +52,7 @@ from .analysis.stability.along_motions import floquet as floquet
 from .analysis.stability.along_motions import linearise as linearise
 from .analysis.stability.along_motions import lyapunov as lyapunov
 from .analysis.stability.linearisation import Linearisation as Linearisation
+from .common.errors import AccuracyWarning as AccuracyWarning
 from .common.errors import InputError as InputError
 from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch

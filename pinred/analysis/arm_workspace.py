@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 
 _SHAPES_PER_LINE = 41
@@ -21,6 +22,7 @@ _DESCENTS = 6  # number of samples from which each extreme distance is minimised
 _GAP = 4.0  # largest gap within one range, in mean distances between samples
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Workspace(FrozenArrays):
     """Distances of the hand from the centre of mass at zero momentum. Arrays are read-only.
@@ -107,7 +109,7 @@ def _lines(bounds: Array, samples: int, seed: int) -> Array:
 
 
 def _ranges(values: Array, gap: float) -> Array:
-    """Split sorted values into ranges (K, 2) wherever neighbours differ by more than `gap`."""
+    """Split sorted values into ranges, (K, 2), where neighbours differ by more than `gap`."""
     if not len(values):
         return np.zeros((0, 2))
     cuts = np.flatnonzero(np.diff(values) > gap)

@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only, vector, vectors, whole
 from ..common.errors import InputError
 from ..common.names import joint_index, listed, nearest, quoted
@@ -31,6 +32,7 @@ _NO_REACTION = 1e-10  # singular values of A below this fraction of the largest 
 _ROOT_SAMPLES = 721  # number of samples of a path that bracket the roots
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Singularity(FrozenArrays):
     """The distance of a free-floating arm from a dynamic singularity at a shape.
@@ -58,6 +60,7 @@ class Singularity(FrozenArrays):
         return float(self.values[0] / self.values[-1]) if self.values[-1] > 0.0 else np.inf
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class FloatingArm:
     """The hand of a robot with a free base.
@@ -68,7 +71,7 @@ class FloatingArm:
     Attributes:
         system: The robot.
         frame: Name of the hand, a link or any other frame of the model.
-        task: Rows of the twist that matter, as indices 0 to 5. By default all rows of the group if
+        task: Controlled rows of the twist, as indices 0 to 5. By default all rows of the group if
             the joints can move them, else the translations.
     """
 
@@ -244,7 +247,7 @@ class FloatingArm:
         return read_only(low + (high - low) * self._roots(shape_at))
 
     def singular_along(self, start: ArrayLike, end: ArrayLike) -> Array:
-        """Find the singular points of a straight path, by sign changes of the determinant.
+        """Find the singular points on a straight path, by sign changes of the determinant.
 
         Args:
             start: First shape, (m,) [rad | m].
@@ -262,7 +265,7 @@ class FloatingArm:
 
         Args:
             x: Shape, (m,) [rad | m].
-            of: "base" for the whole base, "attitude" for its rotation only.
+            of: "base" for position and attitude of the base, "attitude" for its rotation only.
         Returns:
             (m, k): orthonormal joint rates, one per column.
         Raises:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..reduction.casimirs import casimirs
@@ -24,6 +25,7 @@ _SHAPES = 3  # number of random shapes at which the curvature is tested
 _ZERO_CURVATURE = 1e-11  # largest curvature of a flat connection, relative to its terms
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Inspection:
     """The structure of a system at one shape.
@@ -110,6 +112,7 @@ class Inspection:
         )
 
 
+@checks_arguments
 def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     """Describe a system at one shape: its symmetries, reduction and skipped variables.
 

@@ -16,6 +16,10 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_robot(sub)
     add_scene(sub)
+    sub.add_argument(
+        "--budget", type=float, metavar="S",
+        help="wall time after which ABA stops [s] (default: 30, or 500 times the simulation's)",
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -23,11 +27,11 @@ def run(arguments: argparse.Namespace) -> int:
     from ..simulation.simulate import simulate
 
     traj = simulate(scene_of(arguments), engine=arguments.engine, progress=True)
-    return print_comparison(traj)
+    return print_comparison(traj, arguments.budget)
 
 
-def print_comparison(traj: Trajectory) -> int:
+def print_comparison(traj: Trajectory, budget: float | None = None) -> int:
     """Print the comparison of a motion with full ABA.  Returns 0, 1 or 3, as `run` does."""
     from ..judge.compare import compare
 
-    return print_report(compare(traj, progress=True))
+    return print_report(compare(traj, progress=True, budget=budget))

@@ -37,7 +37,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     text = "momentum of the relative equilibria, or a range for branches [N·m·s | N·s]"
     add("--momentum J or LOW,HIGH", text, required=True)
     add("--cyclic J1=V1,…", "momenta of cyclic joints, such as wheels [N·m·s | N·s] (default: 0)")
-    add("--starts N", "number of starting points", int)
+    add("--starts N", "number of random starting points of each round", int)
+    add("--limit N", "largest number of starting points in all, at one momentum", int)
     add("--seed S", "seed of the starting points", int, 0)
     add("--joint J", "vertical axis of the diagram (default: amended potential)")
     add("--play K", "play equilibrium K, counted from 0", int)
@@ -61,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     options |= {"cyclic": _parse_cyclic(arguments.cyclic), "seed": arguments.seed}
     if arguments.starts is not None:
         options["starts"] = arguments.starts
+    if arguments.limit is not None:
+        options["limit"] = arguments.limit
     if len(momenta) == 2:
         return _branches(arguments, system, (momenta[0], momenta[1]), options)
     from ..analysis.equilibria.find import relative_equilibria
@@ -116,6 +119,8 @@ def _check(arguments: argparse.Namespace, *, is_range: bool) -> None:
     """Raise InputError for options without effect; `is_range`: the command follows branches."""
     from ..common.files import check_path
 
+    if is_range and arguments.limit is not None:
+        raise InputError("--limit is for one momentum, not for a range")
     if is_range and arguments.play is not None:
         raise InputError("--play requires a single momentum, not a range")
     if arguments.play is None:

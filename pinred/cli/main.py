@@ -18,7 +18,13 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, NoReturn
 
-from ..common.errors import IntegrationError, LeftOutWarning, ModelWarning, PinredError
+from ..common.errors import (
+    AccuracyWarning,
+    IntegrationError,
+    LeftOutWarning,
+    ModelWarning,
+    PinredError,
+)
 from ..common.names import plain
 from ..common.version import __version__
 from .interrupt import CODE, say
@@ -74,7 +80,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         with warnings.catch_warnings():
             # Overflow and NaN are reported by pinred, so numpy's warnings would repeat them.
             warnings.simplefilter("ignore", RuntimeWarning)
-            for category in (ModelWarning, LeftOutWarning):
+            for category in (AccuracyWarning, ModelWarning, LeftOutWarning):
                 warnings.simplefilter("always", category)
             warnings.showwarning = _print_warning  # type: ignore[assignment]
             code: int = options.run(options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,6 +12,7 @@ from weakref import WeakValueDictionary
 
 from numpy.typing import ArrayLike
 
+from .argument_kinds import checks_arguments
 from .errors import InputError
 from .names import brief
 
@@ -22,6 +24,18 @@ _by_symbol: WeakValueDictionary[int, Parameter] = (
 )  # Parameters by the hash of their symbol
 
 
+_Operator: TypeAlias = Callable[[Any, Any], Any]
+
+
+def _both_sides(operation: _Operator) -> tuple[_Operator, _Operator]:
+    """Return an operator's methods for a Parameter on the left side and on the right side."""
+    return (
+        lambda parameter, other: operation(parameter.symbol, other),
+        lambda parameter, other: operation(other, parameter.symbol),
+    )
+
+
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Parameter:
     """A named number in forces and signals that is an input of the compiled kernel.
@@ -71,35 +85,11 @@ class Parameter:
     def __SX__(self) -> ca.SX:
         return self.symbol
 
-    def __add__(self, other: Any) -> Any:
-        return self.symbol + other
-
-    def __radd__(self, other: Any) -> Any:
-        return other + self.symbol
-
-    def __sub__(self, other: Any) -> Any:
-        return self.symbol - other
-
-    def __rsub__(self, other: Any) -> Any:
-        return other - self.symbol
-
-    def __mul__(self, other: Any) -> Any:
-        return self.symbol * other
-
-    def __rmul__(self, other: Any) -> Any:
-        return other * self.symbol
-
-    def __truediv__(self, other: Any) -> Any:
-        return self.symbol / other
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return other / self.symbol
-
-    def __pow__(self, other: Any) -> Any:
-        return self.symbol**other
-
-    def __rpow__(self, other: Any) -> Any:
-        return other**self.symbol
+    __add__, __radd__ = _both_sides(operator.add)
+    __sub__, __rsub__ = _both_sides(operator.sub)
+    __mul__, __rmul__ = _both_sides(operator.mul)
+    __truediv__, __rtruediv__ = _both_sides(operator.truediv)
+    __pow__, __rpow__ = _both_sides(operator.pow)
 
     def __neg__(self) -> Any:
         return -self.symbol
@@ -112,7 +102,7 @@ class Parameter:
 class Affine:
     """A number that depends linearly on parameters: base + Σ weight · parameter.
 
-    An Affine without weights is a constant of a formula that may be invalid for other values.
+    An Affine without weights is a constant in a formula that other values may invalidate.
 
     Attributes:
         base: Constant term.

@@ -1,4 +1,4 @@
-"""A progress bar for terminals and notebooks; elsewhere it draws nothing."""
+"""A progress bar for terminals and notebooks; nothing is drawn elsewhere."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from html import escape
 from importlib import import_module
-from types import TracebackType
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from .errors import InputError
@@ -35,12 +34,7 @@ class ProgressBar:
     def __enter__(self) -> ProgressBar:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._screen is not None and self._drawn:
             self._screen.clear()
 
@@ -140,7 +134,7 @@ class _Notebook:
         self._show({"text/plain": _line(title, part), "text/html": html})
 
     def clear(self) -> None:
-        # One output cannot be removed alone, so make it empty instead.
+        # A single output cannot be removed, so make it empty instead.
         self._show({"text/plain": "", "text/html": ""})
 
     def _show(self, bundle: dict[str, str]) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
 from ..common.names import brief
@@ -16,6 +17,7 @@ from ..system.force_interface import SeenState
 from .force import Limit, Named, Symbols, Terms, checked, limited, takes_state
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Command:
     """Torques and a wrench for one period of a controller.
@@ -57,6 +59,7 @@ class Held:
     width: float | None
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Controller(Named):
     """Torques and wrenches from a Python function, sampled periodically with a zero-order hold.
@@ -145,7 +148,7 @@ class Controller(Named):
         return len(self.driven(names)) + (r if self.wrench else 0)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return torques and wrench as symbols whose values every sample sets.
+        """Return torques and wrench as symbols; each sample of the controller sets their values.
 
         Args:
             s: Variables of the forces.

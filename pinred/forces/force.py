@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import positive
 from ..common.errors import InputError
 from ..common.names import brief
@@ -36,6 +37,7 @@ class Named(Force):
         return self.name
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Limit:
     """Bounds on torques.
@@ -220,7 +222,7 @@ def scalar(value: Any, what: str) -> Any:
 
 Action: TypeAlias = Callable[..., Any]
 
-_MANY = 1_000_000  # number that stands for the unlimited arguments of a function with *args
+_MANY = 1_000_000  # number of arguments assumed for a function with *args
 _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 FORMS = "(t, x, xdot, mu), or one state s with s.t, s.x, s.xdot, s.pose, s.xi, s.mu and s.J"
 

@@ -24,15 +24,15 @@ _REMEMBERED = 16  # largest number of cached models per system
 
 def cached_force_model(
     system: System,
-    springs: Mapping[str, tuple[float, float]],
+    springs: Mapping[str, tuple[float | Parameter, float | Parameter]],
     forces: Sequence[Force],
     prescribed: Mapping[str, Signal],
     varied: ModelParameters | None = None,
 ) -> ForceModel:
     """Return the model of springs, forces and prescribed joints, from the cache if possible.
 
-    The last models of a system are cached, for scenes that differ only in their initial state or in
-    robot parameters that may vary.
+    The most recent models of a system are cached. Scenes that differ only in their initial state
+    or in variable robot parameters share them.
 
     Args:
         system: The robot.

@@ -2,7 +2,7 @@
 
 Each force is a set of CasADi expressions in t, x, ẋ and μ, or in the whole state. The compiled
 kernel, the Pinocchio route and the full simulation that validates both use the same expressions. A
-force with a potential defines it, and its torques are −∂V/∂x. Other forces do work.
+conservative force defines its potential V, and its torques are −∂V/∂x. All other forces do work.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.parameter import Parameter
 from ..system.force_interface import SeenState as SeenState
@@ -59,6 +60,7 @@ __all__ = [
 ]
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class PotentialEnergy(Named):
     """A potential V(x) [J].
@@ -87,6 +89,7 @@ class PotentialEnergy(Named):
         return Terms(potential=scalar(self.function(s.x), f"V(x) of {self.name}"))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Torque(Named):
     """Torques at the joints, τ(t, x, ẋ, μ) or τ(s) of the whole state [N·m | N].
@@ -137,6 +140,7 @@ class Torque(Named):
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class _Tracking(Named):
     """Base class of forces that track a reference with feedback of the error."""
@@ -166,6 +170,7 @@ class _Tracking(Named):
         }
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class PD(_Tracking):
     """PD control: τ = kp (x_d − x) + kd (ẋ_d − ẋ) at the joints of the reference.
@@ -195,6 +200,7 @@ class PD(_Tracking):
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ComputedTorque(_Tracking):
     """Torques computed with inverse dynamics that make every joint follow its reference.

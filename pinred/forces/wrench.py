@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import as_floats
 from ..common.errors import InputError
 from ..common.names import brief, one_of
@@ -31,6 +32,7 @@ Axes: TypeAlias = Literal["body", "world"]
 AXES: tuple[Axes, ...] = ("body", "world")
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Wrench(Named):
     """A wrench [linear; angular], such as thrust, drag, or a pull at a hand.
@@ -68,7 +70,7 @@ class Wrench(Named):
         if self.at is None:
             return
         if self.link is None:
-            raise InputError(f"{self.name}: at= is a point of a link; give link= as well")
+            raise InputError(f"{self.name}: at= is a point of a link; pass link= as well")
         point = as_floats(values_of(self.at), f"at of {self.name}")
         if point.shape != (3,) or not np.isfinite(point).all():
             raise InputError(f"at of {self.name} must be 3 finite numbers, got {brief(self.at)}")

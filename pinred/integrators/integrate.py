@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import numpy as np
@@ -19,23 +20,9 @@ from ..common.errors import (
 )
 from .methods.method import Method
 from .solution import Solution, checked_times
-from .stepping.run_state import (
-    AUTO,
-    DIVERGED,
-    DONE,
-    ENDS_KEPT,
-    FIXED_POINT,
-    FULL,
-    LAYOUT,
-    NOT_FINITE,
-    NOTHING_KEPT,
-    STAGES_KEPT,
-    UNDERFLOW,
-    WANTED,
-    Runs,
-    Y,
-    new_run,
-)
+from .stepping.codes import AUTO, DIVERGED, DONE, FIXED_POINT, FULL, NOT_FINITE, UNDERFLOW, WANTED
+from .stepping.run_state import ENDS_KEPT, LAYOUT, NOTHING_KEPT, STAGES_KEPT, Runs, new_run
+from .stepping.state_rows import Y
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]
@@ -68,8 +55,8 @@ def integrate(
         y0: Initial state, (n,).
         t_end: End time [s].
         times: Sorted report times within [0, t_end], (T,) [s].
-        quaternion: Index of the first of a quaternion's four entries (x, y, z, w) in y, −1 for
-            none. Its rate is ½ q ω with the body angular velocity ω.
+        quaternion: Index in y of the first entry of a quaternion (x, y, z, w), −1 without a
+            quaternion. Its rate is ½ q ω with the body angular velocity ω.
         progress: Called repeatedly with the finished fraction of the time, 0 to 1.
         tangent: Function that returns the address of the kernel of ∂f/∂y (see call_tangent). It is
             called at most once, when the method needs it.
@@ -188,7 +175,7 @@ class Integration:
                 self._capacity = 2 * len(knots)
                 if stages and 8 * self._capacity * width > MOST_STAGE_BYTES:
                     return self(params, y0, progress=progress, watch=watch)
-                knots, end_states = _doubled(knots), _doubled(end_states)
+                knots, end_states = doubled(knots), doubled(end_states)
             elif status == WANTED:
                 give_tangent(self._tangent, self._method, run)
                 work = stepper.widened(n, work)
@@ -212,6 +199,9 @@ def begun_by(
     The run ends at `end` [s]; `keep` is the code of the data that it stores at step ends.
     """
     pairs, spin = canonical
+    registers = method.registers(end)
+    if keep != NOTHING_KEPT:
+        refuse_beyond_memory(registers.get("total", 0.0), 1 + method.stepper().kept * n)
     return new_run(
         address=address,
         n=n,
@@ -220,8 +210,30 @@ def begun_by(
         pairs=pairs,
         spin=spin,
         keep=keep,
-        **method.registers(end),
+        **registers,
     )
+
+
+def memory() -> int:
+    """Return the size of the machine's memory [bytes]."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def refuse_beyond_memory(steps: float, width: int) -> None:
+    """Reject step ends that the memory cannot hold, before the first step.
+
+    Args:
+        steps: Number of steps.
+        width: Number of stored values per step.
+    Raises:
+        InputError: They take more than the memory of the machine.
+    """
+    needed, available = 8.0 * steps * width, memory()
+    if needed > available:
+        raise InputError(
+            f"step: expected step ends that fit into {available / 1e9:.3g} GB of memory, got "
+            f"{steps:.3g} steps with {needed / 1e9:.3g} GB. Choose a longer step."
+        )
 
 
 def failure(status: int, run: Runs, state: Array) -> IntegrationError:
@@ -292,7 +304,7 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
 
     Args:
         y0: Initial states, (…, n).
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         what: Name of the argument in messages.
         ndim: Expected number of axes.
     Raises:
@@ -307,13 +319,15 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
     n = y0.shape[-1]
     if quaternion != -1 and not 0 <= quaternion <= n - 4:
         raise InputError(
-            f"quaternion must be −1 or the index of four of the {n} numbers, got {quaternion}"
+            f"quaternion must be −1 or the index of the first of its four entries among {n}, "
+            f"got {quaternion}"
         )
     if quaternion >= 0 and not y0[..., quaternion : quaternion + 4].any(axis=-1).all():
         raise InputError(f"the quaternion in {what} is zero")
 
 
-def _doubled(array: Array) -> Array:
+def doubled(array: Array) -> Array:
+    """Return a copy of an array with space for twice as many entries."""
     larger = np.empty((2 * len(array), *array.shape[1:]))
     larger[: len(array)] = array
     return larger

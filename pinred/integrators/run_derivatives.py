@@ -16,20 +16,23 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError, NoConvergence
 from .explicit import forward_sensitivities as explicit
 from .explicit.adjoint_sweep import adjoint_sweep_of
-from .explicit.forward_sensitivities import Weights, weights_of
+from .explicit.forward_sensitivities import weights_of
 from .gauss import adjoint_steps as gauss_reverse
 from .gauss import stage_sensitivities as gauss
-from .gauss.tables import tables
+from .gauss.fixed_points import sensitivity_rows
 from .methods import AdaptiveGauss, Explicit, Gauss, Method
 from .solution import Solution
 from .stepping.kernel_call import SEEDS, from_lanes, to_lanes
+from .stepping.replay import Replay, back_to_given
 
 
 @dataclass(frozen=True)
-class Slopes:
-    """Addresses of a kernel's derivative kernels, each compiled when first requested.
+class SmoothField:
+    """A kernel and its derivative kernels, each compiled when first requested.
 
     Attributes:
+        address: Address of the kernel.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         tangent: Address of the kernel of (y, params, δy, δparams), with SEEDS directions at once.
         adjoint: Address of the kernel of (y, params, λ).
         tangents: Function of the number of lanes that returns the address of the tangent kernel for
@@ -38,6 +41,8 @@ class Slopes:
             as many states at once.
     """
 
+    address: int
+    quaternion: int
     tangent: Callable[[], int]
     adjoint: Callable[[], int]
     tangents: Callable[[int], int]
@@ -91,13 +96,11 @@ def refuse_without_derivatives(method: Method) -> None:
 
 def run_along(
     method: Method,
-    address: int,
-    slopes: Slopes,
+    field: SmoothField,
     params: Array,
     y0: Array,
     knots: Array,
     times: Array,
-    quaternion: int,
     along: Array,
     along_params: Array,
     states: Array | None = None,
@@ -109,13 +112,11 @@ def run_along(
 
     Args:
         method: Explicit or Gauss method.
-        address: Address of the kernel.
-        slopes: Addresses of the kernel's derivative kernels.
+        field: The kernel and its derivative kernels.
         params: Parameters, (p,).
         y0: Initial state, (n,).
         knots: Times of the step ends, (K,) [s].
         times: Sorted report times within the steps, (T,) [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
         along: Directions of the initial state, (n, N).
         along_params: Directions of the parameters, (p, N).
         states: States at the step ends, (K, n), from which implicit steps restart, so that
@@ -127,34 +128,26 @@ def run_along(
         NoConvergence: The equations of an implicit step did not converge.
     """
     params, knots, times = (read_only(array.view()) for array in (params, knots, times))
+    replay = (field.address, field.quaternion, params, knots, times)
     if isinstance(method, Explicit):
-        weights = weights_of(type(method).tableau())
-        return _explicit_along(
-            weights, address, slopes, params, y0, knots, times, quaternion, along, along_params
-        )
-    a, b, lanes = _gauss_weights(method)
-    n, count = len(y0), along.shape[1]
+        return _explicit_along(method, field, replay, y0, along, along_params)
+    (n, count), (stages, lanes) = along.shape, _stages_of(method)
     y, directions = y0.copy(), np.array(along.T, order="C")
-    states_out, tangents_out = np.empty((len(times), n)), np.empty((len(times), count, n))
-    Y, F, D, G = (np.zeros(n * lanes) for _ in range(4))
-    tangents = slopes.tangents(lanes) if count else 0
-    failed = gauss.forward(
-        address, tangents, params, a, b, lanes, quaternion, knots,
-        read_only(np.empty((0, n)) if states is None else states.view()), times, y, directions,
-        np.ascontiguousarray(along_params.T), states_out, tangents_out, Y, F, D, G,
-    )  # fmt: skip
+    out, out_along = np.empty((len(times), n)), np.empty((len(times), count, n))
+    tangents = (y, directions, np.ascontiguousarray(along_params.T), out, out_along)
+    slopes = field.tangents(lanes) if count else 0
+    starts = read_only(np.empty((0, n)) if states is None else states.view())
+    rows = sensitivity_rows(stages, n)
+    failed = gauss.forward(replay, slopes, lanes, starts, tangents, rows)
     _refuse_failed(failed, knots, y)
-    return Along(states_out, np.moveaxis(tangents_out, 1, 2), y, directions.T)
+    return Along(out, np.moveaxis(out_along, 1, 2), y, directions.T)
 
 
 def run_back(
     method: Method,
-    address: int,
-    slopes: Slopes,
-    params: Array,
+    field: SmoothField,
     run: Solution,
     times: Array,
-    quaternion: int,
     covector: Array,
     at_times: Array,
 ) -> Back:
@@ -162,12 +155,9 @@ def run_back(
 
     Args:
         method: Explicit or Gauss method.
-        address: Address of the kernel.
-        slopes: Addresses of the kernel's derivative kernels.
-        params: Parameters, (p,).
+        field: The kernel and its derivative kernels.
         run: Stored steps of the run.
         times: Sorted report times, (T,) [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
         covector: Covector of the state at the end, (n,).
         at_times: Covectors of the states at the report times, (T, n).
     Returns:
@@ -176,71 +166,55 @@ def run_back(
         NoConvergence: The adjoint equations of an implicit step did not converge.
     """
     knots, stored = run.knots, run.stored
-    n, p = len(covector), len(params)
-    covector, at_times, by_params = covector.copy(), at_times.copy(), np.zeros(p)
+    replay = (field.address, field.quaternion, run.params, knots, times)
+    n, p = len(covector), len(run.params)
+    covector, by_params, lanes = covector.copy(), np.zeros(p), method.lanes
+    back = (stored, covector, at_times.copy(), by_params, np.empty((n + p) * lanes))
     if isinstance(method, Explicit):
         tableau = type(method).tableau()
-        dense, adjoint = weights_of(tableau).dense, adjoint_sweep_of(tableau)
-        adjoint.sweep(
-            address, slopes.adjoint(), params, quaternion, dense, knots, stored, times, at_times,
-            covector, by_params, adjoint.rows(n), np.empty(n + p), np.empty(dense.shape[1]),
-        )  # fmt: skip
+        (_, dense, _), adjoint = weights_of(tableau), adjoint_sweep_of(tableau)
+        w = np.empty(dense.shape[1])
+        adjoint.sweep(replay, field.adjoint(), dense, back, adjoint.rows(n), w)
     else:
-        stages, lanes = _stages_of(method)
-        failed = gauss_reverse.reverse(
-            address, slopes.adjoints(lanes), params, stages, lanes, quaternion, knots, stored,
-            times, at_times, covector, by_params, gauss_reverse.reverse_rows(stages, n),
-            np.empty((n + p) * lanes),
-        )  # fmt: skip
+        stages, _ = _stages_of(method)
+        rows = sensitivity_rows(stages, n)
+        failed = gauss_reverse.reverse(replay, field.adjoints(lanes), stages, lanes, back, rows)
         _refuse_failed(failed, knots, stored[max(failed - 1, 0), :n])
-    explicit.back_to_given(stored[0, :n], quaternion, covector, np.empty(n))
+    back_to_given(stored[0, :n], field.quaternion, covector, np.empty(n))
     return Back(covector, by_params)
 
 
 def _explicit_along(
-    weights: Weights,
-    address: int,
-    slopes: Slopes,
-    params: Array,
+    method: Explicit,
+    field: SmoothField,
+    replay: Replay,
     y0: Array,
-    knots: Array,
-    times: Array,
-    quaternion: int,
     along: Array,
     along_params: Array,
 ) -> Along:
     """Propagate tangents over the steps of an explicit method."""
-    n, count, size = len(y0), along.shape[1], len(weights.A)
-    batches = -(-count // SEEDS)
-    y = y0.copy()
+    (n, count), T = along.shape, len(replay[-1])
+    weights, batches = weights_of(type(method).tableau()), -(-count // SEEDS)
     directions, param_directions = (
         np.zeros((batches, len(a) * SEEDS)) for a in (along, along_params)
     )
     to_lanes(np.ascontiguousarray(along), directions)
     to_lanes(np.ascontiguousarray(along_params), param_directions)
-    states, lanes = np.empty((len(times), n)), np.empty((len(times), batches, n * SEEDS))
-    Y, K = (np.empty((size, n)) for _ in range(2))
-    explicit.forward(
-        address, slopes.tangent() if count else 0, params, weights.A, weights.dense, weights.stages,
-        quaternion, knots, times, y, directions, param_directions, states, lanes, Y, K,
-        np.empty(n * SEEDS), np.empty((size, n * SEEDS)), np.empty(size),
-    )  # fmt: skip
-    tangents, end_tangents = np.empty((len(times), n, count)), np.empty((n, count))
-    for k in range(len(times)):
-        from_lanes(lanes[k], tangents[k])
-    from_lanes(directions, end_tangents)
-    return Along(states, tangents, y, end_tangents)
+    out, out_lanes = np.empty((T, n)), np.empty((T, batches, n * SEEDS))
+    y = y0.copy()
+    tangents = (y, directions, param_directions, out, out_lanes)
+    slopes = field.tangent() if count else 0
+    explicit.forward(replay, slopes, weights, tangents, explicit.workspace_of(weights, n))
+    out_along, end_along = np.empty((T, n, count)), np.empty((n, count))
+    for k in range(T):
+        from_lanes(out_lanes[k], out_along[k])
+    from_lanes(directions, end_along)
+    return Along(out, out_along, y, end_along)
 
 
 def _stages_of(method: Method) -> tuple[int, int]:
     assert isinstance(method, (Gauss, AdaptiveGauss))
     return method.stages, method.lanes
-
-
-def _gauss_weights(method: Method) -> tuple[Array, Array, int]:
-    stages, lanes = _stages_of(method)
-    table = tables(stages)
-    return np.ascontiguousarray(table.mu * table.b), table.b.copy(), lanes
 
 
 def _refuse_failed(failed: int, knots: Array, y: Array) -> None:

@@ -23,7 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..common.arrays import Array
+from ..common.argument_kinds import checks_arguments
+from ..common.arrays import Array, positive
 from ..common.errors import InputError
 from ..common.progress import Progress, shown
 from ..simulation.trajectory import Trajectory
@@ -32,69 +33,78 @@ from .distances import Distance, FullMotion, Size
 from .equation_errors import equation_errors
 from .reference_solution import FINEST, PERTURBATION, FullState
 from .step_defects import Defects, compute_defects
+from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report
 
 TIGHTER = 100.0  # ratio of the scene's tolerance to the tolerance of the reference solution
-SAMPLES = 101  # evenly spaced times of the comparison, in addition to the report times
+SAMPLES = 101  # number of evenly spaced times of the comparison, in addition to the report times
 
 INFORMATIVE = 0.1  # largest informative error bound [rad, or fraction of the motion's size]
 _REST = 1e-12  # motion below which nothing is tested [rad, or fraction of robot size]
 
-EQUATION_BOUND = 1e-12  # relative difference of accelerations that round-off can explain
+EQUATION_BOUND = 1e-12  # largest relative difference of accelerations that round-off can explain
 DEFECT_BOUND = 3.0  # largest passing defect of a step, in tolerances, as in the stress suite
-DENSE_BOUND = 50.0  # the same for subintervals, because step control ignores dense output
+DENSE_BOUND = 50.0  # largest passing defect of a subinterval; step control ignores dense output
 DRIFT_BOUND = 100.0  # smallest bound of the energy and momentum drift, in tolerances
-REFERENCE_BOUND = 100.0  # error of a reliable reference, in tolerances times growth
-FIELD_BOUND = 1e-9  # relative error of fields, which are explicit functions of q and v
+REFERENCE_BOUND = 100.0  # largest error of a reliable reference, in tolerances times growth
+FIELD_BOUND = 1e-9  # largest passing relative error of fields computed from q and v
 RESOLUTION = 1e-13  # relative accuracy of the reference solution and of its energies
 _SAFETY = 10.0  # margin, because growth and defects are only sampled
 _ROUND_OFF = 1e-15  # relative round-off of one step
 
 
-def compare(traj: Trajectory, *, progress: Progress | bool | None = None) -> Report:
+@checks_arguments
+def compare(
+    traj: Trajectory, *, progress: Progress | bool | None = None, budget: float | None = None
+) -> Report:
     """Compare a trajectory with the full simulation of its scene, which uses Pinocchio's ABA.
 
     Args:
         traj: Trajectory returned by `simulate`.
         progress: True for a progress bar, or a function that is called with the completed
             fraction of the work, 0 to 1.
+        budget: Wall time after which ABA stops [s]; by default 30 s, or 500 times the wall time
+            of the simulation if that is longer.
     Returns:
-        The report. It is true if the comparison passed: `assert pinred.compare(traj)`.
+        The report. It is true if the comparison passed: `assert pinred.compare(traj)`. The
+        verdict is CANNOT TELL if ABA does not reach the end of the motion.
     Raises:
-        InputError: `traj` is not a Trajectory.
-        IntegrationError: The full simulation cannot be integrated.
+        InputError: `traj` is not a Trajectory, or the budget is not positive.
     """
     if not isinstance(traj, Trajectory):
         raise InputError(
             f"compare takes a Trajectory, got {type(traj).__name__}; simulate returns one"
         )
+    seconds = default_budget(traj.run.wall) if budget is None else positive(budget, "budget")
     with shown(progress, "full") as report_progress:
-        return _compare(traj, report_progress or (lambda _: None))
+        return _compare(traj, report_progress or (lambda _: None), TimeBudget(seconds))
 
 
-def _compare(traj: Trajectory, progress: Progress) -> Report:
+def _compare(traj: Trajectory, progress: Progress, budget: TimeBudget) -> Report:
     scene, start, rtol, atol = traj.scene, traj.scene.start, traj.scene.rtol, traj.scene.atol
-    # The whole motion is compared, whatever its report times are.
+    # The whole motion is compared, independent of its report times.
     evenly = np.linspace(0.0, scene.end, SAMPLES)
     times = np.union1d(traj.t, evenly)
     states = traj(times)
-    full = FullState(scene, traj.motion.replay)
+    full = FullState(scene, traj.motion.replay, budget)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
-    wall_full = _time_full_run(full, y0, scene.end, rtol, atol)
-    progress(0.1)
-    tight = max(rtol / TIGHTER, FINEST[0]), atol / TIGHTER
-    reference = full.run(y0, times, *tight)
-    progress(0.3)
-    growth = full.growth(y0, reference, times, *tight)
-    progress(0.5)
-    second = full.run(y0, times, *tight, method="dopri5")
+    stopped: tuple[str, ...] = ()
+    try:
+        solutions = _integrate_with_aba(full, y0, times, (rtol, atol), progress)
+    except AbaStopped as stop:
+        stopped = (f"errors of the motion cannot be judged: {stop}; compare a shorter motion",)
+        times = times[:1]
+        initial = full.run(y0, times, rtol, atol)
+        solutions = _Solutions(initial, initial, np.ones(1), budget.spent)
     progress(0.8)
+    reference, growth = solutions.reference, solutions.growth
     defects = compute_defects(traj, full)
     equations = equation_errors(traj, full, evenly)
     progress(0.9)
-    motion = FullMotion(x=full.couplings.values(states.x), q=traj.system.sorted_q(states.q))
+    x, q = full.couplings.values(states.x), traj.system.sorted_q(states.q)
+    motion = FullMotion(x=x[: len(times)], q=q[: len(times)])
     size, error = full.size(reference), full.distance(reference, motion)
-    reference_difference = full.distance(reference, second).relative(size)
+    reference_difference = full.distance(reference, solutions.second).relative(size)
     tolerance = max(rtol, RESOLUTION) + atol
     bounds = compute_error_bounds(
         traj, times, growth, defects, reference_difference, size, tolerance
@@ -103,7 +113,6 @@ def _compare(traj: Trajectory, progress: Progress) -> Report:
     reasons = explain_uninformative_times(times, count, bounds.relative, growth)
     audit = audit_trajectory(traj, states)
     progress(1.0)
-    steps = len(traj.motion.knots) - 1
     growth_at_last = float(growth[max(count - 1, 0)])
     return Report(
         robot=traj.system.name,
@@ -128,23 +137,49 @@ def _compare(traj: Trajectory, progress: Progress) -> Report:
         reference_error=float(reference_difference[:count].max(initial=0.0)),
         equations_bound=EQUATION_BOUND,
         defect_bound=DEFECT_BOUND * tolerance,
-        drift_bound=max(DRIFT_BOUND * tolerance, 2.0 * bounds.mean_defect * steps),
+        drift_bound=max(DRIFT_BOUND * tolerance, 2.0 * bounds.total_defect),
         field_bound=FIELD_BOUND,
         reference_bound=min(REFERENCE_BOUND * tolerance * growth_at_last, INFORMATIVE),
         growth=growth,
         told=count,
-        reasons=(*reasons, *explain_rest(reference, size)),
+        reasons=(*reasons, *(stopped or explain_rest(reference, size))),
         wall_reduced=traj.run.wall,
-        wall_full=wall_full,
+        wall_full=solutions.wall,
         left_out=scene.left_out,
     )
 
 
-def _time_full_run(full: FullState, y0: Array, end: float, rtol: float, atol: float) -> float:
-    """Return the wall time of the full simulation at the scene's tolerance [s]."""
+@dataclass(frozen=True)
+class _Solutions:
+    """Solutions by ABA.
+
+    Attributes:
+        reference: Motion by the method of order 8.
+        second: Motion by the method of order 5.
+        growth: Factors by which a small perturbation has grown over time, (T,).
+        wall: Wall time at the scene's tolerance [s].
+    """
+
+    reference: FullMotion
+    second: FullMotion
+    growth: Array
+    wall: float
+
+
+def _integrate_with_aba(
+    full: FullState, y0: Array, times: Array, tolerances: tuple[float, float], progress: Progress
+) -> _Solutions:
     began = time.perf_counter()
-    full.run(y0, np.array([end]), rtol, atol)
-    return time.perf_counter() - began
+    full.run(y0, times[-1:], *tolerances)
+    wall = time.perf_counter() - began
+    progress(0.1)
+    tight = max(tolerances[0] / TIGHTER, FINEST[0]), tolerances[1] / TIGHTER
+    reference = full.run(y0, times, *tight)
+    progress(0.3)
+    growth = full.growth(y0, reference, times, *tight)
+    progress(0.5)
+    second = full.run(y0, times, *tight, method="dopri5")
+    return _Solutions(reference, second, growth, wall)
 
 
 def count_informative_times(bounds: Array, growth: Array) -> int:
@@ -202,12 +237,12 @@ class ErrorBounds:
     Attributes:
         relative: Bounds in units of the motion's size, (T,).
         distance: The same bounds in the units of each error, (T, …).
-        mean_defect: Mean defect of a step, limited to the largest defect that passes.
+        total_defect: Sum of the defects of all steps, limited to what passes.
     """
 
     relative: Array
     distance: Distance
-    mean_defect: float
+    total_defect: float
 
 
 def compute_error_bounds(
@@ -232,15 +267,22 @@ def compute_error_bounds(
     Returns:
         Bounds at all times.
     """
-    steps = np.searchsorted(traj.motion.knots, times, side="left")
+    knots, smooth = traj.motion.knots, defects.smooth
+    steps = np.searchsorted(knots, times, side="left")
     # A failing defect must not loosen the bound on errors, so defects are limited to what passes.
-    mean, worst = float(defects.steps.mean()), float(defects.subintervals.max())
-    largest_mean, largest = DEFECT_BOUND * tolerance, DENSE_BOUND * tolerance
-    mean_share, share = largest_mean / max(mean, largest_mean), largest / max(worst, largest)
-    per_step = mean_share * float(defects.motion_steps.mean())
+    mean = float(defects.steps[smooth].mean())
+    worst = float(defects.subintervals[smooth].max())
+    largest_step, largest = DEFECT_BOUND * tolerance, DENSE_BOUND * tolerance
+    mean_share, share = largest_step / max(mean, largest_step), largest / max(worst, largest)
+    per_step = mean_share * float(defects.motion_steps[smooth].mean())
     # Times lie inside steps, where dense output has an error of lower order.
-    dense = share * float(defects.motion_subintervals.max())
-    local = steps * per_step + np.where(steps > 0, dense, 0.0) + _ROUND_OFF * (steps + 1)
+    dense = share * float(defects.motion_subintervals[smooth].max())
+    # Steps with kinks are exempt from the bound on defects, so each of them is limited by itself.
+    kinked_steps = defects.steps[~smooth]
+    shares = largest_step / np.maximum(kinked_steps, largest_step)
+    sampled = (len(knots) - 1) / len(smooth)  # at most 200 steps are evaluated
+    kinked = sampled * float((shares * defects.motion_steps[~smooth]).sum())
+    local = steps * per_step + np.where(steps > 0, kinked + dense, 0.0) + _ROUND_OFF * (steps + 1)
     local += defects.round_off_rate * times  # round-off of ABA affects the references, too
     floor = RESOLUTION + np.maximum.accumulate(reference_difference)
     relative = _SAFETY * (growth * local + floor)
@@ -250,4 +292,5 @@ def compute_error_bounds(
         # Positions far from the origin have the round-off of their distance on both sides.
         position=relative * size.position + _SAFETY * _ROUND_OFF * size.away,
     )
-    return ErrorBounds(relative, bounds, mean_share * mean)
+    total = mean_share * mean * (len(knots) - 1) + sampled * float((shares * kinked_steps).sum())
+    return ErrorBounds(relative, bounds, total)

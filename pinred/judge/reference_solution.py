@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..common.errors import IntegrationError
 from ..forces.force_values import BaseInSpace, ForceInputs
 from ..forces.switch_times import time_within
 from ..kernels.loads_by_pinocchio import LoadsByPinocchio
@@ -28,12 +27,14 @@ from .distances import Distance, FullMotion, Size
 from .full_coordinates import Configuration, root_motion
 from .hairer_integrators import Hairer
 from .system_totals import SystemTotals
+from .time_budget import AbaStopped, TimeBudget
 
 FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy
 OFFSET = 1e-5  # least length unit, as a fraction of the distance from the origin
 SPREAD_MARGIN = 10.0  # assumed ratio of round-off to the difference of two evaluations
 PERTURBATION = 1e-6  # relative size of the perturbation whose growth is measured
-# Conditions on time are evaluated at least this fraction of the duration beside their switches.
+# Smallest distance from a switch at which a condition on time is evaluated, relative to the
+# duration.
 _ASIDE = 1e-11
 
 
@@ -51,15 +52,19 @@ class FullState:
         totals: Energies and momenta of the whole system.
     """
 
-    def __init__(self, scene: Scene, replay: Replay | None = None) -> None:
+    def __init__(
+        self, scene: Scene, replay: Replay | None = None, budget: TimeBudget | None = None
+    ) -> None:
         """Prepare Pinocchio's work space.
 
         Args:
             scene: The scene to simulate.
             replay: Recorded commands of controllers. Without it, every run calls them again.
+            budget: Time limit of all runs together.
         """
         system, self._replay = scene.system, replay
         self._scene, self._forces = scene, scene.force_model
+        self._limited_rate = budget.limit(self.rate) if budget else self.rate
         self._stops, self._switches = stops_of(scene), np.empty(0)
         self._parameters = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         if self._forces is not None and self._forces.switching.conditions is not None:
@@ -67,7 +72,7 @@ class FullState:
             self._stops = self._switches = np.union1d(self._stops, written)
         self._model = system.model
         self._r, self._m = system.r, system.model.njoints - 2
-        unused = np.full(system.r, np.nan)  # NaN would show if a force did depend on it
+        unused = np.full(system.r, np.nan)  # NaN would reveal a force that depends on it
         self._unused = unused, unused
         self.couplings = CouplingConstraints(system)
         self.root = root_motion(system.model)
@@ -119,7 +124,7 @@ class FullState:
             y0: Initial state, (n,).
             time: Duration of the motion [s].
             fraction: Relative change. The smallest change is this fraction of a radian, of the
-                radius of gyration, or of the rate that covers these in `time`.
+                radius of gyration, or of the rate that covers such a distance in `time`.
         Returns:
             The perturbed state (n,); positions far from the origin count as in Size.
         """
@@ -166,7 +171,7 @@ class FullState:
         Returns:
             The motion at `times`.
         Raises:
-            IntegrationError: A time cannot be reached at this tolerance.
+            AbaStopped: A time cannot be reached at this tolerance, or within the budget.
         """
         end, y, t = float(times[-1]), y0, 0.0
         round_off = 1e-12 * end  # times closer than this count as reached [s]
@@ -177,15 +182,16 @@ class FullState:
             stop = actions.begin(self._parameters, t, stop, partial(self.sample, y))
             if self._switches.size and self._forces is not None:
                 self._parameters[self._forces.within] = time_within(t, stop)
-            solver = Hairer(self.rate, method, y, t, rtol, atol, self._scene.end)
+            solver = Hairer(self._limited_rate, method, y, t, rtol, atol, self._scene.end)
             targets = times[(times > t) & (times <= stop)]
             for target in (*targets.tolist(), *([stop] if stop <= end else [])):
                 if target - solver.t > round_off:
                     reached = solver.integrate(target)
                     if reached is None:
-                        raise IntegrationError(
+                        raise AbaStopped(
                             f"the full simulation of '{self._model.name}' cannot be integrated to "
-                            f"t = {target:g} s at rtol = {rtol:g}"
+                            f"t = {target:g} s at rtol = {rtol:g}",
+                            solver.t,
                         )
                     y = reached
                 states[target] = y
@@ -268,10 +274,10 @@ class FullState:
         return np.concatenate([self.root.rate(y[:size], v[:r]), v[r:], a])
 
     def _beside_switches(self, t: float) -> float:
-        """Return the time, moved to the side of a switch on which `within` is if it is too close.
+        """Return the time; if it is too close to a switch, move it to the side of `within`.
 
-        Forces are evaluated as they are written. At a switch itself, a condition can have the value
-        of either side.
+        Conditions on time are evaluated at the returned time. Exactly at a switch, a condition can
+        have the value of either side.
         """
         if not self._switches.size or self._forces is None:
             return t

@@ -7,6 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 
 
@@ -21,6 +22,7 @@ class Verdict(StrEnum):
 EXIT_CODES = {Verdict.PASSED: 0, Verdict.FAILED: 1, Verdict.CANNOT_TELL: 3}
 
 
+@checks_arguments
 @dataclass(frozen=True, repr=False)
 class Report(FrozenArrays):
     """Errors of a reduced trajectory against the full simulation, and the bounds on them.
@@ -59,8 +61,8 @@ class Report(FrozenArrays):
         reasons: Why the motion cannot be judged completely; empty if it can.
         wall_reduced: Wall time of the reduced integration [s].
         wall_full: Wall time of the full integration at the same tolerance [s].
-        left_out: Sentence on springs, dampers and friction of the robot's file that neither side
-            simulates, or empty.
+        left_out: Sentence about springs, dampers and friction of the robot's file that neither
+            simulation includes, or empty.
     """
 
     robot: str

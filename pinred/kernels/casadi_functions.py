@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from ..common.argument_kinds import checks_arguments
 from ..reduction.tree.casadi_reduction import casadi_reduction
 from ..system.system import System
 from .kernel import Layout, Structure
@@ -38,6 +39,7 @@ class CasadiFunctions:
     layout: Layout
 
 
+@checks_arguments
 def casadi_functions(system: System) -> CasadiFunctions:
     """Build the CasADi Functions of a system.
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ShapeError
 from .rotations import apply, hat, plane_rotation, rotation
@@ -16,6 +17,7 @@ from .rotations import apply, hat, plane_rotation, rotation
 _NORM_TOLERANCE = 1e-3
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class PoseError:
     """Distance between two poses g and h: the norms of the two parts of log(g⁻¹h).
@@ -31,6 +33,7 @@ class PoseError:
     translation: Array
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False, repr=False)
 class Group(ABC):
     """A Lie group of base motions: a subgroup of SE(3), in the frame of the root joint.
@@ -43,8 +46,8 @@ class Group(ABC):
         name: Name of the group, as in `GROUPS`.
         axes: Index of each twist entry in (v1, v2, v3, ω1, ω2, ω3).  Translations come first.  In
             a group with a single rotation, the last two translations are the axes that the
-            positive rotation maps into each other.  A group with a single axis always calls
-            this axis z, whatever its direction.
+            positive rotation maps into each other.  In a group with a single axis, this axis is
+            called z in any direction.
         pose_names: Names of the pose coordinates: lengths, then an angle or a quaternion.
         root: Description of the root joint, for messages.
         joints: Pinocchio's joint types that have this motion, without the prefix "JointModel".
@@ -56,8 +59,8 @@ class Group(ABC):
         size: Number of pose coordinates.
         plane: Indices of the two translations that a single rotation rotates into each other,
             or empty.
-        turns_about_com: Whether every rotation can leave the centre of mass at rest.  This
-            requires translations in all directions perpendicular to the rotation axes.
+        turns_about_com: Whether the group can rotate about any axis with the centre of mass at
+            rest.  This requires translations in all directions perpendicular to the rotation axes.
     """
 
     name: str
@@ -341,7 +344,7 @@ class Group(ABC):
         elif array.shape == self.matrix(self.identity()).shape:
             pose = self.from_matrix(array)
             if not np.allclose(self.matrix(pose), array, rtol=0.0, atol=1e-6):
-                raise InputError(f"the matrix given as pose is not in {self.name}:\n{array}")
+                raise InputError(f"the matrix passed as a pose is not in {self.name}:\n{array}")
         else:
             raise ShapeError(
                 f"a pose of {self.name} has shape ({self.size},) or is a homogeneous matrix, "

@@ -13,6 +13,7 @@ from ..analysis.connections.connection import Connection
 from ..analysis.connections.fluid import Ellipse, Ellipsoid, Rod
 from ..analysis.connections.wheels import Rolling, Wheel
 from ..analysis.gaits.gait import Gait
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector_or_zero
 from ..common.errors import InputError
 from ..scene.scene_options import SCENE_OPTIONS
@@ -120,6 +121,7 @@ CONNECTIONS = {
     ),
 }
 _PERIOD = Key(POSITIVE, "time of one cycle [s]", default="1")
+_TURNS = Key(NUMBERS, "complete turns of each joint per cycle", default="none")
 _POINTS = Key(_ROWS, "shapes, each with a number for every joint [rad | m]", required=True)
 GAITS = {
     "fourier": Table(
@@ -128,10 +130,13 @@ GAITS = {
             "cos": Key(_ROWS, "amplitudes of cos(2πkt/period), a row for each k", required=True),
             "sin": Key(_ROWS, "amplitudes of sin(2πkt/period), a row for each k", required=True),
             "period": _PERIOD,
+            "turns": _TURNS,
         },
         "a Fourier series",
     ),
-    "waypoints": Table({"points": _POINTS, "period": _PERIOD}, "a polygon at one speed"),
+    "waypoints": Table(
+        {"points": _POINTS, "period": _PERIOD, "turns": _TURNS}, "a polygon at one speed"
+    ),
     "spline": Table(
         {
             "points": _POINTS,
@@ -260,11 +265,13 @@ GAIT_FILE = Table(
 )
 
 
+@checks_arguments
 def gait_schema() -> Schema:
     """Return the JSON Schema (draft 2020-12) of gait files."""
     return document_schema(GAIT_FILE, "pinred gait")
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class GaitFile:
     """The contents of a gait file.
@@ -295,6 +302,7 @@ class GaitFile:
         return self.gait
 
 
+@checks_arguments
 def load_gait(path: str | Path) -> GaitFile:
     """Read a gait file: robot, connection, gait and objectives in TOML (see docs/phases.md).
 
@@ -350,7 +358,7 @@ _CLASSES = {"ellipsoid": Ellipsoid, "ellipse": Ellipse, "wheel": Wheel, "rolling
 
 
 def _made(table: Mapping[str, Any]) -> Any:
-    """Create the body or the wheel that a table describes."""
+    """Create the body or wheel that a table describes."""
     options = dict(table)
     return _CLASSES[options.pop("kind")](**options)
 

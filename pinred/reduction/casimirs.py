@@ -15,6 +15,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, vector
 from ..common.errors import InputError
 from ..lie.group import Group
@@ -25,6 +26,7 @@ from .potential import pivot_weight
 _ZERO = 1e-9  # coefficients and singular values below this bound count as zero
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Casimir(FrozenArrays):
     """A Casimir c·w + wᵀQ w of w = μ, or w = (μ, Γ); arrays are read-only.
@@ -79,6 +81,7 @@ class Casimir(FrozenArrays):
         return self.name
 
 
+@checks_arguments
 def casimirs(system: System) -> tuple[Casimir, ...]:
     """Return independent Casimirs of the base momentum, of degree one and two.
 

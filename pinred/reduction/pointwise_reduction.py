@@ -1,6 +1,6 @@
 """Reduction at one shape: locked inertia, connection, reduced metric, curvature, potential.
 
-Pinocchio's CRBA gives the mass matrix, and its RNEA derivatives give ∂H: with v = 0, no
+Pinocchio's CRBA computes the mass matrix, and its RNEA derivatives yield ∂H: with v = 0, no
 gravity and a = e_k, ∂τ/∂q is exactly ∂(H e_k)/∂q.  Source: Marsden, Montgomery, Ratiu,
 "Reduction, symmetry and phases in mechanics", 1990; Cendra, Marsden, Ratiu, "Lagrangian reduction
 by stages", 2001.
@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector
 from ..common.errors import InputError, SymmetryError
 from ..lie.group import Group
@@ -26,6 +27,7 @@ from .potential import Potential, Springs, pivot_weight
 from .section import MovedFrame, Section
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ReducedShape(InertiaSplit):
     """The reduction at one shape; arrays are read-only.
@@ -90,6 +92,7 @@ class ReducedShape(InertiaSplit):
         )
 
 
+@checks_arguments
 class PointwiseReduction:
     """The reduction of one system, evaluated by Pinocchio at one shape at a time.
 
@@ -141,7 +144,7 @@ class PointwiseReduction:
         return self.split(x).mass_matrix
 
     def locked_inertia(self, x: ArrayLike) -> Array:
-        """Compute the locked inertia I(x) = H_bb, the inertia with frozen joints.
+        """Compute the locked inertia I(x) = H_bb, the inertia with locked joints.
 
         Args:
             x: Shape, (m,) [rad | m].

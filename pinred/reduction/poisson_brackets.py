@@ -31,6 +31,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector
 from ..common.errors import InputError, ShapeError
 from ..common.memo import once
@@ -53,6 +54,7 @@ FORMS = ("connection", "canonical")
 _spaces: WeakValueDictionary[int, PhaseSpace] = WeakValueDictionary()
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class PhaseSpace:
     """The variables of a system's reduced phase space as CasADi symbols.
@@ -125,6 +127,7 @@ class PhaseSpace:
         return casadi_reduction(self.system, self.x)
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Observable:
     """A numerical function on the reduced phase space.
@@ -144,6 +147,7 @@ class Observable:
     form: Form = "connection"
 
 
+@checks_arguments
 def phase_space(system: System, *, form: Form = "connection") -> PhaseSpace:
     """Return the reduced phase space of a system, as CasADi symbols for `bracket`.
 
@@ -165,6 +169,7 @@ def bracket(f: ca.SX, g: ca.SX) -> ca.SX: ...
 def bracket(f: Observable, g: Observable) -> Callable[..., float]: ...
 
 
+@checks_arguments
 def bracket(f: ca.SX | Observable, g: ca.SX | Observable) -> ca.SX | Callable[..., float]:
     """Return the Poisson bracket {f, g}.
 
@@ -185,6 +190,7 @@ def bracket(f: ca.SX | Observable, g: ca.SX | Observable) -> ca.SX | Callable[..
     return df @ space.tensor @ dg.T
 
 
+@checks_arguments
 def tensor(
     red: PointwiseReduction,
     x: ArrayLike,

@@ -33,6 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, read_only, vector
 from ..common.errors import InputError
 from ..lie.rotations import apply, rotation
@@ -148,7 +149,7 @@ class HamiltonPoincare:
 
 @dataclass(frozen=True)
 class EulerPoincare:
-    """The Euler–Poincaré equations of the system with frozen joints.
+    """The Euler–Poincaré equations of the system with locked joints.
 
     Attributes:
         momentum: Terms of μ̇ = ad*_ξ μ + f.
@@ -162,6 +163,7 @@ class EulerPoincare:
         return f"d/dt mu\n{self.momentum}\nxidot  {_row(self.xidot)}"
 
 
+@checks_arguments
 def lagrange_poincare(
     red: PointwiseReduction,
     x: ArrayLike,
@@ -201,6 +203,7 @@ def lagrange_poincare(
     return LagrangePoincare(shape, momentum, read_only(xddot), read_only(xidot))
 
 
+@checks_arguments
 def hamilton_poincare(
     red: PointwiseReduction,
     x: ArrayLike,
@@ -241,6 +244,7 @@ def hamilton_poincare(
     )
 
 
+@checks_arguments
 def euler_poincare(
     red: PointwiseReduction,
     x: ArrayLike,
@@ -250,7 +254,7 @@ def euler_poincare(
     gamma: ArrayLike | None = None,
     pose: ArrayLike | None = None,
 ) -> EulerPoincare:
-    """Evaluate the Euler–Poincaré equations of the system with frozen joints.
+    """Evaluate the Euler–Poincaré equations of the system with locked joints.
 
     Args:
         red: Reduction of the system.
@@ -264,7 +268,7 @@ def euler_poincare(
         The terms and the rate of the twist.  Raises SymmetryError if gravity breaks the symmetry.
     """
     F = _weight(red, gamma, pose)
-    red.shape_potential()  # raises SymmetryError: no term for its moment
+    red.shape_potential()  # raises SymmetryError if gravity breaks the symmetry
     at, xi = red.split(x), vector(xi, red.system.r, "xi")
     momentum = _momentum_forces(red, xi, at.locked_inertia @ xi, wrench, F, at.com)
     return EulerPoincare(momentum, read_only(_solve(at.locked_inertia, momentum.total)))
@@ -283,7 +287,7 @@ def _weight(
         return None
     if (gamma is None) == (pose is None):
         raise InputError(
-            f"gravity rotates '{name}' about its pivot: give either gamma (3,), the direction of "
+            f"gravity rotates '{name}' about its pivot: pass either gamma (3,), the direction of "
             "gravity in the body's frame, or pose"
         )
     if gamma is None:

@@ -1,4 +1,4 @@
-"""The options of a Scene, each described once.
+"""Descriptions of the options of a Scene.
 
 A field of SceneFields holds the Python type, the default, the meaning with its unit, the value
 type in scene files, and the name on the command line.  Scene, the keys of scene files, their
@@ -15,6 +15,8 @@ from typing import Any, Literal, TypeAlias, TypedDict, get_args
 
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
+from ..common.parameter import Parameter
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
@@ -30,6 +32,7 @@ from .toml.schema import ByName, Either, Flag, Key, ListOf, Node, Text, Whole
 from .toml.signal_tables import NUMBER, NUMBERS, POSITIVE, SHAPE, SIGNAL
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
+Level: TypeAlias = float | Parameter
 WantedOutputs: TypeAlias = Literal["all", "shape"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 OUTPUTS: tuple[WantedOutputs, ...] = get_args(WantedOutputs)
@@ -83,9 +86,9 @@ class SceneOptions(TypedDict, total=False):
     times: ArrayLike | None
     rtol: float
     atol: float
-    springs: Mapping[str, tuple[float, float]]
+    springs: Mapping[str, tuple[Level, Level]]
     forces: Sequence[Force] | Force
-    prescribed: Mapping[str, Signal | float | str]
+    prescribed: Mapping[str, Signal | Level | str]
     passive: bool
     friction: float | None
     parameters: Any
@@ -94,6 +97,7 @@ class SceneOptions(TypedDict, total=False):
     method: Method | str
 
 
+@checks_arguments
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneFields:
     """The fields of Scene, with the description of each option in the metadata."""
@@ -163,7 +167,7 @@ class SceneFields:
         POSITIVE, "absolute tolerance of a step; omit it if the method has its own tolerances",
         default=f"{ATOL:g}", table="run", command="--atol TOL",
     ))  # fmt: skip
-    springs: Mapping[str, tuple[float, float]] = field(default_factory=dict, metadata=_option(
+    springs: Mapping[str, tuple[Level, Level]] = field(default_factory=dict, metadata=_option(
         ByName(ListOf(NUMBER, 2)),
         "springs at joints, each a pair of stiffness [N·m/rad | N/m] and rest position [rad | m]",
         formats="{joint: (stiffness, rest)}, short for pinred.forces.Spring",
@@ -173,7 +177,7 @@ class SceneFields:
         ListOf(FORCE), "forces on joints, base and links",
         formats="forces of pinred.forces",
     ))  # fmt: skip
-    prescribed: Mapping[str, Signal | float | str] = field(default_factory=dict, metadata=_option(
+    prescribed: Mapping[str, Signal | Level | str] = field(default_factory=dict, metadata=_option(
         ByName(SIGNAL),
         "joints with a prescribed motion [rad | m]: a number, or a function of time such as "
         "0.4*sin(t)", formats="{joint: Signal, number, or formula in t}",

@@ -9,8 +9,8 @@ terms of the Lagrange–Poincaré equations except the torques τ. The shape equ
 
     M ẍ + (∂M ẋ) ẋ = F + τ
 
-gives ẍ of the free joints first, because ẍ of the prescribed joints and τ of the free ones are
-known.  It then gives τ of the prescribed joints.
+is solved first for ẍ of the free joints, because ẍ of the prescribed joints and τ of the free ones
+are known.  It then determines τ of the prescribed joints.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.polynomial import legendre
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only
-from ..forces.force_values import ForceInputs
 from ..reduction.canonical_form import CanonicalForm
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..reduction.potential import shape_gravity
@@ -39,6 +39,7 @@ _POINTS = 8  # Number of Gauss points in each step.
 _DRIVES = "prescribed joints"  # Label for the work done by the drives of prescribed joints.
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class EnergyBalance(FrozenArrays):
     """The balance of energy and work; arrays are read-only.
@@ -72,6 +73,7 @@ class EnergyBalance(FrozenArrays):
         return card("Energy", f"balance to {self.t[-1]:g} s", table("", ["", "J"], rows))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class MomentumBalance(FrozenArrays):
     """The balance of momentum and impulse in the root joint's fixed frame, about its origin.
@@ -120,9 +122,8 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
         samples, full = motion.samples(t), with_base(motion.states(t), plan.system.name)
         values = np.empty((len(t), len(labels)))
         for k, (s, numbers) in enumerate(samples):
-            values[k, : len(forces.labels)] = forces.powers(
-                ForceInputs(float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, s.base), full.xi[k]
-            )
+            powers = forces.powers(s.force_inputs(t[k], numbers), full.xi[k])
+            values[k, : len(forces.labels)] = powers
         if forces.joints:
             drive = driving_torques(plan, t, samples)
             values[:, -1] = np.sum(drive * full.xdot[:, list(forces.joints)], axis=1)
@@ -159,9 +160,7 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
             wrenches[k] = axes.T @ (np.array([weight, moment]) @ rotation).ravel()
         if forces is not None and plan.acting.wrench:
             body = [
-                forces.acting(
-                    ForceInputs(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base)
-                ).wrench
+                forces.acting(s.force_inputs(time, numbers)).wrench
                 for time, (s, numbers) in zip(t, motion.samples(t), strict=True)
             ]
             wrenches += system.group.spatial_momentum(full.pose, np.array(body))
@@ -219,7 +218,7 @@ def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -
     driven, free = np.array(plan.acting.driven), np.array(plan.acting.free, dtype=np.intp)
     torques = np.empty((len(t), len(driven)))
     for k, (time, (s, numbers)) in enumerate(zip(t, samples, strict=True)):
-        acting = forces.acting(ForceInputs(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base))
+        acting = forces.acting(s.force_inputs(time, numbers))
         at = red.at(s.x)
         torque = acting.torque - gravity.gradient(s.x)
         wrench = acting.wrench.copy()

@@ -5,7 +5,7 @@ Integration stops where a force is not smooth, or where a controller is due.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,7 +18,7 @@ from ..system.state_fields import ShapeState, State, map_arrays
 from .control import Control, ControlAction, Replay
 from .events import Crossing, Watch, cut_at_event
 from .plan import Plan
-from .reduced_flow import Integrate, ReducedFlow, Segment
+from .reduced_flow import Integrate, ReducedFlow, Segment, Segments
 from .sample import Sample
 
 
@@ -66,26 +66,28 @@ class Motion:
             actions: Calls of the controllers.
             watch: Detection of events; None for scenes without events.
         """
-        self.flow, self.segments, self._varies = flow, segments, varies
+        self.flow, self._varies = flow, varies
+        self.segments = segments if isinstance(segments, Segments) else Segments(segments)
         self.actions = tuple(actions)
         self.crossings: list[Crossing] = [] if watch is None else watch.crossings
         self.ended_by = None if watch is None else watch.end
-        self._ends = np.array([segment.end for segment in segments])
+        self._ends = self.segments.ends
 
     @property
     def steps(self) -> int:
         """Number of accepted steps."""
-        return sum(segment.steps for segment in self.segments)
+        return self.segments.steps
 
     @property
     def evaluations(self) -> int:
         """Number of evaluations of the vector field."""
-        return sum(segment.evaluations for segment in self.segments)
+        return self.segments.evaluations
 
     @property
     def knots(self) -> Array:
         """Times of all step ends, (K,) [s]."""
-        return np.unique(np.concatenate([segment.knots for segment in self.segments]))
+        knots: Array = self.segments.knots
+        return knots
 
     @property
     def replay(self) -> Replay:
@@ -95,7 +97,7 @@ class Motion:
     def reduced(self, t: Array) -> Array:
         """Return the reduced states at times (T,), (T, k)."""
         if len(self.segments) == 1:
-            return self.segments[0].at(t)
+            return np.asarray(self.segments[0].at(t))
         y = np.empty((len(t), len(self.flow.y0)))
         for segment, rows in self._by_segment(self._which(t)):
             y[rows] = segment.at(t[rows])
@@ -161,22 +163,32 @@ class Motion:
         return segment.parameters[self.flow.numbers_at]
 
     def _which(self, t: Array) -> Indices:
-        """Return the index of the segment of each time; a stop belongs to the segment before it."""
+        """Return the segment index of each time; a stop belongs to the segment that it ends."""
         return np.minimum(np.searchsorted(self._ends, t, side="left"), len(self.segments) - 1)
 
 
-def follow(plan: Plan, flow: ReducedFlow, integrate: Integrate) -> Motion:
+def follow(
+    plan: Plan,
+    flow: ReducedFlow,
+    integrate: Integrate,
+    through: Callable[[], Segments] | None = None,
+) -> Motion:
     """Integrate a flow from stop to stop, with the actions of controllers and events.
 
     Args:
         plan: The plan of the scene.
         flow: Reduced flow of the plan.
         integrate: The function that integrates the flow.
+        through: Integrates the flow through all stops of the plan at once, for scenes without
+            controllers and events; None if the engine cannot do this.
     Returns:
         The motion.
     Raises:
         IntegrationError: The integration failed.
     """
+    varies = bool(plan.acting.driven) and len(plan.stops) > 1
+    if through is not None and len(plan.stops) > 1 and not _is_interrupted(plan):
+        return Motion(flow, through(), varies=varies)
     t, y, parameters = 0.0, flow.y0, flow.parameters.copy()
     numbers = parameters[flow.numbers_at]
     control, watched = Control(plan.scene), plan.scene.watched
@@ -196,3 +208,9 @@ def follow(plan: Plan, flow: ReducedFlow, integrate: Integrate) -> Motion:
                 y = segment.at(np.array([t]))[0]
     varies = bool(plan.acting.driven) and len(segments) > 1
     return Motion(flow, segments, varies=varies, actions=control.calls, watch=watch)
+
+
+def _is_interrupted(plan: Plan) -> bool:
+    """Return whether controllers or events interrupt a motion between the stops of its plan."""
+    has_controllers = plan.forces is not None and bool(plan.forces.held)
+    return has_controllers or bool(plan.scene.events_given)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from ..common.errors import MissingPackageError
+from ..common.argument_kinds import checks_arguments
+from ..common.optional_packages import optional_package
 from ..system.state_fields import (
     FIELDS,
     State,
@@ -20,6 +20,7 @@ from ..system.state_fields import (
 from ..system.system import System
 
 
+@checks_arguments
 class OverTime(StateArrays):
     """A motion with known states at the report times: fields of State, with time as first axis."""
 
@@ -92,9 +93,4 @@ class OverTime(StateArrays):
 
 
 def _import_package(package: str) -> Any:
-    try:
-        return import_module(package)
-    except ImportError as missing:
-        raise MissingPackageError(
-            f"this needs {package}: pip install 'pinred[{package}]'"
-        ) from missing
+    return optional_package(package, f"this needs {package}: pip install 'pinred[{package}]'")

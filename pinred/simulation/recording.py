@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import InputError, LoadError, PinredError
 from ..common.files import is_file
@@ -50,6 +51,7 @@ _READ_ERRORS = (
 )  # fmt: skip
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Recording(OverTime):
     """A motion read from a file: states at increasing times, and the names of robot and joints.
@@ -121,6 +123,7 @@ class Recording(OverTime):
         save(self, path)
 
 
+@checks_arguments
 def read_recording(path: str | Path, robot: str | None = None) -> Recording:
     """Read a motion from a .npz file that `Trajectory.save` wrote.
 
@@ -148,7 +151,7 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
         origin if robot is None else origin | {"source": str(robot)}, robot is not None,
     )  # fmt: skip
     if robot is not None:
-        _ = recording.system  # Report errors of a robot that the user named at once.
+        _ = recording.system  # If the user named a robot, report its errors immediately.
     return recording
 
 

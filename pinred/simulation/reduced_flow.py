@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
 
 from ..common.arrays import Array
 from ..system.state_fields import ShapeState, State
@@ -62,6 +65,34 @@ class Segment:
     def end(self) -> float:
         """End time [s]."""
         return float(self.knots[-1])
+
+
+class Segments(Sequence[Segment]):
+    """Segments in order of time.
+
+    Attributes:
+        ends: End times, (S,) [s].
+        steps: Number of accepted steps.
+        evaluations: Number of evaluations of the vector field.
+    """
+
+    def __init__(self, segments: Sequence[Segment]) -> None:
+        """Collect segments."""
+        self._segments = segments
+        self.ends = np.array([segment.end for segment in segments])
+        self.steps = sum(segment.steps for segment in segments)
+        self.evaluations = sum(segment.evaluations for segment in segments)
+
+    @cached_property
+    def knots(self) -> Array:
+        """Times of all step ends, (K,) sorted [s]."""
+        return np.unique(np.concatenate([segment.knots for segment in self._segments]))
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._segments[k]
 
 
 class Integrate(Protocol):

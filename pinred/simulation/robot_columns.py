@@ -105,29 +105,17 @@ class RobotColumns:
         """Yield slices of the constants, their values, and functions that return derivatives."""
         freed = self._layout.freed
         for i, (moments, slopes) in self._varied.inertias(now, changed).items():
-            place, frame = freed.of_inertia(i), self._maps[i]
-            yield (
-                self._among_constants(place),
-                frame @ moments,
-                partial(_map_slopes, frame, slopes),
-            )
+            place, frame = self._among_constants(freed.of_inertia(i)), self._maps[i]
+            yield place, frame @ moments, partial(_map_slopes, frame, slopes)
         for i, (joint, twists) in self._varied.placements(now, changed).items():
             body, nominal_place = self._bodies[i], self._system.model.jointPlacements[i + 1]
             parent = self._bodies[body.parent]
             placed = replace(body, **step_at(parent, body, nominal_place, joint))
-            place = freed.of_step(i)
-            yield (
-                self._among_constants(place),
-                step_of_body(placed),
-                partial(_step_slopes, parent, placed, twists),
-            )
+            place = self._among_constants(freed.of_step(i))
+            yield place, step_of_body(placed), partial(_step_slopes, parent, placed, twists)
         for k, body, link, twists in self._links(now):
-            place = freed.of_link(k)
-            yield (
-                self._among_constants(place),
-                link_numbers(body, link),
-                partial(_link_slopes, body, link, twists),
-            )
+            place = self._among_constants(freed.of_link(k))
+            yield place, link_numbers(body, link), partial(_link_slopes, body, link, twists)
 
     def _among_constants(self, place: slice) -> slice:
         return slice(self._bodies_at + place.start, self._bodies_at + place.stop)

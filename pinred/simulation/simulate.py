@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
 
-from ..common.errors import InputError
+from ..common.argument_kinds import checks_arguments
+from ..common.errors import AccuracyWarning, InputError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
@@ -20,10 +22,11 @@ from ..system.model_parameters import joined
 from ..system.system import System, checked_system
 from .motion import follow
 from .plan import Plan, plan_of
-from .reduced_flow import Integrate, ReducedFlow
+from .reduced_flow import Integrate, ReducedFlow, Segments
 from .trajectory import Cost, Trajectory
 
 
+@checks_arguments
 @shows_fields(Scene)
 def simulate(
     scene: System | Scene,
@@ -68,7 +71,20 @@ def simulate(
         print(explained(plan))
     run_engine = _compiled if engine == "compiled" else _pinocchio
     with shown(progress, "reduced") as done:
-        return run_engine(plan, done)
+        trajectory = _resolved(plan, partial(run_engine, progress=done))
+    for notice in trajectory.run.notices:
+        warnings.warn(notice, AccuracyWarning, stacklevel=3)
+    return trajectory
+
+
+def _resolved(plan: Plan, run: Callable[[Plan], Trajectory]) -> Trajectory:
+    """Return the trajectory of a plan, with more stops if its steps skip functions of time."""
+    trajectory = run(plan)
+    if not plan.has_time_functions:
+        return trajectory
+    from .time_resolution import resolve
+
+    return resolve(plan, trajectory, run)
 
 
 def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Scene:
@@ -106,25 +122,31 @@ def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
 def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
+    from .compiled.through_stops import through_stops
 
     flow = CompiledFlow.of_plan(plan)
-    return _integrate_plan(
-        plan, flow, integrator(flow, plan, progress), "compiled", plan.method.name
-    )
+    through = through_stops(flow, plan, progress)
+    integrate = integrator(flow, plan, progress)
+    return _integrate_plan(plan, flow, integrate, "compiled", plan.method.name, through)
 
 
 def trajectory_of(scene: Scene) -> Trajectory:
     """Return the trajectory of a scene with the compiled engine."""
-    return _compiled(plan_of(scene), None)
+    return _resolved(plan_of(scene), partial(_compiled, progress=None))
 
 
 def _integrate_plan(
-    plan: Plan, flow: ReducedFlow, integrate: Integrate, engine: Engine, method: str
+    plan: Plan,
+    flow: ReducedFlow,
+    integrate: Integrate,
+    engine: Engine,
+    method: str,
+    through: Callable[[], Segments] | None = None,
 ) -> Trajectory:
     started = time.perf_counter()
-    motion = follow(plan, flow, integrate)
+    motion = follow(plan, flow, integrate, through)
     wall = time.perf_counter() - started
-    run = Cost(engine, method, motion.steps, motion.evaluations, wall)
+    run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
     terminal_crossing = motion.ended_by
     scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
     return Trajectory(scene, motion, run, partial(simulate, plan.scene, engine=engine))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
 from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, with_base
@@ -37,6 +38,7 @@ class Cost:
         steps: Number of accepted steps.
         evaluations: Number of evaluations of the vector field.
         wall: Wall time [s].
+        notices: Sentences on errors that the integrator does not control; empty if there are none.
     """
 
     engine: Engine
@@ -44,8 +46,10 @@ class Cost:
     steps: int
     evaluations: int
     wall: float
+    notices: tuple[str, ...] = ()
 
 
+@checks_arguments
 class Trajectory(OverTime):
     """The motion of a scene: fields of State at the report times; call it for other times.
 
@@ -86,7 +90,9 @@ class Trajectory(OverTime):
         """The motion at all times; it is integrated again after unpickling."""
         if self._motion is None:
             if self._again is None:
-                raise NotCopyable("this motion was changed by hand; it cannot be integrated again")
+                raise NotCopyable(
+                    "this motion was modified, so it cannot be integrated again; simulate its scene"
+                )
             self._motion = self._again().motion
         return self._motion
 
@@ -124,12 +130,8 @@ class Trajectory(OverTime):
     @property
     def ended_by(self) -> str | None:
         """Name of the terminal event that ended the motion; None if no event ended it."""
-        terminal_crossing = self.motion.ended_by
-        return (
-            None
-            if terminal_crossing is None
-            else self.scene.events_given[terminal_crossing.event].name
-        )
+        crossing = self.motion.ended_by
+        return None if crossing is None else self.scene.events_given[crossing.event].name
 
     @property
     def actions(self) -> tuple[ControlAction, ...]:
@@ -198,7 +200,7 @@ class Trajectory(OverTime):
             f"{len(self)} times to {self.scene.end:g} s, {run.steps} steps of {run.method} "
             f"({run.engine}), {run.evaluations} evaluations in {run.wall:.3g} s",
             table("shape [rad | m]", ["joint", "start", "end", "least", "greatest"], rows),
-            *map(line, lines),
+            *map(line, (*lines, *run.notices)),
             momenta,
         )
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..common.errors import MissingPackageError, OutputError
+from ..common.errors import OutputError
 from ..common.files import check_path, write_atomic
 from ..common.names import quoted_path
+from ..common.optional_packages import optional_package
 from ..system.model_parameters import GRAVITY
 from ..system.state_fields import FIELDS, arrays_of, axis_labels
 from ..system.system import System
@@ -142,12 +142,10 @@ def write_zarr(path: Path, arrays: dict[str, Any]) -> None:
         MissingPackageError: zarr is not installed.
         OutputError: Writing fails.
     """
-    try:
-        zarr = import_module("zarr")
-    except ImportError:
-        raise MissingPackageError(
-            f"{quoted_path(path)}: files of zarr need the package zarr: pip install 'pinred[zarr]'"
-        ) from None
+    zarr = optional_package(
+        "zarr",
+        f"{quoted_path(path)}: files of zarr need the package zarr: pip install 'pinred[zarr]'",
+    )
     try:
         with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as parent:
             folder = Path(parent) / "complete"

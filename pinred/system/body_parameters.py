@@ -296,6 +296,8 @@ def _point_moments(m: float, c: Array) -> tuple[Array, Array, Array]:
 
 def _refuse_unphysical(moments: Array, name: str) -> None:
     """Raise InputError unless the pseudo-inertia of (10,) moments is positive semidefinite."""
+    if not np.isfinite(moments).all():
+        raise InputError(f"parameters: '{name}' is too large, so that moments are not finite")
     pseudo = pin.PseudoInertia.FromDynamicParameters(moments[_TO_PINOCCHIO])
     eigenvalues = np.linalg.eigvalsh(pseudo.toMatrix())
     if not eigenvalues[0] >= -_LEAST * eigenvalues[-1]:

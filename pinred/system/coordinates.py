@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..lie.group import Group
 from .rebuild import rebuild
@@ -19,6 +20,7 @@ from .rebuild import rebuild
 Indices: TypeAlias = NDArray[np.intp]
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class InitialState:
     """A generic initial state, with a duration that shows its typical motion.
@@ -36,6 +38,7 @@ class InitialState:
     duration: float
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Configuration:
     """A point of the configuration manifold Q = G × B.
@@ -49,6 +52,7 @@ class Configuration:
     x: Array
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Velocity:
     """A velocity on the configuration manifold Q = G × B.

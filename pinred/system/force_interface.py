@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import numpy as np
 
+from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.names import brief, joint_index
 from ..common.parameter import Parameter
@@ -27,6 +28,7 @@ def _unknown_dynamics(_: Mapping[int, ca.SX]) -> ca.SX:
     )
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class SeenState:
     """The state that is passed to a force, controller or event function of one argument.
@@ -55,7 +57,7 @@ class SeenState:
     J: Any
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Refuse an unknown name.
+        """Reject an unknown name.
 
         Args:
             name: Name of the attribute.
@@ -141,7 +143,7 @@ class Symbols:
         return joint_index(name, self.every_name, what)
 
     def refuse_follower(self, joint: int, what: str) -> None:
-        """Refuse a follower joint, which is not a shape coordinate.
+        """Reject a follower joint, which is not a shape coordinate.
 
         Args:
             joint: Index of the joint in `every_name`.
@@ -190,6 +192,7 @@ class Terms:
         return [value for value in values if value is not None]
 
 
+@checks_arguments
 class Force(ABC):
     """A force that acts on the system.
 

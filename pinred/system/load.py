@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector
 from ..common.errors import (
     ChoiceError,
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
 _HUGE = 1e100  # largest accepted gravity, because products of larger numbers overflow [m/s²]
+_CALLER = 3  # stack level of the caller of `load` for warnings, outside the check of arguments
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ class _Robot:
     warning: str = ""
 
 
+@checks_arguments
 def load(
     source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec,
     *,
@@ -101,14 +104,14 @@ def load(
             above it is the ground.  So does any first moving joint whose link above is massless
             and carries all other links.  Otherwise the group is SE3: the root link floats on a new
             root joint.  Consecutive joints at the root count as one joint if they move in a group.
-        lock: Joints to freeze at zero, or mapping from joint to its fixed value [rad | m].
+        lock: Joints to lock at zero, or mapping from joint to its locked value [rad | m].
             Followers of a locked joint are locked with it.
         gravity: Gravity in the world frame, (3,) [m/s²].  If None, the robot's gravity
             (Pinocchio's 9.81 along −z for a URDF).
         root: For MJCF, the body of the world that carries the robot, if several can move.
-        strict: Whether to refuse robots with doubtful inertias instead of emitting a warning.
-            Doubtful are moments that no mass distribution has, and mass matrices that are singular
-            at isolated shapes.
+        strict: Whether to reject robots with doubtful inertias instead of emitting a warning.
+            Inertias are doubtful if no mass distribution has these moments, or if the mass matrix
+            is singular at isolated shapes.
         meshes: Folder, or folders, in which playback looks for the meshes of a URDF file, besides
             those above the file.
         parameters: Robot parameters {name: value} that replace values of the file, such as masses
@@ -160,13 +163,13 @@ def load(
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
-        warnings.warn(message, LeftOutWarning, stacklevel=2)
+        warnings.warn(message, LeftOutWarning, stacklevel=_CALLER)
     for warning in system.contents.warnings:
-        warnings.warn(f"{quoted(system.name)}: {warning}", ModelWarning, stacklevel=2)
+        warnings.warn(f"{quoted(system.name)}: {warning}", ModelWarning, stacklevel=_CALLER)
     for doubt in doubts:
         if strict:
             raise ModelError(f"{quoted(system.name)} is refused because of strict=True: {doubt}")
-        warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=2)
+        warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=_CALLER)
     return with_parameters(system, {} if parameters is None else parameters)
 
 
@@ -266,7 +269,7 @@ def _checked_gravity(value: ArrayLike) -> Array:
 
 
 def is_path(name: str) -> bool:
-    """Return whether a source is the path of a file, not the name of a known robot."""
+    """Return whether a source is a file path instead of the name of a known robot."""
     if "/" in name or Path(name).suffix != "":
         return True
     try:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pinocchio as pin
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import positive
 from ..common.errors import InputError, ModelError
 from ..common.names import plain, quoted
@@ -21,8 +22,23 @@ BASE = "springs, damping and friction of the base"
 UNEVEN = "dry friction that is not the same in both directions"
 
 
+class JointForce(Force):
+    """A force at a joint, or between two joints."""
+
+    kind: ClassVar[str]
+    joint: str
+    to: str | None = None
+
+    @property
+    def label(self) -> str:
+        """Kind of force and its joint, or both joints."""
+        ends = plain(self.joint) if self.to is None else f"{plain(self.joint)}–{plain(self.to)}"
+        return f"{self.kind} {ends}"
+
+
+@checks_arguments
 @dataclass(frozen=True)
-class Spring(Force):
+class Spring(JointForce):
     """A spring with potential V = ½ k y², where y = x − rest, or x − x_to − rest.
 
     With higher powers, the torque is τ = −(k y + k₂ y² + k₃ y³ + …).
@@ -35,6 +51,8 @@ class Spring(Force):
         polynomial: Coefficients k₂, k₃, … of higher powers.
     """
 
+    kind: ClassVar[str] = "spring"
+
     joint: str
     stiffness: float | Parameter
     rest: float | Parameter = 0.0
@@ -45,21 +63,16 @@ class Spring(Force):
         settle(self, "stiffness", "rest")
         _settle_polynomial(self)
 
-    @property
-    def label(self) -> str:
-        """Kind of force and its joint, or both joints."""
-        return _label("spring", self.joint, self.to)
-
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the potential.
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may vary.
+            number: Function that replaces a value by a symbol if it may vary.
         Returns:
             Terms with the potential.
         Raises:
-            InputError: Both ends are the same joint.
+            InputError: The force connects a joint with itself.
         """
         k, j = _ends(self, s)
         length = s.x[k] if j is None else s.x[k] - s.x[j]
@@ -72,8 +85,9 @@ class Spring(Force):
         return Terms(potential=potential)
 
 
+@checks_arguments
 @dataclass(frozen=True)
-class Damper(Force):
+class Damper(JointForce):
     """A damper with torque τ = −c v, where v = ẋ, or ẋ − ẋ_to between two joints.
 
     With higher powers, the torque is τ = −v (c + c₂ |v| + c₃ |v|² + …).
@@ -85,6 +99,8 @@ class Damper(Force):
         polynomial: Coefficients c₂, c₃, … of higher powers.
     """
 
+    kind: ClassVar[str] = "damper"
+
     joint: str
     coefficient: float | Parameter
     to: str | None = None
@@ -94,21 +110,16 @@ class Damper(Force):
         settle(self, "coefficient")
         _settle_polynomial(self)
 
-    @property
-    def label(self) -> str:
-        """Kind of force and its joint, or both joints."""
-        return _label("damper", self.joint, self.to)
-
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the torques.
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may vary.
+            number: Function that replaces a value by a symbol if it may vary.
         Returns:
             Terms with the torques.
         Raises:
-            InputError: Both ends are the same joint.
+            InputError: The force connects a joint with itself.
         """
         import casadi as ca
 
@@ -122,8 +133,9 @@ class Damper(Force):
         return Terms(torque={k: torque} if j is None else {k: torque, j: -torque})
 
 
+@checks_arguments
 @dataclass(frozen=True)
-class Friction(Force):
+class Friction(JointForce):
     """Dry friction at a joint, as the smooth law τ = −most · tanh(ẋ / width).
 
     At a rate of twice the width, the torque is 96 % of `most`.  Under this law a loaded joint
@@ -135,6 +147,8 @@ class Friction(Force):
         most: Largest torque [N·m | N].
         width: Rate within which the torque changes its sign [rad/s | m/s], or None.
     """
+
+    kind: ClassVar[str] = "friction"
 
     joint: str
     most: float | Parameter
@@ -148,11 +162,6 @@ class Friction(Force):
         if self.width is not None:
             width = checked_number(self.width, lambda w: positive(w, f"width of a {self.label}"))
             object.__setattr__(self, "width", width)
-
-    @property
-    def label(self) -> str:
-        """Kind of force and its joint."""
-        return _label("friction", self.joint, None)
 
     def smoothed(self, width: float) -> Friction:
         """Return this friction with a width, so that it acts.
@@ -171,7 +180,7 @@ class Friction(Force):
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may vary.
+            number: Function that replaces a value by a symbol if it may vary.
         Returns:
             Terms with the torque.
         Raises:
@@ -196,12 +205,6 @@ def _ends(force: Spring | Damper, s: Symbols) -> tuple[int, int | None]:
     if first == second:
         raise InputError(f"{force.label}: both ends are the same joint")
     return first, second
-
-
-def _label(kind: str, joint: str, to: str | None) -> str:
-    """Return the label of a force at a joint, or between two joints."""
-    ends = plain(joint) if to is None else f"{plain(joint)}–{plain(to)}"
-    return f"{kind} {ends}"
 
 
 def _settle_polynomial(force: Any) -> None:

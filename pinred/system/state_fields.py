@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
+from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError
 
@@ -41,8 +42,8 @@ class StateField:
         name: Name of the field in State, in files and among the outputs of flows.
         unit: Unit of the entries; " | " separates the units of different entries.
         axis: The axis after time; None for a scalar at each time.
-        derivative: How flows express derivatives of the field: of its "entries", as the body
-            "twist" of a pose change, or not at all ("none").
+        derivative: How flows differentiate the field: by its "entries", as the body "twist" of a
+            change of pose, or not ("none").
         meaning: Name of the quantity, a phrase that starts a sentence.
         needs_base: Whether the field is missing if the scene leaves out the base.
     """
@@ -93,6 +94,7 @@ def _describe_fields(kind: _Kind) -> _Kind:
     return kind
 
 
+@checks_arguments
 @_describe_fields
 @dataclass(frozen=True)
 class ShapeState(FrozenArrays):
@@ -104,6 +106,7 @@ class ShapeState(FrozenArrays):
     energy: Array
 
 
+@checks_arguments
 @_describe_fields
 @dataclass(frozen=True)
 class State(FrozenArrays):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
+from ..common.argument_kinds import checks_arguments
 from ..common.signatures import shows_fields
 from ..simulation.trajectory import Trajectory
 from .playback.view_options import FILM_FPS, View, ViewOptions, as_view
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from .playback.server import Player
 
 
+@checks_arguments
 @shows_fields(View)
 def play(
     traj: Trajectory,
@@ -50,6 +52,7 @@ def play(
     return serve(traj, as_view(options, "play"), port=port, show=show, wait=wait)
 
 
+@checks_arguments
 @shows_fields(View)
 def save_html(traj: Trajectory, path: str | Path, **options: Unpack[ViewOptions]) -> int:
     """Write the playback as one self-contained HTML file.
@@ -74,6 +77,7 @@ def save_html(traj: Trajectory, path: str | Path, **options: Unpack[ViewOptions]
     return write(traj, path, as_view(options, "save_html"))
 
 
+@checks_arguments
 @shows_fields(View, fps=FILM_FPS)
 def save_film(
     traj: Trajectory,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -13,8 +11,7 @@ import pinred
 from pinred.analysis.equilibria import search
 from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
 from pinred.analysis.equilibria.equilibrium_problem import problem_of
-from pinred.analysis.equilibria.find import _one_family, equilibrium_at
-from pinred.analysis.equilibria.same_shape import Place
+from pinred.analysis.equilibria.find import equilibrium_at
 from pinred.analysis.stability import stability_verdict as verdict
 from pinred.analysis.stability.reduced_state import _casimir_gradients
 from pinred.analysis.stability.second_variation import (
@@ -48,26 +45,6 @@ def test_residual_limit_is_1e_9_of_energy(
     slope = search.residuals(energy(middle.moved(np.array([[1e-4, 0.0]])), 1.0))[0] / 1e-4
     beside = middle.moved(np.array([[factor * 1e-9 / slope, 0.0]]))
     assert len(search.critical_points(energy, beside, 1.0)[0]) == found
-
-
-@pytest.mark.parametrize(("factor", "same"), [(BEYOND, False), (WITHIN, True)])
-def test_same_shape_tolerance_is_1e_5_of_robot_size(factor: float, same: bool) -> None:
-    """Shapes agree within 1e-5 of the robot's size; odd values may change sign if reversible."""
-    one = Place(np.array([0.3, 0.7]), np.array([0.2]))
-    even = Place(one.even + np.array([0.0, factor * 1e-5]), one.odd)
-    odd = Place(one.even, -one.odd + factor * 1e-5)
-    assert one.same(even, reversible=False) == same
-    assert one.same(odd, reversible=True) == same
-    assert not one.same(odd, reversible=False)
-
-
-@pytest.mark.parametrize(("factor", "same"), [(BEYOND, False), (WITHIN, True)])
-def test_family_energies_agree_to_1e_8(factor: float, same: bool) -> None:
-    """Equilibria of one family have the same energy to 1e-8."""
-    (_, one) = pinred.relative_equilibria(body(1.0, 2.0, 2.0), momentum=1.0, starts=50)[:2]
-    energy = one.amended_potential * (1.0 + factor * 1e-8)
-    assert _one_family(one, replace(one, amended_potential=energy)) == same
-    assert not _one_family(one, replace(one, stability=replace(one.stability, index=3)))
 
 
 def test_prescribed_rate_is_steady_within_1e_12() -> None:

@@ -8,6 +8,7 @@ import pytest
 from assertions import close
 from link_poses import link_pose
 from strategies import make_case
+from textbook import DELTA, J2, M2, D, M
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
@@ -172,6 +173,21 @@ def test_flat_coordinates_need_zero_curvature() -> None:
     x = np.array([0.3, -0.4, 0.9])
     A = pinred.Reduction(board).local_connection(x)
     close(flat.coordinates(x)[2], A[2] @ x, 1e-13)
+
+
+def test_holonomy_of_flat_connections_around_circles() -> None:
+    """A flat connection is a product on a box only: a turn of a joint moves the base."""
+    beanie = pinred.flatness(pinred.Connection.mechanical(pinred.load("elroys_beanie")))
+    close(beanie.holonomy["beanie"], [-2.0 * np.pi / 3.0], 1e-14)
+    assert "a turn of beanie moves the base by [-2.094395]" in str(beanie)
+    # The coupled bodies turn at the constant twist (0, I2 m2 d, −I2 m)/Δ.
+    system = pinred.load("coupled_planar")
+    flat = pinred.flatness(pinred.Connection.mechanical(system), [[0.5, 0.9]])
+    twist = np.array([0.0, J2 * M2 * D, -J2 * M]) / DELTA
+    (pose,) = flat.holonomy.values()
+    error = system.group.error(pose, system.group.exp(2.0 * np.pi * twist))
+    assert max(error.rotation, error.translation) < 1e-13
+    assert not pinred.flatness(pinred.Connection.mechanical(pinred.load("three_rods"))).holonomy
 
 
 def test_flat_coordinates_are_fixed_in_space() -> None:

@@ -58,6 +58,35 @@ def test_gait_operations_match_definitions(gait: Gait) -> None:
     close(both.at(4.0 - t)[0], x)
 
 
+def test_winding_gait_operations_keep_turns() -> None:
+    """x(T) = x(0) + 2π n for series and lines, also of shifted, reversed and joined gaits."""
+    series = Gait.fourier([0.2, -0.1], [[0.8, 0.0]], [[0.0, 0.5]], period=2.0, turns=[2, -1])
+    lines = Gait.waypoints([[0.2, 0.1], [1.0, 3.0]], period=2.0, turns=[2, -1])
+    rise = 2.0 * np.pi * np.array([2.0, -1.0])
+    for gait in (series, lines):
+        for moved, factor in (
+            (gait, 1.0), (gait.shifted(0.3), 1.0), (gait.reversed(), -1.0), (gait.then(gait), 2.0),
+            (gait.lasting(5.0), 1.0), (gait.scaled(1.0), 1.0), (gait.then(gait.reversed()), 0.0),
+        ):  # fmt: skip
+            t = np.array([0.1, 0.7])
+            change = moved.at(t + moved.period)[0] - moved.at(t)[0]
+            close(change, [factor * rise] * 2, 1e-13)
+        close(gait.shifted(0.3).at(0.2)[0], gait.at(0.8)[0], 1e-13)
+        close(gait.reversed().at(0.2)[0], gait.at(1.8)[0] - rise, 1e-13)
+        x = gait.at(np.linspace(0.0, gait.period * (1.0 - 1e-15), 2001))[0]
+        close(gait.limits, np.stack([x.min(axis=0), x.max(axis=0)], axis=1), 1e-2)
+        for refused, words in (
+            (lambda g=gait: g.scaled(0.5), "expected 1 for joints that turn"),
+            (lambda g=gait: g.winding(), "do not turn"),
+            (lambda g=gait: g.signals(["a", "b"]), "gait: expected"),
+        ):
+            with pytest.raises(pinred.InputError, match=words):
+                refused()
+    for turns in ([0.5, 0.0], [1.0], [np.nan, 0.0], "ab"):
+        with pytest.raises(pinred.InputError, match="turns"):
+            Gait.waypoints([[0.2, 0.1]], turns=turns)
+
+
 @ALL
 def test_gait_limits_bound_all_samples(gait: Gait) -> None:
     """Finer samples approach the limits and never exceed them."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 import pytest
 from assertions import close
 from hypothesis import given, settings
@@ -18,15 +19,91 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.system.robot_file_contents import Contents, Coupling
 
 Gait = pinred.Gait
 CIRCLE = Gait.fourier([0.0, 0.0], [[1.0, 0.0]], [[0.0, 1.0]])
 TRIANGLE = [[-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]
 
 
+WINDING = [
+    Gait.waypoints([[0.3]], turns=[1]),
+    Gait.fourier([0.1], [[0.4]], [[0.2]], turns=1, period=2.0),
+    Gait.waypoints([[0.3], [-1.0], [2.0]], turns=[1]).shifted(0.4),
+    Gait.waypoints([[0.3]], turns=[-1]).reversed(),
+]
+
+
 def mechanical(name: str) -> pinred.Connection:
     """The mechanical connection of a bundled robot."""
     return pinred.Connection.mechanical(pinred.load(name))
+
+
+@pytest.mark.parametrize("gait", WINDING)
+def test_turn_of_propeller_rotates_elroys_beanie(gait: pinred.Gait) -> None:
+    """By −2π I2/(I1 + I2) for any gait that turns it once, although the connection is flat."""
+    A = mechanical("elroys_beanie")
+    turn = -2.0 * np.pi * I2 / (I1 + I2)
+    close(pinred.phase(A, gait).pose, [turn], 1e-14)
+    close(pinred.phase(A, gait.then(gait)).pose, [2.0 * turn], 3e-14)
+    close(pinred.phase(A, gait.reversed()).pose, [-turn], 1e-14)
+    mu, T = 0.7, gait.period
+    close(pinred.phase(A, gait, mu).pose, [turn + mu * T / (I1 + I2)], 1e-14)
+
+
+def test_phase_of_winding_gait_agrees_with_pinocchio() -> None:
+    """Two hinges of three rods turn in opposite senses and wobble; with momentum, too."""
+    system = pinred.load("three_rods")
+    A, mu = pinred.Connection.mechanical(system), np.array([0.3, -0.2, 0.4])
+    gait = Gait.fourier([0.2, 0.1], [[0.5, 0.0]], [[0.1, 0.4]], turns=[1, -1], period=1.5)
+    close(gait.at(1.5)[0] - gait.at(0.0)[0], [2.0 * np.pi, -2.0 * np.pi], 1e-14)
+    for moved in (gait, gait.shifted(0.3)):
+        for momentum in (np.zeros(3), mu):
+            error = A.group.error(
+                pinred.phase(A, moved, momentum).pose, by_pinocchio(system, moved, momentum)
+            )
+            assert error.rotation < 1e-10
+            assert error.translation < 1e-10
+
+
+def two_links(first: pin.JointModel, ratio: float) -> pinred.System:
+    """Return a planar chain on a turning base, whose last hinge follows the first joint."""
+    model = pin.Model()
+    model.gravity.setZero()
+    joint, place = 0, pin.SE3(np.eye(3), np.array([0.7, 0.0, 0.0]))
+    body = pin.Inertia(1.0, np.array([0.4, 0.1, 0.0]), 0.1 * np.eye(3))
+    for name, kind in (
+        ("base", pin.JointModelRZ()),
+        ("first", first),
+        ("last", pin.JointModelRZ()),
+    ):
+        joint = model.addJoint(joint, kind, place, name)
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+    contents = Contents(couplings=(Coupling("last", {"first": ratio}, 0.2),))
+    return pinred.System(model, "two_links", contents=contents)
+
+
+@pytest.mark.parametrize(
+    ("first", "ratio", "fine"),
+    [
+        (pin.JointModelRZ(), 2.0, True),
+        (pin.JointModelRZ(), 1.5, False),
+        (pin.JointModelPX(), 0.0, False),
+        (pin.JointModelPX(), 1.0, False),
+    ],
+)
+def test_only_turns_that_restore_the_robot_are_accepted(
+    first: pin.JointModel, ratio: float, fine: bool
+) -> None:
+    """Slides, and leaders of followers with a broken ratio, do not repeat after 2π."""
+    system = two_links(first, ratio)
+    A, gait = pinred.Connection.mechanical(system), Gait.waypoints([[0.2]], turns=[1])
+    if fine:
+        expected = by_pinocchio(system, gait, np.zeros(1))
+        close(pinred.phase(A, gait).pose, expected, 1e-10)
+        return
+    with pytest.raises(pinred.InputError, match=r"complete turn restores.* a turn of 'first'"):
+        pinred.phase(A, gait)
 
 
 def test_phase_of_elroys_beanie() -> None:

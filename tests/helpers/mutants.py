@@ -87,6 +87,9 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_tableaux.py", "integrators/test_rotation_tolerance.py",
         "integrators/test_step_control.py",
     ],
+    "integrators/gauss/fixed_points": [
+        "simulation/test_step_map.py", "simulation/test_flow_map.py",
+    ],
     "integrators/gauss/stage_sensitivities": [
         "simulation/test_step_map.py", "simulation/test_flow_map.py",
     ],
@@ -110,6 +113,7 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_tableaux.py", "integrators/test_steppers.py",
         "integrators/test_batches.py",
     ],
+    "integrators/stepping/replay": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
     "integrators/run_derivatives": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
     "integrators": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",

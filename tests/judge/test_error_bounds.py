@@ -7,12 +7,14 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.forces import Torque
 from pinred.judge import compare as judge
 from pinred.judge.compare import (
     compute_error_bounds,
@@ -177,6 +179,42 @@ def test_error_bound_is_sum_of_defects_times_growth(
     )  # the least unit is 1 rad
 
 
+@pytest.mark.parametrize(("kinked", "most"), [(1e-8, 1e-8), (1e-2, 3.0 * TOLERANCE)])
+def test_defects_at_kinks_do_not_loosen_the_bound(kinked: float, most: float) -> None:
+    """Each step with a kink is limited to the defect that passes; dense output does not count."""
+    knots = np.arange(101.0) / 100.0
+    traj: Any = SimpleNamespace(motion=SimpleNamespace(knots=knots))
+    smooth = np.arange(10) != 4
+    steps = np.where(smooth, 1e-12, kinked)
+    defects = Defects(steps, 7.0 * steps, smooth, 2.0 * steps, 9.0 * steps, 0.0)
+    times, size = np.array([0.0, 1.0]), Size(joints=np.ones(1), position=1.0, away=0.0)
+    bounds = compute_error_bounds(
+        traj, times, np.array([1.0, 5.0]), defects, np.zeros(2), size, TOLERANCE
+    )
+    # Ten of a hundred steps are evaluated, and one of the ten has a kink.
+    expected = 10.0 * 5.0 * (100 * 2e-12 + 10 * 2.0 * most + 9e-12 + 101e-15)
+    assert bounds.relative[1] == pytest.approx(expected, rel=1e-3)
+    assert bounds.relative[0] < 2e-12
+    assert bounds.total_defect == pytest.approx(100 * 1e-12 + 10 * most, rel=1e-6)
+
+
+def test_compare_fails_for_order_loss_at_kinks() -> None:
+    """AdaptiveGauss misses its tolerance a thousandfold across kinks of |v|; DOP853 does not."""
+    system = pinred.load("elroys_beanie")
+    damper = Torque(
+        lambda s: {"beanie": -0.05 * ca.fabs(s.xdot[0]) - 0.5 * (1.0 + ca.fabs(s.x[0])) * s.x[0]}
+    )
+    scene = pinred.Scene(system=system, seed=1, forces=damper, duration=2.0, rtol=1e-10, atol=5e-11)
+    good = pinred.simulate(scene, method="DOP853")
+    with pytest.warns(pinred.AccuracyWarning, match="loses its order"):
+        bad = pinred.simulate(scene, method="AdaptiveGauss")
+    assert good.run.notices == ()
+    assert "kink" in bad.run.notices[0]
+    assert np.abs(bad.x - good.x).max() > 1e3 * 1.5e-10
+    assert pinred.compare(good).passed, str(pinred.compare(good))
+    assert pinred.compare(bad).verdict is Verdict.FAILED
+
+
 def test_error_bound_includes_round_off_of_aba(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its rate times the duration times the growth is added."""
     report = compare_with_defects(monkeypatch, 0.0, 0.0, 7.0, blurred=1e-7)
@@ -263,7 +301,7 @@ def test_error_bound_without_defects_is_round_off() -> None:
     )
     assert bounds.distance.position == pytest.approx(3.0 * expected + 7e-11, rel=1e-9, abs=0.0)
     assert bounds.relative == pytest.approx(expected, rel=1e-9, abs=0.0)
-    assert bounds.mean_defect == 0.0
+    assert bounds.total_defect == 0.0
     assert count_informative_times(bounds.relative, growth) == 4
     assert explain_uninformative_times(times, 4, bounds.relative, growth) == ()
 

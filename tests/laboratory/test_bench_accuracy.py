@@ -29,7 +29,7 @@ from pinred.laboratory.bench import (
     Problem,
     Solver,
     WorkPrecision,
-    accuracy,
+    accuracy_in_folder,
     bench_accuracy,
     own_method,
     problems_named,
@@ -283,7 +283,7 @@ def test_interrupted_bench_resumes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Finished scenes are kept; ratios use times of one run."""
-    folder, real, asked = tmp_path / "out", accuracy.bench_problem, []
+    folder, real, asked = tmp_path / "out", accuracy_in_folder.bench_problem, []
 
     def dies_at_the_second(problem: Problem, methods: Any, *rest: Any, **more: Any) -> Any:
         asked.append((problem.name, [method.name for method in methods]))
@@ -291,7 +291,7 @@ def test_interrupted_bench_resumes(
             raise KeyboardInterrupt
         return real(problem, methods, *rest, **more)
 
-    monkeypatch.setattr(accuracy, "bench_problem", dies_at_the_second)
+    monkeypatch.setattr(accuracy_in_folder, "bench_problem", dies_at_the_second)
     command = ["bench", "accuracy", "--scenes", "coupled_planar,rigid_body", "--quick"]
     command += ["--methods", "pinred,aba-odeint", "--tolerances", "1e-4,1e-8"]
     command += ["--out", str(folder)]
@@ -303,7 +303,7 @@ def test_interrupted_bench_resumes(
     assert [name for name, _ in asked[2:]] == ["rigid_body"]
     assert f"coupled_planar is measured already, in run {first[0].run}" in capsys.readouterr().out
     command[command.index("pinred,aba-odeint")] = "aba-odeint,aba-lsoda"
-    monkeypatch.setattr(accuracy, "run_name", lambda: "later")
+    monkeypatch.setattr(accuracy_in_folder, "run_name", lambda: "later")
     assert main(command) == 0
     assert [names for _, names in asked[3:]] == [["pinred", "aba-lsoda"]] * 2
     result = read_record(folder / "accuracy.csv", asked_for)
@@ -326,7 +326,7 @@ def test_interrupted_bench_resumes(
         ratio = expected.ratio_at(row["method"], float(row["error"]))
         assert float(row["times_pinred"]) == ratio or np.isnan(ratio)
     assert main([*command[:-4], "--out", str(folder)]) == 2
-    assert "give another folder, or the same options" in capsys.readouterr().err
+    assert "choose another folder, or the same options" in capsys.readouterr().err
 
 
 def test_bench_accuracy_rejects_unknown_names(capsys: pytest.CaptureFixture[str]) -> None:

@@ -195,3 +195,107 @@ def test_cartpole_has_closed_form() -> None:
         bar(red.reduced_metric([x]), [[0.34 - np.cos(x) ** 2 / 12]])
         bar(red.potential([x]), -9.81 * 0.5 * np.cos(x))
         bar(red.potential_gradient([x]), [9.81 * 0.5 * np.sin(x)])
+
+
+def random_motion(system: pinred.System, seed: int) -> tuple[Array, Array, Array, Array]:
+    """Return shape, shape rate, twist, and the accelerations by ABA without torques."""
+    draws, model = np.random.default_rng(seed), system.model
+    x, xdot, xi = (
+        draws.normal(size=system.m),
+        draws.normal(size=system.m),
+        draws.normal(size=system.r),
+    )
+    q, v = system.q(system.group.identity(), x), system.v(xi, xdot)
+    a = pin.aba(model, model.createData(), q, v, np.zeros(system.n))
+    return x, xdot, xi, np.asarray(a)
+
+
+def test_momentum_equation_of_coupled_bodies_by_aba() -> None:
+    """Example 3.8: the terms with θ̇2 have the printed signs, the quadratic ones do not."""
+    system = pinred.load("coupled_planar")
+    _, (w,), xi, a = random_motion(system, 8)
+    A = np.array([0.0, -J2 * M2 * D / DELTA, J2 * M / DELTA])
+    u1, u2, u3 = xi + A * w
+    omegadot = a[:3] + A * a[3]
+    quadratic = np.array([u2 * u3 + M2 * D / M * u3**2, -u1 * u3, 0.0])
+    driven = w * np.array(
+        [-J2 * M / DELTA * u2 - J2 * M2 * D / DELTA * u3, J2 * M / DELTA * u1, 0.0]
+    )
+    bar(omegadot, quadratic + driven)
+    for wrong in (-quadratic + driven, quadratic - driven):
+        assert np.abs(omegadot - wrong)[:2].min() > 1e-2
+
+
+def test_coadjoint_term_of_both_forms_by_aba() -> None:
+    """−⟨μ, [Ω, A_α]⟩ is −⟨ad*_Ω μ, A_α⟩ on the right of both forms: ṗ and d/dt (M ẋ) by ABA."""
+    system = pinred.load("falling_cat")
+    red = pinred.Reduction(system)
+    x, xdot, xi, a = random_motion(system, 9)
+    at = red.at(x)
+    omega = red.locked_velocity(x, xdot, xi)
+    p, mu = at.reduced_metric @ xdot, at.locked_inertia @ omega
+    pdot = at.reduced_metric @ a[6:] + at.dM @ xdot @ xdot
+    size = np.abs(pdot).max()
+    for terms in (
+        hamilton_poincare(red, x, p, mu).shape, lagrange_poincare(red, x, xdot, omega).shape
+    ):  # fmt: skip
+        bar(terms.coadjoint, -at.local_connection.T @ system.group.coadjoint(omega, mu))
+        assert np.abs(pdot - terms.total).max() < 1e-12 * size
+        assert np.abs(pdot - (terms.total - 2.0 * terms.coadjoint)).max() > 1e-2 * size
+
+
+@pytest.mark.parametrize("name", ["elroys_beanie", "coupled_planar", "falling_cat"])
+def test_locked_inertia_is_top_left_of_mass_matrix(name: str) -> None:
+    """Example 2.7: I is top left and I A top right, by the kinetic energy of each motion."""
+    system = pinred.load(name)
+    red, model, r = pinred.Reduction(system), system.model, system.r
+    x, xdot, xi, _ = random_motion(system, 10)
+    H, q = red.mass_matrix(x), system.q(system.group.identity(), x)
+
+    def energy(twist: Array, rate: Array) -> float:
+        v = system.v(twist, rate)
+        return float(pin.computeKineticEnergy(model, model.createData(), q, v))
+
+    both, locked, inner = energy(xi, xdot), energy(xi, 0.0 * xdot), energy(0.0 * xi, xdot)
+    assert 0.5 * xi @ H[:r, :r] @ xi == pytest.approx(locked, rel=1e-12)
+    assert xi @ H[:r, r:] @ xdot == pytest.approx(both - locked - inner, rel=1e-10, abs=1e-12)
+    bar(H[:r, :r], red.locked_inertia(x))
+    bar(H[:r, r:], red.locked_inertia(x) @ red.local_connection(x))
+
+
+def test_basis_of_se2_has_zero_corner() -> None:
+    """e1, e2, e3 are derivatives of poses: their corner is 0, unlike that of a pose."""
+    group, step = pinred.lie.SE2, 1e-4
+    expected = np.zeros((3, 3, 3))
+    expected[0, 0, 2] = expected[1, 1, 2] = expected[2, 1, 0] = 1.0
+    expected[2, 0, 1] = -1.0
+    for e, matrix in zip(np.eye(3), expected, strict=True):
+        difference = group.matrix(group.exp(step * e)) - group.matrix(group.exp(-step * e))
+        np.testing.assert_allclose(difference / (2.0 * step), matrix, rtol=0.0, atol=1e-8)
+        assert group.matrix(group.exp(step * e))[2, 2] == 1.0
+
+
+def test_locked_inertia_in_space_of_coupled_bodies() -> None:
+    """𝕀33 = I1 + I2 + m2 d² + m (x² + y²) + 2 m2 d (x cos θ + y sin θ), by the energy of a turn."""
+    system = pinred.load("coupled_planar")
+    model, (px, py, turn) = system.model, (0.3, -0.8, 1.1)
+    found = pinred.Reduction(system).locked_inertia_in_space([px, py, turn], [0.4])[2, 2]
+    along = px * np.cos(turn) + py * np.sin(turn)
+    bar(found, J1 + J2 + M2 * D**2 + M * (px**2 + py**2) + 2.0 * M2 * D * along)
+    # A turn about the origin of space at 1 rad/s has twice the energy 𝕀33/2.
+    c, s = np.cos(turn), np.sin(turn)
+    v = system.v([c * -py + s * px, -s * -py + c * px, 1.0], [0.0])
+    q = system.q([px, py, turn], [0.4])
+    bar(2.0 * pin.computeKineticEnergy(model, model.createData(), q, v), found)
+
+
+def test_quotient_of_beanie_is_by_the_group() -> None:
+    """Q/SO(2) is the shape: energies at all angles of SO(2) agree, and 2π is the same point."""
+    system = pinred.load("elroys_beanie")
+    model, v = system.model, np.array([0.4, -0.9])
+    energies = [
+        pin.computeKineticEnergy(model, model.createData(), system.q([angle], [0.3]), v)
+        for angle in (0.0, 1.0, 2.0 * np.pi)
+    ]
+    bar(energies, [energies[0]] * 3)
+    bar(system.group.matrix(np.array([2.0 * np.pi])), system.group.matrix(np.zeros(1)))

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from coupled_trees import CoupledCase, coupled_cases, make_case
+from coupled_trees import CoupledCase, coupled_cases, coupling_map, make_case
 from hypothesis import given, settings
 
 import pinred
@@ -17,6 +17,7 @@ from pinred.reduction.tree.all_joints import joint_values
 from pinred.reduction.tree.articulated_sweep import sweep
 from pinred.reduction.tree.body_frames import bodies_of
 from pinred.reduction.tree.momenta import momenta
+from pinred.system.robot_file_contents import Contents, Coupling
 
 
 @settings(max_examples=60)
@@ -86,10 +87,28 @@ def swept(system: pinred.System, y: Array, p: Array) -> tuple[Array, Array]:
 @given(coupled_cases())
 def test_sweep_with_prescribed_rate_computes_its_momentum(case: CoupledCase) -> None:
     """The momentum of a prescribed coordinate sums over all its joints."""
+    driven = [k for k in range(case.system.m) if case.rng.random() < 0.5]
+    check_prescribed(case, driven)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sweep_with_one_of_two_leaders_prescribed(seed: int) -> None:
+    """A joint with armature follows a prescribed and a free leader."""
+    case = make_case("SE3", 5, seed)
+    joints = [str(name) for name in case.system.model.names[2:]]
+    case.system.model.armature = np.append(np.zeros(6), 0.3 + 0.1 * np.arange(5.0))
+    free = joints[:4]
+    ratios = {free[0]: 0.7, free[2]: -1.3}
+    contents = Contents(couplings=(Coupling(joints[4], ratios, 0.2),))
+    system = pinred.System(case.system.model, "two leaders", contents=contents)
+    check_prescribed(CoupledCase(system, *coupling_map(system), case.rng), [0])
+
+
+def check_prescribed(case: CoupledCase, driven: list[int]) -> None:
+    """Compare rates and momenta of the sweep with H v if some rates are prescribed."""
     system, r, m = case.system, case.system.r, case.system.m
     y, v = case.rng.uniform(-2.0, 2.0, m), case.rng.normal(size=system.n)
     p = case.mass_matrix(y) @ v
-    driven = [k for k in range(m) if case.rng.random() < 0.5]
     symbols = ca.SX.sym("s", m)
     found = sweep(
         bodies_of(system), joint_values(system, ca.vertsplit(symbols)), p[r:].tolist(),

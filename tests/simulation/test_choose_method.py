@@ -147,6 +147,17 @@ def test_piecewise_functions_are_detected(force: Any) -> None:
     assert "kinks" not in plan_of(scene(system, forces=[smooth])).choice.why
 
 
+@pytest.mark.parametrize("method", ["Gauss(0.01)", "AdaptiveGauss", "DOP853", "Radau"])
+@pytest.mark.parametrize("kinks", [True, False])
+def test_gauss_methods_warn_of_kinks(method: str, kinks: bool) -> None:
+    """Their errors at kinks are not controlled; conditions on time are stops instead."""
+    system = pinred.load("falling_cat")
+    joint = system.shape_names[0]
+    torque = Torque(lambda s: {joint: -0.1 * ca.fabs(s.xdot[0] if kinks else s.t - 0.3)})
+    plan = plan_of(scene(system, forces=[torque], method=method))
+    assert bool(plan.notices) == (kinks and "Gauss" in method)
+
+
 def test_explain_prints_method_and_reason(capsys: pytest.CaptureFixture[str]) -> None:
     """explain= prints the method with its reason; the run states the same method."""
     traj = pinred.simulate(pinred.load("planar_chain5"), seed=1, times=[0.5], explain=True)

@@ -68,16 +68,15 @@ def test_tangent_agrees_with_differences_at_frozen_steps(name: str, method: str)
     """Differences of integrations with the same steps give the same derivatives."""
     flow = flow_of(name, method=method, times=[0.0, 0.1, 0.37, 0.5])
     (solution,) = flow.run({}).solutions
-    propagator, kernel = flow.propagator, flow.propagator.kernel
-    rng = np.random.default_rng(1)
+    propagator, rng = flow.propagator, np.random.default_rng(1)
     y, p = solution.states[0], solution.params
     along, along_p = rng.normal(size=(len(y), 1)), rng.normal(size=(len(p), 1))
     knots = solution.knots
 
     def end(s: float, v: Any, w: Any) -> Any:
         return run_along(
-            propagator.method, propagator.address, propagator.slopes, p + s * along_p[:, 0],
-            y + s * along[:, 0], knots, solution.times, kernel.layout.quaternion, v, w,
+            propagator.method, propagator.field, p + s * along_p[:, 0], y + s * along[:, 0],
+            knots, solution.times, v, w,
         )  # fmt: skip
 
     found = end(0.0, along, along_p)
@@ -114,8 +113,8 @@ def test_jacobian_agrees_with_variational_equations() -> None:
     )
     propagator = flow.propagator
     found = run_along(
-        propagator.method, propagator.address, propagator.slopes, p, y, solution.knots,
-        solution.times, propagator.kernel.layout.quaternion, np.eye(n), np.zeros((len(p), n)),
+        propagator.method, propagator.field, p, y, solution.knots, solution.times, np.eye(n),
+        np.zeros((len(p), n)),
     )  # fmt: skip
     assert np.abs(found.end_slopes - exact).max() < 1e-8 * np.abs(exact).max()
 
@@ -351,9 +350,8 @@ def test_vjp_agrees_with_cvodes(name: str, duration: float) -> None:
     (solution,) = flow.run({}).solutions
     y, p, propagator = solution.states[0].copy(), solution.params, flow.propagator
     stretch = run_along(
-        propagator.method, propagator.address, propagator.slopes, p, y, solution.knots,
-        solution.times, propagator.kernel.layout.quaternion, np.eye(len(y)),
-        np.zeros((len(p), len(y))),
+        propagator.method, propagator.field, p, y, solution.knots, solution.times,
+        np.eye(len(y)), np.zeros((len(p), len(y))),
     ).end_slopes  # fmt: skip
     assert np.linalg.norm(stretch, 2) < 1e3
     found = beside_cvodes(flow, 1e-9, timed=False)

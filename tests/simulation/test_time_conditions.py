@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,11 +12,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import pinred
-from pinred import InputError, Parameter
+from pinred import Gauss, InputError, Parameter
 from pinred.forces import Torque
 from pinred.forces.switch_times import SwitchTimes
 from pinred.judge.reference_solution import FullState
 from pinred.signals import Hold
+from pinred.simulation.compiled import through_stops as through_stops_module
 
 START, WIDTH, SIZE = Parameter("start", 0.4), Parameter("width", 0.1), Parameter("size", 0.2)
 TIMES = np.array([0.0, 0.35, 1.0])
@@ -102,6 +104,38 @@ def test_written_force_in_short_steps_agrees(name: str, engine: Any) -> None:
     assert np.abs(traj.x[-1] - expected).max() < 1e-10
 
 
+@pytest.mark.parametrize(
+    "method",
+    ["DOP853", *(pytest.param(m, marks=pytest.mark.slow) for m in ("AdaptiveGauss", "Radau"))],
+)
+def test_run_through_all_stops_equals_its_segments(
+    method: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The compiled loop over 100 spans takes the steps that one call for each span takes."""
+    period = Parameter("period", 0.02)
+    waves = Torque(lambda s: {"bend": 0.1 * ca.if_else(ca.fmod(s.t, period) < 0.4 * period, 1, -1)})
+    options = scene(waves, method=method, rtol=1e-6, xi0=[0.0, 0.0, 0.0, 0.3, -0.2, 0.5])
+    through = pinred.simulate(options)
+    with monkeypatch.context() as patch:
+        patch.setattr(through_stops_module, "through_stops", lambda *_: None)
+        one_by_one = pinred.simulate(options)
+    assert len(through.plan.stops) == 100
+    assert isinstance(through.motion.segments, through_stops_module.PartSegments)
+    assert through.run.evaluations == one_by_one.run.evaluations
+    np.testing.assert_array_equal(through.motion.knots, one_by_one.motion.knots)
+    times = np.linspace(0.0, 1.0, 73)
+    for name in ("x", "xdot", "pose"):
+        first, second = (getattr(traj(times), name) for traj in (through, one_by_one))
+        assert np.abs(first - second).max() < 1e-13
+
+
+def test_failure_in_a_span_names_its_time() -> None:
+    """A run through all stops that fails reports the time and the shape, as any other."""
+    blowing = Torque(lambda s: {"bend": ca.if_else(s.t > 0.3, 1e3 * s.xdot["bend"] ** 3, 0.0)})
+    with pytest.raises(pinred.IntegrationError, match=r"t = 0\.3\d* s"):
+        pinred.simulate(scene(blowing))
+
+
 def test_engines_agree_on_a_short_pulse() -> None:
     """Both engines stop where the pulse begins and ends."""
     values = {"start": 0.613, "width": 2e-3, "size": 0.5}
@@ -165,19 +199,34 @@ def test_flow_by_coinciding_switches_is_refused() -> None:
     assert np.isfinite(flow.jacobian(start=0.5)["start"]).all()
 
 
-def test_members_have_switches_of_their_own() -> None:
-    """Each member of a batch stops at its own switches, in SIMD lanes and in flows of columns."""
+@pytest.mark.parametrize("method", ["DOP853", Gauss(0.01)])
+def test_members_have_switches_of_their_own(method: Any) -> None:
+    """Each member of a batch stops at its own switches, as it does alone; some have fewer."""
     rng = np.random.default_rng(1)
     starts, widths = rng.uniform(0.05, 0.8, 12), rng.uniform(1e-3, 0.1, 12)
-    options = scene(PULSE)
+    starts[3], starts[7] = 2.0, 0.95  # no switch, and only one of two
+    options = scene(PULSE, method=method)
     batch = pinred.simulate_many(options, members={"start": starts, "width": widths})
     assert not batch.failures
-    flow = pinred.flow(scene(PULSE, times=[1.0]), wrt=("start", "width"))
+    scenes = []
     for k in range(12):
         values = {"start": float(starts[k]), "width": float(widths[k])}
-        one = pinred.simulate(scene(PULSE, parameters=values))
+        scenes.append(replace(options, parameters=values))
+        one = pinred.simulate(scenes[-1])
         assert np.abs(batch.x[k] - one.x).max() < 1e-8
-        assert np.abs(flow(**values).x - one.x[-1]).max() < 1e-8
+    listed = pinred.simulate_many(scenes)
+    assert np.abs(listed.x - batch.x).max() < 1e-12
+
+
+def test_flows_of_members_stop_at_their_own_switches() -> None:
+    """Columns of inputs of a flow give the states that single calls give."""
+    rng = np.random.default_rng(2)
+    starts = rng.uniform(0.05, 0.8, 5)
+    flow = pinred.flow(scene(PULSE), wrt=("start", "width"), of=("x",))
+    many = flow.columns().values(starts[:, None], np.full((5, 1), 0.1))
+    for k in range(5):
+        one = flow(start=float(starts[k])).x
+        assert np.abs(many[k].reshape(one.shape) - one).max() < 1e-8
 
 
 def test_step_map_checks_the_switches_of_its_own_parameters() -> None:

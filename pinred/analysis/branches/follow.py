@@ -8,32 +8,35 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, whole
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
 from ...system.system import System, checked_system
 from ..equilibria.amended_energy import AmendedEnergy, Points
+from ..equilibria.distinct_points import DistinctPoints
 from ..equilibria.equilibrium_problem import Problem, problem_of
-from ..equilibria.find import equilibrium_at, search_points
+from ..equilibria.find import ROUNDS, Search, equilibrium_at
 from ..equilibria.relative_equilibrium import RelativeEquilibrium
-from ..equilibria.same_shape import place_of
 from ..equilibria.search import critical_points
 from ..stability.second_variation import second_variation
 from .bifurcations import Bifurcation, bifurcations_between, extended_residual
 from .curve import Curve, CurvePoint
 
-STEP = 0.05  # rad, longest step along a curve
-_SHORTEST = 1e-6  # rad, shortest step along a curve
+STEP = 0.05  # longest step along a curve [rad]
+_SHORTEST = 1e-6  # shortest step along a curve [rad]
 _BEND = 0.98  # least cosine of the angle between successive tangents
 _MAX_STEPS = 4000  # largest number of steps of one curve
 _MAX_CURVES = 200
 _UNIT = 0.3  # fraction of the range of momenta that counts as 1 rad
-_SWITCH = 0.02  # rad, first step on a branching curve
+_SWITCH = 0.02  # first step on a branching curve [rad]
 _STARTS = 300  # number of starting points of each search
-_ROUND_OFF = 1e-12  # rad | m; smaller values are printed as zero
+_SAME = 1e-5  # largest distance of equal points of a branch [rad | m]
+_ROUND_OFF = 1e-12  # values below this bound are printed as zero [rad | m]
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class BranchPoint(FrozenArrays):
     """A relative equilibrium on a branch. Arrays are read-only.
@@ -71,6 +74,7 @@ class BranchPoint(FrozenArrays):
         )
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Branches:
     """Branches of relative equilibria over a range of momenta.
@@ -79,7 +83,7 @@ class Branches:
         system: The system.
         momentum: Range of momenta (low, high) [N s | N m s].
         points: Points of all branches, one branch after the other.
-        folds: Points where a branch turns back in momentum. Their residual includes the distance to
+        folds: Points where a branch reverses in momentum. Their residual includes the distance to
             the solution of the extended system, relative to the range of momenta.
         pitchforks: Points where a symmetric pair of branches begins.
         crossings: Points where two branches cross without symmetry.
@@ -134,6 +138,7 @@ class Branches:
         return "\n".join(lines)
 
 
+@checks_arguments
 def branches(
     system: System,
     *,
@@ -186,7 +191,7 @@ def branches(
     follower = _Follower(problem, low, high, step)
     levels = (low, 0.5 * (low + high), high)
     for J in levels:
-        points, _, _ = search_points(problem, J, starts, seed)
+        points = Search(problem, J, starts, seed, limit=ROUNDS * starts).points()
         for k in range(len(points)):
             follower.add(points[k : k + 1], J)
     follower.follow_all()
@@ -200,6 +205,7 @@ class _Follower:
         self._problem, self._low, self._high, self._step = problem, low, high, step
         self._energy = AmendedEnergy(problem)
         self._curve = Curve(self._energy, _UNIT * (high - low))
+        self._distinct = DistinctPoints(self._energy, high)
         self._starts: list[tuple[Points, float, Array | None]] = []
         self._curves: list[list[CurvePoint]] = []
         self._bifurcations: list[tuple[int, Bifurcation]] = []
@@ -338,13 +344,18 @@ class _Follower:
     def _is_on_curve(self, point: Points, J: float) -> bool:
         """Return whether a computed curve contains a critical point."""
         max_distance = 2.0 * self._step
+        is_family = second_variation(self._energy, point, J).dimension > 0
         for curve in self._curves:
             momenta = np.array([at.J for at in curve])
             for a in np.flatnonzero((momenta[:-1] - J) * (momenta[1:] - J) <= 0.0).tolist():
                 for at in (curve[a], curve[a + 1]):
                     guess, _ = critical_points(self._energy, at.points, J)
                     distance = np.linalg.norm(guess.x - at.x) if len(guess) else np.inf
-                    if distance <= max_distance and self._is_same(guess, point):
+                    if distance > max_distance:
+                        continue
+                    if self._is_same(guess, point) or (
+                        is_family and self._distinct.is_same_family(guess, point, J)
+                    ):
                         return True
             ends = [at for at in (curve[0], curve[-1]) if abs(at.J - J) <= 1e-9 * self._curve.unit]
             if any(self._is_same(at.points, point) for at in ends):
@@ -352,9 +363,8 @@ class _Follower:
         return False
 
     def _is_same(self, a: Points, b: Points) -> bool:
-        """Return whether two points are the same equilibrium, up to symmetry."""
-        places = [place_of(self._problem, self._problem.shapes(p.x)[0], p.n[0]) for p in (a, b)]
-        return places[0].same(places[1], reversible=self._problem.reversible)
+        """Return whether two points are the same equilibrium, perhaps after a covering."""
+        return self._distinct.is_same(a, b, _SAME)
 
     def _is_close(self, first: CurvePoint, there: CurvePoint, h: float) -> bool:
         difference = np.concatenate([there.x - first.x, there.n - first.n])

@@ -1,4 +1,4 @@
-"""Connection: the linear map from shape rates to the body twist, whatever the physics behind it."""
+"""Connection: the linear map from shape rates to the body twist, from any kind of physics."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector, vectors
 from ...common.errors import InputError, SingularInertiaError, SymmetryError
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures
@@ -22,10 +23,11 @@ from .mechanical_connection import mechanical_code
 from .other_frames import from_link, in_section
 from .wheels import Rolling, Wheel, kinematic_form
 
-_LEAST_SYMMETRIC = 16.0 * np.finfo(float).eps  # least health of P_b if the form is symmetric
-_LEAST_OTHER = 1e-9  # least health of P_b otherwise
+# Least health of P_b, by whether the form is symmetric.
+_LEAST_HEALTH = {True: 16.0 * np.finfo(float).eps, False: 1e-9}
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class ConnectionField:
     """A connection at many shapes, with the leading axes of x first in every array.
@@ -86,6 +88,7 @@ class ConnectionField:
         return read_only(array.reshape(*self.x.shape[:-1], *array.shape[1:]))
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Connection:
     """A local connection on G × B: horizontal motion is ξ = −A(x) ẋ.
@@ -140,7 +143,7 @@ class Connection:
             drag: {link: Rod or tensor}.  A tensor (6, 6) is symmetric and maps the link's twist to
                 the drag force and moment [N s/m, N s, N m s], in the link's frame about its origin.
         Returns:
-            The connection.  Its metric gives the dissipated power ẋᵀ M ẋ [W].
+            The connection.  Its metric defines the dissipated power ẋᵀ M ẋ [W].
         """
         return replace(cls.of(viscous_form(system, drag)), system=system)
 
@@ -152,7 +155,7 @@ class Connection:
 
         Args:
             system: The system.
-            density: Density of the fluid [kg/m³], or [kg/m²] per metre of height with an Ellipse.
+            density: Density of the fluid [kg/m³]; for Ellipses, mass per area of the plane [kg/m²].
             bodies: {link: Ellipsoid, Ellipse or tensor}.  A tensor (6, 6) is symmetric and is the
                 added inertia per density in the link's frame.
         Returns:
@@ -361,9 +364,8 @@ class Connection:
         Raises:
             SingularInertiaError: P_b is singular; the message names the first shape.
         """
-        least = _LEAST_SYMMETRIC if self.form.symmetric else _LEAST_OTHER
         size = health if self.form.symmetric else np.abs(health)
-        singular = ~(size > least)
+        singular = ~(size > _LEAST_HEALTH[self.form.symmetric])
         if singular.any():
             shape = x[int(np.argmax(singular))]
             raise SingularInertiaError(
@@ -393,7 +395,6 @@ class Connection:
 
 
 def _require_metric(form: ConnectionForm, M: Array | None) -> Array:
-    """Return the metric M.  Raises InputError if there is none."""
     if M is None:
         raise InputError(f"{form.what} define no metric on shape space")
     return M

@@ -1,4 +1,4 @@
-"""The connections of a robot in a viscous or a perfect fluid.
+"""Connections of a robot in a viscous or a perfect fluid.
 
 In a viscous fluid, at low Reynolds number, the total drag on the robot vanishes. In a perfect
 fluid, the momentum of robot and fluid vanishes.
@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, positive, vector
 from ...common.errors import InputError
 from ...kernels.connection.connection_form import ConnectionForm, form_of
@@ -23,6 +24,7 @@ from ...system.system import System, checked_system
 from .links import summed, tensors_by_body
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Rod:
     """A slender rod in a viscous fluid, modelled with resistive-force theory.
@@ -32,8 +34,8 @@ class Rod:
 
     Attributes:
         length: Length L [m].
-        across: Drag coefficient c_n per length [N s/m²].
-        along: Drag coefficient c_t per length [N s/m²].
+        across: Drag coefficient c_n normal to the rod, per length [N s/m²].
+        along: Drag coefficient c_t along the rod, per length [N s/m²].
         centre: Centre in its link's frame, (3,) [m].
         axis: Direction of the rod in its link's frame, (3,).
         tensor: Drag tensor, (6, 6), in its link's frame about the origin.
@@ -48,31 +50,42 @@ class Rod:
 
     def __post_init__(self) -> None:
         L, c_n, c_t = (
-            positive(getattr(self, name), name) for name in ("length", "across", "along")
+            np.float64(positive(getattr(self, name), name))
+            for name in ("length", "across", "along")
         )
-        rotation = c_n * L**3 / 12.0
-        about_centre = np.diag([c_t * L, c_n * L, c_n * L, 0.0, rotation, rotation])
-        object.__setattr__(self, "tensor", in_link_frame(about_centre, self.centre, self.axis))
+        with np.errstate(all="ignore"):
+            rotation = c_n * L**3 / 12.0
+            about_centre = np.diag([c_t * L, c_n * L, c_n * L, 0.0, rotation, rotation])
+        tensor = in_link_frame(about_centre, self.centre, self.axis, "length, across, along")
+        object.__setattr__(self, "tensor", tensor)
 
 
-def in_link_frame(tensor: Array, centre: ArrayLike, axis: ArrayLike) -> Array:
+def in_link_frame(tensor: Array, centre: ArrayLike, axis: ArrayLike, sizes: str) -> Array:
     """Transform the tensor of a body to its link's frame.
 
     Args:
         tensor: Tensor about the body's centre, with x along its axis, (6, 6).
         centre: Centre in the link's frame, (3,) [m].
         axis: Direction of the body's axis in the link's frame, (3,).
+        sizes: Names of the arguments that determine the tensor, for messages.
     Returns:
         (6, 6), about the origin of the link's frame.
     Raises:
-        InputError: The axis is zero.
+        InputError: The axis is zero, or the tensor is not finite.
     """
     d, c = vector(axis, 3, "axis"), vector(centre, 3, "centre")
     if not np.linalg.norm(d) > 0.0:
-        raise InputError(f"axis must have a direction, got {d}")
+        raise InputError(f"axis must be a nonzero vector, got {d}")
     turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), d / np.linalg.norm(d))
     X = pin.SE3(turn.toRotationMatrix(), c).inverse().toActionMatrix()
-    return np.asarray(X.T @ tensor @ X)
+    with np.errstate(all="ignore"):
+        moved = np.asarray(X.T @ tensor @ X)
+    if not np.isfinite(moved).all():
+        raise InputError(
+            f"{sizes}: expected values whose tensor is finite, got one with {tensor.max():g}. "
+            "Use other units"
+        )
+    return moved
 
 
 def viscous_form(system: System, drag: Mapping[str, Rod | ArrayLike]) -> ConnectionForm:
@@ -120,6 +133,7 @@ def tensor_form(system: System, tensors: list[Array], what: str, *, rotors: bool
     )  # fmt: skip
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Ellipsoid:
     """An ellipsoid in a perfect fluid, with the formulas of Lamb, Hydrodynamics, §114 and §373.
@@ -144,10 +158,13 @@ class Ellipsoid:
         axes = vector(self.semi_axes, 3, "semi_axes", ("a", "b", "c"))
         if not (axes > 0.0).all():
             raise InputError(f"semi_axes must be above zero, got {axes}")
-        about_centre = np.diag(np.concatenate(added_masses(axes)))
-        object.__setattr__(self, "tensor", in_link_frame(about_centre, self.centre, self.axis))
+        with np.errstate(all="ignore"):
+            about_centre = np.diag(np.concatenate(added_masses(axes)))
+        tensor = in_link_frame(about_centre, self.centre, self.axis, "semi_axes")
+        object.__setattr__(self, "tensor", tensor)
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Ellipse:
     """An elliptic cylinder across the plane of a planar robot, per metre of its height.
@@ -172,13 +189,15 @@ class Ellipse:
     tensor: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        a, b = positive(self.a, "a"), positive(self.b, "b")
+        a, b = (np.float64(positive(getattr(self, name), name)) for name in "ab")
         factors = {"textbook": np.pi / 8.0, "sysplotter": 1.0}
         if self.convention not in factors:
             raise InputError(f"convention must be {' or '.join(factors)}, got {self.convention!r}")
-        moment = factors[self.convention] * (a**2 - b**2) ** 2
-        about_centre = np.diag([np.pi * b**2, np.pi * a**2, 0.0, 0.0, 0.0, moment])
-        object.__setattr__(self, "tensor", in_link_frame(about_centre, self.centre, self.axis))
+        with np.errstate(all="ignore"):
+            moment = factors[self.convention] * (a**2 - b**2) ** 2
+            about_centre = np.diag([np.pi * b**2, np.pi * a**2, 0.0, 0.0, 0.0, moment])
+        tensor = in_link_frame(about_centre, self.centre, self.axis, "a, b")
+        object.__setattr__(self, "tensor", tensor)
 
 
 def added_masses(semi_axes: Array) -> tuple[Array, Array]:

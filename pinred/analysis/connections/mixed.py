@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector
 from ...common.errors import InputError
 from ...kernels.connection.connection_form import form_of, health
@@ -34,6 +35,7 @@ from .wheels import Rolling, Slip, Wheel, slip_matrix, slip_rows, slips_of
 _NAME = "mixed"
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class MixedConnection:
     """The connection and the momentum equation of a robot with k < r wheels.
@@ -62,7 +64,7 @@ class MixedConnection:
         Args:
             x: Shape, (m,) [rad | m].
         Returns:
-            (r, m).  Raises SingularInertiaError if two wheels constrain the same motion there.
+            (r, m).  Raises SingularInertiaError if two wheels constrain the same motion at x.
         """
         return self.connection.local(x)
 
@@ -78,7 +80,7 @@ class MixedConnection:
         return read_only(np.asarray(np.linalg.inv(P)[:, len(self.slips) :]))
 
     def free_motions(self, x: ArrayLike) -> Array:
-        """Compute S(x), the body twists that the wheels allow with frozen joints.
+        """Compute S(x), the body twists that the wheels allow with locked joints.
 
         Args:
             x: Shape, (m,) [rad | m].
@@ -186,6 +188,7 @@ class MixedConnection:
         return health(self.connection.form, ca.reshape(self.connection.form.locked(x), r, r))
 
 
+@checks_arguments
 def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> MixedConnection:
     """Return the mixed connection of a robot with fewer wheels than the group has dimensions.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive, vector, vector_or_zero
 from ...common.errors import IntegrationError, SingularInertiaError
 from ...kernels.evaluate import evaluate
@@ -19,6 +20,7 @@ _LEAST_HEALTH = 1e-3  # least admissible health of P_b; ±1 is best
 _SHAPES = 4096  # number of shapes of a path at which P_b is checked
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class MixedMotion(FrozenArrays):
     """A motion on wheels; the first axis of every array is time.
@@ -40,6 +42,7 @@ class MixedMotion(FrozenArrays):
     energy: Array
 
 
+@checks_arguments
 def simulate_mixed(
     mixed: MixedConnection,
     x0: ArrayLike,
@@ -82,11 +85,12 @@ def simulate_mixed(
 
     y, dense = _integrate(rate, np.concatenate([*initial, system.group.identity()]), t)
     fine = np.linspace(t[0], t[-1], _SHAPES)
-    # A step may have jumped over a singular shape, so check the path between the steps too.
+    # A step may skip a singular shape, so check the path inside steps, too.
     _require_regular_path(mixed, np.asarray(dense(fine)).T[:, :m])
     return _motion(mixed, t, y[:, :m], y[:, m : 2 * m], y[:, 2 * m : 2 * m + k], y[:, 2 * m + k :])
 
 
+@checks_arguments
 def follow_mixed(
     mixed: MixedConnection, gait: Gait, p0: ArrayLike = 0, *, times: ArrayLike
 ) -> MixedMotion:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, read_only, vector
 from ...common.errors import SymmetryError
 from ...integrators.stepping.compiling import compiled
@@ -24,6 +25,7 @@ from .mechanical_connection import centres_of_mass, mechanical_code
 _SUSPICIOUS = 16.0
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class ShapeField(FrozenArrays):
     """The reduction at many shapes, with the leading axes of x first in every array.

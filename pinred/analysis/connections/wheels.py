@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, positive, vector
 from ...common.errors import InputError
 from ...common.names import joint_index
@@ -21,6 +22,7 @@ from ...system.system import System, checked_system
 from .links import Link, link_jacobian, link_named
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Wheel:
     """A wheel, or a pair of wheels on one axle, that does not slip along the axle.
@@ -36,6 +38,7 @@ class Wheel:
     axle: ArrayLike = (0.0, 1.0, 0.0)
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Rolling:
     """A wheel that rolls without slipping: its centre moves at radius times its joint's rate.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -18,7 +19,7 @@ from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...forces.force import Force
-from ...forces.force_model import ForceModel
+from ...forces.force_model import ForceModel, touched_by
 from ...forces.signals import Signal
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.pointwise_reduction import PointwiseReduction
@@ -29,7 +30,7 @@ from ...system.system import System
 
 Kind: TypeAlias = Literal["axis", "free", "heavy"]
 _STEADY = 1e-12  # relative change below which the rate of a prescribed joint is constant
-_TIMES = (0.0, 0.37, 1.0)  # s, times at which prescribed joints are checked
+_TIMES = (0.0, 0.37, 1.0)  # times at which prescribed joints are checked [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +93,18 @@ class Problem(FrozenArrays):
         """Whether reversing the direction gives the same motion backwards in time."""
         moving = self.cyclic_momenta.any() or self.driven_rate.any()
         return self.kind == "free" and not moving
+
+    @cached_property
+    def turning(self) -> frozenset[int]:
+        """Joints of which a full turn restores all body poses and forces."""
+        system = self.system
+        touched = touched_by(self.forces)
+        angles = {k for k in self.active if system.units[k] == "rad" and k not in touched}
+        if system.coupled is None:
+            return frozenset(angles)
+        ratios = system.coupled.G
+        is_whole = (ratios == np.round(ratios)).all(axis=0)
+        return frozenset(k for k in angles if is_whole[k])
 
     def shapes(self, active: Array) -> Array:
         """Return shapes (N, m) for active joints (N, ma), with cyclic joints at zero."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, whole
 from ...common.errors import InputError
 from ...forces.force import Force
@@ -18,24 +19,29 @@ from ..stability.linearisation import linearised
 from ..stability.second_variation import second_variation
 from ..stability.stability_verdict import Stability, assess_stability
 from .amended_energy import AmendedEnergy, Energies, Points
+from .census import Census
+from .distinct_points import FLAT, DistinctPoints
 from .equilibrium_problem import Problem, finite, problem_of
+from .morse_sum import euler_characteristic, morse_sum
 from .relative_equilibrium import Equilibria, RelativeEquilibrium, pose_of
-from .same_shape import Place, place_of
+from .saddle_walks import walk, walks_from
 from .search import critical_points, minima, polished, residuals, starting_points
 
-MANY_JOINTS = 6  # number of active joints from which only the minimum is guaranteed
-_STARTS = {True: 100, False: 1000}  # number of starts: {whether there are many joints: starts}
+MANY_JOINTS = 6  # number of active joints from which fewer starts are the default
+_STARTS = {True: 200, False: 300}  # number of random starts, with many and with few joints
+ROUNDS = 10  # largest number of all starts, relative to the random starts of one round
+_BATCH = 64  # number of equilibria from which walks run together
 _MINIMISATIONS = 24  # number of starts from which the energy is also minimised
-_ROUND_OFF = 1e-14  # angles [rad] and direction components below this are set to zero
-_SAME_ENERGY = 1e-8  # largest relative difference of energies within one family
 
 
+@checks_arguments
 def relative_equilibria(
     system: System,
     *,
     momentum: float,
     cyclic: Mapping[str, float] | None = None,
     starts: int | None = None,
+    limit: int | None = None,
     seed: int = 0,
     springs: Mapping[str, tuple[float, float]] | None = None,
     forces: Sequence[Force] | Force = (),
@@ -45,8 +51,9 @@ def relative_equilibria(
     """Search the relative equilibria at a momentum, sorted by amended potential.
 
     Shapes that differ only in their coordinates count once, and so does a family of equilibria. The
-    search starts from random and symmetric points and can miss equilibria. With six or more moving
-    joints, only the minimum and the residuals are guaranteed.
+    search starts from random and symmetric points. From each equilibrium, walks lead to those of
+    the next lower and higher index. Rounds with new starts follow until the Morse sum agrees with
+    the Euler characteristic of the shape space. Equilibria can still be missing: see `Census`.
 
     Args:
         system: The system.
@@ -54,14 +61,16 @@ def relative_equilibria(
             ℝ × SE(2)); about the upward vertical where gravity rotates a pivoted base. The linear
             momentum is zero in the frame of the centre of mass.
         cyclic: Momenta π of cyclic joints by name; others are zero.
-        starts: Number of starts of Newton's method; 1000, or 100 with six or more moving joints.
+        starts: Number of random starts of Newton's method in each round; 300, or 200 with six or
+            more moving joints.
+        limit: Largest number of starts in all, walks included; ten times `starts`.
         seed: Seed of the starts.
         springs: Springs, as in Scene.
         forces: Forces with a potential.
         prescribed: Joints with a constant value, or cyclic joints with a constant rate.
         passive: Whether the springs in the robot's file act.
     Returns:
-        The equilibria, with the number of starts and of converged starts.
+        The equilibria, with a census of the search.
     Raises:
         InputError: An argument is invalid, or every shape is an equilibrium.
         SymmetryError: Gravity breaks the symmetry.
@@ -77,43 +86,125 @@ def relative_equilibria(
         problem = problem.at_rest()
     many = len(problem.active) >= MANY_JOINTS
     count = _STARTS[many] if starts is None else whole(starts, "starts")
-    points, converged, total = search_points(problem, J, count, whole(seed, "seed", 0))
+    most = ROUNDS * count if limit is None else whole(limit, "limit")
+    search = Search(problem, J, count, whole(seed, "seed", 0), limit=most)
+    points = search.points()
     entries = tuple(equilibrium_at(problem, points[k : k + 1], J) for k in range(len(points)))
-    return Equilibria(problem.system, J, total, converged, _without_copies(entries))
+    return Equilibria(problem.system, J, search.census(), entries)
 
 
-def search_points(problem: Problem, J: float, count: int, seed: int) -> tuple[Points, int, int]:
-    """Search the critical points of a problem.
+class Search:
+    """A search of the critical points of a problem, in rounds of random starts and walks."""
 
-    Args:
-        problem: The problem.
-        J: Momentum.
-        count: Number of starts of Newton's method.
-        seed: Seed of the starts.
-    Returns:
-        The distinct critical points, the number of converged starts, and the number of starts.
-    Raises:
-        InputError: Every shape is an equilibrium.
-    """
-    energy, rng = AmendedEnergy(problem), np.random.default_rng(seed)
-    initial = starting_points(problem, count, rng)
-    e = energy(initial, J)
-    if problem.unknowns and not (e.scale > 0.0).any():
-        raise InputError(
-            "without momentum and potential every shape is an equilibrium. Give a momentum, or "
-            "momenta of cyclic joints"
+    def __init__(self, problem: Problem, J: float, count: int, seed: int, *, limit: int) -> None:
+        """Search until the Morse sum agrees, or the limit is reached.
+
+        Args:
+            problem: The problem.
+            J: Momentum.
+            count: Number of random starts of each round.
+            seed: Seed of the starts.
+            limit: Largest number of starts; the first round is always completed.
+        Raises:
+            InputError: Every shape is an equilibrium.
+        """
+        self._energy, self._J = AmendedEnergy(problem), J
+        self.starts = self.converged = 0
+        self.expected, self.reason = euler_characteristic(problem)
+        rng = np.random.default_rng(seed)
+        self._check(starting_points(problem, 1, np.random.default_rng(seed)))
+        self.found = DistinctPoints(self._energy, J)
+        self._pending: list[int] = []
+        self._begin(starting_points(problem, count if problem.unknowns else 1, rng))
+        self.sum = self._walk(limit)
+        while not self._is_complete and self.starts < limit:
+            self._known = len(self.found.orbits)
+            self._newton(starting_points(problem, min(count, limit - self.starts), rng))
+            self.sum = self._walk(limit)
+
+    def points(self) -> Points:
+        """Return the distinct points, sorted by energy, then by index."""
+        points = self.found.entries
+        e = self._energy(points, self._J)
+        levels = np.round(e.U / max(float(e.scale.max(initial=0.0)), 1e-300), 10)
+        size = np.round(np.linalg.norm(points.x, axis=1), 9)
+        keys = np.round(np.concatenate([points.x, points.n], axis=1), 6).T
+        curvatures = np.linalg.eigvalsh(e.hessian)
+        largest = np.abs(curvatures).max(axis=1, initial=0.0)
+        index = (curvatures < -FLAT * largest[:, None]).sum(axis=1)
+        return points[np.lexsort((*keys, size, index, levels))]
+
+    def census(self) -> Census:
+        """Return the count, and the evidence for its completeness."""
+        orbits = self.found.orbits
+        hits = np.concatenate(
+            [np.full(orbit.entries, orbit.hits) for orbit in orbits] or [np.zeros(0)]
         )
-    searches = [critical_points(energy, initial, J)]
-    if problem.unknowns:
-        minimised = initial[-min(_MINIMISATIONS, len(initial)) :]
-        searches.append(minima(energy, minimised, J))
-    points = Points(*(np.concatenate([getattr(p, n) for p, _ in searches]) for n in ("x", "n")))
-    points, e = polished(energy, points, J)
-    converged = len(searches[0][0]) + (len(searches[1][0]) if len(searches) > 1 else 0)
-    tried = len(initial) + (min(_MINIMISATIONS, len(initial)) if len(searches) > 1 else 0)
-    points = _tidy(problem, points)
-    distinct = _distinct(problem, points, e)
-    return points[distinct], converged, tried
+        seen = [int((hits == k).sum()) for k in range(3)]
+        pending = sum(orbits[k].entries for k in self._pending)
+        reason = self.reason
+        if self.sum is None and not reason:
+            reason = "an equilibrium is degenerate, so that its index is undefined"
+        return Census(
+            count=len(hits),
+            families=sum(orbit.dimension > 0 for orbit in orbits),
+            starts=self.starts,
+            converged=self.converged,
+            seen_once=seen[1],
+            seen_twice=seen[2],
+            not_seen=seen[0],
+            pending=pending,
+            morse_sum=None if self.expected is None else self.sum,
+            expected=None if self.sum is None else self.expected,
+            reason=reason,
+        )
+
+    @property
+    def _is_complete(self) -> bool:
+        """Whether the sum agrees; if it does not apply, whether the last round found nothing."""
+        if self.expected is None or self.sum is None:
+            return len(self.found.orbits) == self._known
+        return self.sum == self.expected
+
+    def _check(self, points: Points) -> None:
+        e = self._energy(points, self._J)
+        if self._energy.problem.unknowns and not (e.scale > 0.0).any():
+            raise InputError(
+                "without momentum and potential every shape is an equilibrium. Give a momentum, "
+                "or momenta of cyclic joints"
+            )
+
+    def _begin(self, starts: Points) -> None:
+        """Run the first round of random starts, and minimise from some of them."""
+        self._known = 0
+        self._newton(starts)
+        if self._energy.problem.unknowns:
+            minimised = starts[-min(_MINIMISATIONS, len(starts)) :]
+            self._add(minimised, minima(self._energy, minimised, self._J), is_random=False)
+
+    def _newton(self, starts: Points) -> None:
+        self._add(starts, critical_points(self._energy, starts, self._J), is_random=True)
+
+    def _add(self, starts: Points, result: tuple[Points, Energies], *, is_random: bool) -> None:
+        points, e = polished(self._energy, result[0], self._J)
+        self.starts += len(starts)
+        self.converged += len(points)
+        self._pending += self.found.add(points, e, is_random=is_random)
+
+    def _walk(self, limit: int) -> int | None:
+        """Walk from equilibria until no new one appears, and return the Morse sum."""
+        most = max(1, 2 * self._energy.problem.unknowns)
+        while self._pending and self._energy.problem.unknowns:
+            batch = min(len(self._pending), _BATCH, (limit - self.starts) // most)
+            if batch <= 0:
+                break
+            numbers, self._pending = self._pending[:batch], self._pending[batch:]
+            base = self.found.representatives(numbers)
+            e = self._energy(base, self._J)
+            starts, wanted = walks_from(base, e, self.found.symmetries, self.found.angles)
+            result = walk(self._energy, starts, wanted, self._J)
+            self._add(starts, result, is_random=False)
+        return morse_sum(self._energy, self.found, self._J)
 
 
 def equilibrium_at(problem: Problem, point: Points, J: float) -> RelativeEquilibrium:
@@ -184,66 +275,3 @@ def flow_at(problem: Problem, point: Points, xdot: Array, xi: Array) -> Compiled
         pose0=pose_of(problem, point.n[0]),
     )  # fmt: skip
     return CompiledFlow.of_plan(plan_of(scene))
-
-
-def _tidy(problem: Problem, points: Points) -> Points:
-    """Wrap angles to (−π, π] if only the inertia depends on them, not a spring or force."""
-    touched = problem.forces.touched if problem.forces is not None else set()
-    x = points.x.copy()
-    for i, k in enumerate(problem.active):
-        if problem.system.units[k] == "rad" and k not in touched and _periodic(problem, k):
-            x[:, i] -= 2.0 * np.pi * np.ceil(x[:, i] / (2.0 * np.pi) - 0.5 - 1e-12)
-            x[np.abs(x[:, i]) < _ROUND_OFF, i] = 0.0
-    n = np.where(np.abs(points.n) < _ROUND_OFF, 0.0, points.n)
-    return Points(x, n)
-
-
-def _periodic(problem: Problem, k: int) -> bool:
-    """Return whether a full turn of a joint and its followers restores all body poses."""
-    coupled = problem.system.coupled
-    if coupled is None:
-        return True
-    ratios = coupled.G[:, k]
-    return bool((ratios == np.round(ratios)).all())
-
-
-def _distinct(problem: Problem, points: Points, e: Energies) -> list[int]:
-    """Return the indices of points with distinct shapes, sorted by energy."""
-    # Among equal shapes, keep the one with the smallest angles.
-    size = np.round(np.linalg.norm(points.x, axis=1), 9)
-    levels = np.round(e.U / max(float(e.scale.max(initial=0.0)), 1e-300), 10)
-    order = np.lexsort((residuals(e), size, levels))
-    coordinates = np.round(np.concatenate([points.x, points.n], axis=1)[order], 6)
-    _, first = np.unique(
-        coordinates, axis=0, return_index=True
-    )  # equal shapes usually have equal coordinates
-    places: list[tuple[float, Place]] = []
-    distinct: list[int] = []
-    for k in order[np.sort(first)].tolist():
-        place = place_of(problem, problem.shapes(points.x[k : k + 1])[0], points.n[k])
-        near = _SAME_ENERGY * float(e.scale[k])
-        if any(
-            abs(U - e.U[k]) <= near and place.same(other, reversible=problem.reversible)
-            for U, other in places
-        ):
-            continue
-        places.append((float(e.U[k]), place))
-        distinct.append(k)
-    return distinct
-
-
-def _without_copies(entries: tuple[RelativeEquilibrium, ...]) -> tuple[RelativeEquilibrium, ...]:
-    """Keep one equilibrium per family; members of a family have equal energy and index."""
-    unique: list[RelativeEquilibrium] = []
-    for entry in entries:
-        if entry.dimension and any(_one_family(entry, other) for other in unique):
-            continue
-        unique.append(entry)
-    return tuple(unique)
-
-
-def _one_family(a: RelativeEquilibrium, b: RelativeEquilibrium) -> bool:
-    if a.dimension != b.dimension or a.stability.index != b.stability.index:
-        return False
-    size = max(abs(a.energy), abs(a.amended_potential), 1e-300)
-    return abs(a.amended_potential - b.amended_potential) <= _SAME_ENERGY * size

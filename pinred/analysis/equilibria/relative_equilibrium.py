@@ -8,6 +8,7 @@ from typing import overload
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...lie.rotations import quaternion_exp
@@ -15,9 +16,11 @@ from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.scene import Scene
 from ...system.system import System
 from ..stability.stability_verdict import Mode, Stability, Verdict
+from .census import Census
 from .equilibrium_problem import Problem
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class RelativeEquilibrium(FrozenArrays):
     """A steady motion with constant shape.
@@ -29,7 +32,7 @@ class RelativeEquilibrium(FrozenArrays):
         xi: Body twist, (r,).
         mu: Body momentum, (r,).
         direction: Direction of the momentum in the body, (3,), or the upward vertical where gravity
-            turns a pivoted base; (0,) where there is only one axis.
+            rotates a pivoted base; (0,) for groups with one axis.
         momentum: Momentum J [N s | N m s], see `relative_equilibria`.
         amended_potential: Amended potential [J], with heights from the world origin.
         energy: Energy [J].
@@ -171,24 +174,23 @@ class RelativeEquilibrium(FrozenArrays):
         return f"{shape or 'rigid'}: {self.verdict}{_growth(self.stability)}"
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Equilibria(Sequence[RelativeEquilibrium]):
     """The relative equilibria found by a search, sorted by amended potential.
 
-    The list may be incomplete.
+    The list may be incomplete; the census states what shows whether it is.
 
     Attributes:
         system: The system.
         momentum: Momentum J [N s | N m s] of the search.
-        starts: Number of starts of the search.
-        arrived: Number of converged starts.
+        census: Count of the search, its Morse sum, and what it cannot promise.
         entries: The equilibria.
     """
 
     system: System
     momentum: float
-    starts: int
-    arrived: int
+    census: Census
     entries: tuple[RelativeEquilibrium, ...]
 
     def __len__(self) -> int:
@@ -208,9 +210,16 @@ class Equilibria(Sequence[RelativeEquilibrium]):
     def __iter__(self) -> Iterator[RelativeEquilibrium]:
         return iter(self.entries)
 
+    @property
+    def _count(self) -> str:
+        census = self.census
+        return (
+            f"{len(self)} relative equilibria found at momentum {self.momentum:g}, from "
+            f"{census.converged} of {census.starts} starts"
+        )
+
     def __str__(self) -> str:
-        head = f"{self.system.name or 'robot'}: {len(self)} relative equilibria found at momentum "
-        head += f"{self.momentum:g}, from {self.arrived} of {self.starts} starts"
+        head = f"{self.system.name or 'robot'}: {self._count}\n{self.census}"
         rows = [["", "amended V [J]", "verdict", "growth [1/s]", "frequencies [rad/s]", "shape"]]
         rows += [[str(k), *row] for k, row in enumerate(map(_row, self))]
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]) - 1)]
@@ -227,8 +236,7 @@ class Equilibria(Sequence[RelativeEquilibrium]):
         columns = ["amended V [J]", "verdict", "growth [1/s]", "frequencies [rad/s]", "shape"]
         return card(
             self.system.name,
-            f"{len(self)} relative equilibria found at momentum {self.momentum:g}, from "
-            f"{self.arrived} of {self.starts} starts",
+            f"{self._count}. {self.census}",
             table("", columns, [_row(equilibrium) for equilibrium in self]),
         )
 

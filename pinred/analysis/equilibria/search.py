@@ -20,7 +20,7 @@ from .equilibrium_problem import Problem
 
 NEWTON, DESCENT = 60, 200  # largest number of Newton and of descent steps
 FOUND = 1e-9  # largest residual of a critical point
-_LONGEST = 0.5  # longest step [rad | m]
+LONGEST = 0.5  # longest step [rad | m]
 _FLAT = 1e-9  # curvatures below this fraction of the largest count as zero
 _SLIDE = 1.0  # range of a prismatic joint without limits [m]
 
@@ -94,12 +94,12 @@ def critical_points(energy: AmendedEnergy, points: Points, J: float) -> tuple[Po
             break
         e = energy(current[running], J)
         active = np.isfinite(residuals(e)) & (residuals(e) > 1e-14)
-        running, e = running[active], _some(e, active)
-        step = -_solved(e, absolute=False)
-        stepped = current[running].moved(_clipped(step, _LONGEST))
+        running, e = running[active], some(e, active)
+        step = -newton_step(e, absolute=False)
+        stepped = current[running].moved(clipped(step, LONGEST))
         current.x[running], current.n[running] = stepped.x, stepped.n
         running = running[np.linalg.norm(step, axis=1) > 1e-13]
-    return _converged(energy, current, J)
+    return converged(energy, current, J)
 
 
 def minima(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Energies]:
@@ -113,21 +113,21 @@ def minima(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Ene
         The minima to which the descent converged, and their energies.
     """
     current = Points(points.x.copy(), points.n.copy())
-    running, radius = np.arange(len(points)), np.full(len(points), _LONGEST)
+    running, radius = np.arange(len(points)), np.full(len(points), LONGEST)
     e = energy(current, J)
-    running, e = running[np.isfinite(residuals(e))], _some(e, np.isfinite(residuals(e)))
+    running, e = running[np.isfinite(residuals(e))], some(e, np.isfinite(residuals(e)))
     for _ in range(DESCENT if running.size else 0):
-        step = _clipped(-_solved(e, absolute=True), radius[running])
+        step = clipped(-newton_step(e, absolute=True), radius[running])
         tried = current[running].moved(step)
         new = energy(tried, J)
         lower = np.isfinite(residuals(new)) & (e.U + 1e-15 * e.scale >= new.U)
         current.x[running[lower]], current.n[running[lower]] = tried.x[lower], tried.n[lower]
         radius[running] = np.where(
-            lower, np.minimum(2.0 * radius[running], _LONGEST), 0.25 * radius[running]
+            lower, np.minimum(2.0 * radius[running], LONGEST), 0.25 * radius[running]
         )
         e = _chosen(lower, new, e)
         active = (residuals(e) > 1e-12) & (radius[running] > 1e-12)
-        running, e = running[active], _some(e, active)
+        running, e = running[active], some(e, active)
         if not running.size:
             break
     return critical_points(energy, current, J)
@@ -145,7 +145,7 @@ def polished(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, E
     """
     e = energy(points, J)
     for _ in range(4 if len(points) else 0):
-        tried = points.moved(-_solved(e, absolute=False))
+        tried = points.moved(-newton_step(e, absolute=False))
         new = energy(tried, J)
         better = residuals(new) < residuals(e)
         points = Points(
@@ -158,14 +158,30 @@ def polished(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, E
     return points, e
 
 
-def _converged(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Energies]:
+def converged(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Energies]:
+    """Return the points that are critical points, and their energies.
+
+    Args:
+        energy: The amended potential.
+        points: Points at which an iteration ended.
+        J: Momentum.
+    Returns:
+        The points with residuals up to `FOUND`, and their energies.
+    """
     e = energy(points, J)
     good = residuals(e) <= FOUND
-    return points[good], _some(e, good)
+    return points[good], some(e, good)
 
 
-def _solved(e: Energies, *, absolute: bool) -> Array:
-    """Return H⁻¹ g, or |H|⁻¹ g if absolute, (N, u); directions of zero curvature are omitted."""
+def newton_step(e: Energies, *, absolute: bool) -> Array:
+    """Return H⁻¹ g, or |H|⁻¹ g; directions of zero curvature are omitted.
+
+    Args:
+        e: Energies with gradient g and Hessian H.
+        absolute: Whether to take the absolute values of the curvatures.
+    Returns:
+        (N, u).
+    """
     if not e.gradient.shape[1]:
         return e.gradient
     values, vectors = np.linalg.eigh(e.hessian)
@@ -180,12 +196,28 @@ def _solved(e: Energies, *, absolute: bool) -> Array:
     return np.asarray((vectors @ components[..., None])[..., 0])
 
 
-def _clipped(step: Array, longest: float | Array) -> Array:
+def clipped(step: Array, longest: float | Array) -> Array:
+    """Shorten steps.
+
+    Args:
+        step: Steps, (N, u).
+        longest: Longest step, one number or (N,) [rad | m].
+    Returns:
+        The steps in their directions, (N, u).
+    """
     size = np.linalg.norm(step, axis=1)
     return np.asarray(step * np.minimum(1.0, longest / np.maximum(size, 1e-300))[:, None])
 
 
-def _some(e: Energies, which: Which) -> Energies:
+def some(e: Energies, which: Which) -> Energies:
+    """Return the energies at some of the points.
+
+    Args:
+        e: Energies at all points.
+        which: Indices or mask of the points.
+    Returns:
+        The selected entries of every array.
+    """
     return Energies(**{name: getattr(e, name)[which] for name in e.__dataclass_fields__})
 
 

@@ -8,15 +8,19 @@ integrable (Frobenius).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, vector
 from ...common.errors import InputError
 from ..connections.connection import Connection
 from ..gaits.arcs import line
+from ..gaits.gait import Gait
 from ..phases.lift import STAGES, PathSegments, in_space, lift, nodes
+from ..phases.phase import is_closed, phase
 
 _FLAT = 1e-10  # largest curvature of a flat connection, relative to its terms
 _SAMPLES = {1: 101, 2: 31, 3: 13}  # number of grid points per joint, for 1, 2 or 3 joints
@@ -24,6 +28,7 @@ _RANDOM = 2000  # number of random shapes, for more than three joints
 _SEGMENTS = 32  # number of segments of a lifted path
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Flatness(FrozenArrays):
     """Flatness of a connection over a box of shapes.
@@ -36,6 +41,9 @@ class Flatness(FrozenArrays):
         worst: Shape with the largest |B|, (m,).
         connection: The connection.
         reference: Middle of the box, (m,).
+
+    A flat connection has a frame that is a function of the shape on a box. On the circle of a
+    revolute joint, that function is unique only up to the holonomy.
     """
 
     curvature: tuple[float, float]
@@ -58,8 +66,32 @@ class Flatness(FrozenArrays):
                 row("attitude", 0, flat=self.attitude_is_flat),
                 row("whole frame", 1, flat=self.is_flat),
                 f"largest at x = {np.array2string(self.worst, precision=4)}",
+                *(
+                    f"a turn of {joint} moves the base by {np.array2string(pose, precision=6)}"
+                    for joint, pose in self.holonomy.items()
+                ),
             ]
         )
+
+    @cached_property
+    def holonomy(self) -> dict[str, Array]:
+        """Poses by which a complete turn of each revolute joint moves the base, {joint: (size,)}.
+
+        The turns are at the middle of the box. Empty if the attitude is not flat; if only the
+        attitude is flat, only the attitudes are meaningful. A connection with a holonomy other than
+        the identity is no product of base and shape on the whole circle, although it is flat.
+        """
+        connection = self.connection
+        if not self.attitude_is_flat:
+            return {}
+        poses = {}
+        for k, joint in enumerate(connection.joints):
+            gait = Gait.waypoints(
+                [self.reference], turns=np.eye(connection.m, dtype=int)[k].tolist()
+            )
+            if is_closed(connection, gait):
+                poses[joint] = phase(connection, gait).pose
+        return poses
 
     def coordinates(self, x: ArrayLike) -> Array:
         """Return the pose h(x) of the frame that does not move; it is 1 in the middle of the box.
@@ -75,7 +107,8 @@ class Flatness(FrozenArrays):
         """
         if not (self.is_flat or self.attitude_is_flat):
             raise InputError(
-                f"there is no such frame: the curvature is {self.relative[0]:.2g} of its terms"
+                "the connection is not flat, so no such frame exists: "
+                f"the curvature is {self.relative[0]:.2g} of its terms"
             )
         connection = self.connection
         to = vector(x, connection.m, "x", connection.joints)
@@ -91,6 +124,7 @@ class Flatness(FrozenArrays):
         return connection.group.inverse(g)
 
 
+@checks_arguments
 def flatness(
     connection: Connection, limits: ArrayLike | None = None, *, samples: int | None = None
 ) -> Flatness:

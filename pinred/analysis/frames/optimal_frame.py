@@ -1,4 +1,4 @@
-"""Minimum-perturbation coordinates: the frame on the body that gaits disturb least.
+"""Minimum-perturbation coordinates: the body frame that gaits move least.
 
 In a frame h(x) the connection is A′ = Ad_{h⁻¹}A − h⁻¹∂h. With h = (R, p),
 
@@ -11,8 +11,8 @@ Choset, "Geometric motion planning: the local connection, Stokes' theorem, and t
 coordinate choice", Int. J. Robotics Research 30 (2011); for SO(3), Faraji et al.
 
 `corrected_integral` compares surface integrals of the curvature in such a frame with the phase. If
-the group were commutative, Stokes' theorem would give the phase exp(−∬B). For other groups, the
-error depends on the frame.
+the group were commutative, the phase would be exp(−∬B) by Stokes' theorem. For other groups, the
+error of this approximation depends on the frame.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, read_only, vectors
 from ...common.errors import InputError, NoConvergence
 from ...lie.group import Group
@@ -41,6 +42,7 @@ _STILL = 1e-10  # relative change of ∫|A′_ω|² at which the iteration stops
 _TRUSTED = 0.05  # relative error below which the integral is trusted
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class OptimalFrame:
     """The frame h(x) on the body that minimises ∫|A′|² over a patch of shape space.
@@ -125,6 +127,7 @@ class OptimalFrame:
         return np.concatenate([np.swapaxes(R, 1, 2) @ linear if n else linear, angular], axis=1)
 
 
+@checks_arguments
 def optimal_frame(
     connection: Connection,
     limits: ArrayLike | Gait,
@@ -336,6 +339,7 @@ def _right_slope(phi: Array) -> Array:
     return np.asarray(np.eye(3) - a * H + b * (H @ H))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class CorrectedIntegral(FrozenArrays):
     """The corrected body-velocity integral −∬B of a gait, and the true phase.
@@ -355,6 +359,7 @@ class CorrectedIntegral(FrozenArrays):
     trusted: bool
 
 
+@checks_arguments
 def corrected_integral(
     connection: Connection, gait: Gait, frame: OptimalFrame | None = None
 ) -> CorrectedIntegral:

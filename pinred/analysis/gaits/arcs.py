@@ -6,7 +6,8 @@ An arc maps s in [0, 1] to shapes and is traversed at constant ds/dt.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from math import comb
 from typing import Self
 
@@ -34,7 +35,7 @@ class Arc(ABC, FrozenArrays):
         Args:
             s: Path parameters in [0, 1], (N,).
         Returns:
-            Shapes and their derivatives in s, (N, m) each.
+            Shapes and their derivatives with respect to s, (N, m) each.
         """
 
     @abstractmethod
@@ -71,12 +72,12 @@ class Arc(ABC, FrozenArrays):
 
     @abstractmethod
     def extremes(self) -> Array:
-        """Return parameters s (K,) among which every joint takes its extreme values."""
+        """Return parameters s, (K,), that include the extremes of every joint."""
 
 
 @dataclass(frozen=True, eq=False)
 class FourierArc(Arc):
-    """x = mean + Σ_k cos_k cos kφ + sin_k sin kφ, k = 1 …, with φ from `start` to `end`.
+    """x = mean + rise φ/2π + Σ_k cos_k cos kφ + sin_k sin kφ, k = 1 …, φ from `start` to `end`.
 
     Attributes:
         time: Duration [s].
@@ -85,6 +86,7 @@ class FourierArc(Arc):
         sin: Sine coefficients, (harmonics, m).
         start: Initial phase angle [rad].
         end: Final phase angle [rad].
+        rise: Change of each joint per period, (m,) [rad | m]; (1,) if all are equal.
     """
 
     mean: Array
@@ -92,6 +94,7 @@ class FourierArc(Arc):
     sin: Array
     start: float = 0.0
     end: float = TAU
+    rise: Array = field(default_factory=lambda: np.zeros(1))
 
     @property
     def is_whole(self) -> bool:
@@ -101,12 +104,15 @@ class FourierArc(Arc):
     def at(self, s: Array) -> tuple[Array, Array]:
         """Evaluate the arc and its derivative (see Arc.at)."""
         k = np.arange(1, len(self.cos) + 1)
-        angle = np.multiply.outer(self.start + (self.end - self.start) * s, k)
+        phase = self.start + (self.end - self.start) * s
+        angle = np.multiply.outer(phase, k)
         cosines, sines = np.cos(angle), np.sin(angle)
+        per_angle = self.rise / TAU
         slope = (self.end - self.start) * (
-            cosines @ (k[:, None] * self.sin) - sines @ (k[:, None] * self.cos)
+            per_angle + cosines @ (k[:, None] * self.sin) - sines @ (k[:, None] * self.cos)
         )
-        return self.mean + cosines @ self.cos + sines @ self.sin, slope
+        steady = self.mean + np.multiply.outer(phase, per_angle)
+        return steady + cosines @ self.cos + sines @ self.sin, slope
 
     def part(self, start: float, end: float) -> FourierArc:
         """Return a partial arc (see Arc.part)."""
@@ -117,7 +123,8 @@ class FourierArc(Arc):
     def mapped(self, factor: Array, shift: Array) -> FourierArc:
         """Return the arc of shapes factor · x + shift (see Arc.mapped)."""
         mean = factor * self.mean + shift
-        return replace(self, mean=mean, cos=factor * self.cos, sin=factor * self.sin)
+        cos, sin = factor * self.cos, factor * self.sin
+        return replace(self, mean=mean, cos=cos, sin=sin, rise=factor * self.rise)
 
     def coefficients(self, harmonics: int | None = None) -> Array:
         """Return mean, cosines and sines as functions of the angle from the start of the arc.
@@ -142,11 +149,12 @@ class FourierArc(Arc):
         """Return the zeros of each joint's derivative, as roots of a polynomial in e^{iφ}."""
         parameters = [0.0, 1.0]
         k = np.arange(1, len(self.cos) + 1)
-        for c, s in zip(self.cos.T, self.sin.T, strict=True):
+        rises = np.broadcast_to(self.rise / TAU, self.mean.shape)
+        for c, s, rise in zip(self.cos.T, self.sin.T, rises, strict=True):
             half = (
                 0.5 * k * (s + 1j * c)
             )  # coefficients of e^{ikφ} in the derivative; those of e^{−ikφ} are conjugate
-            roots = np.roots(np.concatenate([half[::-1], [0.0], half.conj()]))
+            roots = np.roots(np.concatenate([half[::-1], [rise], half.conj()]))
             on_circle = roots[np.abs(np.abs(roots) - 1.0) < 1e-6]
             candidates = (np.angle(on_circle) - self.start) / (self.end - self.start)
             period = TAU / abs(self.end - self.start)
@@ -198,6 +206,11 @@ class PolynomialArc(Arc):
             real = np.asarray(roots[np.abs(roots.imag) < 1e-9].real, dtype=float)
             parameters += [s for s in real.tolist() if 0.0 < s < 1.0]
         return np.array(parameters)
+
+
+def raised(arcs: Sequence[Arc], rise: Array) -> Sequence[Arc]:
+    """Return arcs shifted by a change of the shape, (m,) [rad]."""
+    return [arc.mapped(np.ones(len(rise)), rise) for arc in arcs] if rise.any() else arcs
 
 
 def line(start: Array, end: Array, time: float) -> PolynomialArc:

@@ -1,4 +1,4 @@
-"""Gait: a closed path in shape space, as an immutable object."""
+"""Gait: a closed path in shape space, or one that closes up to turns of joints, as an object."""
 
 from __future__ import annotations
 
@@ -10,54 +10,58 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, as_floats, positive, read_only, vector, vectors
+from ...common.argument_kinds import checks_arguments
+from ...common.arrays import Array, as_floats, positive, read_only, vector, vector_or_zero, vectors
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...forces.signals import Fourier
-from .arcs import TAU, Arc, FourierArc, PolynomialArc, line
-
-_CLOSED = 1e-9  # largest gap between arcs, relative to the size of the path
-_TURNS = 0.05  # turns, largest angle between two samples seen from the centre
+from .arcs import TAU, Arc, FourierArc, PolynomialArc, line, raised
+from .closed_paths import check_joined, winding_number
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Gait:
     """A closed path in shape space, traversed once per period.
 
+    A gait may wind around revolute joints: x(T) = x(0) + 2π n. The shape space is then a torus.
+
     Attributes:
         arcs: Smooth segments in order. Each starts where the previous one ends, and the last ends
-            where the first starts.
+            where the first starts, up to the turns.
+        turns: Number n of complete turns of each joint per cycle, (m,); () if there are none.
     """
 
     arcs: tuple[Arc, ...]
+    turns: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.arcs:
             raise InputError("arcs: expected at least one arc")
-        ends = [arc.at(np.array([0.0, 1.0]))[0] for arc in self.arcs]
-        if not all(np.isfinite(end).all() for end in ends):
-            raise InputError("a gait must consist of finite numbers")
-        size = max(1.0, *(float(np.abs(end).max(initial=0.0)) for end in ends))
-        for k, end in enumerate(ends):
-            following = ends[(k + 1) % len(ends)][0]
-            gap = float(np.abs(following - end[1]).max(initial=0.0))
-            if gap > _CLOSED * size:
-                where = "it does not close" if k + 1 == len(ends) else f"it jumps after arc {k}"
-                raise InputError(
-                    f"a gait is a closed path, but {where}: from {end[1]} to {following}"
-                )
+        turns = vector_or_zero(self.turns if len(self.turns) else 0, self.m, "turns")
+        if (turns != np.round(turns)).any():
+            raise InputError(f"turns: expected whole numbers, got {self.turns}")
+        object.__setattr__(self, "turns", tuple(map(int, turns)) if turns.any() else ())
+        check_joined(self.arcs, self.rise)
 
     @classmethod
     def fourier(
-        cls, mean: ArrayLike, cos: ArrayLike, sin: ArrayLike, *, period: float = 1.0
+        cls,
+        mean: ArrayLike,
+        cos: ArrayLike,
+        sin: ArrayLike,
+        *,
+        period: float = 1.0,
+        turns: ArrayLike = 0,
     ) -> Gait:
-        """Return the gait x(t) = mean + Σ_k cos_k cos(2πkt/T) + sin_k sin(2πkt/T).
+        """Return the gait x(t) = mean + 2πnt/T + Σ_k cos_k cos(2πkt/T) + sin_k sin(2πkt/T).
 
         Args:
             mean: Constant term, (m,) [rad | m].
             cos: Cosine coefficients, (harmonics, m), for k = 1, 2, ….
             sin: Sine coefficients, (harmonics, m).
             period: Duration T of one cycle [s].
+            turns: Turns n of each joint per cycle, (m,); none by default.
         Returns:
             The gait.
         Raises:
@@ -71,33 +75,38 @@ class Gait:
                 f"cos and sin must both be (harmonics, {m}), got {cosines.shape} and {sines.shape}"
             )
         time = positive(period, "period")
-        return cls((FourierArc(time, centre.copy(), cosines.copy(), sines.copy()),))
+        n = vector_or_zero(turns, m, "turns")
+        arc = FourierArc(time, centre.copy(), cosines.copy(), sines.copy(), rise=TAU * n)
+        return cls((arc,), tuple(n.tolist()))
 
     @classmethod
-    def waypoints(cls, points: ArrayLike, *, period: float = 1.0) -> Gait:
+    def waypoints(cls, points: ArrayLike, *, period: float = 1.0, turns: ArrayLike = 0) -> Gait:
         """Return the closed polygon through some points, traversed at constant speed |ẋ|.
 
         Args:
-            points: Corners, (K, m) [rad | m].
+            points: Corners, (K, m) [rad | m]. With turns, one is enough.
             period: Duration of one cycle [s].
+            turns: Turns n of each joint per cycle, (m,); none by default. The last line leads from
+                the last point to the first point + 2π n.
         Returns:
             The gait.
         Raises:
             InputError: There are fewer than two different points.
         """
-        corners = _points(points, 2)
-        steps = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+        corners = _points(points, 1)
+        n = vector_or_zero(turns, corners.shape[1], "turns")
+        corners = _points(points, 1 if n.any() else 2)
+        ends = np.vstack([corners[1:], corners[:1] + TAU * n])
+        steps = np.linalg.norm(ends - corners, axis=1)
         if not steps.sum() > 0.0:
             raise InputError("points: expected at least two different points")
         share = positive(period, "period") * steps / steps.sum()
-        count = len(corners)
-        return cls(
-            tuple(
-                line(corners[k], corners[(k + 1) % count], float(share[k]))
-                for k in range(count)
-                if steps[k] > 0.0
-            )
-        )
+        arcs = [
+            line(corners[k], ends[k], float(share[k]))
+            for k in range(len(corners))
+            if steps[k] > 0.0
+        ]
+        return cls(tuple(arcs), tuple(n.tolist()))
 
     @classmethod
     def spline(
@@ -186,9 +195,7 @@ class Gait:
         from .recorded import points_in
 
         t, x = points_in(Path(path))
-        T = float(t[-1] - t[0])
-        closed = np.vstack([x[:-1]])
-        gait = cls.spline(closed, times=t[:-1] - t[0], period=T)
+        gait = cls.spline(x[:-1], times=t[:-1] - t[0], period=float(t[-1] - t[0]))
         return gait if period is None else gait.lasting(period)
 
     @cached_property
@@ -202,6 +209,11 @@ class Gait:
         return sum(arc.time for arc in self.arcs)
 
     @property
+    def rise(self) -> Array:
+        """Change of the shape per cycle, 2π n, (m,) [rad]."""
+        return TAU * np.array(self.turns, dtype=float) if self.turns else np.zeros(self.m)
+
+    @property
     def is_smooth(self) -> bool:
         """Whether the gait is one Fourier series, hence smooth and periodic."""
         (arc, *further_arcs) = self.arcs
@@ -213,6 +225,8 @@ class Gait:
         arc = self.arcs[0]
         if not self.is_smooth or not isinstance(arc, FourierArc):
             raise InputError("gait: expected one Fourier series; create it with Gait.fourier")
+        if self.turns:
+            raise InputError(f"gait: expected a closed path without turns, got turns {self.turns}")
         return arc
 
     @cached_property
@@ -221,7 +235,7 @@ class Gait:
         return read_only(np.concatenate([[0.0], np.cumsum([arc.time for arc in self.arcs])]))
 
     def at(self, t: ArrayLike) -> tuple[Array, Array]:
-        """Return shapes and shape rates at any times; the gait is periodic.
+        """Return shapes and shape rates at any times; the gait is periodic, up to its turns.
 
         Args:
             t: Times, (...,) [s].
@@ -233,7 +247,7 @@ class Gait:
             x, slope = self.arcs[0].at(times.ravel() / self.period)
             shape = (*times.shape, self.m)
             return x.reshape(shape), (slope / self.period).reshape(shape)
-        flat = times.ravel() % self.period
+        cycles, flat = np.divmod(times.ravel(), self.period)
         which = np.clip(np.searchsorted(self.breaks, flat, side="right") - 1, 0, len(self.arcs) - 1)
         x, xdot = np.empty((2, len(flat), self.m))
         for k, arc in enumerate(self.arcs):
@@ -241,6 +255,7 @@ class Gait:
             if own.any():
                 x[own], slope = arc.at((flat[own] - self.breaks[k]) / arc.time)
                 xdot[own] = slope / arc.time
+        x += np.multiply.outer(cycles, self.rise)
         return x.reshape(*times.shape, self.m), xdot.reshape(*times.shape, self.m)
 
     def signals(self, joints: Sequence[str]) -> dict[str, Fourier]:
@@ -299,7 +314,7 @@ class Gait:
             The gait.
         """
         factor = positive(period, "period") / self.period
-        return Gait(tuple(arc.lasting(factor * arc.time) for arc in self.arcs))
+        return Gait(tuple(arc.lasting(factor * arc.time) for arc in self.arcs), self.turns)
 
     def scaled(self, factor: ArrayLike, *, about: ArrayLike | None = None) -> Gait:
         """Return the path with another amplitude.
@@ -309,11 +324,15 @@ class Gait:
             about: Fixed shape, (m,); by default the centre.
         Returns:
             The gait.
+        Raises:
+            InputError: The factor of a joint that turns is not 1.
         """
         factors = as_floats(factor, "factor")
         f = vector(np.full(self.m, factors) if factors.ndim == 0 else factors, self.m, "factor")
+        if (self.rise != f * self.rise).any():
+            raise InputError(f"factor: expected 1 for joints that turn, got {factors}")
         fixed = self.centre if about is None else vector(about, self.m, "about")
-        return Gait(tuple(arc.mapped(f, (1.0 - f) * fixed) for arc in self.arcs))
+        return Gait(tuple(arc.mapped(f, (1.0 - f) * fixed) for arc in self.arcs), self.turns)
 
     def shifted(self, phase: float) -> Gait:
         """Return the same path with a later start.
@@ -328,19 +347,19 @@ class Gait:
         k = int(np.clip(np.searchsorted(self.breaks, at, side="right") - 1, 0, len(self.arcs) - 1))
         arc = self.arcs[k]
         s = (at - self.breaks[k]) / arc.time
-        if self.is_smooth:
-            series = self.series
-            turn = s * (series.end - series.start)
-            return Gait((replace(series, start=series.start + turn, end=series.end + turn),))
+        if self.is_smooth and isinstance(arc, FourierArc):
+            turn = s * (arc.end - arc.start)
+            later = replace(arc, start=arc.start + turn, end=arc.end + turn)
+            return Gait((later,), self.turns)
         arcs = [arc.part(s, 1.0)] if s < 1.0 else []
-        arcs += [*self.arcs[k + 1 :], *self.arcs[:k]]
-        if s > 0.0:
-            arcs.append(arc.part(0.0, s))
-        return Gait(tuple(arcs))
+        arcs += self.arcs[k + 1 :]
+        before = [*self.arcs[:k], arc.part(0.0, s)] if s > 0.0 else self.arcs[:k]
+        return Gait((*arcs, *raised(before, self.rise)), self.turns)
 
     def reversed(self) -> Gait:
         """Return the same path in reverse, from the same start."""
-        return Gait(tuple(arc.part(1.0, 0.0) for arc in reversed(self.arcs)))
+        arcs = [arc.part(1.0, 0.0) for arc in reversed(self.arcs)]
+        return Gait(tuple(raised(arcs, -self.rise)), tuple(-n for n in self.turns))
 
     def then(self, other: Gait) -> Gait:
         """Return this gait followed by another.
@@ -350,7 +369,8 @@ class Gait:
         Returns:
             The gait through both paths.
         """
-        return Gait((*self.arcs, *other.arcs))
+        turns = np.round((self.rise + other.rise) / TAU).astype(int)
+        return Gait((*self.arcs, *raised(other.arcs, self.rise)), tuple(turns.tolist()))
 
     def winding(
         self, *, joints: tuple[int, int] = (0, 1), centre: ArrayLike | None = None
@@ -363,23 +383,13 @@ class Gait:
         Returns:
             The winding number, positive from the axis of the first joint to that of the second.
         Raises:
-            InputError: The path passes through the centre, or too close to it.
+            InputError: The path passes through the centre, or too close to it; or a joint turns.
         """
         pair = list(joints)
+        if self.rise[pair].any():
+            raise InputError(f"joints: expected joints that do not turn, got turns {self.turns}")
         c = self.centre[pair] if centre is None else vector(centre, 2, "centre")
-        count = 64
-        while count <= 2**16:
-            s = np.linspace(0.0, 1.0, count + 1)
-            arms = np.concatenate([arc.at(s)[0][:, pair] for arc in self.arcs]) - c
-            if not np.hypot(*arms.T).min() > 1e-9:
-                raise InputError(
-                    f"the gait passes through the centre {c}: it has no winding number"
-                )
-            steps = np.diff(np.unwrap(np.arctan2(arms[:, 1], arms[:, 0])))
-            if np.abs(steps).max() < _TURNS * TAU:
-                return float(round(steps.sum() / TAU))
-            count *= 4
-        raise InputError(f"the gait passes too close to the centre {c} to count its windings")
+        return winding_number(self.arcs, pair, c)
 
 
 def _points(points: ArrayLike, least: int) -> Array:

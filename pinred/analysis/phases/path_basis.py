@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group
@@ -33,8 +34,8 @@ class Drift(FrozenArrays):
 
     Attributes:
         system: System without external wrench.
-        momentum: Spatial momentum J, (r,), in the initial frame of the base. For a path that takes
-            T seconds but is parametrised over [0, 1], this is T J.
+        momentum: Spatial momentum J, (r,), in the initial frame of the base. For a path of duration
+            T that is parametrised over [0, 1], this is T J.
     """
 
     system: System
@@ -160,7 +161,7 @@ def cycloid_basis(harmonics: int, pieces: int, cycles: int) -> PathBasis:
 
 
 def cycloid(s: Array, cycles: int) -> tuple[Array, Array, Array]:
-    """Return φ = cycles (a − sin a) with a = 2πs, and its first two derivatives in s, (N,) each."""
+    """Return φ = cycles (a − sin a) with a = 2πs, and its first two derivatives by s, (N,) each."""
     a = 2.0 * np.pi * s
     return (
         cycles * (a - np.sin(a)),
@@ -295,7 +296,7 @@ def by_coefficients(basis: PathBasis, *rows: Array) -> Array:
 
 
 def sum_over_nodes(basis: PathBasis, m: int, derivatives: Array) -> Array:
-    """Convert the derivatives of a scalar at the nodes to derivatives by the coefficients.
+    """Convert derivatives of a scalar at the nodes to derivatives with respect to the coefficients.
 
     Args:
         basis: Basis functions at the N nodes.
@@ -318,6 +319,7 @@ def _adjoints(group: Group, inner: Array) -> Array:
     return group.Ad(np.concatenate([linear, angle], axis=1) if group.turns else linear)
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class PhaseSlopes(FrozenArrays):
     """Phase and effort of a Fourier gait at zero momentum, with derivatives.
@@ -341,6 +343,7 @@ class PhaseSlopes(FrozenArrays):
     action_slope: Array
 
 
+@checks_arguments
 def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = None) -> PhaseSlopes:
     """Compute the phase and the effort of a Fourier gait, and their derivatives.
 

@@ -16,23 +16,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
+from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lift, nodes, travelled
 from .screw import Screw, screw_of
 
 _FLOOR = 64.0 * np.finfo(float).eps  # round-off, relative to the path length of the base
 _LEAST = 1e-14  # smallest tolerance
+_REPEATS = 1e-9  # largest change of body twists over a complete turn, relative to the twists
 
 _LEAST_SAMPLES = 16  # smallest number of samples of a smooth gait
-_PER_HARMONIC = 16  # initial samples per harmonic
+_PER_HARMONIC = 16  # initial number of samples per harmonic
 MOST = 2**15  # largest number of samples
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Phase(FrozenArrays):
     """The motion of the base over one cycle of a gait.
@@ -110,6 +114,7 @@ class Phase(FrozenArrays):
         return pose
 
 
+@checks_arguments
 def phase(
     connection: Connection,
     gait: Gait,
@@ -141,6 +146,11 @@ def phase(
             f"{type(gait).__name__}"
         )
     connection.refuse_gravity()
+    if len(gait.turns) == connection.m and (joint := _open_joint(connection, gait)):
+        raise InputError(
+            "gait: only a joint whose complete turn restores the robot may turn, "
+            f"got turns {gait.turns}, with a turn of '{joint}'"
+        )
     goal = max(positive(tolerance, "tolerance"), _LEAST)
     mu = _momentum(connection, momentum)
     group, has_momentum = connection.group, bool(mu.any())
@@ -174,6 +184,32 @@ def phase(
         f"the phase did not reach the tolerance {goal:g}: the last doubling changed it by "
         f"{error:.2g}; the gait passes near a singular shape, or the tolerance is below round-off"
     )
+
+
+def is_closed(connection: Connection, gait: Gait) -> bool:
+    """Return whether a connection repeats itself after the turns of a gait.
+
+    Args:
+        connection: Connection with as many joints as the gait.
+        gait: Path in shape space that may turn joints.
+    Returns:
+        Whether all joints that turn are revolute, and a complete turn of each restores the
+        connection.
+    """
+    return not _open_joint(connection, gait)
+
+
+def _open_joint(connection: Connection, gait: Gait) -> str:
+    """Return a joint whose complete turn does not restore the connection, or ""."""
+    x, xdot = gait.samples(_LEAST_SAMPLES)
+    xi = connection.code.velocities(x, xdot).xi
+    size = float(np.abs(xi).max(initial=0.0))
+    for k in np.flatnonzero(gait.turns).tolist():
+        turned = x + TAU * np.eye(connection.m)[k]
+        change = float(np.abs(connection.code.velocities(turned, xdot).xi - xi).max(initial=0.0))
+        if connection.form.units[k] != "rad" or not change <= _REPEATS * size:
+            return connection.joints[k]
+    return ""
 
 
 def _bound(difference: PoseError, segments: PathSegments, pose: Array) -> PoseError:

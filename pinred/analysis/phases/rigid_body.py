@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, vector
 from ...common.errors import InputError
 from ...lie.rotations import TAU
@@ -26,6 +27,7 @@ from ...system.system import System, checked_system
 _ROUND_OFF = 4.0 * float(np.finfo(float).eps)  # relative error of the inertia tensor
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class RigidBodyPhase(FrozenArrays):
     """The motion of a free rigid body over one period of its body momentum.
@@ -49,6 +51,7 @@ class RigidBodyPhase(FrozenArrays):
     momentum: float
 
 
+@checks_arguments
 def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
     """Compute the phase of a free rigid body.
 
@@ -125,7 +128,7 @@ def _period_and_solid_angle(moments: Array, rates: Array, J: float) -> tuple[flo
     complement = min((c - a) * above / denominator, 1.0)  # 1 − m
     period = 4.0 * float(ellipkm1(complement)) * np.sqrt(a * b * c / denominator)
     # At azimuth φ from axis i to axis j, cos²θ = (n₀ + g cos²φ)/(d₀ + g cos²φ).  Carlson's
-    # integrals give the mean of cos θ (NIST Digital Library of Mathematical Functions, §19.29).
+    # integrals yield the mean of cos θ (NIST Digital Library of Mathematical Functions, §19.29).
     n0, n1 = abs(above) / (b * J**2), abs(near) / (a * J**2)
     d0, d1, g = abs(c - b) / (b * c), abs(c - a) / (a * c), abs(b - a) / (a * b)
     p, q = n1 * d0, d1 * n0
@@ -137,7 +140,7 @@ def _period_and_solid_angle(moments: Array, rates: Array, J: float) -> tuple[flo
 def _scale_of_errors(moments: Array, rates: Array) -> float:
     """Return the change of J² − 2 E b per relative error of the inertia tensor.
 
-    The tensor's error turns the principal axes by its ratio to the gap of their moments.
+    An error of the tensor rotates the principal axes by its ratio to the gap of their moments.
     """
     size = float(np.linalg.norm(rates))
     outer = moments[[0, 2]] * np.abs(rates[[0, 2]])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive
 from ...common.errors import InputError
 from ...common.progress import Progress, shown
@@ -21,6 +22,7 @@ _STEPS_PER_BASIS = 10  # number of steps between two orthonormalisations
 _MAX_CLOSURE = 1e-6  # largest relative difference between the two ends of a period
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class LyapunovSpectrum(FrozenArrays):
     """Lyapunov exponents of a motion on its symplectic leaf. Arrays are read-only.
@@ -28,7 +30,7 @@ class LyapunovSpectrum(FrozenArrays):
     Attributes:
         exponents: Exponents, (d,) [1/s], largest first.
         times: Times at which the basis was orthonormalised, (K,) [s].
-        history: Exponents computed up to each of these times, (K, d) [1/s].
+        history: Exponents over the motion up to each of `times`, (K, d) [1/s].
         spread: Range of each exponent over the last half of the motion, (d,) [1/s].
     """
 
@@ -45,6 +47,7 @@ class LyapunovSpectrum(FrozenArrays):
         return "\n".join(lines)
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class FloquetMultipliers(FrozenArrays):
     """Floquet multipliers of a periodic motion on its symplectic leaf. Arrays are read-only.
@@ -68,6 +71,7 @@ class FloquetMultipliers(FrozenArrays):
         return "\n".join([f"period {self.period:g} s, closes to {self.closure:.1g}", *lines])
 
 
+@checks_arguments
 def linearise(traj: Trajectory, t: float = 0.0) -> Linearisation:
     """Linearise the reduced flow at time t of a motion with the exact Jacobian.
 
@@ -93,6 +97,7 @@ def linearise(traj: Trajectory, t: float = 0.0) -> Linearisation:
     return linearised(flow, y)
 
 
+@checks_arguments
 def lyapunov(
     traj: Trajectory, *, every: float | None = None, progress: Progress | bool | None = None
 ) -> LyapunovSpectrum:
@@ -136,6 +141,7 @@ def lyapunov(
     return LyapunovSpectrum(history[-1].copy(), np.asarray(times), history, spread)
 
 
+@checks_arguments
 def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipliers:
     """Compute the Floquet multipliers of a motion whose reduced state is periodic.
 

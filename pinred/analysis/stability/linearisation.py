@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...kernels.derived_code import jacobian_of
 from ...simulation.compiled.compiled_flow import CompiledFlow
@@ -15,6 +16,7 @@ from .reduced_state import Leaf, leaf_of
 _ROUND_OFF = 10.0  # error of the Jacobian, in units of machine epsilon times its norm
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Linearisation(FrozenArrays):
     """The linearised reduced flow δż = matrix δz. Arrays are read-only.

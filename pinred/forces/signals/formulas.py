@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, positive, read_only
 from ...common.errors import InputError
 from ...common.parameter import Affine, Numbers, Parameter, parameters_in, value_of
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     import casadi as ca
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Constant(Signal):
     """A constant: the same value at all times.
@@ -63,6 +65,7 @@ class Constant(Signal):
         return np.full(t.shape, 0.0 if order else value_of(self.level))
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Fourier(Signal):
     """A Fourier series: mean + Σ aₖ cos(2πk t/period) + bₖ sin(2πk t/period), k from 1.
@@ -154,6 +157,7 @@ class Fourier(Signal):
         return result
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Expression(Signal):
     """A formula of the time `t`, such as "0.3*sin(2*t)"; see `expressions.parse` for its syntax.

@@ -1,4 +1,4 @@
-"""The base class of signals, and functions that validate coefficients."""
+"""Base class of signals, and validation of their coefficients."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats, read_only, vector
 from ...common.errors import InputError, ShapeError
 from ...common.parameter import value_of, values_of
@@ -21,6 +22,7 @@ MOST = 1000  # largest number of table entries or harmonics
 _ORDERS = ("value", "rate", "acceleration")
 
 
+@checks_arguments
 class Signal(ABC):
     """A scalar function of time [s], in the unit of the quantity it sets."""
 

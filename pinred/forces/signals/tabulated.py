@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector
 from ...common.errors import InputError, ShapeError
 from ...common.parameter import Affine, Numbers, Parameter, parameters_in, value_of, values_of
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 ENDS = ("natural", "clamped", "not-a-knot", "periodic")
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class _Table(Signal):
     """A polynomial on each interval between the entries of a table.
@@ -37,7 +39,7 @@ class _Table(Signal):
     times: ArrayLike
     values: Numbers
 
-    _least: ClassVar[int] = 2  # smallest number of entries
+    _least: ClassVar[int] = 2  # smallest number of table entries
     _smoothness: ClassVar[int]
 
     def __post_init__(self) -> None:
@@ -178,6 +180,7 @@ class _Table(Signal):
         return PPoly(coefficients, np.append(starts, self.span[1]))
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Spline(_Table):
     """The cubic spline through a table, continuous up to its acceleration.
@@ -216,6 +219,7 @@ class Spline(_Table):
         return np.array(curve.c)
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Linear(_Table):
     """Linear interpolation of a table. Its rate jumps, so it cannot prescribe a joint's motion.
@@ -231,6 +235,7 @@ class Linear(_Table):
         return np.vstack([np.diff(values) / np.diff(times), values[:-1]])
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Hold(_Table):
     """Steps (zero-order hold): each value applies from its time to the next, the last one forever.

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import Bindings, compiled, unbound
-from ..stepping.run_state import padded_rows
-from .forward_sensitivities import across, fill_weights, to_unit, weights_of
+from ..stepping.replay import Cotangents, Replay, across
+from ..stepping.state_rows import add_row, padded_rows, unit_alone
+from .forward_sensitivities import fill_weights, weights_of
 from .row_programs import Pullback, Rate, Sum, Terms, pullback_program, row_program
 from .runge_kutta import digest
 from .tableau import Tableau
@@ -34,7 +35,7 @@ BEGIN, COVECTOR, STAGE, SEED, RATES = range(5)
 # --- names that a tableau binds -----------------------------------------------------------------
 
 
-STAGES = SIZE = 1  # numbers of stages of a step: without and with the stages of the dense output
+STAGES = SIZE = 1  # numbers of stages per step, without and with the stages of the dense output
 
 
 # Row programs for a step of length h from row BEGIN. fill_rates computes the stage rates, and
@@ -48,39 +49,20 @@ fill_rates = fill_dense_rates = pull_back = pull_back_inside = unbound
 
 
 def sweep_back(
-    address: int,
-    adjoint: int,
-    params: Array,
-    quaternion: int,
-    dense: Array,
-    knots: Array,
-    stored: Array,
-    times: Array,
-    at_times: Array,
-    covector: Array,
-    by_params: Array,
-    work: Array,
-    both: Array,
-    w: Array,
+    replay: Replay, adjoint: int, dense: Array, back: Cotangents, work: Array, w: Array
 ) -> None:
     """Propagate a covector (n,) at the last step end back to the first, in place.
 
     Args:
-        address: Address of the kernel.
-        adjoint: Address of its adjoint kernel.
-        params: Parameters, (p,).
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        replay: The steps.
+        adjoint: Address of the adjoint kernel.
         dense: Weights of the stage rates in the dense output, see Weights.
-        knots: Times of the step ends, (K,) [s].
-        stored: States at the step ends, (K, n), or (K, n + S n) with the stage rates of each step.
-        times: Sorted report times, (T,) [s].
-        at_times: Covectors of the states at the report times, (T, n); overwritten.
-        covector: Covector, changed in place.
-        by_params: Derivative with respect to the parameters, (p,); the result is added to it.
+        back: The covector, and the stored steps.
         work: Work rows, see AdjointSweep.
-        both: Workspace (n + p,) for the output of the adjoint kernel.
         w: Workspace (S,) for weights.
     """
+    address, quaternion, params, knots, times = replay
+    stored, covector, at_times, by_params, both = back
     n, first = covector.shape[0], times.shape[0]
     for step in range(knots.shape[0] - 2, -1, -1):
         h = knots[step + 1] - knots[step]
@@ -90,14 +72,12 @@ def sweep_back(
         inside = last > first and times[first] < knots[step + 1]
         for r in range(first, last):
             if times[r] >= knots[step + 1]:
-                for k in range(n):
-                    covector[k] += at_times[r, k]
+                add_row(at_times[r], covector)
         for k in range(n):
             work[STAGE, k] = stored[step + 1, k]
             work[BEGIN, k] = stored[step, k]
-        size = to_unit(work[STAGE], quaternion)
-        across(work[STAGE], size, quaternion, covector, 1)
-        to_unit(work[BEGIN], quaternion)
+        across(work[STAGE], unit_alone(work[STAGE], quaternion), quaternion, covector, 1)
+        unit_alone(work[BEGIN], quaternion)
         for k in range(n):
             work[COVECTOR, k] = covector[k]
         if stored.shape[1] > n:
@@ -122,8 +102,7 @@ def sweep_back(
             for k in range(n):
                 covector[k] += work[RATES + SIZE + i, k]
     for r in range(first):
-        for k in range(n):
-            covector[k] += at_times[r, k]
+        add_row(at_times[r], covector)
 
 
 def pull_back_report(
@@ -135,7 +114,7 @@ def pull_back_report(
         work: Work rows.
         w: Weights of the stage rates in that state, (S,).
         h: Length of the step [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         at_time: Covector of the state, (n,); overwritten.
         covector: Covector of the state at the start of the step, (n,); the result is added to it.
     """
@@ -145,10 +124,8 @@ def pull_back_report(
     for i in range(SIZE):
         for k in range(n):
             work[STAGE, k] += h * w[i] * work[RATES + i, k]
-    size = to_unit(work[STAGE], quaternion)
-    across(work[STAGE], size, quaternion, at_time, 1)
-    for k in range(n):
-        covector[k] += at_time[k]
+    across(work[STAGE], unit_alone(work[STAGE], quaternion), quaternion, at_time, 1)
+    add_row(at_time, covector)
     for i in range(SIZE):
         for k in range(n):
             work[RATES + 2 * SIZE + i, k] += h * w[i] * at_time[k]
@@ -173,13 +150,13 @@ class AdjointSweep:
 @once_for_all
 def adjoint_sweep_of(tableau: Tableau) -> AdjointSweep:
     """Return the adjoint sweep of a tableau, compiled at its first call."""
-    A, s, size = weights_of(tableau).A, tableau.stages, len(tableau.A)
+    A, s, size = weights_of(tableau)[0], tableau.stages, len(tableau.A)
 
     def weighted(base: int, weights: Array) -> Terms:
         return [(base + j, a) for j, a in enumerate(weights.tolist()) if a != 0.0]
 
     def state(i: int) -> tuple[list[Sum], int]:
-        """Return the Sum that computes the state of stage i (none for the first), and its row."""
+        """Return the sums that compute the state of stage i (empty for the first), and its row."""
         terms = weighted(RATES, A[i, :i])
         return ([Sum(STAGE, BEGIN, terms)], STAGE) if terms else ([], BEGIN)
 

@@ -14,20 +14,11 @@ from __future__ import annotations
 from math import cos, sin, sqrt, tan
 
 from ...common.arrays import Array
+from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_state import (
-    DONE,
-    NEW,
-    NOT_FINITE,
-    Run,
-    Y,
-    copy_an_end,
-    first_not_finite,
-    keep_state,
-    padded_rows,
-    unit_alone,
-)
+from ..stepping.run_state import Run, copy_an_end, keep_state
+from ..stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .row_programs import row_sum
 
@@ -76,14 +67,7 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
 
 
 @inlined
-def load_step(
-    run: Run,
-    params: Array,
-    work: Array,
-    t_new: float,
-    end_states: Array,  # noqa: ARG001
-    k: int,  # noqa: ARG001
-) -> None:
+def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
     """Recompute a stored step, so that states inside it can be written (hook)."""
     _rate(run.address, params, work, work[Y], RATE, run.quaternion)
     _step(run.address, params, work, run.quaternion, t_new - run.t)
@@ -130,7 +114,7 @@ def _rate(address: int, params: Array, work: Array, y: Array, row: int, quaterni
         b = q[3] * d[1] - q[1] * d[3] - (q[2] * d[0] - q[0] * d[2])
         c = q[3] * d[2] - q[2] * d[3] - (q[0] * d[1] - q[1] * d[0])
         d[0], d[1], d[2] = 2.0 * a, 2.0 * b, 2.0 * c
-        d[3] *= 0.0  # sets the entry to zero, but keeps it non-finite if it was
+        d[3] *= 0.0  # sets the entry to zero, but keeps infinities and NaN non-finite
 
 
 @compiled
@@ -173,7 +157,7 @@ def _straighten(rate: Array, h: float, row: Array, quaternion: int) -> None:
 
 @compiled
 def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Array) -> None:
-    """Write the state (n,) at `time` after the start of a step h, using cubic polynomials."""
+    """Write the state (n,) at `time` within a step of length h, by cubic interpolation."""
     x = time / h
     y = 1.0 - x
     by_difference, by_start, by_end = x * x * (3.0 - 2.0 * x), h * x * y * y, -h * x * x * y
@@ -195,7 +179,7 @@ def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Ar
 
 STEPPER = Stepper(
     loops(
-        "RKMK4", Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state)
+        "RKMK4", Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state, load_step)
     ),
     lambda n, tangent: padded_rows(ROWS, n),  # noqa: ARG005
 )

@@ -17,7 +17,7 @@ from numba.core import cgutils, types
 from ...common.arrays import Array
 from ..stepping.compiling import make_intrinsic
 from ..stepping.kernel_call import check_contiguous, emit_call
-from ..stepping.run_state import WIDTH
+from ..stepping.state_rows import WIDTH
 from ..stepping.vector_rows import VectorRows, add_pairwise
 
 Terms: TypeAlias = Sequence[tuple[int, float]]  # pairs of row and weight

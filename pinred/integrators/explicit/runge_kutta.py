@@ -2,10 +2,10 @@
 
 E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed.,
 Springer 1993, sections II.4 (step control, first step), II.5 and II.6 (dense output), and
-Hairer's code dop853.f, whose constants serve all methods here.
+Hairer's code dop853.f, whose constants all methods of this module use.
 
 The state stored at a step end is the result of the step before its quaternion is normalised,
-so a step can be repeated from it to the last bit.
+so that repeating a step from this state reproduces it bit for bit.
 """
 
 from __future__ import annotations
@@ -18,48 +18,15 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
+from ..stepping.codes import DENSE, DONE, ENDS, NOT_FINITE, STEP
 from ..stepping.compiling import Bindings, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_state import (
-    DENSE,
-    DONE,
-    ENDS,
-    NEW,
-    NOT_FINITE,
-    STAGES_KEPT,
-    STEP,
-    Run,
-    Y,
-    copy_an_end,
-    first_not_finite,
-    keep_state,
-    padded_rows,
-    reject_step,
-    unit,
-    unit_alone,
-)
+from ..stepping.run_state import STAGES_KEPT, Run, copy_an_end, keep_state, reject_step
+from ..stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
 from .row_programs import Rate, Sum, Terms, row_program
-from .step_formulas import (
-    BEGIN_RATE,
-    CRASH,
-    END_RATE,
-    ERROR,
-    ERROR3,
-    FORMULAS,
-    GROW,
-    RATES,
-    SAFETY,
-    SCALAR,
-    SHRINK,
-    STAGE,
-    dense_value,
-    fill_hermite,
-    first_step,
-    one_error,
-    root,
-    two_errors,
-)
+from .step_formulas import SCALAR, add_formulas, dense_value, fill_hermite, first_step, next_step
+from .step_rows import BEGIN_RATE, END_RATE, ERROR, ERROR3, RATES, STAGE
 from .tableau import Tableau
 
 # --- names that a tableau binds -----------------------------------------------------------------
@@ -106,11 +73,9 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
         run.evaluations += fill_end(run.address, params, work, h)
         if first_not_finite(work[END_RATE], run.n) < 0:
             return DONE
-    shrink = max(SHRINK, SAFETY / root(run.error))
     if not 1.0 < run.error < np.inf:  # an entry is not finite
-        shrink = CRASH
         run.entry = non_finite_entry(work, run.n)
-    return reject_step(run, h * shrink)
+    return reject_step(run, next_step(run.error, h, False, False, run.max_step))
 
 
 def accept_step(run: Run, work: Array, t_new: float) -> None:
@@ -119,13 +84,10 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:
         work[Y, i] = work[NEW, i]
         work[BEGIN_RATE, i] = work[END_RATE, i]
     unit(work[Y], work[BEGIN_RATE], run.quaternion)
-    growth = min(GROW, max(SHRINK, SAFETY / max(root(run.error), 1e-300)))
-    if run.again:
-        growth = min(growth, 1.0)
-    else:
+    run.h = next_step(run.error, t_new - run.t, True, run.again != 0, run.max_step)
+    if not run.again:
         run.entry = -1  # the accepted step is finite, so an earlier non-finite entry is obsolete
     run.again = 0
-    run.h = min((t_new - run.t) * growth, run.max_step)
 
 
 def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Array) -> None:
@@ -140,14 +102,7 @@ def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Arr
                 end_states[k, (stage + 2) * n + i] = work[RATES + stage, i]
 
 
-def load_step(
-    run: Run,
-    params: Array,
-    work: Array,
-    t_new: float,  # noqa: ARG001
-    end_states: Array,  # noqa: ARG001
-    k: int,  # noqa: ARG001
-) -> None:
+def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
     """Evaluate the rate at the start of a stored step; other rates follow when needed (hook)."""
     call(run.address, work[Y], params, work[BEGIN_RATE])
     unit(work[Y], work[BEGIN_RATE], run.quaternion)
@@ -276,9 +231,7 @@ def bind_formulas(
         fill_dense=row_program(steps.dense, **programs),
         **numbers,
     )
-    for formula in FORMULAS:
-        bindings.add(formula)
-    bindings.add(one_error if len(tableau.errors) == 1 else two_errors, name="estimate")
+    add_formulas(bindings, len(tableau.errors))
     return bindings
 
 
@@ -291,7 +244,7 @@ def make_stepper(name: str, order: int, tableau: Tableau) -> Stepper:
     bindings.add(fill_dense_rows)
     rows = steps_of(tableau).rows
     hooks = (
-        begin_run, next_end_time, attempt_step, accept_step, load_step, write_state, store_end,
+        begin_run, next_end_time, attempt_step, accept_step, write_state, load_step, store_end,
     )  # fmt: skip
     return Stepper(
         loops(prefix, Hooks(*map(bindings.add, hooks))),

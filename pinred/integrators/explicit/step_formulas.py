@@ -13,27 +13,25 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import Array
-from ..stepping.compiling import inlined, unbound
+from ..stepping.compiling import Bindings, inlined, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_state import NEW, TURN, Run, Y, in_quaternion
+from ..stepping.run_state import Run
+from ..stepping.state_rows import NEW, TURN, Y, in_quaternion
+from .step_rows import BEGIN_RATE, END_RATE, ERROR, ERROR3, RATES, STAGE
 
-# Rows of `work` after the two state rows: the state of a stage, the error rows, and the rates at
-# both ends of a step. The rates of the other stages and the dense-output terms follow.
-STAGE, ERROR, ERROR3, BEGIN_RATE, END_RATE, RATES = 2, 3, 4, 5, 6, 7
-
-SAFETY, SHRINK, GROW, CRASH = 0.9, 0.333, 6.0, 0.1  # factors of the step control, from dop853.f
+_SAFETY, _SHRINK, _GROW, _CRASH = 0.9, 0.333, 6.0, 0.1  # factors of the step control, from dop853.f
 
 
 # --- names that a tableau and a number type bind ----------------------------------------------
 
 
-HALVINGS, REST = 0, 1  # factors of the method's order, 2^HALVINGS · REST
+HALVINGS, REST = 0, 1  # factorisation of the method's order: 2^HALVINGS · REST
 FIRST, TERMS = RATES, 3  # first row and number of the dense-output terms
 
 
-# In all lanes: same(number) returns a number, get(rows, row, i) and put(rows, row, i, value) return
-# and set entry i of a row, choose(condition, yes, no) returns `yes` where a condition is true, else
-# `no`, and power(base, exponent) returns a power.
+# Operations that act on all lanes: same(number) copies a number to each lane; get(rows, row, i)
+# reads entry i of a row, and put(rows, row, i, value) sets it; choose(condition, yes, no) selects
+# `yes` where the condition is true, else `no`; power(base, exponent) returns a power.
 same = get = put = choose = power = unbound
 
 
@@ -121,7 +119,7 @@ def first_step(run: Run, params: Array, work: Array) -> Any:
 
     Hairer's first step depends on the unit of time of the model. Here √(|y|/|ÿ|) replaces this
     unit. Where |y| or |ẏ| vanishes, a fraction of the end time replaces their ratio. The function
-    costs one evaluation.
+    takes one evaluation.
     """
     longest = same(min(run.t_end, run.max_step))
     size, rate = same(0.0), same(0.0)
@@ -153,6 +151,25 @@ def first_step(run: Run, params: Array, work: Array) -> Any:
     return choose(steepest < np.inf, choose(steepest <= 1e-15, limit, by_rates), h)
 
 
+def next_step(error: Any, h: Any, accepted: Any, again: Any, max_step: float) -> Any:
+    """Return the length of the next step.
+
+    Args:
+        error: Error of the step, in units of the tolerance.
+        h: Length of the step [s].
+        accepted: Whether the step is accepted.
+        again: Whether the previous trial was rejected.
+        max_step: Longest step [s].
+    Returns:
+        The length [s]; a rejected step becomes shorter.
+    """
+    ideal = _SAFETY / larger(root(error), same(1e-300))
+    growth = smaller(same(_GROW), larger(same(_SHRINK), ideal))
+    growth = choose(again, smaller(growth, same(1.0)), growth)
+    shrink = choose((error > 1.0) & (error < np.inf), larger(same(_SHRINK), ideal), _CRASH)
+    return choose(accepted, smaller(h * growth, same(max_step)), h * shrink)
+
+
 def fill_hermite(run: Run, work: Array, h: Any) -> None:
     """Compute the first three dense-output rows: the terms of the cubic Hermite polynomial."""
     for i in range(run.n):
@@ -172,6 +189,10 @@ def dense_value(work: Array, i: int, x: Any) -> Any:
     return get(work, Y, i) + x * total
 
 
-FORMULAS = (
-    smaller, larger, root, entry_tolerance, first_step, fill_hermite, dense_value,
-)  # fmt: skip
+def add_formulas(bindings: Bindings, errors: int) -> None:
+    """Bind the formulas of a tableau with one or two error rows, each after those that it calls."""
+    for formula in (
+        smaller, larger, root, entry_tolerance, first_step, next_step, fill_hermite, dense_value,
+    ):  # fmt: skip
+        bindings.add(formula)
+    bindings.add(one_error if errors == 1 else two_errors, name="estimate")

@@ -16,38 +16,15 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
+from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
-from ..stepping.run_state import (
-    DONE,
-    NOT_FINITE,
-    STAGES_KEPT,
-    Run,
-    Y,
-    entry_size,
-    first_step_by_rate,
-    keep_state,
-    reject_step,
-    unit_alone,
-)
+from ..stepping.run_state import STAGES_KEPT, Run, first_step_by_rate, keep_state, reject_step
+from ..stepping.state_rows import Y, entry_size, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
-from .fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
+from .fixed_step import continue_from_end, not_finite_in, write_inside_state
 from .newton import rows_of_stages
-from .stages import (
-    CARRY,
-    GUESS,
-    INFO,
-    LAST,
-    NO_SOLUTION,
-    OLD,
-    RATE,
-    SCALE,
-    L,
-    finish,
-    guess,
-    guess_evenly,
-    iterate,
-    prepare_guess,
-)
+from .stage_rows import CARRY, GUESS, INFO, LAST, OLD, RATE, SCALE, L
+from .stages import NO_SOLUTION, finish, guess, guess_evenly, iterate, prepare_guess
 from .tables import lanes_of
 
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
@@ -167,7 +144,7 @@ def _error(run: Run, work: Array) -> float:
             coefficient += work[LAST, j] * work[L, i * lanes + j]
         coefficient *= work[SCALE, i]
         total += coefficient * coefficient
-    # Relative to the size of the state.
+    # The error of the quadrature, relative to the size of the state.
     relative = sqrt(total * run.stages) * run.rtol
     if relative == 0.0:
         return 0.0
@@ -179,7 +156,7 @@ def _error(run: Run, work: Array) -> float:
 
 LOOPS = loops(
     "AdaptiveGauss",
-    Hooks(begin_run, next_end_time, attempt_step, accept_step, load_step, write_state, store_end),
+    Hooks(begin_run, next_end_time, attempt_step, accept_step, write_state, store_end=store_end),
 )
 
 

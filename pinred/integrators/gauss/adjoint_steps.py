@@ -14,118 +14,48 @@ lanes. A state inside a step is the end of a shorter step.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
-import numpy as np
-
 from ...common.arrays import Array
-from ..explicit.forward_sensitivities import across, to_unit
 from ..stepping.compiling import compiled
-from ..stepping.kernel_call import call, call_adjoint
-from ..stepping.run_state import NEW, Y
-from .stages import (
-    GUESS,
-    MU,
-    OLD,
-    RATE,
-    ROWS,
-    STAGE,
-    SUB,
-    WITHIN,
-    B,
-    L,
-    guess,
-    multiply,
-    prepare_guess,
-    refresh,
-    scale_by_largest,
-    start_evenly,
-    work_rows,
-)
-from .tables import tables
+from ..stepping.replay import Cotangents, Replay, across
+from ..stepping.state_rows import NEW, Y, add_row, copy_row, unit_alone
+from .fixed_points import OLD_Z, SUB_Z, Z, find_covectors, find_stages
+from .stage_rows import GUESS, OLD, SUB, WITHIN, B, L
+from .stages import add_increments, guess, prepare_guess, start_evenly
 
-# Rows after those of `stages`: μ transposed, the covectors Λ of the stages, and Z of this step, of
-# the step treated before, and of a shorter step to a report time. Row NEW contains the covector at
-# the end of the step.
-TRANSPOSED, SEED, Z, OLD_Z, SUB_Z = range(ROWS, ROWS + 5)
-
-_MOST = 400  # largest number of fixed-point iterations per solve
-_PATIENCE = 2  # limit on iterations without improvement, near round-off
-_WAVES = 20  # the same limit far from round-off, where slow convergence comes in waves
-# Relative change above which an iteration that has stopped improving counts as not converged.
-_CLOSE = 1e-10
-_EPS = float(np.finfo(float).eps)
-_SURE = 64.0 * _EPS  # change below which the ratio of two changes predicts the remaining error
 _FURTHEST = 2.0  # limit of the extrapolation, in lengths of the step treated before
-
-
-def reverse_rows(stages: int, n: int) -> Array:
-    """Return the work rows of `reverse`, with the tables of the method stored in them."""
-    return _first_rows(stages, n).copy()
-
-
-@lru_cache(maxsize=16)
-def _first_rows(stages: int, n: int) -> Array:
-    stage_rows = work_rows(stages, n, 0)
-    work = np.zeros((SUB_Z + 1, stage_rows.shape[1]))
-    work[:ROWS] = stage_rows
-    mu = tables(stages).mu
-    work[TRANSPOSED, : mu.size] = mu.ravel()
-    return work
 
 
 @compiled
 def reverse(
-    address: int,
-    adjoint: int,
-    params: Array,
-    stages: int,
-    lanes: int,
-    quaternion: int,
-    knots: Array,
-    stored: Array,
-    times: Array,
-    at_times: Array,
-    covector: Array,
-    by_params: Array,
-    work: Array,
-    both: Array,
+    replay: Replay, adjoint: int, stages: int, lanes: int, back: Cotangents, work: Array
 ) -> int:
     """Propagate a covector (n,) at the last step end back to the first, in place.
 
     Args:
-        address: Address of the kernel.
-        adjoint: Address of its adjoint kernel.
-        params: Parameters, (p,).
+        replay: The steps.
+        adjoint: Address of the adjoint kernel.
         stages: Number of stages.
         lanes: Number of SIMD lanes, idle lanes included.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
-        knots: Times of the step ends, (K,) [s].
-        stored: States at the step ends, (K, n), or (K, n + n lanes) with the stage increments L of
-            each step.
-        times: Sorted report times, (T,) [s].
-        at_times: Covectors of the states at the report times, (T, n); overwritten.
-        covector: Covector, changed in place.
-        by_params: Derivative with respect to the parameters, (p,); the result is added to it.
-        work: Work rows, see `reverse_rows`.
-        both: Workspace ((n + p) lanes,) for the output of the adjoint kernel.
+        back: The covector, and the stored steps.
+        work: Work rows, see `sensitivity_rows`.
     Returns:
         0, or 1 plus the index of the first step whose equations did not converge.
     """
+    address, quaternion, params, knots, times = replay
+    stored, covector, at_times, _, both = back
     n, first, last_h = covector.shape[0], times.shape[0], 0.0
     for step in range(knots.shape[0] - 2, -1, -1):
         for i in range(n):
             work[Y, i] = stored[step + 1, i]
-        size = to_unit(work[Y], quaternion)
+        factor = unit_alone(work[Y], quaternion)
         while first > 0 and times[first - 1] >= knots[step + 1]:
             first -= 1
-            across(work[Y], size, quaternion, at_times[first], 1)
-            for i in range(n):
-                covector[i] += at_times[first, i]
+            across(work[Y], factor, quaternion, at_times[first], 1)
+            add_row(at_times[first], covector)
         for i in range(n):
             work[Y, i] = stored[step, i]
         if step == 0:
-            to_unit(work[Y], quaternion)
+            unit_alone(work[Y], quaternion)
         h = knots[step + 1] - knots[step]
         near = 0.0 < h <= _FURTHEST * last_h
         if near:
@@ -142,8 +72,8 @@ def reverse(
         else:
             work[Z] = 0.0
         if not (
-            find_stages(address, params, work, n, lanes, L, h)
-            and step_back(adjoint, params, work, lanes, Z, h, covector, by_params, both)
+            find_stages(address, params, work, n, lanes, L, h, params)
+            and step_back(adjoint, params, work, lanes, Z, h, covector, back)
         ):
             return step + 1
         last_h = h
@@ -155,60 +85,20 @@ def reverse(
             elapsed = times[first] - knots[step]
             prepare_guess(work, lanes, stages, WITHIN, 0.0, elapsed / h)
             guess(work, n, lanes, WITHIN, L, SUB)
-            if not find_stages(address, params, work, n, lanes, SUB, elapsed):
+            if not find_stages(address, params, work, n, lanes, SUB, elapsed, params):
                 return step + 1
-            for i in range(n):
-                total = 0.0
-                for j in range(lanes):
-                    total += work[SUB, i * lanes + j]
-                both[i] = work[Y, i] + total
-            size = to_unit(both[:n], quaternion)
-            across(both[:n], size, quaternion, at_times[first], 1)
+            inside = both[:n]
+            copy_row(work[Y], inside)
+            add_increments(work, SUB, lanes, inside)
+            factor = unit_alone(inside, quaternion)
+            across(inside, factor, quaternion, at_times[first], 1)
             work[SUB_Z] = 0.0
-            if not step_back(
-                adjoint, params, work, lanes, SUB_Z, elapsed, at_times[first], by_params, both
-            ):
+            if not step_back(adjoint, params, work, lanes, SUB_Z, elapsed, at_times[first], back):
                 return step + 1
-            for i in range(n):
-                covector[i] += at_times[first, i]
+            add_row(at_times[first], covector)
     for r in range(first):
-        for i in range(n):
-            covector[i] += at_times[r, i]
+        add_row(at_times[r], covector)
     return 0
-
-
-@compiled
-def find_stages(
-    address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float
-) -> bool:
-    """Solve for the stage increments in `row` from a first guess, and write the stages to STAGE.
-
-    Args:
-        address: Address of the kernel.
-        params: Parameters, (p,).
-        work: Work rows.
-        n: Number of entries of the state.
-        lanes: Number of SIMD lanes, idle lanes included.
-        row: Row of the stage increments L.
-        h: Length of the step [s].
-    Returns:
-        Whether the iteration converged.
-    """
-    scale_by_largest(work, n, lanes, Y, row)
-    previous, best, idle = np.inf, np.inf, 0
-    for _ in range(_MOST):
-        multiply(work, STAGE, Y, MU, row, n, lanes)
-        call(address, work[STAGE], params, work[RATE])
-        change = refresh(work, row, n, lanes, h)
-        if not change < np.inf:
-            return False
-        idle = idle + 1 if change >= best else 0
-        best = min(best, change)
-        if _settled(change, previous, best, idle):
-            multiply(work, STAGE, Y, MU, row, n, lanes)
-            return best <= _CLOSE
-        previous = change
-    return False
 
 
 @compiled
@@ -220,8 +110,7 @@ def step_back(
     row: int,
     h: float,
     covector: Array,
-    by_params: Array,
-    both: Array,
+    back: Cotangents,
 ) -> bool:
     """Propagate a covector (n,) back over a step with stages in STAGE, in place.
 
@@ -233,44 +122,16 @@ def step_back(
         row: Row of Z, which contains a first guess.
         h: Length of the step [s].
         covector: Covector, changed in place.
-        by_params: Derivative with respect to the parameters, (p,); the result is added to it.
-        both: Workspace ((n + p) lanes,) for the output of the adjoint kernel.
+        back: Derivative with respect to the parameters, and workspace.
     Returns:
         Whether the iteration converged.
     """
-    n, p = covector.shape[0], by_params.shape[0]
+    n, (_, _, _, by_params, both) = covector.shape[0], back
     for i in range(n):
         work[NEW, i] = covector[i]
-    scale_by_largest(work, n, lanes, NEW, row)
-    previous, best, idle = np.inf, np.inf, 0
-    converged = False
-    for _ in range(_MOST):
-        multiply(work, SEED, NEW, TRANSPOSED, row, n, lanes)
-        call_adjoint(adjoint, work[STAGE], params, work[SEED], both)
-        for i in range(n * lanes):
-            work[RATE, i] = both[i]
-        change = refresh(work, row, n, lanes, h)
-        if not change < np.inf:
-            return False
-        idle = idle + 1 if change >= best else 0
-        best = min(best, change)
-        if _settled(change, previous, best, idle):
-            converged = best <= _CLOSE
-            break
-        previous = change
-    for i in range(n):
-        for j in range(lanes):
-            covector[i] += work[row, i * lanes + j]
-    for i in range(p):
+    converged: bool = find_covectors(adjoint, params, work, n, lanes, row, h, both)
+    add_increments(work, row, lanes, covector)
+    for i in range(by_params.shape[0]):
         for j in range(lanes):
             by_params[i] += h * work[B, j] * both[(n + i) * lanes + j]
     return converged
-
-
-@compiled
-def _settled(change: float, previous: float, best: float, idle: int) -> bool:
-    """Return whether further fixed-point iterations would not improve the solution."""
-    if change <= _EPS or idle >= (_PATIENCE if best <= _CLOSE else _WAVES):
-        return True
-    ratio = change / previous
-    return change <= _SURE and ratio < 1.0 and change * ratio <= _EPS * (1.0 - ratio)

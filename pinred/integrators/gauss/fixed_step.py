@@ -11,40 +11,28 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
-from ..stepping.compiling import compiled, inlined
-from ..stepping.run_state import (
+from ..stepping.codes import (
     AGAIN,
     AUTO,
     DIVERGED,
     DONE,
     FIXED_POINT,
-    NEW,
     NEWTON,
     NOT_FINITE,
     STEP,
     WANTED,
-    Run,
-    Y,
-    copy_an_end,
-    first_not_finite,
-    keep_state,
-    unit_alone,
 )
+from ..stepping.compiling import compiled, inlined
+from ..stepping.run_state import Run, copy_an_end, keep_state
+from ..stepping.state_rows import NEW, Y, copy_row, first_not_finite, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .newton import MAIN, prepare, refine, rows_of_stages
 from .newton import SUB as REPORT
+from .stage_rows import CARRY, GUESS, INFO, NEXT_CARRY, OLD, RATE, SUB, WITHIN, L
 from .stages import (
-    CARRY,
-    GUESS,
-    INFO,
-    NEXT_CARRY,
     NO_SOLUTION,
-    OLD,
-    RATE,
     ROUND_OFF,
-    SUB,
-    WITHIN,
-    L,
+    add_increments,
     finish,
     guess,
     guess_evenly,
@@ -78,7 +66,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # 
     newton = run.solver == NEWTON or (auto and run.remaining > 0)
     if newton and run.tangent == 0:
         return WANTED
-    # All steps have the same length to the last bit; the clock's round-off is ignored.
+    # All steps have exactly the same length; round-off of the time is ignored.
     h = run.h
     if run.steps == 0:
         guess_evenly(run, params, work, L, h)
@@ -111,13 +99,6 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
     """Start the next step at the end of this step (hook)."""
     continue_from_end(run, work)
     run.before = run.h
-
-
-@inlined
-def load_step(
-    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
-) -> None:
-    """Do nothing, because the states at the ends of a stored step suffice (hook)."""
 
 
 @inlined
@@ -233,8 +214,8 @@ def write_inside_state(
             iterations = find_stages_by_newton(run, params, work, SUB, REPORT, True, h)
             solved = iterations != NO_SOLUTION
         if solved:
-            for i in range(n):
-                out[i] = work[Y, i] + _sum(work, SUB, i, lanes)
+            copy_row(work[Y], out)
+            add_increments(work, SUB, lanes, out)
         else:
             solved = _write_by_segments(run, params, work, h, out)
     unit_alone(out, run.quaternion)
@@ -254,8 +235,7 @@ def _write_by_segments(run: Run, params: Array, work: Array, h: float, out: Arra
             iterations = find_stages(run, params, work, SUB, h / segments)
             if iterations == NO_SOLUTION:
                 break
-            for i in range(n):
-                work[Y, i] += _sum(work, SUB, i, lanes)
+            add_increments(work, SUB, lanes, work[Y, :n])
         for i in range(n):
             end = work[Y, i] if iterations != NO_SOLUTION else np.nan
             work[Y, i] = out[i]
@@ -265,18 +245,7 @@ def _write_by_segments(run: Run, params: Array, work: Array, h: float, out: Arra
     return bool(iterations != NO_SOLUTION)
 
 
-@compiled
-def _sum(work: Array, row: int, i: int, lanes: int) -> float:
-    """Return the change of entry i over a step: the sum of its stage increments."""
-    total = 0.0
-    for j in range(lanes):
-        total += work[row, i * lanes + j]
-    return total
-
-
-LOOPS = loops(
-    "Gauss", Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state)
-)
+LOOPS = loops("Gauss", Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state))
 
 
 @once_for_all

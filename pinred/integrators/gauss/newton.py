@@ -18,8 +18,11 @@ from ...common.arrays import Array, read_only
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..stepping.run_state import Run, Y, first_not_finite
-from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply, work_rows
+from ..stepping.run_state import Run
+from ..stepping.state_rows import Y, first_not_finite
+from .stage_products import multiply
+from .stage_rows import BEST, MU, RATE, ROWS, SCALE, STAGE, B, work_rows
+from .stages import NO_SOLUTION
 from .tables import MOST_STAGES, tables
 
 _ENTRY = 2 + 4 * MOST_STAGES  # number of floats per pair: the eigenvalue and its two eigenvectors

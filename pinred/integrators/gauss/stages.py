@@ -3,153 +3,33 @@
 Fixed-point iteration solves the stages; each iteration costs one call of the kernel. Vector
 instructions compute all stages, one per SIMD lane.
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section VIII.6.
-
-A stage row stores the value of entry i at stage j as number i·lanes + j. Kernels that evaluate
-all stages at once use the same layout.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils, types
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, inlined, make_intrinsic
+from ..stepping.compiling import compiled
 from ..stepping.kernel_call import call
-from ..stepping.run_state import NEW, Run, Y
-from ..stepping.vector_rows import VectorRows, add_pairwise
-from .tables import lanes_of, tables
-
-_CONTRACT = ("contract",)
-
-
-def product(lanes: int) -> Callable[..., None]:
-    """Return the compiled function multiply(work, out, base, table, row, n).
-
-    It computes row `out` = row `base` + table · row `row` for n entries. `out` and `row` are stage
-    rows. `base` has one number per entry, or is −1 for zero. `table` is (lanes, lanes), stored by
-    columns.
-    """
-
-    @make_intrinsic
-    def multiply(  # type: ignore[no-untyped-def]
-        typing: Any, work: Any, out: Any, base: Any, table: Any, row: Any, n: Any
-    ):
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
-            out, base, table, row, n = arguments[1:]
-            integer = n.type
-            columns = [rows.load(table, integer(lanes * j)) for j in range(lanes)]
-            with_base = builder.icmp_signed(">=", base, integer(0))
-            with cgutils.for_range(builder, n) as loop:
-                first = builder.mul(loop.index, integer(lanes))
-                start = builder.select(
-                    with_base,
-                    rows.number(builder.select(with_base, base, integer(0)), loop.index),
-                    ir.Constant(rows.vector, [0.0] * lanes),
-                )
-                terms = [
-                    builder.fmul(
-                        column,
-                        rows.number(row, builder.add(first, integer(j))),
-                        flags=_CONTRACT,
-                    )
-                    for j, column in enumerate(columns)
-                ]
-                total = builder.fadd(
-                    start, add_pairwise(builder, terms, _CONTRACT), flags=_CONTRACT
-                )
-                rows.store(total, out, first)
-            return context.get_dummy_value()
-
-        integer_type = types.int64
-        return types.void(
-            work, integer_type, integer_type, integer_type, integer_type, integer_type
-        ), generate
-
-    return multiply
-
-
-def refreshment(lanes: int) -> Callable[..., float]:
-    """Return refresh(work, row, rate, last, best, scale, weights, n, h), one fixed-point iteration.
-
-    It sets the stage row `row` to h weights · rate and returns Σ (change · scale)². `last` contains
-    the changes of the previous iteration. Positions and momenta may change alternately, so the
-    larger of two successive changes is compared, and `best` contains its minimum so far. The vector
-    after the stages of `best` counts the entries whose minimum has improved.
-    """
-
-    @make_intrinsic
-    def refresh(  # type: ignore[no-untyped-def]
-        typing: Any, work: Any, row: Any, rate: Any, last: Any, best: Any, scale: Any,
-        weights: Any, n: Any, h: Any,
-    ):  # fmt: skip
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
-            row, rate, last, best, scale, weights, n, h = arguments[1:]
-            integer, T = n.type, rows.vector
-            zero, one = ir.Constant(T, [0.0] * lanes), ir.Constant(T, [1.0] * lanes)
-            factor = builder.fmul(rows.splat(h), rows.load(weights, integer(0)))
-            size, improvements = (_variable(builder, zero) for _ in range(2))
-            fabs = _absolute(builder, T, lanes)
-            with cgutils.for_range(builder, n) as loop:
-                first = builder.mul(loop.index, integer(lanes))
-                new = builder.fmul(factor, rows.load(rate, first))
-                change = builder.call(fabs, [builder.fsub(new, rows.load(row, first))])
-                rows.store(new, row, first)
-                previous, smallest = rows.load(last, first), rows.load(best, first)
-                rows.store(change, last, first)
-                larger = builder.select(
-                    builder.fcmp_ordered(">", change, previous), change, previous
-                )
-                improved = builder.and_(
-                    builder.fcmp_ordered("<", larger, smallest),
-                    builder.fcmp_ordered(">", larger, zero),
-                )
-                rows.store(builder.select(improved, larger, smallest), best, first)
-                counted = builder.fadd(
-                    builder.load(improvements), builder.select(improved, one, zero)
-                )
-                builder.store(counted, improvements)
-                relative = builder.fmul(change, rows.number(scale, loop.index))
-                total = builder.fadd(builder.load(size), builder.fmul(relative, relative))
-                builder.store(total, size)
-            rows.store(builder.load(improvements), best, builder.mul(n, integer(lanes)))
-            summed = builder.load(size)
-            sums = [builder.extract_element(summed, ir.IntType(32)(j)) for j in range(lanes)]
-            return add_pairwise(builder, sums)
-
-        integer_type = types.int64
-        argument_types = (work, *(integer_type,) * 7, types.float64)
-        return types.float64(*argument_types), generate
-
-    return refresh
-
-
-def _absolute(builder: Any, T: Any, lanes: int) -> Any:
-    """Return LLVM's function for the absolute values of a vector."""
-    get_function: Callable[..., Any] = cgutils.get_or_insert_function
-    return get_function(builder.module, ir.FunctionType(T, [T]), f"llvm.fabs.v{lanes}f64")
-
-
-def _variable(builder: Any, value: Any) -> Any:
-    """Allocate a variable with an initial value; return its address."""
-    allocate: Callable[..., Any] = cgutils.alloca_once_value
-    return allocate(builder, value)
-
-
-# Rows of `work` after the two state rows. L, OLD, SUB: stage increments L_j = h b_j f(Y_j) of this
-# step, of the previous step, and of the shorter step to a report time. CARRY: compensation of the
-# sum over all steps. CHANGE and BEST: see `refreshment`. SCALE: weights of the changes in their
-# norm. INFO: largest change that may be round-off, and the ratio of the last two changes. MU to
-# BARY: tables of the method.
-CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, CHANGE, BEST, SCALE = range(2, 12)
-MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(12, 20)
-ROWS = 20
+from ..stepping.run_state import Run
+from ..stepping.state_rows import NEW, Y
+from .stage_products import multiply, refresh
+from .stage_rows import (
+    BARY,
+    BEST,
+    CARRY,
+    CHANGE,
+    INFO,
+    MU,
+    NEXT_CARRY,
+    RATE,
+    SCALE,
+    STAGE,
+    SUB,
+    B,
+    C,
+)
 
 # Largest numbers of fixed-point iterations for a step, and for a shorter step to a report time,
 # whose first guess is worse.
@@ -160,70 +40,6 @@ _PATIENCE = 8  # limit on iterations without improvement, far from round-off
 _FAST, _NEAR = 0.3, 1e-8
 ROUND_OFF = 0.0  # `limit` with which `iterate` continues until the changes stop decreasing
 NO_SOLUTION = -1  # returned instead of a number of iterations if the iteration did not converge
-
-_multiply4, _multiply8 = product(4), product(8)
-_refresh4, _refresh8 = refreshment(4), refreshment(8)
-
-
-def work_rows(stages: int, n: int, behind: int) -> Array:
-    """Allocate the work rows of a step and store the tables of the method in them.
-
-    Args:
-        stages: Number of stages.
-        n: Number of entries of the state.
-        behind: Number of additional floats behind the rows, as workspace.
-    Returns:
-        The rows, (ROWS + …, stride).
-    """
-    lanes = lanes_of(stages)
-    stride = max((n + 1) * lanes, lanes * lanes)
-    work = np.zeros((ROWS + -(-behind // stride), stride))
-    method = tables(stages)
-    work[MU, : lanes * lanes] = method.mu.T.ravel()
-    for row, values in (
-        (B, method.b), (C, method.c), (LAST, method.last), (BARY, method.bary),
-    ):  # fmt: skip
-        work[row, :lanes] = values
-    return work
-
-
-@inlined
-def multiply(work: Array, out: int, base: int, table: int, row: int, n: int, lanes: int) -> None:
-    """Compute a table times a stage row, plus a row.
-
-    Args:
-        work: Work rows.
-        out: Stage row of the result.
-        base: Row to add, one number per entry, −1 for zero.
-        table: Row of the table, stored by columns.
-        row: Stage row to multiply.
-        n: Number of entries of the state.
-        lanes: Number of SIMD lanes.
-    """
-    if lanes == 4:
-        _multiply4(work, out, base, table, row, n)
-    else:
-        _multiply8(work, out, base, table, row, n)
-
-
-@inlined
-def refresh(work: Array, row: int, n: int, lanes: int, h: float) -> float:
-    """Set the stage increments in a row to h b RATE; return the weighted norm of their change.
-
-    Args:
-        work: Work rows.
-        row: Row of the stage increments L.
-        n: Number of entries of the state.
-        lanes: Number of SIMD lanes.
-        h: Length of the step [s].
-    Returns:
-        The norm, the square root of Σ (change · scale)².
-    """
-    if lanes == 4:
-        total = _refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)
-    else:
-        total = _refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)
-    return float(np.sqrt(total))
 
 
 @compiled
@@ -277,14 +93,16 @@ def prepare_guess(
 ) -> None:
     """Compute the table that extrapolates the stage increments of one step to those of another.
 
-    The polynomial through the stage rates of the first step gives the rates of the other step.
+    The polynomial through the stage rates of the first step is evaluated at the other step's
+    stages.
 
     Args:
         work: Work rows.
         lanes: Number of SIMD lanes.
         stages: Number of stages.
         table: Row of the table.
-        begin: Start of the other step, in lengths of the first, from its start.
+        begin: Start of the other step, measured from the start of the first, in lengths of the
+            first.
         ratio: Length of the other step, in lengths of the first.
     """
     c, b, bary = work[C], work[B], work[BARY]
@@ -394,7 +212,17 @@ def finish(work: Array, n: int, lanes: int, row: int) -> None:
             total += work[row, i * lanes + j]
         old = work[Y, i]
         new = old + total
-        # Knuth's two-sum gives the exact round-off, whichever term is larger.
+        # Knuth's two-sum computes the exact round-off, whichever term is larger.
         back = new - old
         work[NEXT_CARRY, i] = (old - (new - back)) + (total - back)
         work[NEW, i] = new
+
+
+@compiled
+def add_increments(work: Array, row: int, lanes: int, y: Array) -> None:
+    """Add the sums of the stage increments in a row to y, (n,)."""
+    for i in range(y.shape[0]):
+        total = 0.0
+        for j in range(lanes):
+            total += work[row, i * lanes + j]
+        y[i] += total

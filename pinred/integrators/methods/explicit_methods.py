@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from ...common.argument_kinds import checks_arguments
 from ..explicit.dop853_tsit5_coefficients import dop853_tableau, tsit5_tableau
 from .method import EqualSteps, Explicit
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from ..stepping.step_loop import Stepper
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class DOP853(Explicit):
     """Dormand and Prince's Runge–Kutta method of order 8(5,3), in Hairer's form.
@@ -41,6 +43,7 @@ class DOP853(Explicit):
         return dop853_tableau()
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Tsit5(Explicit):
     """Tsitouras's Runge–Kutta method of order 5(4).
@@ -70,6 +73,7 @@ class Tsit5(Explicit):
         return tsit5_tableau()
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class RKMK4(EqualSteps):
     """Munthe-Kaas's form of the classical method RK4, with fixed steps that stay on the Lie group.

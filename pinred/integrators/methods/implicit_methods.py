@@ -10,9 +10,12 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ..gauss.tables import MOST_STAGES, lanes_of
-from ..stepping.run_state import AUTO, FIXED_POINT, NEWTON
+from ..stepping.codes import AUTO, FIXED_POINT, NEWTON
 from .method import EqualSteps, ErrorControl, option
 
 if TYPE_CHECKING:
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 SOLVERS = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Gauss(EqualSteps):
     """Gauss–Legendre collocation with fixed steps: symplectic, symmetric, of even order.
@@ -48,6 +52,7 @@ class Gauss(EqualSteps):
 
     about: ClassVar[str] = "Gauss–Legendre collocation with fixed steps, symplectic"
     symplectic: ClassVar[bool] = True
+    needs_smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,6 +101,7 @@ class Gauss(EqualSteps):
         return super().registers(t_end) | solved
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class AdaptiveGauss(ErrorControl):
     """Gauss–Legendre collocation of order 16 with step control, for tight tolerances.
@@ -116,10 +122,17 @@ class AdaptiveGauss(ErrorControl):
     atol: float = 1e-14
 
     about: ClassVar[str] = "Gauss–Legendre collocation of order 16, for tight tolerances"
+    needs_smooth: ClassVar[bool] = True
     lanes: ClassVar[int] = lanes_of(MOST_STAGES)
     stages: ClassVar[int] = MOST_STAGES
     order: ClassVar[int] = 2 * MOST_STAGES
     dense_order: ClassVar[int] = 2 * MOST_STAGES
+
+    @classmethod
+    def stage_times(cls) -> tuple[float, ...]:
+        """Return the times of the stages as fractions of a step."""
+        nodes, _ = np.polynomial.legendre.leggauss(cls.stages)
+        return tuple((0.5 * (nodes + 1.0)).tolist())
 
     def stepper(self) -> Stepper:
         """Return the compiled stepper."""
@@ -133,6 +146,7 @@ class AdaptiveGauss(ErrorControl):
         return super().registers(t_end) | solved
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Radau(ErrorControl):
     """Radau IIA of order 5 with step control, in Hairer and Wanner's form: for stiff systems.
@@ -157,6 +171,11 @@ class Radau(ErrorControl):
     order: ClassVar[int] = 5
     dense_order: ClassVar[int] = 5
 
+    @classmethod
+    def stage_times(cls) -> tuple[float, ...]:
+        """Return the times of the start and of the stages, as fractions of a step."""
+        return 0.0, 0.4 - 0.1 * 6.0**0.5, 0.4 + 0.1 * 6.0**0.5, 1.0
+
     def stepper(self) -> Stepper:
         """Return the compiled stepper."""
         from ..radau.radau_iia import STEPPER
@@ -164,6 +183,7 @@ class Radau(ErrorControl):
         return STEPPER
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Variational(EqualSteps):
     """A discrete Lagrange–Poincaré integrator of order 2 with fixed steps.

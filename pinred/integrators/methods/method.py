@@ -7,6 +7,7 @@ from dataclasses import Field, dataclass, field
 from math import ceil, inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
 from ...common.default_marker import Default
 from ...common.errors import InputError
@@ -33,6 +34,7 @@ def option(about: str, **more: Any) -> dict[str, Any]:
     return {"about": about, **more}
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Method(ABC):
     """Base class of integrators; an instance holds the options of a method.
@@ -42,12 +44,14 @@ class Method(ABC):
         adaptive: Whether an error estimate controls the step lengths.
         symplectic: Whether the map of a step is symplectic for systems in canonical form.
         steady_momentum: Whether the method requires an angular momentum that is constant in space.
+        needs_smooth: Whether kinks of the vector field cause errors that no estimate shows.
     """
 
     about: ClassVar[str]
     adaptive: ClassVar[bool]
     symplectic: ClassVar[bool] = False
     steady_momentum: ClassVar[bool] = False
+    needs_smooth: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -69,6 +73,11 @@ class Method(ABC):
     def dense_order(self) -> int:
         """Order of the dense output."""
 
+    @classmethod
+    def stage_times(cls) -> tuple[float, ...]:
+        """Return the times of the stages as fractions of a step; none if they are not known."""
+        return ()
+
     @abstractmethod
     def stepper(self) -> Stepper:
         """Return the compiled stepper; the first call imports and compiles it."""
@@ -86,6 +95,7 @@ class Method(ABC):
         """
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ErrorControl(Method):
     """A method that controls the error of its steps.
@@ -140,6 +150,7 @@ class ErrorControl(Method):
         }
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class EqualSteps(Method):
     """A method with steps of equal length.
@@ -175,6 +186,7 @@ class EqualSteps(Method):
         return {"h": t_end / total, "total": total, "max_steps": total}
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Explicit(ErrorControl):
     """An explicit Runge–Kutta method with step control, defined by its tableau.
@@ -187,6 +199,12 @@ class Explicit(ErrorControl):
     @abstractmethod
     def tableau(cls) -> Tableau:
         """Return the coefficients of the method, the same object at every call."""
+
+    @classmethod
+    def stage_times(cls) -> tuple[float, ...]:
+        """Return the times of the stages and of the end, as fractions of a step."""
+        tableau = cls.tableau()
+        return tuple(tableau.A[: tableau.stages + 1].sum(axis=1).tolist())
 
     def stepper(self) -> Stepper:
         """Return the compiled stepper."""

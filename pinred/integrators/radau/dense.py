@@ -1,12 +1,11 @@
 """Stored steps and dense output of Radau IIA.
 
 A step end is stored as the state before its quaternion is normalised, followed by the stages of
-the step. Dense output from stored steps is thus equal, to the last bit, to the dense output during
-the run.
+the step. Dense output from stored steps thus equals the dense output during the run bit for bit.
 
-The polynomial through the stages has order 3 only. Corrections from ẏ and ÿ at the ends, which
-the exact Jacobian gives, raise it to order 5. In stiff directions ẏ and ÿ amplify errors by hλ
-and (hλ)². Filters remove these directions and are 1 − O(h³) in others: 1 − (1 − F)³ with
+The polynomial through the stages has order 3 only. Corrections from ẏ and ÿ at the ends, computed
+with the exact Jacobian, raise it to order 5. In stiff directions ẏ and ÿ amplify errors by hλ and
+(hλ)². Filters remove these directions and are 1 − O(h³) in others: 1 − (1 − F)³ with
 F = (1 − hJ/γ)⁻¹, which decreases as 1/(hλ), for ẏ, and its square for ÿ.
 """
 
@@ -16,17 +15,13 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
+from ..stepping.codes import DENSE, DONE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, jacobian, solve
-from ..stepping.run_state import DENSE, DONE, NEW, Run, Y, copy_an_end, unit, unit_alone
-
-# Rows of `work`: rates at both ends of a step; stages minus the state; corrections at the ends;
-# free rows; rows of Newton's method and of the Jacobian.
-RATE, END_RATE, Z, CORRECTION, FREE, PIVOTS, ALONG = 2, 4, 5, 8, 11, 18, 21
-SLOPES = ALONG + SEEDS
-MATRIX = SLOPES + SEEDS  # the Jacobian, three systems of a step, and one of the corrections
-KEPT = 4  # number of floats stored at a step end per entry of the state
+from ..stepping.run_state import Run, copy_an_end
+from ..stepping.state_rows import NEW, Y, unit, unit_alone
+from .radau_rows import ALONG, CORRECTION, END_RATE, FREE, MATRIX, PIVOTS, RATE, SLOPES, Z
 
 GAMMA = float(tableau.MU_REAL)
 _C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
@@ -49,18 +44,11 @@ def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Arr
 
 
 @inlined
-def load_step(
-    run: Run,
-    params: Array,
-    work: Array,
-    t_new: float,  # noqa: ARG001
-    end_states: Array,
-    k: int,
-) -> None:
+def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
     """Restore the stages of a stored step, and evaluate the rates at its ends (hook)."""
     for i in range(run.n):
         for row in range(3):
-            work[Z + row, i] = end_states[k + 1, (row + 1) * run.n + i]
+            work[Z + row, i] = stored[(row + 1) * run.n + i]
     call(run.address, work[Y], params, work[RATE])
     call(run.address, work[NEW], params, work[END_RATE])
     unit(work[Y], work[RATE], run.quaternion)

@@ -1,8 +1,8 @@
 """Radau IIA of order 5 over a kernel and its derivative, for hard springs and strong dampers.
 
 E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer 1996,
-section IV.8, and Hairer's code radau5.f, with its step control and constants. The coefficients
-are SciPy's copy. Evaluating the exact Jacobian is cheap compared with factorising the systems, so
+section IV.8, and Hairer's code radau5.f, with its step control and constants. The coefficients are
+copied from SciPy. Evaluating the exact Jacobian is cheap compared with factorising the systems, so
 the Jacobian is recomputed before every factorisation.
 """
 
@@ -14,41 +14,19 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
+from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..stepping.run_state import (
-    DONE,
-    NEW,
-    NOT_FINITE,
-    Run,
-    Y,
-    entry_size,
-    first_not_finite,
-    first_step_by_rate,
-    reject_step,
-    unit,
-)
+from ..stepping.run_state import Run, first_step_by_rate, reject_step
+from ..stepping.state_rows import NEW, Y, entry_size, first_not_finite, unit
 from ..stepping.step_loop import Hooks, Stepper, loops
-from .dense import (
-    ALONG,
-    END_RATE,
-    GAMMA,
-    KEPT,
-    MATRIX,
-    PIVOTS,
-    RATE,
-    SLOPES,
-    Z,
-    load_step,
-    stage_polynomial,
-    store_end,
-    write_state,
-)
+from .dense import GAMMA, load_step, stage_polynomial, store_end, write_state
+from .radau_rows import ALONG, END_RATE, KEPT, MATRIX, PIVOTS, RATE, SLOPES, Z
 
-# Rows of `work` besides those of dense.py. W: stages in the coordinates that diagonalise the matrix
-# of the method. F: stage rates, then right-hand sides and solutions. OLD: stages Z of the previous
-# step, relative to its initial state. MISS: error estimate.
+# Rows of `work` besides those of radau_rows.py. W: stages in the coordinates that diagonalise the
+# matrix of the method. F: stage rates, then right-hand sides and solutions. OLD: stages Z of the
+# previous step, relative to its initial state. MISS: error estimate.
 SCALE, STAGE, W, F, OLD, MISS = 3, END_RATE, 8, 11, 14, 17
 
 _C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
@@ -175,7 +153,7 @@ def _tolerances(run: Run) -> tuple[float, float]:
 
 @compiled
 def _measure(run: Run, work: Array) -> None:
-    """Fill row SCALE with the reciprocal of each entry's tolerance."""
+    """Set row SCALE to the reciprocal of each entry's tolerance."""
     n, quaternion = run.n, run.quaternion
     rtol, atol = _tolerances(run)
     for i in range(n):
@@ -315,7 +293,7 @@ STEPPER = Stepper(
     loops(
         "Radau",
         Hooks(
-            begin_run, next_end_time, attempt_step, accept_step, load_step, write_state, store_end
+            begin_run, next_end_time, attempt_step, accept_step, write_state, load_step, store_end
         ),
     ),
     lambda n, tangent: np.zeros((MATRIX + 5 * n, -(-n // SEEDS) * SEEDS)),  # noqa: ARG005

@@ -1,4 +1,4 @@
-"""The state of a run: registers, status codes, and the work rows that contain the states.
+"""The state of a run: its registers, and the operations of the step loop on them.
 
 Compiled code uses a `Run` and its fields by name. Python stores it in an array (1,) of LAYOUT, from
 which an interrupted run continues.
@@ -14,18 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
+from .codes import AGAIN
 from .compiling import compiled, inlined
-
-# Return values of `advance`. WANTED: the run needs the derivative of the kernel to continue.
-DONE, PAUSED, FULL, WANTED, UNDERFLOW, NOT_FINITE, TOO_MANY, DIVERGED = range(8)
-AGAIN = 8  # return value of an attempted step that was rejected
-
-# Solvers of implicit steps.
-AUTO, FIXED_POINT, NEWTON = 1, 2, 3
-
-# Contents of the work rows: the states at the ends of a step, also its stages, or also the terms of
-# its dense output.
-ENDS, STEP, DENSE = range(3)
+from .state_rows import NEW, Y, entry_size
 
 # Stored data of steps: nothing, the states at step ends, or also the stage rates.
 NOTHING_KEPT, ENDS_KEPT, STAGES_KEPT = range(3)
@@ -57,7 +48,7 @@ class Run:
     address: int  # address of the kernel
     tangent: int  # address of the tangent kernel, or 0
     n: int  # number of entries of the state
-    quaternion: int  # index of the first of the quaternion's four entries, or −1
+    quaternion: int  # index of the quaternion's first entry, −1 without a quaternion
     pairs: int  # number of positions in y, followed by as many momenta
     spin: int  # number of parameters that are components of a constant momentum
     stages: int  # number of stages per evaluation
@@ -105,78 +96,6 @@ def new_run(**numbers: float) -> Runs:
 def copied(runs: Runs) -> Runs:
     """Return an independent copy of the registers."""
     return np.frombuffer(bytearray(runs.tobytes()), LAYOUT)
-
-
-Y, NEW = 0, 1  # rows of `work`: the state at the start of a step, and at its end
-WIDTH = 4  # number of floats in a vector; rows are padded with zeros to a multiple of it
-
-# Scale of the errors of a quaternion's entries. A rotation by an angle changes the quaternion by
-# half the angle, and the root mean square over four entries halves it again. With this scale, the
-# tolerance applies to the angle.
-TURN = 0.25
-
-
-def padded_rows(count: int, n: int) -> Array:
-    """Return `count` rows of zeros for n numbers each, padded to whole vectors."""
-    return np.zeros((count, -(-n // WIDTH) * WIDTH))
-
-
-@inlined
-def in_quaternion(i: int, quaternion: int) -> bool:
-    """Return whether entry i is one of the quaternion's four entries."""
-    return 0 <= i - quaternion < 4 and quaternion >= 0
-
-
-@inlined
-def entry_size(y: Array, i: int, quaternion: int) -> float:
-    """Return the scale of entry i with which its error is compared."""
-    size: float = abs(y[i])
-    if in_quaternion(i, quaternion):
-        size = TURN
-    return size
-
-
-@compiled
-def unit_alone(y: Array, quaternion: int) -> float:
-    """Normalise the quaternion of y; return the factor. quaternion: first index, −1 for none."""
-    if quaternion < 0:
-        return 1.0
-    square = 0.0
-    for i in range(quaternion, quaternion + 4):
-        square += y[i] * y[i]
-    factor = 1.0 / sqrt(square)
-    for i in range(quaternion, quaternion + 4):
-        y[i] *= factor
-    return factor
-
-
-@compiled
-def unit(y: Array, rate: Array, quaternion: int) -> None:
-    """Normalise the quaternion of y, and scale its rate by the same factor.
-
-    `quaternion` is the index of its first entry, −1 for none.
-
-    A kernel uses only the direction of the quaternion. Therefore the quaternion's rate is
-    proportional to its length, and the other rates do not change.
-    """
-    if quaternion >= 0:
-        factor = unit_alone(y, quaternion)
-        for i in range(quaternion, quaternion + 4):
-            rate[i] *= factor
-
-
-@compiled
-def first_not_finite(row: Array, n: int) -> int:
-    """Return the index of the first of n entries that is not finite, −1 if all are finite."""
-    total = 0.0
-    for i in range(n):
-        total += row[i] - row[i]  # NaN for infinities and NaN, else zero
-    if total == 0.0:
-        return -1
-    for i in range(n):
-        if row[i] - row[i] != 0.0:
-            return i
-    return -1
 
 
 @inlined

@@ -14,24 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
+from .codes import AGAIN, DONE, ENDS, FULL, NOT_FINITE, PAUSED, STEP, TOO_MANY, UNDERFLOW, WANTED
 from .compiling import bind_globals, compiled, inlined, unbound
-from .run_state import (
-    AGAIN,
-    DONE,
-    ENDS,
-    FULL,
-    NEW,
-    NOT_FINITE,
-    PAUSED,
-    STEP,
-    TOO_MANY,
-    UNDERFLOW,
-    WANTED,
-    Run,
-    Runs,
-    Y,
-    keep_state,
-)
+from .run_state import Run, Runs, keep_state
+from .state_rows import NEW, Y, unit_alone
 
 _EPS = float(np.finfo(float).eps)
 
@@ -46,6 +32,11 @@ def equal_steps(run: Run) -> float:
     """Implement the hook `next_end_time` for run.total steps of equal length."""
     k = run.steps + 1
     return run.t_end if k == run.total else k * run.h
+
+
+@inlined
+def load_ends(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:
+    """Implement the hook `load_step` for methods that need only the ends of a stored step."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +54,12 @@ class Hooks:
             DONE; AGAIN, with the next step in run.h; WANTED; or the reason of a failure.
         accept_step: (run, work, t_new): continue from the end of the step, and choose the length of
             the next step.
-        load_step: (run, params, work, t_new, end_states, k): restore the work rows of the stored
-            step k, whose ends are in rows Y and NEW; end_states are the stored states, (K, …).
         write_state: (run, params, work, time, t_new, out): write the state (n,) at a time from
             run.t to t_new, NaN if it is not computed, with a normalised quaternion. run.known
             states the contents of the work rows. Returns DONE, AGAIN, WANTED, or the reason of a
             failure.
+        load_step: (run, params, work, t_new, stored): restore the work rows of a step whose ends
+            are in rows Y and NEW; `stored` was stored at its end, (n + …,).
         store_end: (run, work, t, end_times, end_states): store the state at the step end t.
     """
 
@@ -76,8 +67,8 @@ class Hooks:
     next_end_time: Callable[..., float]
     attempt_step: Callable[..., int]
     accept_step: Callable[..., None]
-    load_step: Callable[..., None]
     write_state: Callable[..., int]
+    load_step: Callable[..., None] = load_ends
     store_end: Callable[..., None] = keep_state
 
 
@@ -191,7 +182,7 @@ def recall(
             for i in range(run.n):
                 work[Y, i] = end_states[k, i]
                 work[NEW, i] = end_states[k + 1, i]
-            load_step(run, params, work, end_times[k + 1], end_states, k)
+            load_step(run, params, work, end_times[k + 1], end_states[k + 1])
         write_state(run, params, work, times[j], end_times[k + 1], out[j])
 
 
@@ -209,7 +200,9 @@ class Batch(NamedTuple):
     Attributes:
         params: Parameters, (N, p).
         y0: Initial states, (N, n).
-        times: Sorted report times, (T,) [s].
+        ends: End times, (N,) [s].
+        times: Sorted report times, (N, T), or (1, T) if all members have the same; rows of
+            different lengths end with infinity [s].
         y: States at the report times, (N, T, n).
         outcomes: Outcomes of the members, (N,) of OUTCOME.
         stop: Flag, (1,); a nonzero value interrupts all threads.
@@ -219,6 +212,7 @@ class Batch(NamedTuple):
 
     params: Array
     y0: Array
+    ends: Array
     times: Array
     y: Array
     outcomes: NDArray[np.void]
@@ -253,7 +247,7 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
     for member in range(first, last):
         if run.member != member:
             runs[0] = first_run[0]
-            run.member = member
+            run.member, run.t_end = member, batch.ends[member]
             for i in range(run.n):
                 work[Y, i] = batch.y0[member, i]
         status = PAUSED
@@ -261,7 +255,8 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
             if batch.stop[0] != 0:
                 return last
             status = advance(
-                runs, batch.params[member], work, batch.times, batch.y[member],
+                runs, batch.params[member], work, batch.times[member % batch.times.shape[0]],
+                batch.y[member],
                 batch.no_times, batch.no_knots,
             )  # fmt: skip
         if status == WANTED:
@@ -273,6 +268,63 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
     return last
 
 
+def through(
+    runs: Runs,
+    first_run: Runs,
+    params: Array,
+    lengths: Array,
+    work: Array,
+    no_times: Array,
+    no_states: Array,
+    end_times: Array,
+    end_states: Array,
+    first: NDArray[np.int64],
+    place: NDArray[np.int64],
+) -> int:
+    """Integrate over successive parts of time, each with its own parameters.
+
+    Args:
+        runs: Registers of the parts, (S,), output; a part that has not begun has no end time.
+        first_run: Registers of a run before its first step, (1,).
+        params: Parameters of the parts, (S, p).
+        lengths: Lengths of the parts, (S,) [s].
+        work: Work rows, with the state in row Y.
+        no_times: Empty array in place of report times, (0,).
+        no_states: Empty array in place of states at report times, (0, n).
+        end_times: Times of the step ends of all parts, (K,) [s], output.
+        end_states: Stored states of all parts, (K, …), output.
+        first: Index of the first step end of each part, (S + 1,), output.
+        place: Index of the current part, (1,).
+    Returns:
+        DONE, or the status of the current part.
+    """
+    spent = 0
+    for k in range(place[0], lengths.shape[0]):
+        run: Run = runs[k]
+        start = first[k]
+        if end_times.shape[0] < start + 2:
+            return FULL
+        if run.t_end == 0.0:
+            runs[k] = first_run[0]
+            run.t_end = lengths[k]
+        status: int = advance(
+            runs[k : k + 1], params[k], work, no_times, no_states, end_times[start:],
+            end_states[start:],
+        )  # fmt: skip
+        if status != DONE:
+            return status
+        last = start + run.steps
+        for i in range(run.n):
+            work[Y, i] = end_states[last, i]
+        unit_alone(work[Y], run.quaternion)
+        first[k + 1] = last + 1
+        place[0] = k + 1
+        spent += run.evaluations
+        if spent >= run.budget and k + 1 < lengths.shape[0]:
+            return PAUSED
+    return DONE
+
+
 @dataclass(frozen=True)
 class Loops:
     """The compiled loops of a method: copies of the functions with the same names."""
@@ -280,6 +332,7 @@ class Loops:
     advance: Callable[..., int]
     recall: Callable[..., None]
     members: Callable[..., int]
+    through: Callable[..., int]
 
 
 def loops(name: str, hooks: Hooks) -> Loops:
@@ -300,6 +353,7 @@ def loops(name: str, hooks: Hooks) -> Loops:
         bound_advance,
         compiled(bind_globals(recall, f"{name}_recall", **bindings)),
         compiled(bind_globals(members, f"{name}_members", advance=bound_advance)),
+        compiled(bind_globals(through, f"{name}_through", advance=bound_advance)),
     )
 
 

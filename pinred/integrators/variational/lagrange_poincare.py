@@ -28,21 +28,11 @@ from math import sqrt
 import numpy as np
 
 from ...common.arrays import Array
+from ..stepping.codes import DIVERGED, DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_state import (
-    DIVERGED,
-    DONE,
-    NEW,
-    NOT_FINITE,
-    Run,
-    Y,
-    copy_an_end,
-    first_not_finite,
-    keep_state,
-    padded_rows,
-    unit_alone,
-)
+from ..stepping.run_state import Run, copy_an_end, keep_state
+from ..stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 
 # Rows of `work` after the state: six rows for the step (MAIN), and six for a shorter step to a
@@ -53,10 +43,10 @@ END, BEGIN, STOP, BEGIN_RATE, STOP_RATE, TURN = range(6)
 ROWS, LEAST = SUB + 6, 6  # number of rows; smallest row length, for the six entries of row TURN
 
 _MOST = 100  # largest number of fixed-point iterations per step
-# Ratios of successive changes that count as stalled: near round-off, elsewhere.
+# Ratios of successive changes above which the iteration has stalled: near round-off, and elsewhere.
 _STALLED, _SLOWEST = 0.5, 0.95
-# Changes relative to the largest absolute value: near round-off, and largest accepted change of a
-# stalled iteration.
+# Changes relative to the largest absolute value: the change that counts as near round-off, and the
+# largest accepted change of a stalled iteration.
 _SMALL, _SLACK = 1e-14, 1e-11
 # Negligible size of the predicted next change, relative to the largest absolute value.
 _NOTHING = 1e-17
@@ -88,13 +78,6 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
     """Start the next step at the end of this step (hook)."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
-
-
-@inlined
-def load_step(
-    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
-) -> None:
-    """Do nothing, because the states at the ends of a stored step suffice (hook)."""
 
 
 @inlined
@@ -246,7 +229,7 @@ def _write_stage_quaternion(y: Array, u: Array, params: Array, out: Array, quate
 STEPPER = Stepper(
     loops(
         "Variational",
-        Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state),
+        Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state),
     ),
     lambda n, tangent: padded_rows(ROWS, max(n, LEAST)),  # noqa: ARG005
 )

@@ -1,4 +1,4 @@
-"""Run time against error: every method at every tolerance, timed in alternating rounds."""
+"""Run time against error, for every method at every tolerance, timed in alternating rounds."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import IntegrationError, PinredError
 from ...common.progress import Progress, quiet, shown
 from ...judge.distances import FullMotion
@@ -20,9 +21,10 @@ from .solver import PreparedRun, Solver
 from .timing import alternating, repeated
 from .work_precision import Point, WorkPrecision
 
-YARDSTICK = "pinred"  # method that is part of every run, so that time ratios stay within one run
+YARDSTICK = "pinred"  # method that every run contains, so that time ratios stay within a run
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Effort:
     """Time limits and repetitions of a benchmark.
@@ -52,6 +54,7 @@ def run_name() -> str:
     return f"{time.strftime('%Y%m%dT%H%M%S')}-{os.getpid()}"
 
 
+@checks_arguments
 def bench_accuracy(
     problems: Sequence[Problem] | None = None,
     *,

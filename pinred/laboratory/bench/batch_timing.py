@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError, PinredError
 from ...common.progress import Progress, one_by_one
 from ...judge.distances import FullMotion
@@ -46,6 +47,7 @@ class Rate:
     per_second: float
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ManyTiming:
     """Trajectories per second of all solvers for the members of one problem, on one thread.
@@ -55,7 +57,7 @@ class ManyTiming:
         members: Number of members.
         duration: Duration of each motion [s].
         rates: Results of the solvers.
-        missing: Reasons why solvers were left out or did not reach the requested error.
+        missing: Reasons why solvers were omitted or did not reach the requested error.
     """
 
     problem: str
@@ -88,6 +90,7 @@ class ManyTiming:
         return "\n".join([*lines, *self.missing])
 
 
+@checks_arguments
 def bench_many(
     scenes: Sequence[str] | None = None,
     *,

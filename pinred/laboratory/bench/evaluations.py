@@ -20,6 +20,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
 from ...common.progress import Progress, one_by_one
@@ -56,6 +57,7 @@ _EXTENSISQ = {
 }
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Evaluations:
     """Number of evaluations that each method needs for each error on one problem.
@@ -80,6 +82,7 @@ class Evaluations:
         return "\n".join([self.problem, head, *rows, *([self.missing] if self.missing else [])])
 
 
+@checks_arguments
 def bench_evaluations(
     scenes: Sequence[str] = FEW_SCENES, *, progress: Progress | bool | None = None
 ) -> list[Evaluations]:

@@ -20,6 +20,7 @@ from ...analysis.equilibria.find import relative_equilibria
 from ...analysis.equilibria.relative_equilibrium import RelativeEquilibrium
 from ...analysis.stability.along_motions import floquet, linearise
 from ...analysis.stability.linearised_flow import without_base
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.progress import Progress, one_by_one
 from ...kernels.derived_code import jacobian_of
@@ -38,6 +39,7 @@ _ROUNDS = 5
 _STEP = 1e-4  # step of the finite differences of shape [rad] and momentum [kg m²/s]
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class FloquetTiming(FrozenArrays):
     """Times and errors of the three routes for one relative equilibrium; arrays are read-only.
@@ -62,6 +64,7 @@ class FloquetTiming(FrozenArrays):
         return "\n".join([f"{self.robot}: multipliers over {self.period:.3f} s", *rows])
 
 
+@checks_arguments
 def bench_floquet(
     *, rounds: int = _ROUNDS, progress: Progress | bool | None = None
 ) -> list[FloquetTiming]:
@@ -106,9 +109,7 @@ def _differences(least: RelativeEquilibrium, T: float) -> Array:
     r, m = system.r, system.m
     start = red.mass_matrix(least.x) @ np.concatenate([least.xi, least.xdot])
     scene = least.scene(duration=T)
-    mu = np.zeros(
-        r
-    )  # the linear momentum is zero, so the angular momentum needs no reference point
+    mu = np.zeros(r)  # with zero linear momentum, the angular momentum is the same about any point
     mu[-1] = least.momentum
 
     def final_state(change: Array) -> Array:
@@ -123,7 +124,7 @@ def _differences(least: RelativeEquilibrium, T: float) -> Array:
 
 
 def _by_scipy(scene: Scene, T: float) -> Array:
-    """Compute the monodromy matrix, (k, k), with SciPy's DOP853 over kernel and Jacobian."""
+    """Compute the monodromy matrix, (k, k), with SciPy's DOP853 applied to kernel and Jacobian."""
     flow = CompiledFlow.of_plan(plan_of(without_base(scene)))
     n = len(flow.y0)
 

@@ -1,4 +1,4 @@
-"""Gradients of flows compared with CVODES's adjoints (by CasADi) of the same equations."""
+"""Gradients of flows, compared with CasADi's CVODES adjoints of the same equations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...simulation.flow_map.flow import Flow
 from .timing import alternating, repeated
 
 _MOST = 1_000_000  # largest number of steps of CVODES
-_LONGEST = 3.0  # total time for each of the two adjoints [s]
+_LONGEST = 3.0  # time limit for all runs of each of the two adjoints [s]
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,7 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
 
     def own() -> Any:
         (now,) = propagator.run(run.given, stages=True).solutions
-        return run_back(
-            propagator.method, propagator.address, propagator.slopes, now.params, now, times,
-            quaternion, covector, none,
-        )  # fmt: skip
+        return run_back(propagator.method, propagator.field, now, times, covector, none)
 
     theirs = [np.array(each).ravel() for each in by_cvodes()]
     mine = own()

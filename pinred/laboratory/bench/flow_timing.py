@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.progress import Progress, one_by_one
 from ...integrators.integrate import Integration
@@ -30,6 +31,7 @@ _COUNT = 200  # number of evaluations in one timed call
 _ROUNDS, _BURST = 300, 1e-3  # many short rounds [s], so that some are not interrupted
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class FlowTiming:
     """Cost of one robot's flow: the fastest of several alternating rounds.
@@ -45,7 +47,8 @@ class FlowTiming:
         step: Time of one step with its Jacobians [µs].
         gradient: Time of a gradient with respect to initial shape, rates and twist, including
             its forward run, relative to a forward run.
-        inertias: As `gradient`, with the masses and centres of mass of all bodies as more inputs.
+        inertias: As `gradient`, with the masses and centres of mass of all bodies as additional
+            inputs.
         gauss: As `gradient`, with AdaptiveGauss at tolerance 1e-10.
         jax: Additional time of a call through JAX [µs]; NaN without JAX.
         jax_gradient: Additional time of a gradient through JAX [µs]; NaN without JAX.
@@ -104,6 +107,7 @@ class FlowTiming:
         )
 
 
+@checks_arguments
 def bench_flow(
     robots: Sequence[str] = (), *, progress: Progress | bool | None = None
 ) -> list[FlowTiming]:
@@ -132,9 +136,13 @@ def _bench_flow(name: str) -> FlowTiming:
     (solution,) = by_motion.run({}).solutions
     y, times = solution.states[0].copy(), solution.times
     integration = Integration(
-        propagator.method, propagator.address, len(y), _SPAN, times,
-        propagator.kernel.layout.quaternion,
-    )  # fmt: skip
+        propagator.method,
+        propagator.field.address,
+        len(y),
+        _SPAN,
+        times,
+        propagator.field.quaternion,
+    )
     step = by_motion.step(solution.knots[1])
     one = np.ones(sum(place.stop - place.start for place in by_motion.outputs.values()))
     actions: list[Callable[[], object]] = [
@@ -224,7 +232,7 @@ def _evaluations(made: Flow) -> list[float]:
     rng = np.random.default_rng(0)
     y = 0.5 * rng.normal(size=kernel.layout.size)
     rates = [(one.rate.address, one.random_parameters(rng)) for one in (kernel, *loose)]
-    adjoint, p, covector = made.propagator.rate.adjoint.address, rates[0][1], np.ones(len(y))
+    adjoint, p, covector = made.propagator.field.adjoint(), rates[0][1], np.ones(len(y))
     out = np.empty(len(y) + len(p))
     times = alternating(
         [

@@ -13,6 +13,7 @@ from typing import Any
 
 import casadi as ca
 
+from ...common.argument_kinds import checks_arguments
 from ...common.progress import Progress, one_by_one
 from ...forces import SeenState, Torque, Wrench
 from ...forces.force_model import ForceModel
@@ -28,6 +29,7 @@ EXAMPLES = ("solo12", "talos")
 _ROUNDS, _SPAN = 400, 5e-4  # many short rounds [s], so that some are not interrupted
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ForcesTiming:
     """Cost of kernels with forces: the fastest of many alternating rounds.
@@ -63,6 +65,7 @@ class ForcesTiming:
         )
 
 
+@checks_arguments
 def bench_forces(
     robots: Sequence[str] = (), *, progress: Progress | bool | None = None
 ) -> list[ForcesTiming]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from ...common.argument_kinds import checks_arguments
 from ...common.progress import Progress, one_by_one
 from ...kernels.build import build_kernel
 from ...kernels.kernel import Structure
@@ -22,6 +23,7 @@ BUNDLED = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms
 EXAMPLES = ("ur5", "solo12", "talos")
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class KernelTiming:
     """Cost of the kernel of one robot.
@@ -62,6 +64,7 @@ class KernelTiming:
         )
 
 
+@checks_arguments
 def bench_kernels(
     robots: Sequence[str] = (), *, progress: Progress | bool | None = None
 ) -> list[KernelTiming]:

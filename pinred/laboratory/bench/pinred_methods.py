@@ -1,7 +1,7 @@
 """Methods of the accuracy benchmark that use pinred's integrators.
 
-All explicit methods are included. Another method is added by one call of `own_method`, with a
-function that creates the integrator from a tolerance, or from a step for methods with fixed steps.
+All explicit methods are included. To add a method, call `own_method` with a function that creates
+the integrator from a tolerance, or from a step length for methods with fixed steps.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import read_only
 from ...integrators.methods import (
     DOP853_LEAST,
@@ -26,6 +27,7 @@ from .solver import ATOL, End, PreparedRun, Solver, decades, halvings
 FROM_TOLERANCE = decades(2, 14)
 
 
+@checks_arguments
 def own_method(
     name: str,
     about: str,

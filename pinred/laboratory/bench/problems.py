@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, freeze
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FullState
@@ -16,6 +17,7 @@ from ...system.coordinates import InitialState
 from ...system.system import System
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Problem:
     """An initial value problem with the base at the identity; only its final state is compared.

@@ -1,8 +1,8 @@
 """Accuracy benchmarks on disk: one csv file whose rows are self-contained.
 
-The rows of a scene are written together. An interrupted benchmark keeps all finished scenes and can
-continue with the next. Every row names its run. Reading keeps runs separate, so that ratios never
-compare times of different runs.
+The rows of a scene are written together. An interrupted benchmark keeps all completed scenes and
+can continue with the next scene. Every row names its run. Reading keeps runs separate, so that
+ratios never compare times of different runs.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError, LoadError
 from ...common.files import write_table
 from .work_precision import Point, WorkPrecision
@@ -26,6 +27,7 @@ _ABOUT = (
 COLUMNS = (*_ABOUT, "about", *_POINT, "error")
 
 
+@checks_arguments
 def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> None:
     """Write results to a csv file; on failure an existing file is kept.
 
@@ -49,6 +51,7 @@ def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> N
     write_table(path, COLUMNS, rows)
 
 
+@checks_arguments
 def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
     """Read the results from a csv file, in the order of the file.
 
@@ -80,7 +83,7 @@ def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
     if effort is not None and other_efforts:
         raise InputError(
             f"'{path}' was measured as '{min(other_efforts)}', not '{effort}': "
-            "give another folder, or the same options"
+            "choose another folder, or the same options"
         )
     return results
 

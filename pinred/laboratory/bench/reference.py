@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...judge.distances import FullMotion
@@ -24,9 +25,10 @@ from .taylor import has_heyoka, reduced_graph, taylor_expressions
 
 _QUAD = (1e-23, 1e-20)  # tolerances in quadruple precision
 _EPS = float(np.finfo(float).eps)
-CONFIRMED = 1e-9  # a larger distance from ABA [rad | m] counts as the error of the reference
+CONFIRMED = 1e-9  # distance from ABA above which it counts as the error of the reference [rad | m]
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Reference:
     """The final state of a problem.
@@ -44,6 +46,7 @@ class Reference:
     about: str
 
 
+@checks_arguments
 def reference_of(problem: Problem) -> Reference:
     """Compute the final state of a problem.
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
@@ -20,9 +21,10 @@ from .chains import FAMILIES, chain
 from .timing import ROUNDS, NoCache, alternating, evaluations
 
 JOINTS = (5, 10, 20, 50, 100)
-LONG = 20  # smallest number of joints that enters the fit of the exponent
+LONG = 20  # smallest number of joints that is included in the fit of the exponent
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Scaling(FrozenArrays):
     """Costs of one family of K chains; arrays are read-only.
@@ -75,6 +77,7 @@ class Scaling(FrozenArrays):
         )
 
 
+@checks_arguments
 def bench_scaling(
     joints: Sequence[int] = JOINTS,
     *,

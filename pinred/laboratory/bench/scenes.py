@@ -1,4 +1,4 @@
-"""Problems of the accuracy benchmark by name; SCENES gets one entry for each."""
+"""Problems of the accuracy benchmark by name; SCENES contains one entry for each problem."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ...scene.random_state import random_state
 from ...system.catalogue import INSTALL_ROBOTS, bundled_robots, has_example_robots
@@ -44,7 +45,7 @@ def bundled(name: str) -> Problem:
 
 
 def faster(name: str) -> Problem:
-    """Return a bundled robot with its default initial state, but with multiplied rates."""
+    """Return a bundled robot with its default initial state and its rates scaled by a factor."""
     robot, factor = _FASTER[name]
     slow = bundled(robot)
     about = f"{robot} from its default state with rates times {factor:g}"
@@ -85,6 +86,7 @@ def _factories() -> dict[str, Callable[[], Problem]]:
 SCENES = _factories()
 
 
+@checks_arguments
 def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], list[str]]:
     """Build the problems with the given names.
 

@@ -6,13 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from .problems import Problem
 
-ATOL = 0.01  # ratio of absolute to relative tolerance, for methods that use both
+ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
 UNKNOWN = float("nan")
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class End:
     """The final state of a motion.
@@ -31,6 +33,7 @@ class End:
     evaluations: float
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class PreparedRun:
     """A method that is ready to solve a problem at a tolerance.
@@ -47,6 +50,7 @@ class PreparedRun:
     build: float = 0.0
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Solver:
     """A method of the accuracy benchmark.

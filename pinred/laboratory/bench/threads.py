@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
@@ -26,6 +27,7 @@ FEW = 0.25  # fraction of the members in the smaller of two memory measurements
 ROUNDS = 5
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class ThreadsTiming(FrozenArrays):
     """Time and memory of calls of simulate_many; arrays are read-only.
@@ -70,6 +72,7 @@ class ThreadsTiming(FrozenArrays):
         )
 
 
+@checks_arguments
 def bench_threads(
     system: System,
     *,

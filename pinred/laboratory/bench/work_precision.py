@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 
 ERRORS = tuple(float(f"1e-{k}") for k in range(4, 14))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Point:
     """Result of one method at one tolerance, at the final time of a problem.
@@ -27,7 +29,7 @@ class Point:
         position: Norm of the translational part of log(g⁻¹ĝ) [m].
         energy: Relative drift of energy, see conservation_drift.py.
         momentum: Relative drift of momentum.
-        failure: Reason why the method failed; if it did, the numbers are NaN.
+        failure: Reason for a failure of the method, whose numbers are then NaN; "" otherwise.
     """
 
     method: str
@@ -48,6 +50,7 @@ class Point:
         return float(np.max([self.shape, self.rotation, self.position]))
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class WorkPrecision:
     """Run times and errors of methods on one problem, measured in one run.

@@ -16,6 +16,7 @@ from .description_files import Description, find_descriptions
 from .trial import TrialOptions
 from .worker import Worker
 
+_LONGEST = 1e6  # longest time limit that the operating system can wait for [s]
 _WRITE_INTERVAL = 20  # number of entries between two updates of the csv file
 
 
@@ -24,7 +25,7 @@ class Corpus:
     """The table of a corpus.
 
     Attributes:
-        entries: One entry for each description; includes fragments that only the trial revealed.
+        entries: One entry for each description, including fragments that only the trial detected.
         fragments: Number of files with parts of robots only.
         macros: Number of xacro templates.
         copies: Number of duplicates.
@@ -116,7 +117,7 @@ def corpus(
 
     Args:
         folders: Folders or files.
-        robots: Also try all robots that have a name (listed by `pinred robots`).
+        robots: Also try all robots that can be loaded by name (listed by `pinred robots`).
         duration: Duration of the motions [s].
         patience: Time limit for one description [s].
         out: A csv file, updated regularly and at the end, also on interruption.
@@ -128,8 +129,11 @@ def corpus(
         LoadError: A folder is missing.
         OutputError: `out` cannot be written.
     """
-    if not (duration > 0.0 and patience > 0.0):
-        raise InputError("duration and patience must be positive numbers of seconds")
+    if not (0.0 < duration < np.inf and 0.0 < patience <= _LONGEST):
+        raise InputError(
+            f"duration, patience: expected positive seconds, patience up to {_LONGEST:g}, "
+            f"got {duration:g} and {patience:g}"
+        )
     search = find_descriptions(folders)
     descriptions = list(search.descriptions)
     if robots:

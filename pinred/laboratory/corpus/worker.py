@@ -1,4 +1,4 @@
-"""A child process that tries descriptions one by one, and is replaced when it fails.
+"""A child process that tries descriptions one by one; a failed process is replaced.
 
 A file that crashes a parser or exceeds the time limit affects only its own row of the table.
 """
@@ -11,7 +11,6 @@ import signal
 import tempfile
 import time
 from multiprocessing.connection import Connection
-from types import TracebackType
 
 from .corpus_entry import Entry, Outcome
 from .description_files import Description
@@ -33,12 +32,7 @@ class Worker:
     def __enter__(self) -> Worker:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop()
         self._cache.cleanup()
 
@@ -64,10 +58,10 @@ class Worker:
         return Entry(description.file, description.kind, outcome, reason, about, wall=wall)
 
     def _ready(self) -> tuple[Connection, float]:
-        """Return the pipe to a running process, and the time limit for its answer [s]."""
+        """Start a process if none is running; return its pipe, and the time limit for answers."""
         if self._pipe is not None:
             return self._pipe, self._patience
-        # Threads and open libraries of the parent do not survive a fork.
+        # Threads and loaded libraries of the parent process do not survive a fork.
         context = multiprocessing.get_context("spawn")
         self._pipe, child_end = context.Pipe()
         self._process = context.Process(

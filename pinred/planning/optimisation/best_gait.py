@@ -10,6 +10,7 @@ import numpy as np
 
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.phase import Phase
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ...judge.compare import compare
 from ...judge.verdict import Report
@@ -23,9 +24,10 @@ from .transcription import Task
 SAME = 1e-5  # relative difference of merits below which two optima are considered equal
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """A local optimum: a loop that no small change within the limits improves.
+    """A local optimum: a loop that no small admissible change improves.
 
     Attributes:
         gait: The loop.
@@ -65,6 +67,7 @@ def group_optima(optima: list[Optimum]) -> tuple[Optimum, ...]:
 _ROOTS = {1: "", 2: "√", 4: "⁴√"}
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class BestGait(Optimum):
     """The best loop of an optimisation, with all other local optima.

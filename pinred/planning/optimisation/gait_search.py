@@ -12,8 +12,8 @@ from .ipopt import Minimum, kkt_residual, minimum
 from .loop_peaks import Cells, cells_of, loop_peaks
 from .transcription import Path, Task, fourier_path, problem_of
 
-_PIECES = 2  # number of quadrature segments of order 16, divided by (harmonics + 3)
-_CHECKS = 4  # number of times at which limits are imposed, divided by (harmonics + 1)
+_PIECES = 2  # number of quadrature segments of order 16 per (harmonics + 3)
+_CHECKS = 4  # number of times at which limits are imposed per (harmonics + 1)
 _NEAR = 0.7  # peaks below this part of their limit constrain the last stage only if they exceed it
 RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
 # Weights of the root of the action in the length, in successive solves of the last stage.

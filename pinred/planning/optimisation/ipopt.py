@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ...common.arrays import Array
+from ...common.casadi_callback import ArrayCallback, dense
 from ...common.interrupts import held_interrupt
 
 # Options that keep the first iterate near bounds that are active at the start.
@@ -117,7 +118,7 @@ def minimum(
             "show_eval_warnings": False,
         }
         if newton:
-            hessian = _Hessian(function, len(problem.lower))
+            hessian = function.hessian()
             options |= {"ipopt.hessian_approximation": "exact", "hess_lag": hessian} | _WARM
         solver = ca.nlpsol("gait", "ipopt", nlp, options)
         solution = solver(x0=start, lbg=problem.lower, ubg=problem.upper)
@@ -162,98 +163,48 @@ def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
     return float(np.linalg.norm(residual))
 
 
-class _Function(ca.Callback):
+class _Function(ArrayCallback):
     """Objective and constraints as a CasADi callback."""
 
     def __init__(self, problem: Problem, stopped: Callable[[], bool]) -> None:
-        ca.Callback.__init__(self)
         self._problem, self._stopped = problem, stopped
         self._last: tuple[Array, tuple[Array, Array]] | None = None
-        self.construct("gait", {})
+        self._size = 1 + problem.constraints
+        outputs = [dense("values", self._size)]
+        super().__init__("gait", [dense("z", problem.size)], outputs, lambda z: [self.at(z[0])[0]])
 
-    def at(self, z: Array) -> tuple[Array, Array]:
+    def at(self, column: Array) -> tuple[Array, Array]:
         """Return values and derivatives; after Ctrl-C return NaN, which stops IPOPT."""
+        z = column.ravel()
         if self._last is None or not np.array_equal(self._last[0], z):
             values, slopes = self._problem.evaluate(z)
             self._last = z.copy(), (values, slopes)
         values, slopes = self._last[1]
         return (np.full_like(values, np.nan), slopes) if self._stopped() else (values, slopes)
 
-    def get_n_in(self) -> int:
-        return 1
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, _: int) -> Any:
-        return ca.Sparsity.dense(self._problem.size, 1)
-
-    def get_sparsity_out(self, _: int) -> Any:
-        return ca.Sparsity.dense(1 + self._problem.constraints, 1)
-
-    def eval(self, inputs: Any) -> Any:
-        return [self.at(np.array(inputs[0]).ravel())[0]]
-
     def has_jacobian(self) -> bool:
         return True
 
-    def get_jacobian(self, name: str, *_: Any) -> Any:
-        self._jacobian = _Jacobian(name, self)  # store a reference, because CasADi stores none
+    def get_jacobian(self, name: str, inames: Any, onames: Any, _options: Any) -> Any:
+        inputs = [dense(inames[0], self._problem.size), dense(inames[1], self._size)]
+        outputs = [dense(onames[0], self._size, self._problem.size)]
+        # Store a reference, because CasADi stores none.
+        self._jacobian = ArrayCallback(name, inputs, outputs, lambda z: [self.at(z[0])[1]])
         return self._jacobian
 
+    def hessian(self) -> ArrayCallback:
+        """Return the upper triangle of the Hessian of the Lagrangian as a CasADi Function."""
+        n = self._problem.size
+        names, sizes = ("x", "p", "lam_f", "lam_g"), (n, 0, 1, len(self._problem.lower))
+        inputs = [dense(name, size) for name, size in zip(names, sizes, strict=True)]
+        outputs = [("hessian", ca.Sparsity.upper(n))]
+        return ArrayCallback("hessian", inputs, outputs, self._differences)
 
-class _Jacobian(ca.Callback):
-    """The derivatives of objective and constraints as a CasADi callback."""
-
-    def __init__(self, name: str, function: _Function) -> None:
-        ca.Callback.__init__(self)
-        self._function = function
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return 2
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, k: int) -> Any:
-        f = self._function
-        return f.get_sparsity_out(0) if k else f.get_sparsity_in(0)
-
-    def get_sparsity_out(self, _: int) -> Any:
-        f = self._function
-        return ca.Sparsity.dense(f.get_sparsity_out(0).size1(), f.get_sparsity_in(0).size1())
-
-    def eval(self, inputs: Any) -> Any:
-        return [self._function.at(np.array(inputs[0]).ravel())[1]]
-
-
-class _Hessian(ca.Callback):
-    """The upper triangle of the Hessian of the Lagrangian, by differences of gradients."""
-
-    def __init__(self, function: _Function, constraints: int) -> None:
-        ca.Callback.__init__(self)
-        self._function, self._constraints = function, constraints
-        self.construct("hessian", {})
-
-    def get_n_in(self) -> int:
-        return 4
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, k: int) -> Any:
-        n = self._function.get_sparsity_in(0).size1()
-        return ca.Sparsity.dense((n, 0, 1, self._constraints)[k], 1)
-
-    def get_sparsity_out(self, _: int) -> Any:
-        return ca.Sparsity.upper(self._function.get_sparsity_in(0).size1())
-
-    def eval(self, inputs: Any) -> Any:
-        z, lam_f, lam_g = (np.array(inputs[k]).ravel() for k in (0, 2, 3))
-        rows = self._function.get_sparsity_out(0).size1()
-        weights = np.concatenate([lam_f, lam_g[: rows - 1]])
-        gradient = weights @ self._function.at(z)[1]
-        moved = [weights @ self._function.at(z + step)[1] for step in _STEP * np.eye(len(z))]
-        hessian = (np.array(moved) - gradient) / _STEP
-        return [ca.triu(ca.DM(0.5 * (hessian + hessian.T)))]
+    def _differences(self, inputs: Sequence[Array]) -> list[Any]:
+        """Return the Hessian for inputs of IPOPT, by differences of gradients."""
+        z, _, lam_f, lam_g = (array.ravel() for array in inputs)
+        weights = np.concatenate([lam_f, lam_g[: self._problem.constraints]])
+        gradient = weights @ self.at(z)[1]
+        moved = [weights @ self.at(z + step)[1] for step in _STEP * np.eye(len(z))]
+        differences = (np.array(moved) - gradient) / _STEP
+        return [ca.triu(ca.DM(0.5 * (differences + differences.T)))]

@@ -272,14 +272,14 @@ def torques(connection: Connection, x: Array, slope: Array, bend: Array) -> Arra
 def torque_slopes(
     connection: Connection, x: Array, slope: Array, bend: Array, along: Array
 ) -> Array:
-    """Compute the derivatives of λᵀτ for joint torques τ at period T = 1.
+    """Compute the derivatives of λᵀτ along a path, with the joint torques τ at period T = 1.
 
     Args:
         connection: The connection.
         x: Shapes, (N, m).
         slope: First derivatives by s, (N, m).
         bend: Second derivatives by s, (N, m).
-        along: Covectors λ, (N, m).
+        along: Constant weights λ of the torques, (N, m).
     Returns:
         (N, 3m): the derivatives with respect to (x, x′, x″).
     """

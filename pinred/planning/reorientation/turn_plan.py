@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ...analysis.gaits.gait import Gait
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...judge.compare import compare
 from ...judge.verdict import Report
@@ -20,6 +21,7 @@ from ..optimisation.objective import TargetAim
 TOLERANCES = (1e-12, 1e-14)  # relative and absolute tolerance of a plan's simulation
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False, repr=False)
 class TurnPlan(FrozenArrays):
     """A reorientation: a loop of the joints, repeated from rest to rest.

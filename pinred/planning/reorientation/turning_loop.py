@@ -29,11 +29,11 @@ _DAMPED_STEPS = 40  # largest number of damped Newton steps
 _CONVERGENCE = 1e-3  # rotation error below which full Newton steps converge [rad]
 _LONGEST = 0.5  # largest rotation of a damped step [rad]
 _HARMONICS = 3  # number of harmonics of the loops
-_ITERATIONS = 70  # iterations of the optimiser; more iterations hardly shorten loops
+_ITERATIONS = 70  # number of iterations of the optimiser; more iterations hardly shorten loops
 _EDGE = 1e-3  # fraction of the joint ranges reserved for the final Newton steps
 _REACHED = 1e-5  # largest rotation error of the optimiser's loop [rad]
 _FINE = 64  # number of quadrature segments of order 16 for the final Newton steps
-_FINE_PASSAGE = 24  # number of these segments for each cycle from rest to rest
+_FINE_PASSAGE = 24  # number of quadrature segments of order 16 for each cycle from rest to rest
 
 
 def first_loop(connection: Connection, start: Array, turn: Array, limits: Array) -> Gait:

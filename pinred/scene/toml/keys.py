@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ...common.argument_kinds import checks_arguments
 from ..load_options import LOAD
 from ..scene_options import RUN_OPTIONS, SCENE_OPTIONS, Option, list_conflicts
 from .schema import Key, Schema, Table, Text, document_schema
@@ -53,6 +54,7 @@ def options_in(document: Mapping[str, Any], options: Mapping[str, Option]) -> di
 SCENE = scene_table(FILE_OPTIONS)
 
 
+@checks_arguments
 def scene_schema() -> Schema:
     """Return the JSON Schema (draft 2020-12) of scene files, as parsed from TOML.
 

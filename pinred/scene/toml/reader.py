@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import PinredError
 from ...common.parameter import Parameter
 from ...forces.columns import symbols_of
@@ -44,6 +45,7 @@ class SceneFile:
     engine: Engine
 
 
+@checks_arguments
 def load_scene(path: str | Path) -> Scene:
     """Read a scene from a TOML file; docs/scenes.md lists the keys.
 
@@ -66,7 +68,7 @@ def read_scene_file(path: str | Path) -> SceneFile:
 
 
 class _Builder:
-    """A builder of the scene in a validated document."""
+    """Conversion of a validated document to a scene."""
 
     def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
         self.place, self.document = place, document
@@ -105,7 +107,7 @@ class _Builder:
             self._option_place("method").fail("engine 'pinocchio' has an integrator of its own")
         try:
             scene = Scene(system=self.system, **options)
-            _ = scene.start  # Evaluate here, so that errors name the file too.
+            _ = scene.start  # Evaluated here, so that errors name the file, too.
         except PinredError as error:
             self._explain(error, options)
         return SceneFile(scene, engine)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.arrays import Array
+from ...common.arrays import Array, read_only
 from ...common.errors import InputError
 from ...common.memo import once
 from ...forces.force_values import BaseInSpace
@@ -71,13 +71,24 @@ class CompiledFlow:
         """Force parameters: a view of the last entries of `parameters`."""
         return self.parameters[..., self.numbers_at]
 
-    def parameters_between(self, start: float, stop: float) -> Array:
-        """Return a copy of the parameters that selects the table segments between two stops."""
+    def parameters_between(self, start: float | Array, stop: float | Array) -> Array:
+        """Return a copy of the parameters for the table segments between two stops.
+
+        For members, the stops may have a row for each member, (N, 1).
+        """
         parameters, forces = self.parameters.copy(), self.kernel.forces
         if forces is not None:
             numbers = parameters[..., self.numbers_at]
             numbers[..., forces.within] = time_within(start, stop)
         return parameters
+
+    def parameters_within(self, within: Array) -> Array:
+        """Return a row of parameters for each time `within` a span (S,), (S, p)."""
+        rows, forces = np.repeat(self.parameters[None], len(within), axis=0), self.kernel.forces
+        if forces is not None:
+            numbers = rows[:, self.numbers_at]
+            numbers[:, forces.within] = within[:, None]
+        return read_only(rows)
 
     def sample(self, t: float, y: Array, parameters: Array | None = None) -> Sample:
         """Return the state at time t that forces depend on; see `states`."""
@@ -171,7 +182,7 @@ def _kernel(kind: Kind) -> Kernel:
 def flows_of(
     plan: Plan, given: GivenStates, own: MemberParameters = NO_DIFFERENCES
 ) -> list[tuple[Indices, CompiledFlow]]:
-    """Return two flows of N members: of those with angular momentum and of those without.
+    """Return separate flows for the members with and without angular momentum.
 
     Args:
         plan: The plan of all members.

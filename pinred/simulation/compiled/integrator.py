@@ -47,8 +47,7 @@ def integrator(
     """
     scene, method, layout = plan.scene, plan.method, flow.kernel.layout
     reports, address = scene.report_times, flow.address(method)
-    # Balances fit polynomials of degree 7 between knots, so steps of eight stages are split.
-    divisions = max(1, method.order // 4) if method.lanes > 1 else 1
+    divisions = divisions_of(plan)
 
     def run(
         start: float,
@@ -65,7 +64,7 @@ def integrator(
         y0 = y0 if y0.size else np.zeros(1)
 
         def segment(solution: Solution) -> Segment:
-            knots = _refined(solution.knots + start, divisions)
+            knots = refined(solution.knots + start, divisions)
             if solution.complete:
                 knots[-1] = end  # exact, despite round-off in the sum of step lengths
 
@@ -134,7 +133,16 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
     return ""
 
 
-def _refined(knots: Array, parts: int) -> Array:
+def divisions_of(plan: Plan) -> int:
+    """Return the number of parts into which a step is divided for its users.
+
+    Balances fit polynomials of degree 7 between knots, so steps of eight stages are split.
+    """
+    method = plan.method
+    return max(1, method.order // 4) if method.lanes > 1 else 1
+
+
+def refined(knots: Array, parts: int) -> Array:
     """Divide each step between knots into a number of equal parts."""
     if parts == 1:
         return knots

@@ -6,64 +6,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from ...common.arrays import Array
+from ...common.casadi_callback import ArrayCallback, dense
 from .flow_columns import Columns
 
-_Evaluation = Callable[[Sequence[Array]], Sequence[Array]]
-_Arguments = Sequence[tuple[str, ca.Sparsity]]
 
-
-class _ArrayCallback(ca.Callback):
-    """A CasADi Function that calls a Python function from arrays to arrays."""
-
-    def __init__(
-        self, name: str, inputs: _Arguments, outputs: _Arguments, evaluate: _Evaluation
-    ) -> None:
-        """Build the Function.
-
-        Args:
-            name: Name of the Function.
-            inputs: Name and sparsity of each input.
-            outputs: Name and sparsity of each output.
-            evaluate: Function from the inputs to the outputs.
-        """
-        ca.Callback.__init__(self)
-        self._inputs, self._outputs, self._evaluate = inputs, outputs, evaluate
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        """Return the number of inputs."""
-        return len(self._inputs)
-
-    def get_n_out(self) -> int:
-        """Return the number of outputs."""
-        return len(self._outputs)
-
-    def get_name_in(self, i: int) -> str:
-        """Return the name of input i."""
-        return self._inputs[i][0]
-
-    def get_name_out(self, i: int) -> str:
-        """Return the name of output i."""
-        return self._outputs[i][0]
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Return the shape of input i."""
-        return self._inputs[i][1]
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        """Return the shape of output i."""
-        return self._outputs[i][1]
-
-    def eval(self, arguments: Any) -> list[Any]:
-        """Compute the outputs."""
-        arrays = [np.array(argument) for argument in arguments]
-        return [ca.DM(result) for result in self._evaluate(arrays)]
-
-
-class FlowCallback(_ArrayCallback):
+class FlowCallback(ArrayCallback):
     """A flow as a CasADi Function with derivatives of first order.
 
     Its inputs are the inputs of the flow, as columns with their names; its output is the column
@@ -85,8 +34,8 @@ class FlowCallback(_ArrayCallback):
         self._derivatives: list[Any] = []  # CasADi does not keep derivatives alive.
         # CasADi rejects dots in names.
         names = [name.replace(".", "_") for name in columns.names]
-        inputs = [_dense(name, size, 1) for name, size in zip(names, columns.sizes, strict=True)]
-        outputs = [_dense("y", columns.size, 1)]
+        inputs = [dense(name, size, 1) for name, size in zip(names, columns.sizes, strict=True)]
+        outputs = [dense("y", columns.size, 1)]
         super().__init__(name, inputs, outputs, lambda values: [columns.value(*values)])
 
     def has_jacobian(self) -> bool:
@@ -190,14 +139,10 @@ class FlowCallback(_ArrayCallback):
             ca.Sparsity(self.columns.size, 1),  # The output, which no derivative reads.
             *(ca.Sparsity.dense(*shape) for shape in seeds),
         ]
-        outputs = [_dense(name, *shape) for name, shape in zip(onames, shapes, strict=True)]
-        derivative: ca.Function = _ArrayCallback(
+        outputs = [dense(name, *shape) for name, shape in zip(onames, shapes, strict=True)]
+        derivative: ca.Function = ArrayCallback(
             name, list(zip(inames, sparsities, strict=True)), outputs,
             lambda arguments: evaluate(arguments[:count], arguments[count + 1 :]),
         )  # fmt: skip
         self._derivatives.append(derivative)
         return derivative
-
-
-def _dense(name: str, rows: int, columns: int) -> tuple[str, ca.Sparsity]:
-    return name, ca.Sparsity.dense(rows, columns)

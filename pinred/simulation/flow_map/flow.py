@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
 from ...common.names import brief
@@ -34,6 +35,7 @@ _ALL: tuple[Outcome, ...] = ("x", "xdot", "pose", "xi")
 _SHAPE: tuple[Outcome, ...] = ("x", "xdot")
 
 
+@checks_arguments
 class Flow:
     """The map of a scene from inputs to states, with derivatives.
 
@@ -295,6 +297,7 @@ class Flow:
         return rows if self.over_times else rows[-1]
 
 
+@checks_arguments
 @shows_fields(Scene)
 def flow(
     scene: System | Scene,
@@ -305,7 +308,7 @@ def flow(
 ) -> Flow:
     """Return the flow of a scene as a prepared map with derivatives.
 
-    The flow gives the state at the end, or at `times` if the scene has them.  An InputError is
+    The flow returns the state at the end, or at `times` if the scene has them.  An InputError is
     raised for scenes without derivatives: with Controllers, which are Python functions, or with
     methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...common.errors import InputError, MissingPackageError
 from ...common.memo import once_for_all
+from ...common.optional_packages import optional_package
 from . import xla_call
 from .batched import FIRST_ORDER, Batched
 from .flow_columns import Columns
@@ -30,11 +31,8 @@ def jax_function(columns: Columns) -> Callable[..., Any]:
     Raises:
         MissingPackageError: JAX is not installed, or is too old.
     """
-    try:
-        import jax
-        import jax.numpy as jnp
-    except ImportError as missing:
-        raise MissingPackageError("this needs JAX: pip install jax") from missing
+    jax = optional_package("jax", "this needs JAX: pip install jax")
+    jnp = jax.numpy
     if jax.__version_info__ < _OLDEST:
         raise MissingPackageError(
             f"this needs JAX 0.10 or newer, but version {jax.__version__} is installed"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from ...common.arrays import Array
@@ -9,6 +11,12 @@ from ...integrators.stepping.compiling import compiled
 from ...integrators.stepping.kernel_call import call, call_adjoint
 from ...kernels.flow_functions import Row, outcome_of
 from ...kernels.kernel import Kernel
+
+# Covectors of rows of the outputs at T times of a segment, and their derivatives: start of the
+# segment [s]; times after the start, (T,) [s]; reduced states at these times, (T, n), read-only;
+# constants of the kernel, (p,); covectors of the rows, (T, rows); derivatives with respect to the
+# states, (T, n), overwritten, and to the constants, (p,), to which the result is added.
+OutputCovectors: TypeAlias = tuple[float, Array, Array, Array, Array, Array, Array]
 
 
 class OutcomeAdjoint:
@@ -22,70 +30,44 @@ class OutcomeAdjoint:
         self._pose = where.fields["pose"].start if "pose" in rows else -1
         self._argument_size = layout.size + 1 + kernel.system.group.size
 
-    def __call__(
-        self,
-        begin: float,
-        times: Array,
-        y: Array,
-        constants: Array,
-        covectors: Array,
-        at_times: Array,
-        by_constants: Array,
-    ) -> None:
-        """Compute the derivatives of Σ covectors · rows.
-
-        Args:
-            begin: Start of the segment [s].
-            times: Times after the start, (T,) [s].
-            y: Reduced states at these times, (T, n), read-only.
-            constants: Constants of the kernel, (p,).
-            covectors: Covectors of the rows, (T, rows).
-            at_times: Derivatives with respect to y, (T, n), which are overwritten.
-            by_constants: Derivatives with respect to the constants, (p,), which are added to.
-        """
+    def __call__(self, back: OutputCovectors) -> None:
+        """Compute the derivatives of Σ covectors · rows."""
         argument = np.zeros(self._argument_size)
-        _propagate_covectors(
-            self._outputs.address, self._outcome.adjoint.address, self._size, self._pose, begin,
-            times, y, constants, covectors, at_times, by_constants, argument,
-            np.empty(self._output_size), np.empty(self._argument_size + len(constants)),
-        )  # fmt: skip
+        slopes = np.empty(len(argument) + len(back[3]))
+        addresses = (self._outputs.address, self._outcome.adjoint.address)
+        out = np.empty(self._output_size)
+        _propagate_covectors(addresses, self._size, self._pose, back, argument, out, slopes)
 
 
 @compiled
 def _propagate_covectors(
-    outputs: int,
-    adjoint: int,
+    addresses: tuple[int, int],
     size: int,
     pose: int,
-    begin: float,
-    times: Array,
-    y: Array,
-    constants: Array,
-    covectors: Array,
-    at_times: Array,
-    by_constants: Array,
+    back: OutputCovectors,
     argument: Array,
     out: Array,
     slopes: Array,
 ) -> None:
     """Propagate the covectors of OutcomeAdjoint backwards, time by time.
 
-    outputs, adjoint: addresses of the kernel's output function and of its adjoint.
+    addresses: addresses of the kernel's output function and of its adjoint.
     size: length of y.
     pose: index of the pose in the outputs, or −1 if no covector needs the pose.
     argument: work space for (y, t, pose); the output function reads only y and t.
     out, slopes: work space for the outputs and for the derivatives at one time.
     """
+    begin, times, y, constants, covectors, at_times, by_constants = back
     argument_size = argument.shape[0]
     for j in range(times.shape[0]):
         for k in range(size):
             argument[k] = y[j, k]
         argument[size] = begin + times[j]
         if pose >= 0:
-            call(outputs, argument, constants, out)
+            call(addresses[0], argument, constants, out)
             for k in range(size + 1, argument_size):
                 argument[k] = out[pose + k - size - 1]
-        call_adjoint(adjoint, argument, constants, covectors[j], slopes)
+        call_adjoint(addresses[1], argument, constants, covectors[j], slopes)
         for k in range(size):
             at_times[j, k] = slopes[k]
         for k in range(constants.shape[0]):

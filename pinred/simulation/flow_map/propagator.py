@@ -11,7 +11,12 @@ from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
 from ...forces.switch_times import time_within
 from ...integrators.integrate import Integration
-from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, run_along, run_back
+from ...integrators.run_derivatives import (
+    SmoothField,
+    refuse_without_derivatives,
+    run_along,
+    run_back,
+)
 from ...integrators.solution import Solution
 from ...kernels.derived_code import tangent_of
 from ...kernels.differentiable import call_value
@@ -55,8 +60,7 @@ class Propagator:
         method: Integrator.
         zero_momentum: Whether the angular momentum is zero for all inputs.
         kernel: Machine code and layout.
-        address: Address of the vector field.
-        slopes: Addresses of the derivatives of the vector field.
+        field: Addresses of the vector field and of its derivatives.
     """
 
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
@@ -73,9 +77,10 @@ class Propagator:
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
         self._initial = InitialMap(kernel, motion_of(plan.scene))
-        self.address, self.rate = rate_address(kernel, self.method), rate_of(kernel)
-        rate, layout = self.rate, kernel.layout
-        self.slopes = Slopes(
+        rate, layout = rate_of(kernel), kernel.layout
+        self.field = SmoothField(
+            address=rate_address(kernel, self.method),
+            quaternion=layout.quaternion,
             tangent=lambda: rate.tangent.address,
             adjoint=lambda: rate.adjoint.address,
             tangents=lambda count: rate.wide_tangent(count).address,
@@ -89,7 +94,7 @@ class Propagator:
         """Prepare the integration over one span."""
         kernel, layout = self.kernel, self.kernel.layout
         return Integration(
-            self.method, self.address, self._n, span.stop - span.start, span.times,
+            self.method, self.field.address, self._n, span.stop - span.start, span.times,
             layout.quaternion, layout.canonical, lambda: tangent_of(kernel).address,
         )  # fmt: skip
 
@@ -231,8 +236,8 @@ class Propagator:
             if k in jumps:
                 y = y + np.outer(jumps[k].change, jumps[k].delay(numbers))
             tangents = run_along(
-                self.method, self.address, self.slopes, solution.params, solution.states[0],
-                solution.knots, span.times, layout.quaternion, y, parameters, solution.states,
+                self.method, self.field, solution.params, solution.states[0], solution.knots,
+                span.times, y, parameters, solution.states,
             )  # fmt: skip
             y = tangents.end_slopes
             if not span.times.size:
@@ -270,14 +275,9 @@ class Propagator:
             at_times = np.zeros((len(span.times), self._n))
             if len(span.times):
                 constants = np.concatenate([solution.params, run.flow.path])
-                adjoint(
-                    span.start, span.times, solution.y, constants, covectors[span.rows], at_times,
-                    by_rest,
-                )  # fmt: skip
-            gradients = run_back(
-                self.method, self.address, self.slopes, solution.params, solution, span.times,
-                layout.quaternion, covector, at_times,
-            )  # fmt: skip
+                times, weights = span.times, covectors[span.rows]
+                adjoint((span.start, times, solution.y, constants, weights, at_times, by_rest))
+            gradients = run_back(self.method, self.field, solution, span.times, covector, at_times)
             covector = gradients.by_state
             by_rest[:p] += gradients.by_parameters
             if k in jumps:
@@ -318,12 +318,12 @@ class Propagator:
             flow.y0[layout.size - 1] = t
         parameters, knots = read_only(flow.parameters_between(t, t + h)), np.array([0.0, h])
         step = run_along(
-            self.method, self.address, self.slopes, parameters, flow.y0, knots, knots[1:],
-            layout.quaternion, y_along, parameters_along,
+            self.method, self.field, parameters, flow.y0, knots, knots[1:], y_along,
+            parameters_along,
         )  # fmt: skip
         if not np.isfinite(step.y).all():
             raise IntegrationError(
-                f"a step of {h:g} s of '{kernel.system.name}' is not finite: take shorter ones"
+                f"a step of {h:g} s of '{kernel.system.name}' is not finite; choose a shorter step"
             )
         end_state = self._state(flow, t + h, step.y[0], parameters)
         if columns is None or not isinstance(end_state, State):

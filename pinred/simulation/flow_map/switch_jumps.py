@@ -15,7 +15,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...integrators.solution import Solution
-from ...integrators.stepping.run_state import unit_alone
+from ...integrators.stepping.state_rows import unit_alone
 from ...kernels.evaluate import evaluate
 from ...kernels.kernel import Kernel
 from ..plan import Plan, Span
@@ -56,7 +56,7 @@ class Jump:
         return np.asarray(delays[0])
 
     def only_slopes(self) -> Array:
-        """Return the derivative of the time by each force parameter, (p,).  Raises InputError."""
+        """Return the derivative of the time by the force parameters, (p,).  Raises InputError."""
         return self.delay(np.eye(self.slopes.shape[1]))
 
 

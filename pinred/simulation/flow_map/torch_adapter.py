@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ...common.errors import InputError, MissingPackageError, ShapeError
+from ...common.errors import InputError, ShapeError
 from ...common.memo import once_for_all
 from ...common.names import brief
+from ...common.optional_packages import optional_package
 from .batched import FIRST_ORDER, Batched
 from .flow_columns import Columns
 
@@ -33,10 +34,7 @@ def torch_function(columns: Columns) -> Callable[..., Any]:
     Raises:
         MissingPackageError: PyTorch is not installed.
     """
-    try:
-        import torch
-    except ImportError as missing:
-        raise MissingPackageError("this needs PyTorch: pip install torch") from missing
+    torch = optional_package("torch", "this needs PyTorch: pip install torch")
     apply, number = _function(), next(_numbers)
     _flows[number] = Batched(columns)
 
@@ -83,7 +81,7 @@ def _to_numpy(tensors: Sequence[Any]) -> list[Any]:
 def _function() -> Any:
     """Return the autograd function of all flows.
 
-    Operators take only tensors and numbers, so a number states which flow they evaluate.
+    Operators take only tensors and numbers, so the flow is identified by its number.
     """
     import torch
 
@@ -143,16 +141,16 @@ def _function() -> Any:
 
         @staticmethod
         def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-            """Save nothing, because second derivatives are refused."""
+            """Save nothing, because second derivatives are rejected."""
 
         @staticmethod
         def backward(_ctx: Any, *_: Any) -> Any:
-            """Refuse a second derivative.  Raises InputError."""
+            """Reject a second derivative.  Raises InputError."""
             raise InputError(FIRST_ORDER)
 
         @staticmethod
         def jvp(_ctx: Any, *_: Any) -> Any:
-            """Refuse a second derivative.  Raises InputError."""
+            """Reject a second derivative.  Raises InputError."""
             raise InputError(FIRST_ORDER)
 
     class Jvp(FirstOrder):

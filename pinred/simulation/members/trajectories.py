@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...common.files import check_path, write_atomic
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from ..compiled.compiled_flow import CompiledFlow
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class Failure:
     """A member of simulate_many that did not reach its end time.
@@ -68,6 +70,7 @@ class Batch:
     wall: float
 
 
+@checks_arguments
 class Trajectories(OverTime):
     """Motions of one system; the fields of State have shape (N, T, …), with members first.
 

@@ -5,20 +5,16 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any
 
-from ...common.errors import MissingPackageError
+from ...common.optional_packages import optional_package
 
 INSTALL = 'pip install "pinred[mjcf]"'
 
 
 def mujoco_package() -> Any:
     """Return the module mujoco.  Raises MissingPackageError with the command that installs it."""
-    try:
-        return import_module("mujoco")
-    except ImportError:
-        raise MissingPackageError(f"MJCF is read by MuJoCo's compiler: {INSTALL}") from None
+    return optional_package("mujoco", f"MJCF is read by MuJoCo's compiler: {INSTALL}")
 
 
 def is_mujoco(source: object, kind: str) -> bool:

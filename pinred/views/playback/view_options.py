@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypedDict
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
 from ...common.errors import InputError
 from ...system.visuals import mesh_folders
@@ -15,6 +16,7 @@ FPS = 60.0  # default frames per second of playback
 FILM_FPS = 30.0  # default frames per second of films
 
 
+@checks_arguments
 @dataclass(frozen=True, kw_only=True)
 class View:
     """Options for drawing a motion; raises InputError for invalid values.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from inspect import unwrap
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ...common.signatures import shows_overloads
 from .. import plots
@@ -124,6 +126,7 @@ def plot(source: BestGait | TurnPlan, kind: Literal["loop"]) -> Figure: ...
 def plot(source: Any, kind: str) -> Figure: ...
 
 
+@checks_arguments
 @shows_overloads
 def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     """Draw a figure by the function of pinred.plots with the name `kind`.
@@ -137,7 +140,7 @@ def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
         kind: Name of the function, such as "shape", "energy" or "phase".
         joints: Names or indices of joints.
         limits: (low, high) of each joint on an axis [rad | m].
-        when: Time at which the momentum and frozen joints are taken [s].
+        when: Time at which the momentum and the joints that are not on an axis are evaluated [s].
         component: Name or index of a component of the body twist.
         at: Shape of the joints that are not on an axis, (m,) [rad | m].
         path: Shapes to draw over the figure, (T, m) [rad | m].
@@ -152,7 +155,7 @@ def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     Returns:
         The figure.
     Raises:
-        InputError: Unknown kind or option; the message lists the valid ones.
+        InputError: The kind or an option is unknown; the message lists the valid names.
         MissingPackageError: matplotlib is not installed.
     """
     return draw(source, kind, options)
@@ -169,6 +172,7 @@ def draw(source: Any, kind: str, options: Mapping[str, Any]) -> Figure:
     return figure
 
 
+@checks_arguments
 def options_of(kind: str) -> tuple[str, ...]:
     """Return the names of the options of a kind of plot.
 
@@ -181,4 +185,4 @@ def options_of(kind: str) -> tuple[str, ...]:
     """
     if kind not in plots.KINDS:
         raise InputError(f"no plot of kind {kind!r}; the kinds are {', '.join(plots.KINDS)}")
-    return tuple(getattr(plots, kind).__wrapped__.__kwdefaults__ or ())
+    return tuple(unwrap(getattr(plots, kind)).__kwdefaults__ or ())

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ...analysis.connections.connection import Connection
 from ...analysis.full_reduction import Reduction
 from ...analysis.gaits.gait import Gait
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, vector
 from ...common.errors import InputError
 from ...lie.group import Group
@@ -31,6 +32,7 @@ _ALONG_GAIT = 400
 Source: TypeAlias = System | Reduction | MotionSource
 
 
+@checks_arguments
 @styled
 def field(
     source: Connection,
@@ -103,13 +105,13 @@ def field(
 def _closed_path(source: Connection, gait: Gait) -> Array:
     if gait.m != source.m:
         raise InputError(f"the gait moves {gait.m} joints, but {source} has {source.m}")
-    return gait.at(np.linspace(0.0, gait.period, _ALONG_GAIT, endpoint=False))[0][
-        [*range(_ALONG_GAIT), 0]
-    ]
+    return gait.at(np.linspace(0.0, gait.period, _ALONG_GAIT + 1))[0]
 
 
 def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which: int) -> str:
     """Format the gait's signed area, and the integral of the field over it, for the title."""
+    if gait.turns:
+        return ""  # A path around a torus encloses no area.
     x, xdot = gait.samples(4096)
     a, b = pair
     area = 0.5 * gait.period * float(np.mean(x[:, a] * xdot[:, b] - x[:, b] * xdot[:, a]))
@@ -128,6 +130,7 @@ def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which:
     return f"{text}, integral over it {integral:.4g}"
 
 
+@checks_arguments
 @styled
 def curvature(
     source: Source,

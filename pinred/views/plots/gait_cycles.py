@@ -1,7 +1,7 @@
 """Figures of gaits: the path of the body over some cycles, and an optimised loop.
 
-The figure of an optimised loop shows the loop over the curvature, and beside it the joints and the
-base over time.
+The figure of an optimised loop shows the loop over the curvature, next to the joints and the base
+over time.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from ...analysis.connections.connection import Connection
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.lift import in_space
 from ...analysis.phases.phase import Phase
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...lie.group import Group
@@ -29,9 +30,10 @@ from .style import BLACK, RED, figure, legend, line, styled
 _MOST = 1000
 
 _TIMES = 400
-_OTHERS = 5  # largest number of further local optima in the figure
+_OTHERS = 5  # largest number of other local optima in the figure
 
 
+@checks_arguments
 @styled
 def cycles(source: Phase, *, count: int = 5) -> Figure:
     """Draw the path of the body in the plane over some cycles, or its coordinates over time.
@@ -46,7 +48,7 @@ def cycles(source: Phase, *, count: int = 5) -> Figure:
     """
     if not isinstance(source, Phase):
         raise InputError(
-            f"cycles draws a Phase, as pinred.phase returns, got {type(source).__name__}"
+            f"cycles draws a Phase, which pinred.phase returns; got {type(source).__name__}"
         )
     if isinstance(count, bool) or not 1 <= int(count) <= _MOST:
         raise InputError(f"count must be a number of cycles from 1 to {_MOST}, got {count!r}")
@@ -89,6 +91,7 @@ def _arrows(axes: Axes, places: Array, angles: Array, path: Array) -> None:
     )  # fmt: skip
 
 
+@checks_arguments
 @styled
 def loop(source: BestGait | TurnPlan) -> Figure:
     """Draw a best gait or a reorientation plan: the loop, its joints, and the base.

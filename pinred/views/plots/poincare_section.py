@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError
 from ...simulation.recording import Recording
@@ -19,6 +20,7 @@ from .style import dots, figure, legend, styled
 _HALVINGS = 64  # number of bisections, enough to resolve adjacent floating-point numbers
 
 
+@checks_arguments
 @styled
 def poincare(
     motions: MotionSource | Sequence[MotionSource],
@@ -126,7 +128,7 @@ def crossings(motion: MotionSource, function: Callable[[Array], Array]) -> Array
         Times of the crossings, (K,) [s].
     """
     t = fine_times(motion)
-    # An exact zero takes the sign of the value before, so that its crossing is counted once.
+    # An exact zero is assigned the sign of the previous value, so that its crossing counts once.
     signs = np.sign(function(t))
     for k in np.flatnonzero(signs == 0.0):
         signs[k] = signs[k - 1] if k else 0.0

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...judge.audit import audit_trajectory
@@ -25,6 +26,7 @@ _TWIST_TO_MOMENTUM = str.maketrans("vω", "pL")  # twist component → momentum 
 LINEAR, ANGULAR = "linear [N·s]", "angular [N·m·s]"
 
 
+@checks_arguments
 @styled
 def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -> Figure:
     """Draw the joint values over time; many joints get one panel for each branch of the robot.
@@ -56,6 +58,7 @@ def _lines(axes: Axes, t: Array, values: Array, names: Sequence[str], title: str
     legend(axes)
 
 
+@checks_arguments
 @styled
 def base(motion: MotionSource) -> Figure:
     """Draw the pose of the base over time: position, and angle or quaternion.
@@ -111,6 +114,7 @@ def continuous(pose: Array) -> Array:
     return np.concatenate([pose[:, :-4], quaternion * signs[:, None]], axis=1)
 
 
+@checks_arguments
 @styled
 def error(compared: Report | Trajectory) -> Figure:
     """Draw the errors of shape, rotation and position over time on a logarithmic axis.
@@ -156,7 +160,7 @@ def error(compared: Report | Trajectory) -> Figure:
 
 
 def _largest(errors: Array, bounds: Array) -> tuple[Array, Array]:
-    """Return the error (T,) of the joint closest to its bound at each time, and that bound."""
+    """Return error and bound, (T,) each, of the joint that is closest to its bound at each time."""
     if not errors.shape[1]:
         return np.zeros(len(errors)), np.zeros(len(errors))
     k = np.argmax(errors / bounds, axis=1)
@@ -164,6 +168,7 @@ def _largest(errors: Array, bounds: Array) -> tuple[Array, Array]:
     return errors[times, k], bounds[times, k]
 
 
+@checks_arguments
 @styled
 def momentum(motion: MotionSource) -> Figure:
     """Draw the spatial momentum over time, and its drift on a logarithmic axis.
@@ -202,6 +207,7 @@ def momentum(motion: MotionSource) -> Figure:
     return figure
 
 
+@checks_arguments
 @styled
 def energy(motion: MotionSource) -> Figure:
     """Draw the energy over time, and its drift on a logarithmic axis.

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from .style import WIDTH, dots, figure, legend, line, shown, styled
 
@@ -59,6 +60,7 @@ class MeasuredWork(Protocol):
         """Return the measured points of one method."""
 
 
+@checks_arguments
 @styled
 def work_precision(
     results: MeasuredWork | Sequence[MeasuredWork],
@@ -76,7 +78,7 @@ def work_precision(
     Returns:
         The figure.
     Raises:
-        InputError: There is nothing to draw, or an argument is of the wrong kind.
+        InputError: `results` is empty, or an argument has the wrong type.
     """
     problems = [results] if isinstance(results, MeasuredWork) else list(results)
     if not problems or not all(isinstance(problem, MeasuredWork) for problem in problems):

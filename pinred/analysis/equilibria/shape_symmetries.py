@@ -1,0 +1,301 @@
+"""Symmetries of the amended potential: coverings, mirror images and exchanged limbs.
+
+A symmetry maps each joint to ±x or ±x + π, perhaps of another joint, and the direction n to ±P n.
+P is a rotation by half a turn or a reflection at a plane. The joints are searched along the tree:
+body by body, the image must have the mass distribution of the body after P. The amended potential
+at random points then confirms the symmetry. A covering keeps the position of every body's mass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, islice, product
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ...common.arrays import Array, freeze
+from ...system.joints import axes_of
+from .amended_energy import AmendedEnergy, Points
+from .equilibrium_problem import Problem
+
+_SAME = 1e-9  # largest difference of equal mass distributions, relative to the robot's size
+_SAME_ENERGY = 1e-11  # largest relative difference of the energies of symmetric points
+_POINTS = 3  # number of random points at which the energies must agree
+_MOST = 256  # largest number of joint maps per turn of the base
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """The map x → sign · x[order] + shift, n → turn · n. Arrays are read-only.
+
+    Attributes:
+        order: For each active joint, the joint whose value it receives, (ma,).
+        sign: Signs of the joint values, (ma,).
+        shift: Offsets added to the joint values, (ma,) [rad].
+        turn: Orthogonal map of the direction, (3, 3).
+        is_covering: Whether all masses keep their positions up to a motion of the base, so that
+            the image is the same motion, perhaps reversed.
+    """
+
+    order: NDArray[np.intp]
+    sign: Array
+    shift: Array
+    turn: Array
+    is_covering: bool
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def __call__(self, points: Points) -> Points:
+        """Return the images of points.
+
+        Args:
+            points: Points, (N,).
+        Returns:
+            The images, (N,).
+        """
+        x = self.sign * points.x[:, self.order] + self.shift
+        return Points(x, points.n @ self.turn.T if points.n.shape[1] else points.n)
+
+
+def symmetries_of(energy: AmendedEnergy, J: float) -> tuple[Symmetry, ...]:
+    """Return the symmetries of a problem except the identity.
+
+    Args:
+        energy: The amended potential.
+        J: Momentum.
+    Returns:
+        The symmetries; symmetries of other forms than in the module's description are missed.
+    """
+    problem = energy.problem
+    rng = np.random.default_rng(1)
+    x = rng.uniform(0.4, 1.2, (_POINTS, len(problem.active)))
+    n = rng.normal(size=(_POINTS, 3 * problem.directional))
+    points = Points(x, n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300))
+    e = energy(points, J)
+    candidates = _without_copies(_candidates(problem, points.x[0]), points)
+    if not candidates:
+        return ()
+    images = joined([candidate(points) for candidate in candidates])
+    difference = energy(images, J).U.reshape(len(candidates), _POINTS) - e.U
+    agrees = np.all(np.abs(difference) <= _SAME_ENERGY * e.scale, axis=1)
+    return tuple(c for c, same in zip(candidates, agrees.tolist(), strict=True) if same)
+
+
+def joined(parts: Sequence[Points]) -> Points:
+    """Concatenate points.
+
+    Args:
+        parts: At least one set of points.
+    Returns:
+        All points, in order.
+    """
+    return Points(np.concatenate([p.x for p in parts]), np.concatenate([p.n for p in parts]))
+
+
+def embedded(points: Points, angles: NDArray[np.bool_]) -> Array:
+    """Return coordinates that are equal for equal points: angles as cosine and sine.
+
+    Args:
+        points: Points, (N,).
+        angles: Which active joints are periodic, (ma,).
+    Returns:
+        (N, k).
+    """
+    x = points.x[:, angles]
+    return np.concatenate([np.cos(x), np.sin(x), points.x[:, ~angles], points.n], axis=1)
+
+
+def _without_copies(candidates: Iterable[Symmetry], points: Points) -> list[Symmetry]:
+    """Remove the identity and repeated maps; among equal maps, a covering is kept."""
+    angles = np.ones(points.x.shape[1], dtype=bool)
+    images = [embedded(points, angles)]
+    kept: list[Symmetry] = []
+    for candidate in sorted(candidates, key=lambda c: not c.is_covering):
+        image = embedded(candidate(points), angles)
+        if all(np.abs(image - other).max(initial=0.0) > _SAME for other in images):
+            images.append(image)
+            kept.append(candidate)
+    return kept
+
+
+def _candidates(problem: Problem, active: Array) -> Iterator[Symmetry]:
+    """Yield maps that move the masses by a half turn or a reflection at a generic shape."""
+    tree, group = _Masses(problem), problem.system.group
+    x = problem.shapes(active[None])[0]
+    of_active = {k: i for i, k in enumerate(problem.active)}
+    for order in tree.orders():
+        is_swapped = bool((order != np.arange(len(order))).any())
+        for P in tree.turns():
+            for sign, shift, source in islice(tree.maps(x, P, order), _MOST):
+                columns = [source[k] for k in problem.active]
+                if any(k not in of_active for k in columns):
+                    continue
+                proper = float(np.linalg.det(P)) > 0.0
+                keeps = proper and not is_swapped and (
+                    group.turns == 3
+                    or bool(np.array_equal(P @ problem.axis, problem.axis) and group.turns)
+                    or bool(np.array_equal(P, np.eye(3)))
+                )  # fmt: skip
+                for reverse in (1.0, -1.0) if problem.directional else (1.0,):
+                    yield Symmetry(
+                        order=np.array([of_active[k] for k in columns], dtype=np.intp),
+                        sign=sign[list(problem.active)],
+                        shift=shift[list(problem.active)],
+                        turn=reverse * P,
+                        is_covering=keeps and (reverse > 0.0 or problem.reversible),
+                    )
+
+
+class _Masses:
+    """The masses of a tree, and the joint maps that keep them."""
+
+    def __init__(self, problem: Problem) -> None:
+        system = problem.system
+        model = system.model
+        self._problem, self._system = problem, system
+        self._parents = [0, 0, *(int(model.parents[i]) for i in range(2, model.njoints))]
+        self._places = [model.jointPlacements[i] for i in range(model.njoints)]
+        self._axes = [axes_of(model.joints[i])[:, 0] for i in range(2, model.njoints)]
+        self._bodies = [(b.mass, b.lever, b.inertia) for b in model.inertias]
+        self._children = [
+            [k for k in range(2, model.njoints) if self._parents[k] == i]
+            for i in range(model.njoints)
+        ]
+        about_com = system.group.linear == 3 or system.group.turns_about_com
+        self._origin = self._bodies[1][1] if about_com and self._bodies[1][0] else np.zeros(3)
+        arms = [place.translation for place in self._places[2:]]
+        arms += [lever for _, lever, _ in self._bodies[1:]]
+        self._size = max(float(np.linalg.norm(arms)), 1e-300)
+        coupled = system.coupled
+        self._leads = [
+            [k] if coupled is None else [lead for lead, _ in coupled.terms(k)]
+            for k in range(model.njoints - 2)
+        ]
+
+    def turns(self) -> list[Array]:
+        """Return identity, half turns and reflections in the frames of base and first joints."""
+        mass, _, T = self._bodies[1]
+        frames = [np.eye(3), *(self._places[k].rotation for k in self._children[1])]
+        if mass:
+            frames.append(np.linalg.eigh(T)[1])
+        signs = [np.diag(s) for s in product((1.0, -1.0), repeat=3)]
+        turns: list[Array] = []
+        for frame, sign in product(frames, signs):
+            P = frame @ sign @ frame.T
+            P = np.where(np.abs(P - np.round(P)) < 1e-14, np.round(P), P) + 0.0
+            if not any(np.abs(P - other).max() < 1e-12 for other in turns):
+                turns.append(P)
+        return turns
+
+    def orders(self) -> list[NDArray[np.intp]]:
+        """Return the identity, and exchanges of two equal limbs, as permutations of the bodies."""
+        identity = np.arange(len(self._bodies))
+        orders = [identity]
+        for siblings in self._children[1:]:
+            for a, b in combinations(siblings, 2):
+                pairs = self._paired(a, b)
+                if pairs:
+                    order = identity.copy()
+                    for i, j in pairs:
+                        order[i], order[j] = j, i
+                    orders.append(order)
+        return orders
+
+    def _paired(self, a: int, b: int) -> list[tuple[int, int]]:
+        """Pair the bodies of two limbs; return an empty list if the limbs differ."""
+        first, second = self._children[a], self._children[b]
+        if self._bodies[a][0] != self._bodies[b][0] or len(first) != len(second):
+            return []
+        pairs = [(a, b)]
+        for i, j in zip(first, second, strict=True):
+            below = self._paired(i, j)
+            if not below:
+                return []
+            pairs += below
+        return pairs
+
+    def maps(
+        self, x: Array, P: Array, order: NDArray[np.intp]
+    ) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield signs, shifts and sources of the shape coordinates that move the masses by P.
+
+        Args:
+            x: A generic shape, (m,).
+            P: Orthogonal map of the base, (3, 3).
+            order: For each body, the body that takes its position.
+        Yields:
+            Triples (sign, shift, source) of arrays (m,).
+        """
+        placed = [pin.SE3.Identity()] * len(self._bodies)
+        values = self._system.joint_values(x)
+        for i in range(2, len(placed)):
+            placed[i] = self._placed(placed, i, values[i - 2])
+        targets = [self._moved(P, placed[i], i) for i in range(len(placed))]
+        if not self._agrees(pin.SE3.Identity(), int(order[1]), targets[1]):
+            return
+        m = self._system.m
+        state = np.ones(m), np.zeros(m), np.full(m, -1)
+        images = [pin.SE3.Identity()] * len(placed)
+        yield from self._extended(2, x, order, targets, images, state)
+
+    def _extended(
+        self,
+        i: int,
+        x: Array,
+        order: NDArray[np.intp],
+        targets: list[tuple[float, Array, Array]],
+        images: list[pin.SE3],
+        state: tuple[Array, Array, Array],
+    ) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield the maps that extend a map of the bodies before body i."""
+        if i == len(targets):
+            yield state[0].copy(), state[1].copy(), state[2].copy()
+            return
+        j = int(order[i])
+        sign, shift, sources = state
+        targets_of_joint, sources_of_joint = self._leads[j - 2], self._leads[i - 2]
+        if len(targets_of_joint) != len(sources_of_joint):
+            return
+        pairs = list(zip(targets_of_joint, sources_of_joint, strict=True))
+        if any(sources[target] not in (-1, source) for target, source in pairs):
+            return
+        new = [(target, source) for target, source in pairs if sources[target] < 0]
+        for choices in product(*(self._choices(target) for target, _ in new)):
+            for (target, source), (factor, offset) in zip(new, choices, strict=True):
+                sign[target], shift[target], sources[target] = factor, offset, source
+            image = sign * x[sources] + shift
+            images[j] = self._placed(images, j, self._system.joint_values(image)[j - 2])
+            if self._agrees(images[j], j, targets[i]):
+                yield from self._extended(i + 1, x, order, targets, images, state)
+        for target, _ in new:
+            sign[target], shift[target], sources[target] = 1.0, 0.0, -1
+
+    def _choices(self, k: int) -> list[tuple[float, float]]:
+        """Return signs and shifts of a shape coordinate that are tried."""
+        if k not in self._problem.active:
+            return [(1.0, 0.0)]
+        shifts = (0.0, np.pi) if k in self._problem.turning else (0.0,)
+        return list(product((1.0, -1.0), shifts))
+
+    def _placed(self, placed: list[pin.SE3], i: int, value: float) -> pin.SE3:
+        return placed[self._parents[i]] * self._places[i] * pin.exp6(self._axes[i - 2] * value)
+
+    def _moved(self, P: Array, place: pin.SE3, i: int) -> tuple[float, Array, Array]:
+        """Return mass, centre and inertia of a body after P."""
+        mass, lever, T = self._bodies[i]
+        R = P @ place.rotation
+        return mass, self._origin + P @ (place.act(lever) - self._origin), R @ T @ R.T
+
+    def _agrees(self, place: pin.SE3, i: int, target: tuple[float, Array, Array]) -> bool:
+        mass, centre, T = self._moved(np.eye(3), place, i)
+        if mass != target[0]:
+            return False
+        if mass == 0.0:
+            return True
+        far = float(np.abs(centre - target[1]).max()) > _SAME * self._size
+        turned = float(np.abs(T - target[2]).max()) > _SAME * max(float(np.abs(T).max()), 1e-300)
+        return not (far or turned)

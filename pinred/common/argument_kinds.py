@@ -1,0 +1,384 @@
+"""Rejection of arguments of a wrong kind, with checks derived from annotations.
+
+A kind is what an annotation states: a number, text, a mapping from text to numbers, a System.
+Ranges, lengths and names are checked by the callables themselves.  If a callable raises an
+exception for an argument of a wrong kind, an error that names the argument replaces it, unless the
+exception is a PinredError.
+"""
+
+from __future__ import annotations
+
+import builtins
+import inspect
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import wraps
+from numbers import Integral, Real
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, ForwardRef, Literal, TypeVar, Union, get_args, get_origin
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .errors import InputError, PinredError, ShapeError
+from .names import brief
+
+T = TypeVar("T")
+_SOURCE = "<checks"  # start of the file name of generated code
+
+
+@dataclass(frozen=True)
+class Kind:
+    """The values that an annotation admits.
+
+    Attributes:
+        expected: Description for messages.
+        admits: Predicate of values.
+        settled: Predicate of admitted values: whether all values of the same type are admitted.
+        error: Type of the error for a rejected value.
+    """
+
+    expected: str
+    admits: Callable[[Any], bool]
+    settled: Callable[[Any], bool] = lambda _: True
+    error: type[InputError] = InputError
+
+
+def checks_arguments(thing: T) -> T:
+    """Decorate a function, or all public methods of a class, to reject arguments of a wrong kind.
+
+    Args:
+        thing: A function with annotations, or a class, which is changed in place.
+    Returns:
+        The function with checks, or the class.
+    """
+    if not inspect.isclass(thing):
+        return _checked(thing, None)  # type: ignore[arg-type, return-value]
+    for name, member in list(vars(thing).items()):
+        if not name.startswith("_") or name in ("__init__", "__call__"):
+            if inspect.isfunction(member):
+                setattr(thing, name, _checked(member, thing))
+            elif isinstance(member, (classmethod, staticmethod)):
+                setattr(thing, name, type(member)(_checked(member.__func__, thing)))
+    return thing
+
+
+def _checked(function: Callable[..., Any], owner: type | None) -> Callable[..., Any]:
+    """Return a function that checks the arguments and calls the original function.
+
+    The generated function has the same parameters, so a call costs one lookup per argument.
+    """
+    checks = _Checks(function, owner)
+    if not checks.names:
+        return function
+    plain = inspect.unwrap(function)
+    declared, passed = _signature(plain)
+    tests = [
+        f"    if type({name}) not in _types_[{k}]: wrong_ = wrong_ or _check_({k}, {name})"
+        for k, name in enumerate(checks.names)
+    ]
+    body = f"_function_({passed})"
+    reject = f"    if wrong_ is not None:\n        with _rejected_(wrong_): {body}"
+    lines = [f"def call({declared}):", "    wrong_ = None", *tests, reject, f"    return {body}"]
+    values: dict[str, Any] = {"_types_": checks.types, "_check_": checks.check}
+    values |= {"_rejected_": _rejected, "_function_": function}
+    exec(compile("\n".join(lines), f"{_SOURCE} of {function.__qualname__}>", "exec"), values)
+    call: Callable[..., Any] = wraps(function)(values["call"])
+    call.__defaults__, call.__kwdefaults__ = plain.__defaults__, plain.__kwdefaults__
+    return call
+
+
+@contextmanager
+def _rejected(error: InputError) -> Iterator[None]:
+    """Run a call with a wrong argument, then raise `error` unless the call rejects the argument.
+
+    Many callables check their arguments, and their messages are more specific.
+    """
+    try:
+        yield
+    except Exception as fault:
+        if isinstance(fault, PinredError):
+            raise
+        raise error from fault
+    raise error
+
+
+def is_checked(function: Callable[..., Any]) -> bool:
+    """Return whether a function checks its arguments."""
+    return function.__code__.co_filename.startswith(_SOURCE)
+
+
+def _signature(function: Callable[..., Any]) -> tuple[str, str]:
+    """Return the source of a function's parameters, and of the arguments of a call with them."""
+    code = function.__code__
+    names = list(code.co_varnames)
+    count, total = code.co_argcount, code.co_argcount + code.co_kwonlyargcount
+    plain, only, rest = names[:count], names[count:total], names[total:]
+    first = count - len(function.__defaults__ or ())
+    declared = [f"{name}=0" if i >= first else name for i, name in enumerate(plain)]
+    if code.co_posonlyargcount:
+        declared.insert(code.co_posonlyargcount, "/")
+    star = f"*{rest.pop(0)}" if code.co_flags & inspect.CO_VARARGS else "*" * bool(only)
+    options = [f"**{rest[0]}"] if code.co_flags & inspect.CO_VARKEYWORDS else []
+    defaults = function.__kwdefaults__ or {}
+    declared += [star] * bool(star) + [f"{n}=0" if n in defaults else n for n in only] + options
+    passed = [*plain, *[star] * (star > "*"), *(f"{name}={name}" for name in only), *options]
+    return ", ".join(declared), ", ".join(passed)
+
+
+class _Checks:
+    """Checks of a function's arguments, derived from its annotations at the first call.
+
+    Attributes:
+        names: Names of the checked parameters.
+        types: Types of each parameter whose values are all admitted.
+    """
+
+    def __init__(self, function: Callable[..., Any], owner: type | None) -> None:
+        hints = inspect.get_annotations(function)
+        code = inspect.unwrap(function).__code__
+        own = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+        self.names = [name for name in own if hints.get(name, "Any") != "Any"]
+        defaults = inspect.signature(inspect.unwrap(function)).parameters
+        # A marker, such as that of a default factory, is admitted independent of the annotation.
+        markers = [type(defaults[name].default) for name in self.names]
+        self.types = [{kind} if kind.__name__.startswith("_") else set() for kind in markers]
+        self._function, self._owner = function, owner
+        self._kinds: list[Kind | None] = []
+        self._open: set[tuple[int, type]] = set()  # types whose values are checked at each call
+
+    def check(self, number: int, value: Any) -> InputError | None:
+        """Return an error that names the parameter if the value is of a wrong kind."""
+        if not self._kinds:
+            self._kinds = list(parameter_kinds(self._function, self.names, self._owner).values())
+        kind = self._kinds[number]
+        if kind is not None and not kind.admits(value):
+            return kind.error(
+                f"{self.names[number]}: expected {kind.expected}, got {brief(value)}. "
+                f"See help({self._function.__qualname__})."
+            )
+        if kind is None or ((number, type(value)) not in self._open and kind.settled(value)):
+            self.types[number].add(type(value))
+        else:
+            self._open.add((number, type(value)))
+        return None
+
+
+def parameter_kinds(
+    function: Callable[..., Any], names: Iterable[str], owner: type | None = None
+) -> dict[str, Kind | None]:
+    """Return the kinds of parameters; None if every value is admitted.
+
+    Args:
+        function: A function with annotations.
+        names: Names of parameters.
+        owner: Its class.  Annotations of fields may be those of base classes in other modules.
+    Returns:
+        Kinds by name.
+    """
+    known = _Names(inspect.unwrap(function).__globals__)
+    for base in reversed(owner.__mro__ if owner else ()):
+        known.update(vars(sys.modules[base.__module__]))
+    known["ArrayLike"] = _Numbers
+    hints = inspect.get_annotations(function)
+    return {name: kind_of(hints[name], known) for name in names}
+
+
+class _Names(dict[str, Any]):
+    """Names in annotations.  An unknown name represents all classes of this name."""
+
+    def __missing__(self, name: str) -> type:
+        if hasattr(builtins, name):
+            raise KeyError(name)
+        return _ByName(name, (), {})
+
+
+class _ByName(type):
+    """A class that is imported for type checkers only, so that its name alone is known."""
+
+    def __getattr__(cls, name: str) -> type:
+        return _ByName(name, (), {})
+
+    def __instancecheck__(cls, value: object) -> bool:
+        return any(kind.__name__ == cls.__name__ for kind in type(value).__mro__)
+
+
+class _Numbers:
+    """Placeholder for ArrayLike, whose members would be lost in a union."""
+
+
+def kind_of(annotation: Any, names: _Names) -> Kind | None:
+    """Return the kind that an annotation states; None if every value is admitted."""
+    if isinstance(annotation, (str, ForwardRef)):
+        text = annotation if isinstance(annotation, str) else annotation.__forward_arg__
+        return kind_of(eval(text, {}, names), names)
+    if annotation in _SIMPLE:
+        return _SIMPLE[annotation]
+    origin, args = get_origin(annotation) or annotation, get_args(annotation)
+    if origin in (Union, UnionType):
+        return _union(_without_array_like(args), names)
+    if origin is Literal:
+        return _literal(args)
+    if not inspect.isclass(origin) or not _has_instances(origin):
+        return None
+    if issubclass(origin, np.ndarray):
+        return _NUMBERS
+    if issubclass(origin, Mapping):
+        return _mapping(*(kind_of(arg, names) for arg in args))
+    if origin is tuple and args and args[-1] is not Ellipsis:
+        return _tuple([kind_of(arg, names) for arg in args])
+    if issubclass(origin, Iterable) and args:
+        return _sequence(kind_of(args[0], names))
+    return Kind(_description(origin), lambda value: isinstance(value, origin))
+
+
+def _has_instances(kind: type) -> bool:
+    """Return whether isinstance works, which most protocols do not support."""
+    attributes = vars(kind)
+    return "_is_runtime_protocol" in attributes or not attributes.get("_is_protocol", False)
+
+
+def _without_array_like(args: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Replace the members of ArrayLike, which an alias of a union contains, by its placeholder."""
+    members = get_args(ArrayLike)
+    if not set(members) <= set(args):
+        return args
+    return (_Numbers, *(arg for arg in args if arg not in members))
+
+
+def _description(kind: type) -> str:
+    if kind.__name__ == "Callable":
+        return "a function"
+    return f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
+
+
+def _union(args: tuple[Any, ...], names: _Names) -> Kind | None:
+    kinds = [kind_of(arg, names) for arg in args]
+    members = [kind for kind in kinds if kind is not None]
+    if len(members) < len(kinds):
+        return None
+
+    def settled(value: Any) -> bool:
+        return any(kind.admits(value) and kind.settled(value) for kind in members)
+
+    return Kind(
+        " or ".join(dict.fromkeys(kind.expected for kind in members)),
+        lambda value: any(kind.admits(value) for kind in members),
+        settled,
+        ShapeError if _NUMBERS in members else InputError,
+    )
+
+
+def _literal(values: tuple[Any, ...]) -> Kind:
+    """Return the kind of a choice.  Callables themselves reject wrong choices, with a hint."""
+    types = tuple({*map(type, values)})
+    return Kind(
+        f"one of {', '.join(map(repr, values))}",
+        lambda value: isinstance(value, types) and not (isinstance(value, bool) > (bool in types)),
+    )
+
+
+def _is_sequence(value: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Iterable) and not isinstance(value, (*_TEXT, Mapping))
+
+
+def _sequence(entry: Kind | None) -> Kind:
+    if entry is None:
+        return Kind("a sequence", _is_sequence)
+
+    def admits(value: Any) -> bool:
+        if not (_is_sequence(value) and isinstance(value, _STORED)):
+            return _is_sequence(value)  # entries of iterators cannot be checked in advance
+        # Check one entry of each type, because usually the type decides, as in long lists of
+        # numbers.
+        examples = {type(item): item for item in value}.values()
+        if all(entry.admits(item) and entry.settled(item) for item in examples):
+            return True
+        return all(map(entry.admits, value))
+
+    return Kind(f"a sequence of {entry.expected}", admits, _never)
+
+
+def _tuple(entries: list[Kind | None]) -> Kind:
+    def admits(value: Any) -> bool:
+        if not (_is_sequence(value) and isinstance(value, _STORED)):
+            return _is_sequence(value)
+        return len(value) == len(entries) and all(
+            kind is None or kind.admits(item) for kind, item in zip(entries, value, strict=True)
+        )
+
+    listed = ", ".join(kind.expected if kind else "a value" for kind in entries)
+    return Kind(f"({listed})", admits, _never)
+
+
+def _mapping(key: Kind | None, entry: Kind | None) -> Kind:
+    def admits(value: Any) -> bool:
+        return isinstance(value, Mapping) and (
+            (key is None or all(map(key.admits, value)))
+            and (entry is None or all(map(entry.admits, value.values())))
+        )
+
+    listed = " to ".join(kind.expected if kind else "values" for kind in (key, entry))
+    return Kind(f"a mapping from {listed}", admits, _never)
+
+
+def _never(_: object) -> bool:
+    return False
+
+
+def _is_number(value: Any) -> bool:
+    if type(value) is int:
+        return -_LARGEST < value < _LARGEST
+    if isinstance(value, np.ndarray):
+        return value.ndim == 0 and value.dtype.kind in "fiu"
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return False
+    try:
+        float(value)
+    except (OverflowError, TypeError):  # np.timedelta64 counts as a whole number
+        return False
+    return True
+
+
+def _is_whole(value: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return value.ndim == 0 and value.dtype.kind in "iu"
+    return isinstance(value, Integral) and not isinstance(value, (bool, np.timedelta64))
+
+
+def _are_numbers(value: Any) -> bool:
+    """Return whether a value is an array, a number, or a nested list of arrays and numbers."""
+    if isinstance(value, (list, tuple)):
+        return _COMMON.issuperset(map(type, value)) or all(map(_are_numbers, value))
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind not in "mMSUV"
+    if isinstance(value, np.generic):
+        return _is_number(value)
+    return _is_number(value) or isinstance(value, range) or hasattr(type(value), "__array__")
+
+
+_LARGEST = int(np.finfo(float).max)
+_TEXT = (str, bytes, bytearray, memoryview)
+_STORED = (list, tuple, np.ndarray)
+_COMMON = frozenset({int, float, np.float64, np.int64})  # frequent types of entries of lists
+_NUMBERS = Kind(
+    "numbers", _are_numbers, lambda value: not isinstance(value, (list, tuple, int)), ShapeError
+)
+_SIMPLE: dict[Any, Kind | None] = {
+    Any: None,
+    object: None,
+    None: Kind("None", lambda value: value is None),
+    NoneType: Kind("None", lambda value: value is None),
+    str: Kind("text", lambda value: isinstance(value, str)),
+    bool: Kind("True or False", lambda value: isinstance(value, (bool, np.bool_))),
+    int: Kind("a whole number", _is_whole),
+    float: Kind("a number", _is_number, lambda value: not isinstance(value, (int, np.ndarray))),
+    Path: Kind("a path", lambda value: isinstance(value, os.PathLike)),
+    _Numbers: _NUMBERS,
+}
