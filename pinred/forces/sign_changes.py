@@ -1,4 +1,4 @@
-"""The times at which a function of time changes its sign: all of them, or an error."""
+"""All times at which a function of time changes its sign, or an error if some might be missing."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class SignChanges:
         Returns:
             Starts of spans of constant sign, (S,) [s], and a value of the expression in each, (S,).
         Raises:
-            InputError: There are too many, or a sign cannot be decided.
+            InputError: There are too many times, or a sign cannot be decided.
         """
         starts = np.append(0.0, self._switches.breaks(end, numbers))
         within = time_within(starts, np.append(starts[1:], end))

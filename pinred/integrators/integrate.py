@@ -55,8 +55,8 @@ def integrate(
         y0: Initial state, (n,).
         t_end: End time [s].
         times: Sorted report times within [0, t_end], (T,) [s].
-        quaternion: Index of the first of a quaternion's four entries (x, y, z, w) in y, −1 for
-            none. Its rate is ½ q ω with the body angular velocity ω.
+        quaternion: Index in y of the first entry of a quaternion (x, y, z, w), −1 without a
+            quaternion. Its rate is ½ q ω with the body angular velocity ω.
         progress: Called repeatedly with the finished fraction of the time, 0 to 1.
         tangent: Function that returns the address of the kernel of ∂f/∂y (see call_tangent). It is
             called at most once, when the method needs it.

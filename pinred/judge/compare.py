@@ -44,10 +44,10 @@ _REST = 1e-12  # motion below which nothing is tested [rad, or fraction of robot
 
 EQUATION_BOUND = 1e-12  # largest relative difference of accelerations that round-off can explain
 DEFECT_BOUND = 3.0  # largest passing defect of a step, in tolerances, as in the stress suite
-DENSE_BOUND = 50.0  # the same for subintervals, which test the dense output without error control
+DENSE_BOUND = 50.0  # largest passing defect of a subinterval; step control ignores dense output
 DRIFT_BOUND = 100.0  # smallest bound of the energy and momentum drift, in tolerances
 REFERENCE_BOUND = 100.0  # largest error of a reliable reference, in tolerances times growth
-FIELD_BOUND = 1e-9  # largest passing relative error of fields, explicit functions of q and v
+FIELD_BOUND = 1e-9  # largest passing relative error of fields computed from q and v
 RESOLUTION = 1e-13  # relative accuracy of the reference solution and of its energies
 _SAFETY = 10.0  # margin, because growth and defects are only sampled
 _ROUND_OFF = 1e-15  # relative round-off of one step

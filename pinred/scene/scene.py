@@ -212,7 +212,7 @@ class Scene(SceneFields):
         object.__setattr__(self, name, value)
 
     def _apply_robot_parameters(self) -> None:
-        """Replace the system by the robot with the parameters of the scene."""
+        """Replace the system by a copy with the robot parameters of the scene."""
         parameters = given_parameters(self.system, self.parameters)
         self._keep("_parameters", parameters)
         self._keep("parameters", parameters.values)

@@ -182,7 +182,7 @@ def _names(joints: Iterable[str]) -> str:
 def with_followers(
     lock: Mapping[str, float], couplings: Sequence[Coupling], joints: Sequence[str]
 ) -> tuple[dict[str, float], tuple[Coupling, ...]]:
-    """Add the followers of locked joints to the locks; return them and the remaining couplings.
+    """Return the locked joints with their followers added, and the couplings of all other joints.
 
     A follower whose leader is not a joint of the tree may be locked on its own.
 

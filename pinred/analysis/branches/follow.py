@@ -363,7 +363,7 @@ class _Follower:
         return False
 
     def _is_same(self, a: Points, b: Points) -> bool:
-        """Return whether two points are equal up to coverings."""
+        """Return whether two points are the same equilibrium, perhaps after a covering."""
         return self._distinct.is_same(a, b, _SAME)
 
     def _is_close(self, first: CurvePoint, there: CurvePoint, h: float) -> bool:

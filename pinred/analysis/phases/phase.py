@@ -148,7 +148,7 @@ def phase(
     connection.refuse_gravity()
     if len(gait.turns) == connection.m and (joint := _open_joint(connection, gait)):
         raise InputError(
-            "gait: expected turns only of revolute joints whose complete turn restores the robot, "
+            "gait: only a joint whose complete turn restores the robot may turn, "
             f"got turns {gait.turns}, with a turn of '{joint}'"
         )
     goal = max(positive(tolerance, "tolerance"), _LEAST)

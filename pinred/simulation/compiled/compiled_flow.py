@@ -72,7 +72,7 @@ class CompiledFlow:
         return self.parameters[..., self.numbers_at]
 
     def parameters_between(self, start: float | Array, stop: float | Array) -> Array:
-        """Return a copy of the parameters that selects the table segments between two stops.
+        """Return a copy of the parameters for the table segments between two stops.
 
         For members, the stops may have a row for each member, (N, 1).
         """

@@ -217,7 +217,8 @@ def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
     size.letters += len(text)
     if size.letters > _MOST_LETTERS:
         raise LoadError(
-            f"{plain_path(path)}: more than {_MOST_LETTERS} characters of MJCF in total"
+            f"{plain_path(path)}: more than {_MOST_LETTERS} characters of MJCF in total; "
+            "simplify the file"
         )
     if path.resolve() in size.reading or len(size.reading) > _DEEPEST_INCLUDES:
         raise LoadError(f"{plain_path(path)} includes itself, or too many files include each other")
