@@ -249,3 +249,13 @@ def test_fast_events_of_the_state_are_sampled_densely() -> None:
     expected = t[1:][signs[1:] * signs[:-1] < 0.0]
     assert len(expected) > 50 > traj.run.steps
     np.testing.assert_allclose(traj.events["fast"].t, expected, atol=3e-5)
+
+
+def test_short_crossings_of_the_state_are_sampled_densely() -> None:
+    """Samples that are off by a fifth of the largest value hide pairs of crossings."""
+    traj = pinred.simulate(
+        BEANIE, **SPRUNG, duration=5.0, rtol=1e-4, atol=1e-4,
+        events=pinred.Event(lambda s: 0.2 * ca.sin(30.0 * s.x[0]) + 0.19, "dips"),
+    )  # fmt: skip
+    signs = np.sign(0.2 * np.sin(30.0 * traj(np.linspace(0.0, 5.0, 200_001)).x[:, 0]) + 0.19)
+    assert len(traj.events["dips"]) == (signs[1:] * signs[:-1] < 0.0).sum() == 30
