@@ -109,7 +109,7 @@ def _lines(bounds: Array, samples: int, seed: int) -> Array:
 
 
 def _ranges(values: Array, gap: float) -> Array:
-    """Split sorted values into ranges (K, 2) wherever neighbours differ by more than `gap`."""
+    """Split sorted values into ranges, (K, 2), where neighbours differ by more than `gap`."""
     if not len(values):
         return np.zeros((0, 2))
     cuts = np.flatnonzero(np.diff(values) > gap)

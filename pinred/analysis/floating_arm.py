@@ -71,7 +71,7 @@ class FloatingArm:
     Attributes:
         system: The robot.
         frame: Name of the hand, a link or any other frame of the model.
-        task: Rows of the twist that matter, as indices 0 to 5. By default all rows of the group if
+        task: Controlled rows of the twist, as indices 0 to 5. By default all rows of the group if
             the joints can move them, else the translations.
     """
 
@@ -247,7 +247,7 @@ class FloatingArm:
         return read_only(low + (high - low) * self._roots(shape_at))
 
     def singular_along(self, start: ArrayLike, end: ArrayLike) -> Array:
-        """Find the singular points of a straight path, by sign changes of the determinant.
+        """Find the singular points on a straight path, by sign changes of the determinant.
 
         Args:
             start: First shape, (m,) [rad | m].
@@ -265,7 +265,7 @@ class FloatingArm:
 
         Args:
             x: Shape, (m,) [rad | m].
-            of: "base" for the whole base, "attitude" for its rotation only.
+            of: "base" for position and attitude of the base, "attitude" for its rotation only.
         Returns:
             (m, k): orthonormal joint rates, one per column.
         Raises:

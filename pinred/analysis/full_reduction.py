@@ -1,4 +1,4 @@
-"""The reduction of a system, computed at one shape by Pinocchio, at many by compiled code.
+"""The reduction of a system: by Pinocchio at one shape, by compiled code at many shapes.
 
 Levi-Civita connections are computed for the reduced metric and for a left-invariant metric. For the
 reduced metric M(x) on shape space, with dM[a, b, c] = ∂_c M_ab:
@@ -108,7 +108,7 @@ class Reduction(PointwiseReduction):
         return self.split(x).body_momentum(xdot, xi)
 
     def locked_velocity(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
-        """Compute the locked velocity Ω = ξ + A ẋ, the twist after the joints freeze.
+        """Compute the locked velocity Ω = ξ + A ẋ, the twist after all joints are locked.
 
         Args:
             x: Shape, (m,) [rad | m].
@@ -253,7 +253,7 @@ class Reduction(PointwiseReduction):
     def left_invariant_derivative(self, x: ArrayLike, xi: ArrayLike, eta: ArrayLike) -> Array:
         """Compute ∇_ξ η = ½[ξ, η] − ½ I⁻¹(ad*_ξ I η + ad*_η I ξ) in the metric I(x).
 
-        Geodesics of the frozen system obey ξ̇ = −∇_ξ ξ (Euler–Poincaré).
+        Geodesics of the locked system obey ξ̇ = −∇_ξ ξ (Euler–Poincaré).
 
         Args:
             x: Shape, (m,) [rad | m].

@@ -13,7 +13,7 @@ from .command_options import option_adder
 if TYPE_CHECKING:
     from ..laboratory.bench.work_precision import WorkPrecision
 
-_FIGURE_ERROR = 1e-8  # error at which the fastest method of each tool is selected for figures
+_FIGURE_ERROR = 1e-8  # error at which the fastest method of each tool is selected for the figure
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:

@@ -87,7 +87,7 @@ def options_in(arguments: argparse.Namespace, keys: Mapping[str, Key]) -> dict[s
 
 
 def add_robot(sub: argparse.ArgumentParser, text: str = ROBOT) -> None:
-    """Add a robot and the options of loading it; `text` describes the accepted values."""
+    """Add the robot argument and the options for loading; `text` describes the accepted values."""
     from ..scene.load_options import LOAD
 
     sub.add_argument("robot", metavar="ROBOT", help=text)
@@ -210,11 +210,11 @@ def assigned_in(
         option: Name of the option, for messages.
         read: Converts the text of a value; raises ValueError if it is invalid.
         usage: Accepted formats, for messages.
-        noun: What a name stands for, for messages.
+        noun: Kind of object that a name denotes, for messages.
     Returns:
         The values by name.
     Raises:
-        InputError: A text has another format, or a name stands twice.
+        InputError: A text has another format, or a name occurs twice.
     """
     values: dict[str, T] = {}
     for entry in entries:
@@ -360,7 +360,7 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
     connection = Connection.mechanical(system)
     file, circle = arguments.gait, arguments.circle
     if (file is None) == (circle is None) and (gait or file is not None):
-        raise InputError("a robot needs a gait: give --gait FILE or --circle J1,J2,RADIUS")
+        raise InputError("a robot needs a gait: pass --gait FILE or --circle J1,J2,RADIUS")
     zero, path = np.zeros((1, system.m)), None
     if file is not None:
         path = Gait.read(file)

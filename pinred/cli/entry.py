@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def main() -> int:
-    """Run the command of the process.  Returns its exit code."""
+    """Run the command that the process's arguments name.  Returns its exit code."""
     import os
     import signal
 
@@ -16,7 +16,7 @@ def main() -> int:
             try:
                 code = run()
             except Exception:
-                if pressed():  # C extensions turn KeyboardInterrupt into ImportError.
+                if pressed():  # C extensions may replace KeyboardInterrupt by ImportError.
                     end()
                 raise
         if code == CODE:

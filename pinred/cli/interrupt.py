@@ -18,11 +18,11 @@ from typing import Any, NoReturn
 
 _pressed, _reported = threading.Event(), threading.Event()
 CODE = 130  # exit code of shells for a process that SIGINT ends: 128 + SIGINT
-_PATIENCE = 0.3  # time that a command has to end and clean up after Ctrl-C [s]
+_PATIENCE = 0.3  # time limit for a command to clean up and end after Ctrl-C [s]
 
 
 def say() -> None:
-    """Report once, on standard error, that the command was interrupted."""
+    """Print once, on standard error, that the command was interrupted."""
     if not _reported.is_set():
         _reported.set()
         os.write(2, b"pinred: interrupted\n")
@@ -59,7 +59,7 @@ def ends_soon() -> Iterator[None]:
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(reading,), daemon=True).start()
     sys.unraisablehook = partial(_end_if_swallowed, sys.unraisablehook)
-    yield  # The thread keeps waiting, because the exit of the process waits for other threads.
+    yield  # The thread keeps waiting, because other threads may delay the exit of the process.
 
 
 def _end_if_swallowed(report: Callable[[Any], object], unraisable: sys.UnraisableHookArgs) -> None:

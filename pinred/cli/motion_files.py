@@ -1,4 +1,4 @@
-"""Motions that commands show: read from a .npz file, or simulated from a scene file."""
+"""Source of the motions in commands: a .npz file, or the simulation of a scene file."""
 
 from __future__ import annotations
 

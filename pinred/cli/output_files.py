@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ..planning.optimisation.best_gait import BestGait
     from ..planning.reorientation.turn_plan import TurnPlan
 
-_NO_DATE: dict[str, dict[str, Any]] = {  # Without a date, the same figure gives the same file.
+_NO_DATE: dict[str, dict[str, Any]] = {  # Without a date, equal figures produce equal files.
     ".png": {},
     ".pdf": {"CreationDate": None},
     ".svg": {"Date": None},

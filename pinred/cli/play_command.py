@@ -58,7 +58,7 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.out is not None and arguments.port is not None:
         raise InputError("--port applies to playback in a browser, not to --out")
     if arguments.meshes and arguments.no_meshes:
-        raise InputError("--meshes and --no-meshes exclude each other; give one of them")
+        raise InputError("--meshes and --no-meshes exclude each other; pass only one of them")
     page = arguments.out is None or Path(arguments.out).suffix == ".html"
     if arguments.fps is not None and page and Path(arguments.motion).suffix == ".npz":
         raise InputError(

@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
     path = None if arguments.out is None else check_path(arguments.out, (*DATA, *FIGURES))
     system, options = _stated(arguments)
     if "target" not in options:
-        raise InputError("give --target with comma-separated numbers, or a gait file with a target")
+        raise InputError("pass --target with comma-separated numbers, or a gait file with a target")
     plan = reorient(system, **options)
     print(plan)
     print(f"  missed by the motion    {plan.missed:.1e} rad")
@@ -68,7 +68,7 @@ def _stated(arguments: argparse.Namespace) -> tuple[System, dict[str, Any]]:
 
 
 def _keys() -> dict[str, Key]:
-    """Return the keys of gait files that are options of this command."""
+    """Return the gait-file keys that this command accepts as options."""
     from ..planning.gait_file import GAIT_FILE, REORIENT
 
     return {**REORIENT.keys, "momentum": GAIT_FILE.keys["momentum"]}

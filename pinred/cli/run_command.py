@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     scene = file.scene
     if parameters := parameters_in(arguments.parameter):
         scene = as_scene(scene, {"parameters": parameters}, "run")
-    explanation = explain(plan_of(scene))  # This also checks that the scene can run.
+    explanation = explain(plan_of(scene))  # This also verifies that the scene can be simulated.
     if arguments.explain:
         print(explanation)
     elif note := large_angles(scene.given.x[0], scene.system):

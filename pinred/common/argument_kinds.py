@@ -1,8 +1,9 @@
 """Rejection of arguments of a wrong kind, with checks derived from annotations.
 
 A kind is what an annotation states: a number, text, a mapping from text to numbers, a System.
-Ranges, lengths and names are checked by the callables themselves.  What they raise for an argument
-of a wrong kind is replaced by an error that names the argument, unless it is one of ours.
+Ranges, lengths and names are checked by the callables themselves.  If a callable raises an
+exception for an argument of a wrong kind, an error that names the argument replaces it, unless the
+exception is a PinredError.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ def checks_arguments(thing: T) -> T:
 
 
 def _checked(function: Callable[..., Any], owner: type | None) -> Callable[..., Any]:
-    """Return the function behind checks of its arguments.
+    """Return a function that checks the arguments and calls the original function.
 
     The generated function has the same parameters, so a call costs one lookup per argument.
     """
@@ -93,9 +94,9 @@ def _checked(function: Callable[..., Any], owner: type | None) -> Callable[..., 
 
 @contextmanager
 def _rejected(error: InputError) -> Iterator[None]:
-    """Raise an error after a call with a wrong argument, unless the call itself rejects it.
+    """Run a call with a wrong argument, then raise `error` unless the call rejects the argument.
 
-    Many callables check their arguments, and their messages say more about what is expected.
+    Many callables check their arguments, and their messages are more specific.
     """
     try:
         yield
@@ -143,7 +144,7 @@ class _Checks:
         own = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
         self.names = [name for name in own if hints.get(name, "Any") != "Any"]
         defaults = inspect.signature(inspect.unwrap(function)).parameters
-        # A marker, such as that of a default factory, is admitted whatever the annotation says.
+        # A marker, such as that of a default factory, is admitted independent of the annotation.
         markers = [type(defaults[name].default) for name in self.names]
         self.types = [{kind} if kind.__name__.startswith("_") else set() for kind in markers]
         self._function, self._owner = function, owner
@@ -188,7 +189,7 @@ def parameter_kinds(
 
 
 class _Names(dict[str, Any]):
-    """Names in annotations.  An unknown name stands for all classes of this name."""
+    """Names in annotations.  An unknown name represents all classes of this name."""
 
     def __missing__(self, name: str) -> type:
         if hasattr(builtins, name):
@@ -207,7 +208,7 @@ class _ByName(type):
 
 
 class _Numbers:
-    """Stands for ArrayLike, whose members would be lost in a union."""
+    """Placeholder for ArrayLike, whose members would be lost in a union."""
 
 
 def kind_of(annotation: Any, names: _Names) -> Kind | None:
@@ -242,7 +243,7 @@ def _has_instances(kind: type) -> bool:
 
 
 def _without_array_like(args: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Replace the members of ArrayLike, which an alias of a union contains, by its stand-in."""
+    """Replace the members of ArrayLike, which an alias of a union contains, by its placeholder."""
     members = get_args(ArrayLike)
     if not set(members) <= set(args):
         return args
@@ -273,7 +274,7 @@ def _union(args: tuple[Any, ...], names: _Names) -> Kind | None:
 
 
 def _literal(values: tuple[Any, ...]) -> Kind:
-    """Return the kind of a choice.  Callables reject wrong choices with a hint of their own."""
+    """Return the kind of a choice.  Callables themselves reject wrong choices, with a hint."""
     types = tuple({*map(type, values)})
     return Kind(
         f"one of {', '.join(map(repr, values))}",
@@ -294,7 +295,8 @@ def _sequence(entry: Kind | None) -> Kind:
     def admits(value: Any) -> bool:
         if not (_is_sequence(value) and isinstance(value, _STORED)):
             return _is_sequence(value)  # entries of iterators cannot be checked in advance
-        # One entry of each type is enough where the type decides, as in long lists of numbers.
+        # Check one entry of each type, because usually the type decides, as in long lists of
+        # numbers.
         examples = {type(item): item for item in value}.values()
         if all(entry.admits(item) and entry.settled(item) for item in examples):
             return True
@@ -351,7 +353,7 @@ def _is_whole(value: Any) -> bool:
 
 
 def _are_numbers(value: Any) -> bool:
-    """Return whether a value is an array, a number, or lists of such at any depth."""
+    """Return whether a value is an array, a number, or a nested list of arrays and numbers."""
     if isinstance(value, (list, tuple)):
         return _COMMON.issuperset(map(type, value)) or all(map(_are_numbers, value))
     if isinstance(value, np.ndarray):

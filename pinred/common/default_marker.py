@@ -1,4 +1,4 @@
-"""Default values of options that differ from equal values set by the caller."""
+"""Markers that distinguish default values from equal values set by the caller."""
 
 from __future__ import annotations
 

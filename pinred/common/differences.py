@@ -1,4 +1,4 @@
-"""Finite differences, which serve as a reference for exact derivatives."""
+"""Finite differences, used as a reference for exact derivatives."""
 
 from __future__ import annotations
 

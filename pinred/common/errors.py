@@ -89,7 +89,7 @@ class NotCopyable(PinredError, TypeError):  # noqa: N818
 
 
 class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
-    """A compiled kernel disagrees with Pinocchio, so pinred refuses to use it."""
+    """A compiled kernel disagrees with Pinocchio, so pinred does not use it."""
 
 
 class _Stopped(IntegrationError):  # noqa: N818
@@ -110,7 +110,7 @@ class _Stopped(IntegrationError):  # noqa: N818
 
 
 class StepSizeUnderflow(_Stopped):
-    """The tolerance requires steps too short to advance the time."""
+    """The tolerance requires steps that are too short to advance the time."""
 
 
 class NoConvergence(_Stopped):
@@ -149,7 +149,7 @@ class LeftOutWarning(UserWarning):
 
 
 class ModelWarning(UserWarning):
-    """A robot can be simulated, but its model is doubtful or its file is not read as written."""
+    """A robot can be simulated, but its model is doubtful or its file was not read literally."""
 
 
 class AccuracyWarning(UserWarning):

@@ -95,7 +95,7 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
 
 
 def sweep(folder: int) -> None:
-    """Remove temporary files that ended processes have left in a folder."""
+    """Remove temporary files of ended processes from a folder."""
     with suppress(OSError):
         readable = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=folder)
         try:
@@ -118,7 +118,7 @@ def _remove_if_unlocked(folder: int, name: str) -> None:
 
 DATA = (".npz", ".csv")
 FIGURES = (".png", ".pdf", ".svg")
-_PATH = getattr(os, "O_PATH", os.O_RDONLY)  # flag that also opens folders without read permission
+_PATH = getattr(os, "O_PATH", os.O_RDONLY)  # flag for opening folders, also without read permission
 
 
 def check_path(path: str | Path, suffixes: Sequence[str] = DATA) -> Path:

@@ -1,7 +1,7 @@
 """HTML elements for notebooks: escaped, without scripts, for light and dark themes.
 
-Text keeps the colour of the theme; verdicts use two colours of medium brightness and also state
-the result in words.  Long tables are collapsed.
+Text keeps the colour of the theme; verdicts use two colours of medium brightness, and also state
+the result as text.  Long tables are collapsed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Delay of Ctrl-C, because exceptions in callbacks from compiled code would be lost."""
+"""Delay of Ctrl-C, because exceptions in callbacks of compiled code would be lost."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Capture of the lines that C++ libraries print on standard error.
 
 A process has one standard error, so the output of other threads is captured, too.  Therefore
-only one thread captures at a time, and all output of other origin is printed at the end of the
-capture.  A fork waits until the capture ends.
+only one thread captures at a time, and all other output is printed at the end of the capture.  A
+fork waits until the capture ends.
 """
 
 from __future__ import annotations

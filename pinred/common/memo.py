@@ -14,9 +14,9 @@ _P = ParamSpec("_P")
 def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
     """Return a value that is computed at the first call for an owner and key.
 
-    The value is stored in the owner.  In a table with weak references, a value that refers to its
-    owner would keep both alive forever.  If two threads call at once, both compute a value, and
-    both receive the value that was stored first.
+    The value is stored in the owner.  A table with weak references would not work: a value that
+    refers to its owner would keep both alive forever.  If two threads call at once, both compute a
+    value, and both receive the value that was stored first.
 
     Args:
         owner: Object that stores the value.

@@ -102,7 +102,7 @@ class Parameter:
 class Affine:
     """A number that depends linearly on parameters: base + Σ weight · parameter.
 
-    An Affine without weights is a constant of a formula that may be invalid for other values.
+    An Affine without weights is a constant in a formula that other values may invalidate.
 
     Attributes:
         base: Constant term.

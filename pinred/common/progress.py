@@ -1,4 +1,4 @@
-"""A progress bar for terminals and notebooks; elsewhere it draws nothing."""
+"""A progress bar for terminals and notebooks; nothing is drawn elsewhere."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ class _Notebook:
         self._show({"text/plain": _line(title, part), "text/html": html})
 
     def clear(self) -> None:
-        # One output cannot be removed alone, so make it empty instead.
+        # A single output cannot be removed, so make it empty instead.
         self._show({"text/plain": "", "text/html": ""})
 
     def _show(self, bundle: dict[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""Decorators that show in a signature the options which a function accepts as `**options`.
+"""Decorators that list in a signature the options that a function accepts as `**options`.
 
 Type checkers and editors use `**options: Unpack[…]`.  For `help` and `inspect.signature`, the
 decorators below derive the signature and the descriptions from the same dataclass.

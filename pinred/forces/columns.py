@@ -55,7 +55,7 @@ def symbols_of(system: System, within: ca.SX | None) -> tuple[Symbols, tuple[ca.
 
 
 def seen_of_base(system: System, everything: ca.SX, base: tuple[ca.SX, ...]) -> tuple[bool, bool]:
-    """Return whether expressions depend on the base's attitude, and on its position or velocity.
+    """Return whether expressions depend on the attitude, and on position or velocity, of the base.
 
     Args:
         system: The robot.
@@ -150,7 +150,7 @@ def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         if str(error).endswith("got nan"):  # float() of a symbol is NaN, as in Python's math
             raise type(error)(f"{error}; if your function returns this value, {_INSTEAD}") from None
         raise
-    except Exception as error:  # user functions may raise any type
+    except Exception as error:  # user functions may raise exceptions of any type
         description = plain(_SOURCE.sub("", str(error)).partition("Possible prototypes")[0], 160)
         if isinstance(error, FutureWarning):
             description = "a function of NumPy was called on a CasADi symbol"

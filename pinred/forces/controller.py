@@ -148,7 +148,7 @@ class Controller(Named):
         return len(self.driven(names)) + (r if self.wrench else 0)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return torques and wrench as symbols whose values every sample sets.
+        """Return torques and wrench as symbols; each sample of the controller sets their values.
 
         Args:
             s: Variables of the forces.

@@ -222,7 +222,7 @@ def scalar(value: Any, what: str) -> Any:
 
 Action: TypeAlias = Callable[..., Any]
 
-_MANY = 1_000_000  # number that stands for the unlimited arguments of a function with *args
+_MANY = 1_000_000  # number of arguments assumed for a function with *args
 _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 FORMS = "(t, x, xdot, mu), or one state s with s.t, s.x, s.xdot, s.pose, s.xi, s.mu and s.J"
 

@@ -32,8 +32,8 @@ class ForceExpressions:
         wrenches: Wrenches on the base, (r, F).
         direct: Torques and wrenches without the loads on links, (m + r,) for each force.
         loads: Wrenches on links, or along fixed axes.
-        inverse: Accelerations (m,) that forces request, and the torques that inverse dynamics gives
-            for them.
+        inverse: Accelerations (m,) that forces request, and the torques that inverse dynamics
+            computes for them.
         held: Controllers, each with the slice of the numbers that its commands set.
         labels: Labels of the forces that do work.
         acting_on_base: Labels of the forces that act on the base.
@@ -110,7 +110,7 @@ class ForceExpressions:
 
     def _required_torque(self, accelerations: Mapping[int, ca.SX]) -> ca.SX:
         """Return the torques (m,) that produce joint accelerations, and store both."""
-        from .inverse_dynamics import required_torque  # imported here because its imports take long
+        from .inverse_dynamics import required_torque  # its imports are slow
 
         requested = ca.vertcat(*(accelerations[k] for k in range(self._system.m)))
         torque = required_torque(self._system, self._robot, self.symbols, requested)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError
+from ..common.memo import once
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..system.system import System
 from .columns import load_column, seen_of_base
@@ -23,6 +24,7 @@ from .force_numbers import ForceNumbers, RobotSymbols, numbers_of, random_number
 from .force_values import Acting, ForceInputs, Prescribed
 from .signals import Signal
 from .switch_times import SwitchTimes, time_within
+from .time_functions import TimeFunctions
 from .time_switches import KINKS, separate
 
 
@@ -198,11 +200,11 @@ class ForceModel:
         self.switching = SwitchTimes(separated.switches, t, symbol, numbers.symbols, breaks)
 
     def on(self, system: System) -> ForceModel:
-        """Return this model for the robot with other parameters; compiled functions are shared."""
+        """Return this model for other parameters of the robot; compiled functions are shared."""
         return self._changed(("_once", "robot"), _system=system)
 
     def with_values(self, values: Mapping[str, Any]) -> ForceModel:
-        """Return this model with other Parameter values {name: value}; functions are shared."""
+        """Return this model with new Parameter values {name: value}; functions are shared."""
         changes = np.array(
             [values.get(parameter.name, parameter.value) for parameter in self.parameters]
         )
@@ -247,7 +249,7 @@ class ForceModel:
     def acting_apart(self, at: ForceInputs) -> tuple[Acting, Array]:
         """Return torque and wrench without loads on links, and these loads, (9, L).
 
-        The forces are evaluated as they are written, with conditions on time at the time itself.
+        Conditions on time are evaluated at the time itself, not at `within`.
         The loads are not mapped to the coordinates. A caller can therefore map them with an
         independent implementation.
 
@@ -293,7 +295,7 @@ class ForceModel:
             base: tuple[Array, ...] = (at.base.pose, at.base.xi, at.base.mu, at.base.J)
         elif self.sees_attitude or self.sees_place:
             raise InputError(
-                "these forces depend on the base; give base= with its pose and momenta"
+                "these forces depend on the base; pass base= with its pose and momenta"
             )
         else:
             base = self._unseen
@@ -320,6 +322,17 @@ class ForceModel:
             f.instruction_id(k) in KINKS for f in functions for k in range(f.n_instructions())
         )
 
+    @property
+    def time_functions(self) -> TimeFunctions:
+        """The functions of time in the forces, shared by models with other numbers."""
+
+        def make() -> TimeFunctions:
+            functions = [(self.acting_function, 5), (self.prescribed_function, 1)]
+            held = {k for _, where in self.held for k in range(where.start, where.stop)}
+            return TimeFunctions(functions, len(self.numbers), held)
+
+        return once(self.switching, TimeFunctions, make)
+
     def breaks(self, end: float) -> Array:
         """Return the sorted times before `end` at which a function of time is not smooth [s]."""
         return self.switching.breaks(end, self.numbers)
@@ -333,7 +346,7 @@ class ForceModel:
         return numbers
 
     def random_numbers(self, rng: np.random.Generator) -> Array:
-        """Return random numbers (p,) to test kernels with."""
+        """Return random force parameters, (p,), for tests of kernels."""
         return random_numbers(self.numbers, self._in_formulas, rng)
 
     def potential(self, x: Array, numbers: Array) -> float:

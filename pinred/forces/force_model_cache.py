@@ -31,8 +31,8 @@ def cached_force_model(
 ) -> ForceModel:
     """Return the model of springs, forces and prescribed joints, from the cache if possible.
 
-    The last models of a system are cached, for scenes that differ only in their initial state or in
-    robot parameters that may vary.
+    The most recent models of a system are cached. Scenes that differ only in their initial state
+    or in variable robot parameters share them.
 
     Args:
         system: The robot.

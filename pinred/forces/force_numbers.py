@@ -45,7 +45,7 @@ class ForceNumbers:
     """
 
     def __init__(self) -> None:
-        """Create an empty list of numbers."""
+        """Create an empty collection."""
         self.symbols: list[ca.SX] = []
         self._values: list[float] = []
         self._slopes: list[tuple[int, Parameter, float]] = []
@@ -101,8 +101,8 @@ class ForceNumbers:
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise InputError(
-                f"two Parameters are called '{twice[0]}'; make one and use it in both places, or "
-                "give them different names"
+                f"two Parameters have the name '{twice[0]}'; create one and use it in both "
+                "places, or give them different names"
             )
         return tuple(parameters)
 

@@ -15,6 +15,7 @@ from ..common.parameter import Parameter, parameter_of
 from ..system.system import System
 from .columns import seen_of_base, symbols_of, terms_of
 from .force import SymbolFunction, Symbols, Terms, called, scalar
+from .sign_changes import SignChanges
 from .signals.expressions import parse
 
 NAMES = ("t", "x", "xdot", "mu", "pose", "xi", "J")
@@ -76,6 +77,7 @@ class Watched:
 
     Attributes:
         parameters: Parameters in the expressions.
+        of_time: The sign changes of each expression of time alone, {index: sign changes}.
         sees_base: Whether any expression depends on the base in space.
         sees_momentum: Whether any expression depends on ξ or μ relative to the centre of mass.
     """
@@ -113,7 +115,23 @@ class Watched:
         symbols: ca.SX = ca.vertcat(ca.SX(0, 1), *free)
         self.sees_base = any(seen_of_base(system, column, base))
         self.sees_momentum = ca.depends_on(column, ca.vertcat(s.xi, s.mu))
+        states = ca.vertcat(*arguments[1:])
+        self.of_time = {
+            k: SignChanges(value, s.t, free)
+            for k, value in enumerate(values)
+            if ca.depends_on(value, s.t) and not ca.depends_on(value, states)
+        }
         self._function = ca.Function("watched", [*arguments, symbols], [ca.densify(column)])
+
+    def numbers(self, values: Mapping[str, Any]) -> Array:
+        """Return the values (p,) of the parameters in the expressions.
+
+        Args:
+            values: Values of parameters by name.
+        Returns:
+            The values; parameters that are not named keep their own.
+        """
+        return np.array([values.get(p.name, p.value) for p in self.parameters], dtype=float)
 
     def __call__(self, columns: Sequence[Array], values: Mapping[str, Any]) -> Array:
         """Evaluate the expressions.
@@ -126,6 +144,6 @@ class Watched:
         Returns:
             Values of the E expressions at the T times, (E, T).
         """
-        numbers = np.array([values.get(p.name, p.value) for p in self.parameters])
+        numbers = self.numbers(values)
         repeated = np.repeat(numbers[:, None], columns[0].shape[1], axis=1)
         return np.asarray(self._function(*columns, repeated))

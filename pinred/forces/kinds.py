@@ -2,7 +2,7 @@
 
 Each force is a set of CasADi expressions in t, x, ẋ and μ, or in the whole state. The compiled
 kernel, the Pinocchio route and the full simulation that validates both use the same expressions. A
-force with a potential defines it, and its torques are −∂V/∂x. Other forces do work.
+conservative force defines its potential V, and its torques are −∂V/∂x. All other forces do work.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The roots of smooth functions of time in spans of time: all of them, or an error."""
+"""All roots of smooth functions of time within spans, or an error if some might be missing."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def bisected_roots(
         ]
         (low, high), (least, most) = bounds
         possible = (np.ceil(low) <= np.floor(high)) if whole else (low <= 0.0) & (high >= 0.0)
-        possible &= ~((least == 0.0) & (most == 0.0))  # constant: it never changes
+        possible &= ~((least == 0.0) & (most == 0.0))  # g is zero throughout: no change
         single = possible & ((least > 0.0) | (most < 0.0))
         short = possible & ~single & (b - a <= tiny)
         if short.any():

@@ -1,4 +1,4 @@
-"""The times at which conditions on time change: all of them, or an error.
+"""All times at which conditions on time change, or an error if some might be missing.
 
 The argument g of a switch is solved exactly if it is linear in time. Otherwise, intervals are
 bisected until bounds of g exclude a root, or bounds of its derivative show that there is at most
@@ -41,7 +41,7 @@ class Times:
     switch: Indices
 
     def joined(self, others: Sequence[Times]) -> Times:
-        """Return these and other times, sorted."""
+        """Merge these times with others, sorted."""
         rows = (self, *others)
         run, time, switch = (
             np.concatenate([getattr(r, name) for r in rows]) for name in ("run", "time", "switch")
@@ -55,6 +55,7 @@ class SwitchTimes:
 
     Attributes:
         used: Indices of the numbers on which these times depend.
+        tables: Sorted breaks of tables, (B,) [s].
         conditions: (t, numbers) → the values of all conditions on time, as the forces are written;
             None if there are none.
     """
@@ -78,7 +79,7 @@ class SwitchTimes:
         Raises:
             InputError: A condition contains an operation that has no bounds.
         """
-        self._breaks = breaks
+        self.tables = breaks
         self._known: dict[tuple[float, bytes], Array] = {}
         self.conditions: ca.Function | None = None
         self._located = [s for s in switches if s.argument is not None]
@@ -133,11 +134,11 @@ class SwitchTimes:
             end: End time [s].
             numbers: Numbers of N runs, (N, p).
         Returns:
-            The times; equal ones of several switches are repeated.
+            The times; a time at which several switches change is repeated.
         Raises:
-            InputError: There are too many, or a condition cannot be decided.
+            InputError: There are too many times, or a condition cannot be decided.
         """
-        count, breaks = len(numbers), self._breaks
+        count, breaks = len(numbers), self.tables
         breaks = breaks[(breaks > 0.0) & (breaks < end)]
         own = np.ascontiguousarray(numbers[:, self.used].T)
         times = Times(
@@ -229,7 +230,7 @@ class SwitchTimes:
 def time_within(start: Any, stop: Any) -> Any:
     """Return the times [s] in spans at which conditions on time are evaluated.
 
-    They are not the middles, because symmetric functions often touch a threshold in the middle.
+    Midpoints are avoided, because symmetric functions often touch a threshold there.
     """
     return start + _FRACTION * (stop - start)
 

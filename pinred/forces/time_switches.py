@@ -3,8 +3,8 @@
 A switch is a comparison, abs, sign, copysign, floor, ceil, min, max, fmod or remainder whose
 arguments depend only on time and on numbers. Its argument g determines when it switches: at the
 zeros of g, or where g is a whole number. Between two switches, each condition has one value. It is
-evaluated at a time `within` this span, so that a step that ends exactly at a switch sees its own
-side of it.
+evaluated at a time `within` this span, so that a step that ends exactly at a switch uses the values
+of its own span.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ class _Node:
         now: Function of time, `within` and all other symbols, with conditions at `within`.
         timed: Whether `now` depends on time.
         level: Largest level of the switches that it contains; −1 if it depends on the state.
-        stated: The same as a function of time, the symbols of switches, and the numbers.
-        written: The same as the force states it.
+        stated: The value as a function of time, the symbols of switches, and the numbers.
+        written: The value as the force states it.
     """
 
     now: ca.SX
@@ -204,7 +204,7 @@ class _Walk:
             if op == ca.OP_REMAINDER:
                 quotient = _combined(ca.OP_ADD, [quotient, _constant(0.5)])
             count = self._add(ca.OP_FLOOR, [quotient], quotient, whole=True)
-            if op == ca.OP_FMOD:  # rounded towards zero, where the quotient is negative
+            if op == ca.OP_FMOD:  # rounded towards zero where the quotient is negative
                 count = self._towards_zero(quotient, count)
             return _combined(ca.OP_SUB, [first, _combined(ca.OP_MUL, [second, count])])
         if op == ca.OP_COPYSIGN:
@@ -213,7 +213,7 @@ class _Walk:
             return _combined(ca.OP_MUL, [size, sign])
         if op in (ca.OP_LT, ca.OP_LE):
             return self._add(op, given, _combined(ca.OP_SUB, given))
-        # Equality, and logical operations on numbers, differ at single times only.
+        # Equality and logical operations on numbers change their values only at isolated times.
         whole = op in (ca.OP_FLOOR, ca.OP_CEIL)
         return self._add(op, given, first if whole else None, whole=whole)
 

@@ -113,7 +113,7 @@ _POINTS: dict[int, Callable[..., Any]] = {
 
 
 def _wider(low: Any, high: Any) -> Interval:
-    """Return an interval widened by round-off; what is not a number has no bound."""
+    """Return an interval widened by round-off; a NaN bound becomes infinite."""
     low, high = low - _WIDER * np.abs(low), high + _WIDER * np.abs(high)
     return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 

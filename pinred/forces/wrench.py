@@ -70,7 +70,7 @@ class Wrench(Named):
         if self.at is None:
             return
         if self.link is None:
-            raise InputError(f"{self.name}: at= is a point of a link; give link= as well")
+            raise InputError(f"{self.name}: at= is a point of a link; pass link= as well")
         point = as_floats(values_of(self.at), f"at of {self.name}")
         if point.shape != (3,) or not np.isfinite(point).all():
             raise InputError(f"at of {self.name} must be 3 finite numbers, got {brief(self.at)}")

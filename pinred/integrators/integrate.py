@@ -55,8 +55,8 @@ def integrate(
         y0: Initial state, (n,).
         t_end: End time [s].
         times: Sorted report times within [0, t_end], (T,) [s].
-        quaternion: Index of the first of a quaternion's four entries (x, y, z, w) in y, −1 for
-            none. Its rate is ½ q ω with the body angular velocity ω.
+        quaternion: Index in y of the first entry of a quaternion (x, y, z, w), −1 without a
+            quaternion. Its rate is ½ q ω with the body angular velocity ω.
         progress: Called repeatedly with the finished fraction of the time, 0 to 1.
         tangent: Function that returns the address of the kernel of ∂f/∂y (see call_tangent). It is
             called at most once, when the method needs it.
@@ -304,7 +304,7 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
 
     Args:
         y0: Initial states, (…, n).
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         what: Name of the argument in messages.
         ndim: Expected number of axes.
     Raises:
@@ -319,7 +319,8 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
     n = y0.shape[-1]
     if quaternion != -1 and not 0 <= quaternion <= n - 4:
         raise InputError(
-            f"quaternion must be −1 or the index of four of the {n} numbers, got {quaternion}"
+            f"quaternion must be −1 or the index of the first of its four entries among {n}, "
+            f"got {quaternion}"
         )
     if quaternion >= 0 and not y0[..., quaternion : quaternion + 4].any(axis=-1).all():
         raise InputError(f"the quaternion in {what} is zero")

@@ -47,7 +47,7 @@ class Solutions(FrozenArrays):
 
     Attributes:
         method: Method of the runs.
-        times: Report times, (T,) [s].
+        times: Report times, (T,), or (N, T) if each member has its own [s].
         y: States, (N, T, n); NaN at times that a run did not reach.
         status: Outcome of each run, (N,): 0 or the key in STATUS of the reason it stopped.
         end: Last time reached, (N,) [s].
@@ -69,7 +69,7 @@ class Solutions(FrozenArrays):
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Flags of the runs that reached the end, (N,)."""
+        """Whether each run reached the end, (N,)."""
         return np.asarray(self.status == DONE)
 
 
@@ -78,7 +78,7 @@ def integrate_many(
     address: int,
     params: ArrayLike,
     y0: ArrayLike,
-    t_end: float,
+    t_end: ArrayLike,
     times: ArrayLike,
     quaternion: int = -1,
     threads: int | None = None,
@@ -96,9 +96,10 @@ def integrate_many(
         address: Address of the kernel.
         params: Parameters, (N, p).
         y0: Initial states, (N, n).
-        t_end: End time [s].
-        times: Sorted report times within [0, t_end], (T,) [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        t_end: End time, or one for each member, (N,) [s].
+        times: Sorted report times within [0, t_end], (T,), or a row for each member, (N, T); rows
+            with fewer times end with infinity [s].
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         threads: Number of threads, None for all processors. Results do not depend on this number.
         tangent: As for `integrate`.
         canonical: As for `integrate`.
@@ -136,7 +137,7 @@ class Asked:
 
     Attributes:
         batch: Members, and the arrays of their results.
-        end: End time [s].
+        end: Latest end time [s].
         threads: Number of threads.
     """
 
@@ -149,7 +150,7 @@ def checked_batch(
     address: int,
     params: ArrayLike,
     y0: ArrayLike,
-    t_end: float,
+    t_end: ArrayLike,
     times: ArrayLike,
     quaternion: int,
     threads: int | None,
@@ -160,9 +161,10 @@ def checked_batch(
         address: Address of the kernel.
         params: Parameters, (N, p).
         y0: Initial states, (N, n).
-        t_end: End time [s].
-        times: Sorted report times within [0, t_end], (T,) [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        t_end: End time, or one for each member, (N,) [s].
+        times: Sorted report times within [0, t_end], (T,), or a row for each member, (N, T); rows
+            with fewer times end with infinity [s].
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         threads: Number of threads, None for all processors.
     Returns:
         The request.
@@ -170,7 +172,6 @@ def checked_batch(
         InputError: An argument is invalid.
         ShapeError: Shapes do not fit, or a number is not finite.
     """
-    end = positive(t_end, "t_end")
     check_kernel(address)
     states = read_only(np.ascontiguousarray(as_floats(y0, "y0")).view())
     check_state(states, quaternion, "y0", 2)
@@ -180,7 +181,12 @@ def checked_batch(
         raise ShapeError(
             f"params must have shape ({size}, p), one row per row of y0, got {checked_params.shape}"
         )
-    report_times = checked_times(times, end, ordered=True)
+    ends = read_only(np.broadcast_to(as_floats(t_end, "t_end"), size).copy())
+    if np.ndim(t_end) == 0:
+        end = positive(t_end, "t_end")  # type: ignore[arg-type]
+    else:
+        end = max((positive(value, "t_end") for value in ends.tolist()), default=1.0)
+    report_times = _rows_of_times(times, ends, end)
     if threads is None:
         threads = len(os.sched_getaffinity(0))
     if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
@@ -190,14 +196,41 @@ def checked_batch(
     batch = Batch(
         params=checked_params,
         y0=states,
+        ends=ends,
         times=report_times,
-        y=np.full((size, len(report_times), n), np.nan),
+        y=np.full((size, report_times.shape[1], n), np.nan),
         outcomes=outcomes,
         stop=np.zeros(1, dtype=np.int64),
         no_times=np.empty(0),
         no_knots=np.empty((0, n)),
     )
     return Asked(batch, end, min(threads, max(size, 1)))
+
+
+def _rows_of_times(times: ArrayLike, ends: Array, end: float) -> Array:
+    """Return report times as rows, (1, T) or (N, T).
+
+    Args:
+        times: Report times, (T,), or (N, T) with infinity after the last one of each row [s].
+        ends: End times of the members, (N,) [s].
+        end: Latest end time [s].
+    Returns:
+        The rows.
+    Raises:
+        ShapeError: There is not one row for each member.
+        InputError: Times are not sorted, or outside of the run of their member.
+    """
+    if np.ndim(times) != 2:
+        return read_only(np.array(checked_times(times, end, ordered=True))[None])
+    rows = np.array(times, float)
+    if len(rows) != len(ends):
+        raise ShapeError(f"times must have {len(ends)} rows, one for each member, got {len(rows)}")
+    later = np.where(np.isinf(rows), ends[:, None], rows)
+    if not ((later >= 0.0).all() and (later <= ends[:, None]).all()):  # NaN is outside, too
+        raise InputError("times: expected times between 0 and the end of each member")
+    if (rows[:, 1:] < rows[:, :-1]).any():
+        raise InputError("times must be sorted for each member")
+    return read_only(rows)
 
 
 def over_threads(
@@ -231,4 +264,5 @@ def solutions(method: Method, batch: Batch) -> Solutions:
     """Return the results of a finished batch."""
     names = ("status", "t", "entry", "steps", "rejected", "evaluations")
     outcomes = [batch.outcomes[name].copy() for name in names]
-    return Solutions(method, batch.times, batch.y, *outcomes)
+    times = batch.times[0] if len(batch.times) == 1 else batch.times
+    return Solutions(method, times, batch.y, *outcomes)

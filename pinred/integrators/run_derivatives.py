@@ -32,7 +32,7 @@ class SmoothField:
 
     Attributes:
         address: Address of the kernel.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         tangent: Address of the kernel of (y, params, δy, δparams), with SEEDS directions at once.
         adjoint: Address of the kernel of (y, params, λ).
         tangents: Function of the number of lanes that returns the address of the tangent kernel for
@@ -47,11 +47,6 @@ class SmoothField:
     adjoint: Callable[[], int]
     tangents: Callable[[int], int]
     adjoints: Callable[[int], int]
-
-    def replay(self, params: Array, knots: Array, times: Array) -> Replay:
-        """Return the steps between `knots`, with reports at `times`, see Replay."""
-        params, knots, times = (read_only(array.view()) for array in (params, knots, times))
-        return self.address, self.quaternion, params, knots, times
 
 
 @dataclass(frozen=True)
@@ -132,7 +127,8 @@ def run_along(
     Raises:
         NoConvergence: The equations of an implicit step did not converge.
     """
-    replay = field.replay(params, knots, times)
+    params, knots, times = (read_only(array.view()) for array in (params, knots, times))
+    replay = (field.address, field.quaternion, params, knots, times)
     if isinstance(method, Explicit):
         return _explicit_along(method, field, replay, y0, along, along_params)
     (n, count), (stages, lanes) = along.shape, _stages_of(method)
@@ -169,7 +165,8 @@ def run_back(
     Raises:
         NoConvergence: The adjoint equations of an implicit step did not converge.
     """
-    replay, stored = field.replay(run.params, run.knots, times), run.stored
+    knots, stored = run.knots, run.stored
+    replay = (field.address, field.quaternion, run.params, knots, times)
     n, p = len(covector), len(run.params)
     covector, by_params, lanes = covector.copy(), np.zeros(p), method.lanes
     back = (stored, covector, at_times.copy(), by_params, np.empty((n + p) * lanes))
@@ -182,7 +179,7 @@ def run_back(
         stages, _ = _stages_of(method)
         rows = sensitivity_rows(stages, n)
         failed = gauss_reverse.reverse(replay, field.adjoints(lanes), stages, lanes, back, rows)
-        _refuse_failed(failed, run.knots, stored[max(failed - 1, 0), :n])
+        _refuse_failed(failed, knots, stored[max(failed - 1, 0), :n])
     back_to_given(stored[0, :n], field.quaternion, covector, np.empty(n))
     return Back(covector, by_params)
 

@@ -1,6 +1,6 @@
 """Check a trajectory with Pinocchio: drift of energy and momentum, consistency of its fields.
 
-The measurements that controllers received are checked in the same way.
+The measurements that controllers received are checked, too.
 """
 
 from __future__ import annotations
@@ -24,9 +24,7 @@ _HEIGHT_ROUND_OFF = (
 _SLOPE_STEP = (
     1e-6  # step of the difference quotients of the potential, in error units of the joints
 )
-_LEAST = (
-    1e-290  # smallest energy unit [J]; smaller ones are near the smallest floating-point numbers
-)
+_LEAST = 1e-290  # smallest energy unit [J], near the smallest floating-point numbers
 
 _MOST_CALLS = 100  # largest number of controller calls that are checked, evenly spaced
 
@@ -37,11 +35,11 @@ class Audit:
 
     Attributes:
         energies: Change of energy less work, (T,). The unit is the largest kinetic energy about
-            the centre of mass. If larger, it is the work of a rotation by 1 rad, or of a
-            translation by the robot's size, against gravity and springs.
+            the centre of mass. It is at least the work of a rotation by 1 rad, or of a translation
+            by the robot's size, against gravity and springs.
         momenta: Change of each conserved momentum component, (T, r). The unit is √(2mT), times
-            the radius of gyration for angular ones. About a pivot it is the momentum that gravity
-            transfers from 1 rad away, if larger.
+            the radius of gyration for angular ones. About a pivot it is at least the momentum that
+            gravity transfers over a swing of 1 rad.
         fields: Largest difference of pose, twist, momenta and energy from Pinocchio's at q and v.
     """
 
@@ -110,7 +108,7 @@ def audit_states(full: FullState, states: State, work: Array, impulse: Array | N
         scale[linear:] = np.maximum(scale[linear:], swing)
     energies = np.array(kinetic) + np.array(heights)
     gained = energies - energies[0] - (work - work[0])
-    # In a fast fall, round-off of the total energy hides the energy of a slow rotation.
+    # During a fast fall, round-off of the total energy exceeds the energy of a slow rotation.
     round_off = _ENERGY_ROUND_OFF * (2.0 * max(kinetic) + float(np.abs(energies).max()))
     round_off += _HEIGHT_ROUND_OFF * float(np.abs(heights).max())
     gained[np.abs(gained) <= round_off] = 0.0

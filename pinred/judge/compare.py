@@ -37,17 +37,17 @@ from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report
 
 TIGHTER = 100.0  # ratio of the scene's tolerance to the tolerance of the reference solution
-SAMPLES = 101  # evenly spaced times of the comparison, in addition to the report times
+SAMPLES = 101  # number of evenly spaced times of the comparison, in addition to the report times
 
 INFORMATIVE = 0.1  # largest informative error bound [rad, or fraction of the motion's size]
 _REST = 1e-12  # motion below which nothing is tested [rad, or fraction of robot size]
 
-EQUATION_BOUND = 1e-12  # relative difference of accelerations that round-off can explain
+EQUATION_BOUND = 1e-12  # largest relative difference of accelerations that round-off can explain
 DEFECT_BOUND = 3.0  # largest passing defect of a step, in tolerances, as in the stress suite
-DENSE_BOUND = 50.0  # the same for subintervals, because step control ignores dense output
+DENSE_BOUND = 50.0  # largest passing defect of a subinterval; step control ignores dense output
 DRIFT_BOUND = 100.0  # smallest bound of the energy and momentum drift, in tolerances
-REFERENCE_BOUND = 100.0  # error of a reliable reference, in tolerances times growth
-FIELD_BOUND = 1e-9  # relative error of fields, which are explicit functions of q and v
+REFERENCE_BOUND = 100.0  # largest error of a reliable reference, in tolerances times growth
+FIELD_BOUND = 1e-9  # largest passing relative error of fields computed from q and v
 RESOLUTION = 1e-13  # relative accuracy of the reference solution and of its energies
 _SAFETY = 10.0  # margin, because growth and defects are only sampled
 _ROUND_OFF = 1e-15  # relative round-off of one step
@@ -82,7 +82,7 @@ def compare(
 
 def _compare(traj: Trajectory, progress: Progress, budget: TimeBudget) -> Report:
     scene, start, rtol, atol = traj.scene, traj.scene.start, traj.scene.rtol, traj.scene.atol
-    # The whole motion is compared, whatever its report times are.
+    # The whole motion is compared, independent of its report times.
     evenly = np.linspace(0.0, scene.end, SAMPLES)
     times = np.union1d(traj.t, evenly)
     states = traj(times)

@@ -1,8 +1,9 @@
-"""Times at which conditions on time change, found by sampling the forces as they are written.
+"""Times at which conditions on time change, found by sampling the forces' conditions.
 
-This search is independent of the one that decides where integrators stop. It samples all conditions
-densely and bisects where they differ, so it can miss a pulse that is shorter than its spacing. Such
-a pulse is seen if the motion stops at one of its ends: the middle of each span is sampled, too.
+This search is independent of the search for the stops of integrators. It samples all conditions
+densely and bisects between samples that differ, so it can miss a pulse that is shorter than the
+sample spacing. Such a pulse is detected if the motion stops at one of its ends, because the middle
+of each span is sampled, too.
 """
 
 from __future__ import annotations

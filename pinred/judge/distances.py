@@ -29,8 +29,8 @@ class Size:
     Attributes:
         joints: Largest |x| of each joint, (M,); at least 1 rad, or the radius of gyration for
             prismatic joints [rad | m].
-        position: Distance travelled by the base; at least the radius of gyration, and at least
-            a small fraction of `away`, because round-off grows with that distance [m].
+        position: Distance travelled by the base; at least the radius of gyration, and at least a
+            small fraction of `away`, because round-off grows with `away` [m].
         away: Largest distance of the base from the origin [m].
     """
 
@@ -59,7 +59,7 @@ class Distance:
         return np.asarray(self.joints.max(axis=1, initial=0.0))
 
     def relative(self, size: Size) -> Array:
-        """Return the largest distance of all kinds over time, (T,), in units of `size`.
+        """Return the largest of all distances at each time, (T,), in units of `size`.
 
         The result is NaN at times at which any distance is NaN.
         """

@@ -1,18 +1,20 @@
 """Errors of the equations of motion: an engine's accelerations against ABA at equal states.
 
-Both sides are evaluated at the states of the trajectory. Neither chaos nor the tolerance matters.
+Both sides are evaluated at the states of the trajectory. The result depends neither on chaos nor on
+the tolerance.
 
 The error of row i is the force H Δa of the acceleration difference. Its unit is the sum of the
-magnitudes of the terms in that row's equation. So a light joint counts by its own size, and a badly
-conditioned H does not amplify errors. For a body that is small about its joint, terms of
-mass · acceleration · robot size cancel, so a small fraction of these terms is added to the unit.
+magnitudes of the terms in that row's equation. So errors of a light joint are relative to its own
+forces, and an ill-conditioned H does not amplify errors. For a body that is small about its joint,
+terms of mass · acceleration · robot size cancel, so a small fraction of these terms is added to the
+unit.
 
 Round-off is measured and subtracted. For the engine it is the difference between two finite
 differences of its velocity. For ABA it is the difference of ABA in the world's axes from
 ABA in body axes, which is large where the mass matrix is almost singular.
 
 Accelerations of the trajectory follow from the equations of the engine that computed it. At time t
-the engine gives the rate of the reduced state, ẏ = f(t, y), and the velocity v(t, y). The
+the engine computes the rate of the reduced state, ẏ = f(t, y), and the velocity v(t, y). The
 acceleration v̇ is the derivative of v along (1, ẏ), computed with central differences of order 8.
 The acceleration therefore follows from the equations alone, independent of the integrator.
 """
@@ -36,10 +38,10 @@ from .reference_solution import SPREAD_MARGIN, FullState
 from .system_totals import gravity_load_sizes
 
 WORLD, BODIES = pin.Convention.WORLD, pin.Convention.LOCAL  # axes for the evaluation of ABA
-_CANCELLED = 1e-5  # fraction of inertial forces on moved bodies in the unit of errors
-_AT_REST = 1e-2  # least unit of errors, as a fraction of the largest forces of the motion
+_CANCELLED = 1e-5  # fraction of the inertial forces on moved bodies in the unit of force errors
+_AT_REST = 1e-2  # smallest unit of force errors, relative to the largest forces during the motion
 _WINDOW = 5  # number of neighbouring times over which round-off of a prescribed plan is measured
-_LEAST = 1e-290  # least unit of errors; floating-point numbers below it lose digits
+_LEAST = 1e-290  # smallest unit of force errors; floating-point numbers below it lose digits
 
 # Weights of v(t + k h) − v(t − k h), k = 1, …, 4, in the central difference times h.
 _WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
@@ -81,7 +83,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
         # A drive applies whatever force its plan needs, so only its acceleration is compared.
         errors[k, driven] = (np.diag(H) * (difference - SPREAD_MARGIN * spread[k]))[driven]
         aba_spread[k] = np.abs(H @ (a - other))
-    # At rest only round-off of forces is left, so the unit of errors is limited from below.
+    # At rest, the forces are only round-off, so the unit of force errors has a lower limit.
     least = np.maximum(_AT_REST * units.max(axis=0, initial=0.0), _LEAST)
     units = np.maximum(units, least)
     # Two evaluations of ABA may agree by chance at one time, so the largest spread is subtracted.
@@ -128,9 +130,9 @@ class Accelerations:
         a: Time derivatives of v, (T, n).
         spread: Difference between the accelerations for two lengths h, (T, n); it measures the
             round-off of v.
-        pace: Rate at which shape and attitude change, slides in units of the robot's size, (T,)
-            [1/s].  It is larger if prescribed joints need shorter differences.  The round-off of a
-            is that of v times this rate.
+        pace: Rate at which shape and attitude change, with slides in units of the robot's size,
+            (T,) [1/s].  It is larger if prescribed joints need shorter differences.  The round-off
+            of a is that of v times this rate.
     """
 
     states: State
@@ -158,7 +160,7 @@ def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
         raise InputError("accelerations need the base, which outputs='shape' leaves out")
     v = np.hstack([states.xi, states.xdot])
     # v is linear in the momenta, so only the motion of shape and attitude limits h.  Cyclic joints
-    # do not count, because nothing depends on their angles.
+    # are excluded, because nothing depends on their angles.
     units = np.ones(system.n)
     units[: system.group.linear] = 0.0
     units[system.r :][[unit == "m" for unit in system.units]] = 1.0 / size

@@ -111,7 +111,7 @@ class Configuration:
     """Map from root coordinates and unwrapped joint values to Pinocchio's configuration q."""
 
     def __init__(self, model: pin.Model, root: RootMotion) -> None:
-        """Sort the joints by whether Pinocchio stores their angle as cosine and sine."""
+        """Split the joints by whether Pinocchio stores their angle as cosine and sine."""
         joints = list(model.joints[2:])
         circles = np.array([joint.nq == 2 for joint in joints], dtype=bool)
         offsets = np.array([joint.idx_q for joint in joints], dtype=np.intp)

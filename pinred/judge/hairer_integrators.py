@@ -1,4 +1,4 @@
-"""Hairer's integrators through SciPy, with exceptions and step lengths kept across calls.
+"""Hairer's integrators as wrapped by SciPy, with preserved exceptions and step lengths.
 
 SciPy's compiled loop swallows exceptions of its callbacks, Ctrl-C included, and continues with
 undefined values, possibly forever. So callbacks raise nothing here. An exception is stored, the
@@ -26,7 +26,7 @@ _EVALUATIONS = {
     "dop853": 12,
     "dopri5": 6,
 }  # number of evaluations of the vector field per accepted step
-_CALM = 8  # number of spans without a rejected step before longer first steps are tried
+_CALM = 8  # number of consecutive spans without rejected steps before longer first steps are tried
 # Hairer's error estimate squares changes, so changes below this in a run would give 0/0.
 _LEAST = 1e-120
 

@@ -33,7 +33,8 @@ FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisf
 OFFSET = 1e-5  # least length unit, as a fraction of the distance from the origin
 SPREAD_MARGIN = 10.0  # assumed ratio of round-off to the difference of two evaluations
 PERTURBATION = 1e-6  # relative size of the perturbation whose growth is measured
-# Conditions on time are evaluated at least this fraction of the duration beside their switches.
+# Smallest distance from a switch at which a condition on time is evaluated, relative to the
+# duration.
 _ASIDE = 1e-11
 
 
@@ -71,7 +72,7 @@ class FullState:
             self._stops = self._switches = np.union1d(self._stops, written)
         self._model = system.model
         self._r, self._m = system.r, system.model.njoints - 2
-        unused = np.full(system.r, np.nan)  # NaN would show if a force did depend on it
+        unused = np.full(system.r, np.nan)  # NaN would reveal a force that depends on it
         self._unused = unused, unused
         self.couplings = CouplingConstraints(system)
         self.root = root_motion(system.model)
@@ -123,7 +124,7 @@ class FullState:
             y0: Initial state, (n,).
             time: Duration of the motion [s].
             fraction: Relative change. The smallest change is this fraction of a radian, of the
-                radius of gyration, or of the rate that covers these in `time`.
+                radius of gyration, or of the rate that covers such a distance in `time`.
         Returns:
             The perturbed state (n,); positions far from the origin count as in Size.
         """
@@ -273,10 +274,10 @@ class FullState:
         return np.concatenate([self.root.rate(y[:size], v[:r]), v[r:], a])
 
     def _beside_switches(self, t: float) -> float:
-        """Return the time, moved to the side of a switch on which `within` is if it is too close.
+        """Return the time; if it is too close to a switch, move it to the side of `within`.
 
-        Forces are evaluated as they are written. At a switch itself, a condition can have the value
-        of either side.
+        Conditions on time are evaluated at the returned time. Exactly at a switch, a condition can
+        have the value of either side.
         """
         if not self._switches.size or self._forces is None:
             return t

@@ -1,4 +1,4 @@
-"""The defect of each integration step: by how much it violates Pinocchio's equations of motion.
+"""The defect of each integration step: its violation of Pinocchio's equations of motion.
 
 The defect of a step from a to b is y(b) − y(a) − ∫ f(t, y(t)) dt. Here y is the full state that the
 trajectory reports and f is Pinocchio's ABA. The integral is Gauss's with 8 nodes on each half. A
@@ -25,7 +25,7 @@ from .reference_solution import OFFSET, SPREAD_MARGIN, FullState
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 # Weights of the mean over a subinterval of ∫ f from its start: ½ ∫ (1 − s) f ds.
 _MEAN_WEIGHTS = 0.5 * _WEIGHTS * (1.0 - _NODES)
-_MOST_STEPS = 200  # longer trajectories are judged by a random sample of this many steps
+_MOST_STEPS = 200  # number of randomly sampled steps that are evaluated for longer trajectories
 _SLOPE_STEP = 1e-6  # step of directional difference quotients, relative to the sizes of states
 # Defects above this multiple of the median defect indicate a kink of a force within the step.
 _KINK = 10.0
@@ -129,7 +129,7 @@ def compute_defects(
     forces = traj.scene.force_model
     if forces is None or not forces.has_kinks:
         return defects
-    # Over a kink of a force a step is far worse than its neighbours, whatever its length.
+    # The defect of a step across a kink of a force far exceeds those of its neighbours.
     threshold = _KINK * float(np.median(defects.steps))
     return replace(defects, smooth=~(defects.steps > threshold))
 
@@ -147,7 +147,7 @@ def _defects_of_steps(
     for k, t in enumerate(nodes.tolist()):
         full.set_parameters(parameters[k])
         rates[k] = full.rate(t, y[k])
-        if k % len(_NODES) == 0:  # one node of each subinterval suffices to measure round-off
+        if k % len(_NODES) == 0:  # one node per subinterval is enough to measure round-off
             other = full.rate(t, y[k], pin.Convention.WORLD)
             spread = np.maximum(spread, np.abs(rates[k] - other))
     shape = (len(a), len(_NODES), -1)
@@ -181,7 +181,7 @@ def _propagate(full: FullState, quadrature: _Quadrature, first: Indices, sizes: 
     The integral of the residual over a step can vanish although the step end is wrong: for linear
     equations, the dense-output interpolants have this property. The accumulated defect D(t) is
     therefore propagated through the linearised ABA dynamics: e = D + z, where z' = J (D + z). The
-    Jacobian J is evaluated in the middle of each subinterval.
+    Jacobian J is evaluated at the midpoint of each subinterval.
 
     Returns:
         Errors at the step ends, (S, n).
@@ -223,7 +223,7 @@ def _subintervals(traj: Trajectory, steps: Indices) -> tuple[Array, Array, Indic
     lower = np.concatenate([np.arange(n) for n in counts]) / np.repeat(counts, counts)
     upper = np.concatenate([np.arange(1, n + 1) for n in counts]) / np.repeat(counts, counts)
     start, end = np.repeat(knots[steps], counts), np.repeat(knots[steps + 1], counts)
-    # The last end is the step end itself, bit by bit: no state exists after the final time.
+    # The last end equals the step end bit for bit, because no state exists after the final time.
     a, b = start + lower * (end - start), np.where(upper < 1.0, start + upper * (end - start), end)
     return a, b, np.concatenate([[0], np.cumsum(counts)[:-1]])
 

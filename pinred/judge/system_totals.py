@@ -32,7 +32,7 @@ class SystemTotals:
         self._to_root, self._pivot = placement.rotation.T.copy(), placement.translation.copy()
         self._axes = np.hstack([axes.T @ self._to_root for axes in (root.axes[:3], root.axes[3:])])
         self._slides = placement.rotation @ root.axes[:3, : root.linear]
-        # Gravity along translations of the root only makes the system fall.
+        # Gravity along the root's translations only accelerates the centre of mass.
         self._pivot_gravity = model.copy()
         along = self._slides @ (self._slides.T @ model.gravity.linear)
         self._pivot_gravity.gravity.linear -= along

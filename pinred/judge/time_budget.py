@@ -23,7 +23,7 @@ class AbaStopped(IntegrationError):  # noqa: N818
     """ABA did not reach the end of the motion.
 
     Attributes:
-        time: Time that it reached [s].
+        time: Last time of the motion that ABA reached [s].
     """
 
     def __init__(self, message: str, time: float) -> None:
@@ -58,7 +58,7 @@ class TimeBudget:
 
         def limited(t: float, y: Array) -> Array:
             if self.spent > self.seconds:
-                raise AbaStopped(f"ABA used up the budget of {self.seconds:g} s", t)
+                raise AbaStopped(f"ABA exceeded the time limit of {self.seconds:g} s", t)
             return rate(t, y)
 
         return limited

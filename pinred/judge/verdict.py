@@ -61,8 +61,8 @@ class Report(FrozenArrays):
         reasons: Why the motion cannot be judged completely; empty if it can.
         wall_reduced: Wall time of the reduced integration [s].
         wall_full: Wall time of the full integration at the same tolerance [s].
-        left_out: Sentence on springs, dampers and friction of the robot's file that neither side
-            simulates, or empty.
+        left_out: Sentence about springs, dampers and friction of the robot's file that neither
+            simulation includes, or empty.
     """
 
     robot: str

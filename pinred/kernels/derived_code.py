@@ -72,7 +72,7 @@ def derived_code(
 
 _TRIALS, _REQUIRED = 40, 2  # number of random states to try, and of states that must be comparable
 _STEP = 2e-3  # step of the finite differences, for states of magnitude one
-_TOLERANCE = 1e-7  # tolerance relative to the largest entry of a Jacobian column
+_TOLERANCE = 1e-7  # tolerance of comparisons, relative to the largest entry of a Jacobian column
 _NOISE = 1e-13  # smallest assumed round-off of rates, relative to the largest rate
 _SAFETY = 10.0  # factor on the observed round-off of rates
 
@@ -171,7 +171,8 @@ def _round_off(kernel: Kernel, y: Array, parameters: Array) -> float:
     return _SAFETY * float(np.ptp(rates, axis=0).max(initial=0.0))
 
 
-_LANE_REQUIRED, _LANE_TRIALS = 3, 80  # states that must be comparable per lane, and states to try
+# Number of states per lane that must be comparable, and number of states to try.
+_LANE_REQUIRED, _LANE_TRIALS = 3, 80
 
 
 def wide_rate(kernel: Kernel, lanes: int, *, own_parameters: bool = False) -> NativeCode:

@@ -42,7 +42,7 @@ _KEY = re.compile(r"[0-9a-f]{64}")
 _ENTRY = re.compile(r"([0-9a-f]{64})\.o")
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
-_warned: set[tuple[str, str]] = set()  # (folder, kind) of past warnings
+_warned: set[tuple[str, str]] = set()  # (folder, kind) of each warning that was already issued
 # Number of bytes that may be written before the folder is listed again, by folder and limit.
 _room: dict[tuple[Path, int], int] = {}
 
@@ -156,7 +156,7 @@ class ObjectCache:
         """Write an object.
 
         Writing is atomic: readers see either the previous entry or the complete new entry.  An
-        object larger than the limit is not written.  A failure causes a CacheWarning, no error.
+        object larger than the limit is not written.  A failure causes a CacheWarning, not an error.
 
         Args:
             key: Key of the object.
@@ -286,7 +286,7 @@ def _distrust(status: os.stat_result) -> str:
 def _find_open_parent(folder: Path) -> str:
     """Return a warning about a parent folder that other users can replace, or "" without one.
 
-    A folder with the sticky bit, such as /tmp, is safe: there, users cannot move files of others.
+    A folder with the sticky bit, such as /tmp, is safe: users cannot move each other's files there.
     """
     for above in folder.absolute().parents:
         with suppress(OSError):
@@ -320,7 +320,7 @@ def _read(folder: int, name: str, key: str) -> bytes:
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            raise _DistrustError("it is not a plain file")
+            raise _DistrustError("it is not a regular file")
         if why := _distrust(status):
             raise _DistrustError(f"it {why}")
         with os.fdopen(descriptor, "rb", closefd=False) as file:
@@ -345,7 +345,7 @@ def _verify(file: BinaryIO, size: int, key: str) -> bytes:
     if stored_key != key.encode():
         raise _DistrustError("it contains the object of another key")
     if length != size - _HEADER.size - _SIGNATURE:
-        raise _DistrustError("its length is not the one in its header")
+        raise _DistrustError("its length differs from the length in its header")
     signature, payload = file.read(_SIGNATURE), file.read(length)
     if not hmac.compare_digest(signature, _signature(head, payload)):
         raise _DistrustError("its signature is not this user's, or it is damaged")

@@ -127,7 +127,7 @@ class ReferenceState:
 
     @cached_property
     def force_terms(self) -> Array:
-        """Return the magnitude, (n,), of inertial forces before forces of bodies cancel.
+        """Return the magnitude, (n,), of inertial forces, as if those of bodies did not cancel.
 
         Inertial forces are sums of products of angular rates with momenta, and of products of
         masses with two speeds.
@@ -141,7 +141,7 @@ class ReferenceState:
 
     @cached_property
     def gravity_terms(self) -> Array:
-        """Return the magnitude, (n,), of gravity forces before components across an axis cancel."""
+        """Return the magnitude, (n,), of gravity forces, as if their components did not cancel."""
         angular, mass = self._moved_masses
         force = mass * self.gravity_strength * np.where(angular, self.reach, 1.0)
         return np.asarray(self.system.sizes_on_shape(force))
@@ -250,7 +250,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
 
 
 def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = ()) -> System:
-    """Return a system with random, physical values of its variable parameters and more gravity.
+    """Return a system with random, physical values of its variable parameters and stronger gravity.
 
     Inertias of the bodies that a cyclic joint moves are only scaled, so that the joint stays
     cyclic.
@@ -333,7 +333,7 @@ def _base_in_space(
 
 
 def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Array]:
-    """Return v without the momenta that the kernel assumes to be zero, and its body momentum."""
+    """Remove momenta that the kernel assumes to be zero from v; return v and its body momentum."""
     system, counts = kernel.system, kernel.layout.base
     r, k, v = system.r, system.group.linear, v.copy()
     if not (counts.spin or counts.momentum):

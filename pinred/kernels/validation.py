@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _STATES = 3  # number of states at which a kernel is compared
 _TRIALS = 80  # largest number of random states drawn
-_TOLERANCE = 1e-10  # tolerance relative to the largest entry
+_TOLERANCE = 1e-10  # tolerance of comparisons, relative to the largest entry
 ROUND_OFF = 1e-13  # round-off of a full sweep, relative to the magnitude of the summed terms
 
 

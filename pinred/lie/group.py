@@ -46,8 +46,8 @@ class Group(ABC):
         name: Name of the group, as in `GROUPS`.
         axes: Index of each twist entry in (v1, v2, v3, ω1, ω2, ω3).  Translations come first.  In
             a group with a single rotation, the last two translations are the axes that the
-            positive rotation maps into each other.  A group with a single axis always calls
-            this axis z, whatever its direction.
+            positive rotation maps into each other.  In a group with a single axis, this axis is
+            called z in any direction.
         pose_names: Names of the pose coordinates: lengths, then an angle or a quaternion.
         root: Description of the root joint, for messages.
         joints: Pinocchio's joint types that have this motion, without the prefix "JointModel".
@@ -59,8 +59,8 @@ class Group(ABC):
         size: Number of pose coordinates.
         plane: Indices of the two translations that a single rotation rotates into each other,
             or empty.
-        turns_about_com: Whether every rotation can leave the centre of mass at rest.  This
-            requires translations in all directions perpendicular to the rotation axes.
+        turns_about_com: Whether the group can rotate about any axis with the centre of mass at
+            rest.  This requires translations in all directions perpendicular to the rotation axes.
     """
 
     name: str
@@ -344,7 +344,7 @@ class Group(ABC):
         elif array.shape == self.matrix(self.identity()).shape:
             pose = self.from_matrix(array)
             if not np.allclose(self.matrix(pose), array, rtol=0.0, atol=1e-6):
-                raise InputError(f"the matrix given as pose is not in {self.name}:\n{array}")
+                raise InputError(f"the matrix passed as a pose is not in {self.name}:\n{array}")
         else:
             raise ShapeError(
                 f"a pose of {self.name} has shape ({self.size},) or is a homogeneous matrix, "

@@ -10,7 +10,7 @@ from .rotations import apply, homogeneous, plane_rotation, sinc, wrap
 
 
 class _Additive(Group):
-    """A group with one coordinate, which adds under composition."""
+    """A group with one coordinate; composition adds coordinates."""
 
     def identity(self) -> Array:
         return np.zeros(1)

@@ -358,7 +358,7 @@ _CLASSES = {"ellipsoid": Ellipsoid, "ellipse": Ellipse, "wheel": Wheel, "rolling
 
 
 def _made(table: Mapping[str, Any]) -> Any:
-    """Create the body or the wheel that a table describes."""
+    """Create the body or wheel that a table describes."""
     options = dict(table)
     return _CLASSES[options.pop("kind")](**options)
 

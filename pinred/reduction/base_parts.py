@@ -1,4 +1,4 @@
-"""The variables of the base: some are integrated, the others have a closed form.
+"""Variables of the base: those that are integrated, and those with a closed form.
 
 Translations are not integrated.  In the frame of the centre of mass the linear momentum is
 zero.  The centre of mass follows c0 + v0 t + ½ g t², and the base is at p = c − R c_b(x).  The

@@ -43,10 +43,12 @@ class CanonicalForm:
         self._gradient = None if potential.is_zero else potential.gradient
 
     def mass_matrix(self, x: Array) -> Array:
-        """Return H(x) with at least the upper triangle that CRBA fills; update the centre of mass.
+        """Compute the mass matrix and the centre of mass with one CRBA call.
 
         Args:
             x: Shape, (m,).
+        Returns:
+            H(x), (n, n), of which only the upper triangle is guaranteed.
         """
         upper = pin.crba(self._model, self._data, self._system.model_q(self._identity, x))
         if self._system.coupled is None:

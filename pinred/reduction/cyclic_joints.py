@@ -20,8 +20,8 @@ from .pointwise_reduction import PointwiseReduction
 from .potential import pivot_weight
 
 _SAMPLES = 3  # number of random shapes at which the dependence is checked
-_NO_DEPENDENCE = 1e-12  # smallest work of a dependence, relative to the joint's typical energy
-_ROUND_OFF = 2e-14  # smallest such work, relative to the subtree's inertia about the root
+_NO_DEPENDENCE = 1e-12  # largest work that counts as zero, relative to the joint's typical energy
+_ROUND_OFF = 2e-14  # largest round-off of work, relative to the subtree's inertia about the root
 
 
 def cyclic_joints(
@@ -75,7 +75,7 @@ def cyclic_joints(
 
 
 def _usual_rates(system: System, data: pin.Data, H: Array) -> tuple[Array, Array]:
-    """Return typical rates (n,), and the largest work per shape joint (m,) that counts as zero.
+    """Return typical rates, (n,), and the largest work per shape joint that counts as zero, (m,).
 
     A typical rate is 1 rad/s, or a speed that covers the robot's length in a second.  The limit is
     a fraction of the kinetic energy of the joint, not of the robot, so that it suits light and

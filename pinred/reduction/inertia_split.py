@@ -75,7 +75,7 @@ class InertiaSplit(FrozenArrays):
         return np.asarray(self.mass_matrix[: self.r] @ self._velocity(xdot, xi))
 
     def locked_velocity(self, xdot: ArrayLike, xi: ArrayLike) -> Array:
-        """Compute the locked velocity Ω = ξ + A ẋ, the twist after the joints freeze.
+        """Compute the locked velocity Ω = ξ + A ẋ, the twist after all joints are locked.
 
         Args:
             xdot: Shape rate, (m,) [rad/s | m/s].
@@ -87,7 +87,7 @@ class InertiaSplit(FrozenArrays):
         return np.asarray(v[: self.r] + self.local_connection @ v[self.r :])
 
     def locked_energy(self, mu: ArrayLike) -> float:
-        """Compute the energy ½ μᵀ I⁻¹ μ with frozen joints.
+        """Compute the energy ½ μᵀ I⁻¹ μ with locked joints.
 
         Args:
             mu: Body momentum, (r,) [N s | N m s].
@@ -147,8 +147,8 @@ def cholesky(H: Array, system: System, x: Array) -> Array:
         i = int(np.argmax(np.abs(directions[:, 0])))
         reason = f"least eigenvalue {eigenvalues[0]:.3g}"
     else:
-        # The square of a pivot is the inertia of its coordinate while the earlier coordinates move
-        # freely.
+        # A squared pivot is the inertia of its coordinate when all earlier coordinates are free to
+        # move.
         size = np.diag(H)
         if system.doubts:
             size = np.maximum(size, usual_inertias(system))
@@ -234,7 +234,7 @@ def mass_matrix_at(
 
 
 def symmetric(upper: Array) -> Array:
-    """Return the symmetric matrix with this upper triangle; CRBA fills only that triangle."""
+    """Return the symmetric matrix with the upper triangle of H; CRBA fills only this triangle."""
     return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
 
 

@@ -1,6 +1,6 @@
 """Reduction at one shape: locked inertia, connection, reduced metric, curvature, potential.
 
-Pinocchio's CRBA gives the mass matrix, and its RNEA derivatives give ∂H: with v = 0, no
+Pinocchio's CRBA computes the mass matrix, and its RNEA derivatives yield ∂H: with v = 0, no
 gravity and a = e_k, ∂τ/∂q is exactly ∂(H e_k)/∂q.  Source: Marsden, Montgomery, Ratiu,
 "Reduction, symmetry and phases in mechanics", 1990; Cendra, Marsden, Ratiu, "Lagrangian reduction
 by stages", 2001.
@@ -144,7 +144,7 @@ class PointwiseReduction:
         return self.split(x).mass_matrix
 
     def locked_inertia(self, x: ArrayLike) -> Array:
-        """Compute the locked inertia I(x) = H_bb, the inertia with frozen joints.
+        """Compute the locked inertia I(x) = H_bb, the inertia with locked joints.
 
         Args:
             x: Shape, (m,) [rad | m].

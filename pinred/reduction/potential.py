@@ -24,12 +24,12 @@ Springs: TypeAlias = Mapping[str, tuple[float, float]]
 
 _SAMPLES = 8  # number of random configurations at which the symmetry is checked
 _ROUND_OFF = 4e-16  # relative round-off of a rotated vector
-_LEVEL = 1e-12  # heights of a pivot below this multiple of its distance from the origin are zero
+_LEVEL = 1e-12  # height of a pivot that counts as zero, relative to its distance from the origin
 _TOLERANCE = 1e-10  # torques below this multiple of weight times size count as zero
 
 
 def translations(system: System) -> Array:
-    """Return the directions in which the group translates the base, (3, k), root joint frame."""
+    """Return the translation directions of the group, (3, k), in the root joint's fixed frame."""
 
     def make() -> Array:
         linear = system.group.linear
@@ -82,12 +82,15 @@ class Potential:
 
     @property
     def is_zero(self) -> bool:
-        """Whether V is constant: no springs, and no gravity across the translations."""
+        """Whether V is constant: no springs, and no gravity perpendicular to the translations."""
         return not (self._weighs or self._index.size)
 
     @property
     def direction(self) -> tuple[float, float, float] | None:
-        """Gravity across the translations, (3,) [m/s²], root joint's fixed frame; None if zero."""
+        """Gravity normal to the translations, (3,) [m/s²], or None if it is zero.
+
+        The vector is in the root joint's fixed frame.
+        """
         if not self._acts:
             return None
         x, y, z = self._system.model.jointPlacements[1].rotation.T @ self._sideways

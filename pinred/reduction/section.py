@@ -1,4 +1,4 @@
-"""The reduction in another section: the base frame moves by h(x) with the shape.
+"""The reduction in another section: a base frame displaced by a shape-dependent h(x).
 
 The pose of the new frame is g h(x).  With Θ = h⁻¹ ∂h, the body twists of h per unit joint rate,
 
@@ -24,8 +24,8 @@ from .inertia_split import InertiaSplit
 
 Section: TypeAlias = Callable[[Array], tuple[Any, ...]]
 
-_STEP = 1e-3  # rad | m, step of the finite differences that check a derivative
-_TOLERANCE = 1e-6  # tolerance of this check, relative to the largest entry
+_STEP = 1e-3  # step of the finite differences that check a derivative [rad | m]
+_TOLERANCE = 1e-6  # tolerance of the derivative check, relative to the largest entry
 
 
 @dataclass(frozen=True)
@@ -199,8 +199,8 @@ class MovedFrame:
                     joint = self._system.shape_names[k]
                     raise InputError(
                         f"{name} of the section with respect to '{joint}' is {value} at x = {x}, "
-                        f"but differences of h(x) give {expected}; Θ is the body twist of h per "
-                        "unit rate of the joint"
+                        f"but finite differences of h(x) are {expected}; Θ is the body twist of "
+                        "h per unit rate of the joint"
                     )
 
 

@@ -149,7 +149,7 @@ class HamiltonPoincare:
 
 @dataclass(frozen=True)
 class EulerPoincare:
-    """The Euler–Poincaré equations of the system with frozen joints.
+    """The Euler–Poincaré equations of the system with locked joints.
 
     Attributes:
         momentum: Terms of μ̇ = ad*_ξ μ + f.
@@ -254,7 +254,7 @@ def euler_poincare(
     gamma: ArrayLike | None = None,
     pose: ArrayLike | None = None,
 ) -> EulerPoincare:
-    """Evaluate the Euler–Poincaré equations of the system with frozen joints.
+    """Evaluate the Euler–Poincaré equations of the system with locked joints.
 
     Args:
         red: Reduction of the system.
@@ -268,7 +268,7 @@ def euler_poincare(
         The terms and the rate of the twist.  Raises SymmetryError if gravity breaks the symmetry.
     """
     F = _weight(red, gamma, pose)
-    red.shape_potential()  # raises SymmetryError: no term for its moment
+    red.shape_potential()  # raises SymmetryError if gravity breaks the symmetry
     at, xi = red.split(x), vector(xi, red.system.r, "xi")
     momentum = _momentum_forces(red, xi, at.locked_inertia @ xi, wrench, F, at.com)
     return EulerPoincare(momentum, read_only(_solve(at.locked_inertia, momentum.total)))
@@ -287,7 +287,7 @@ def _weight(
         return None
     if (gamma is None) == (pose is None):
         raise InputError(
-            f"gravity rotates '{name}' about its pivot: give either gamma (3,), the direction of "
+            f"gravity rotates '{name}' about its pivot: pass either gamma (3,), the direction of "
             "gravity in the body's frame, or pose"
         )
     if gamma is None:

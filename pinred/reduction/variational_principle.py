@@ -5,8 +5,8 @@ part ζ = η + A δx of the variation, the locked velocity Ω = ξ + A ẋ chang
 
     δΩ = ζ̇ + [ξ, ζ] − [Ω, A δx] − ⟨B, (ẋ, δx)⟩,   ⟨B, (ẋ, δx)⟩ = B_αβ ẋ^α δx^β.
 
-These constrained variations give the Euler–Poincaré and Lagrange–Poincaré equations.  For any
-left-invariant Lagrangian ℓ(ξ), they are d/dt ∂ℓ/∂ξ = ad*_ξ ∂ℓ/∂ξ.
+The Euler–Poincaré and Lagrange–Poincaré equations follow from these constrained variations.  For
+any left-invariant Lagrangian ℓ(ξ), they are d/dt ∂ℓ/∂ξ = ad*_ξ ∂ℓ/∂ξ.
 
 Source: Cendra, Marsden, Ratiu, "Lagrangian reduction by stages", 2001, ch. 3.
 """
@@ -132,7 +132,7 @@ def euler_poincare_of_lagrangian(
     Returns:
         Momentum, its rate, the rate of the twist, and the energy.
     Raises:
-        InputError: ℓ is no scalar expression in ξ, or ∂²ℓ/∂ξ² is singular at ξ.
+        InputError: ℓ is not a scalar expression in ξ, or ∂²ℓ/∂ξ² is singular at ξ.
     """
     import casadi as ca
 

@@ -37,8 +37,10 @@ class Event:
     """A time at which an expression of the state crosses zero, also inside integration steps.
 
     A crossing is a change of sign.  A zero at the start of the motion does not count as a crossing,
-    nor does a zero without a change of sign.  Each step is sampled at four times, so two crossings
-    within a quarter of a step are both missed.
+    nor does a zero without a change of sign.  All crossings of an expression of time alone are
+    found, or an error is raised.  Other expressions are sampled on the dense output, at eight to
+    256 times in each step: more where the samples do not predict the next ones.  Two crossings
+    between two samples are both missed.
 
     Attributes:
         expression: A function of (t, x, xdot, mu), or of one SeenState (see pinred.forces); pinred
@@ -72,7 +74,7 @@ class Event:
 
 
 def watched_of(system: System, events: Sequence[Event], *, base: bool) -> Watched | None:
-    """Build the expressions of events.
+    """Compile the expressions of events.
 
     Args:
         system: System whose state the events observe.
@@ -108,5 +110,5 @@ def list_events(events: Any) -> tuple[Event, ...]:
     names = [event.name for event in entries]
     repeated = [name for name in names if names.count(name) > 1]
     if repeated:
-        raise InputError(f"two events are called '{repeated[0]}'; give each a name of its own")
+        raise InputError(f"two events are called '{repeated[0]}'; give each a unique name")
     return entries

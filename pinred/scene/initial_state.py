@@ -1,4 +1,4 @@
-"""Initial states: as the scene options state them, and completed with momenta.
+"""Initial states: as given by the scene options, and completed with momenta.
 
 This module also reports suspicious angles: too large to be accurate, or perhaps in degrees.
 """
@@ -102,7 +102,7 @@ def start_of(system: System, given: GivenStates) -> Start:
 def finite_start(*arrays: Array | None) -> None:
     """Raise InputError unless all arrays computed from an initial state are finite."""
     if not all(array is not None and np.isfinite(array).all() for array in arrays):
-        raise InputError("the initial momentum or twist overflows: rates or momentum too large")
+        raise InputError("the initial momentum or twist overflows; reduce rates or momentum")
 
 
 def refuse_vague(x: Array, system: System) -> None:
@@ -121,7 +121,7 @@ def refuse_vague(x: Array, system: System) -> None:
 
 
 def large_angles(x: Array, system: System) -> str:
-    """Return a sentence on angles of a shape (m,) above one turn; empty if there are none."""
+    """Return a sentence about angles of a shape (m,) above one turn; empty without such angles."""
     large = [(name, angle) for name, angle in _angles(x, system) if abs(angle) > _TURN]
     if not large:
         return ""

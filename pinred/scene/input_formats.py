@@ -85,7 +85,7 @@ def parse_signal(value: Any, what: str) -> Signal:
         if isinstance(value, Real) and not isinstance(value, bool):
             return Constant(float(value))
     except OverflowError:
-        raise InputError(f"{what} is larger than any number of 64 bits") from None
+        raise InputError(f"{what} exceeds the range of 64-bit floats") from None
     except PinredError as error:
         raise type(error)(f"{what}: {error}") from None
     raise InputError(f"{what} must be a Signal, a number or a formula in t, got {brief(value)}")
@@ -157,7 +157,7 @@ def _check_followers(system: System, stated: Array, coupled: Array, what: str) -
         entries = slice(joint.idx_q, joint.idx_q + joint.nq)
         if what == "v0":
             entries = slice(joint.idx_v, joint.idx_v + 1)
-        # The tolerance is relative above 1, because rates have no upper limit.
+        # For values above 1 the tolerance is relative, because rates have no upper limit.
         most = _UNIT * max(1.0, float(np.abs(coupled[entries]).max()))
         if np.abs(stated[entries] - coupled[entries]).max() > most:
             expected = ", ".join(f"{value:g}" for value in coupled[entries])
@@ -210,7 +210,7 @@ def _method_of_text(text: str) -> Method | Literal["auto"]:
         raise InputError(f"method {name} has no {excess}; its options are {', '.join(options)}")
     repeated = [key for key in list(options)[: len(positional)] if key in named]
     if repeated:
-        raise InputError(f"method {quoted(text)} gives {repeated[0]} twice")
+        raise InputError(f"method {quoted(text)} sets {repeated[0]} twice; set it once")
     named |= dict(zip(options, positional, strict=False))
     missing = [key for key, default in options.items() if default is MISSING and key not in named]
     if missing:

@@ -1,4 +1,4 @@
-"""The options of `pinred.load`, each described once, for scene files and the command line."""
+"""Descriptions of the options of `pinred.load`, for scene files and the command line."""
 
 from __future__ import annotations
 

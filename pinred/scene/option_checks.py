@@ -1,4 +1,4 @@
-"""Checks of scene options that need more than the type of the value.
+"""Checks of scene options beyond the type of the value.
 
 The options are the keyframe, report times and lists of forces, and the time span that
 signals and controllers cover.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 EVEN_TIMES = 201  # number of report times if a scene states none; they are evenly spaced
 _COUNTS = np.arange(float(EVEN_TIMES))
-MOST_CALLS = 1_000_000  # largest number of calls of a controller in a scene; each interrupts steps
+MOST_CALLS = 1_000_000  # largest number of calls of a controller in a scene; each call ends a step
 
 
 def check_keyframe(system: System, name: str) -> str:
@@ -74,12 +74,12 @@ def list_forces(forces: Any) -> tuple[Any, ...]:
         return () if forces is None else (forces,)
     entries = entries_of(forces)
     if entries is None:
-        raise InputError(f"forces must be a list of those of pinred.forces, got {brief(forces)}")
+        raise InputError(f"forces must be a list of objects of pinred.forces, got {brief(forces)}")
     return tuple(entries)
 
 
 def check_span(model: ForceModel, end: float, *, base: bool) -> None:
-    """Check that a scene has everything that its forces need.
+    """Check that the scene's time span and outputs satisfy its forces.
 
     Args:
         model: Forces and prescribed joints.

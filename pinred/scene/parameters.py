@@ -1,4 +1,4 @@
-"""Parameters of a scene: robot parameters and parameters of forces, validated together."""
+"""Parameters of a scene: validation of robot parameters together with force parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Springs, dampers and dry friction of a robot's file: which of them act in a scene."""
+"""Selection of a robot file's springs, dampers and dry friction for a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scene: a frozen description of a simulation, with its validated options and initial state."""
+"""Scene: an immutable description of a simulation, with validated options and initial state."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 @checks_arguments
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene(SceneFields):
-    """A system, its initial state, and how long and how accurately to simulate it.
+    """A system with its initial state, forces, duration and tolerances.
 
     Without an initial state, the scene starts from the robot's own initial state.  `compare` uses
     rtol and atol as its scale.  Methods with equal steps ignore both tolerances.
@@ -107,7 +107,7 @@ class Scene(SceneFields):
             if both and option.scope:
                 raise InputError(f"{name} sets {option.scope}; do not combine it with {both[0]}")
             if both:
-                raise InputError(f"give {both[0]} or {name}, not both: each determines the other")
+                raise InputError(f"pass {both[0]} or {name}, not both: each determines the other")
         if self.keyframe is not None:
             check_keyframe(self.system, self.keyframe)
 
@@ -198,7 +198,7 @@ class Scene(SceneFields):
 
     @property
     def left_out(self) -> str:
-        """A sentence on forces of the robot's file that do not act; empty if all of them act."""
+        """A sentence about forces of the robot's file that do not act; empty if all of them act."""
         return passive_left_out(self.system, passive=self.passive, friction=self.friction)
 
     @property
@@ -212,7 +212,7 @@ class Scene(SceneFields):
         object.__setattr__(self, name, value)
 
     def _apply_robot_parameters(self) -> None:
-        """Replace the system by the robot with the parameters of the scene."""
+        """Replace the system by a copy with the robot parameters of the scene."""
         parameters = given_parameters(self.system, self.parameters)
         self._keep("_parameters", parameters)
         self._keep("parameters", parameters.values)
@@ -277,7 +277,7 @@ class Scene(SceneFields):
         if self.system.initial is None and all(getattr(self, name) is None for name in states):
             raise InputError(
                 f"'{self.system.name}' has no default initial state; "
-                "give x0, xdot0, xi0 or momentum, or seed= for a random one"
+                "pass x0, xdot0, xi0 or momentum, or seed= for a random state"
             )
 
     def _resolve(self) -> GivenStates:

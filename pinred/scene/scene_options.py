@@ -1,4 +1,4 @@
-"""The options of a Scene, each described once.
+"""Descriptions of the options of a Scene.
 
 A field of SceneFields holds the Python type, the default, the meaning with its unit, the value
 type in scene files, and the name on the command line.  Scene, the keys of scene files, their

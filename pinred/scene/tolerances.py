@@ -11,9 +11,10 @@ from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
 
-TIGHTEST = 1e-14  # smallest relative tolerance; below it round-off controls the step size
-# Momenta are integrated, but users need rates.  If a light joint is attached to heavy links, a
-# relative error of a momentum causes a larger relative error of the light joint's rate.
+TIGHTEST = 1e-14  # smallest relative tolerance; below it, round-off determines the step size
+# The integrated quantities are momenta, but users need accurate rates.  If a light joint is
+# attached to heavy links, a relative error of a momentum causes a larger relative error of the
+# light joint's rate.
 MOMENTUM_MARGIN = 10.0
 
 
@@ -40,7 +41,7 @@ def with_tolerances(method: Method, rtol: float, atol: float) -> Method:
 
     Args:
         method: Integrator.  It stays unchanged if it has equal steps or its own tolerances.
-        rtol: Relative tolerance; raised to the smallest one that the method can keep.
+        rtol: Relative tolerance; increased to the smallest tolerance that the method can satisfy.
         atol: Absolute tolerance.
     Returns:
         The method with tolerances.

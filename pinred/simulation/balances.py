@@ -9,8 +9,8 @@ terms of the Lagrange–Poincaré equations except the torques τ. The shape equ
 
     M ẍ + (∂M ẋ) ẋ = F + τ
 
-gives ẍ of the free joints first, because ẍ of the prescribed joints and τ of the free ones are
-known.  It then gives τ of the prescribed joints.
+is solved first for ẍ of the free joints, because ẍ of the prescribed joints and τ of the free ones
+are known.  It then determines τ of the prescribed joints.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The choice of an integrator for a scene that states none, with its reason.
+"""Choice of an integrator, with the reason, for scenes that specify none.
 
-A sweep of AdaptiveGauss evaluates its eight stages at once in SIMD lanes, and saves evaluations of
-DOP853.  A sweep costs more evaluations if identical branches of the robot already fill the lanes,
-and saves more evaluations at tight tolerances.  The constants are fits to `pinred bench accuracy`;
-see docs/integrators.md.
+A sweep is one iteration of AdaptiveGauss; it evaluates all eight stages at once in SIMD lanes.  A
+sweep costs as much as several evaluations of DOP853, and more if identical branches of the robot
+already fill the lanes.  It replaces more of these evaluations at tight tolerances.  The constants
+are fits to `pinred bench accuracy`; see docs/integrators.md.
 
 Forces are stiff if they decay fast. At zero momentum the linearisation of M ẍ = τ(x, ẋ) has K =
 −∂τ/∂x and D = −∂τ/∂ẋ. The rates are the eigenvalues of [[0, 1], [−M⁻¹K, −M⁻¹D]].
@@ -31,7 +31,7 @@ from ..system.system import System
 
 # Largest number of report times inside steps with AdaptiveGauss; each of them costs a step.
 _FEW = 3
-_STABLE = 4.0  # Decay rate times length of the longest stable step of DOP853.
+_STABLE = 4.0  # Largest product of decay rate and step length at which DOP853 is stable.
 # Ratio of decay to oscillation rate above which Radau is considered.  Its steps must resolve
 # oscillations, so Radau is faster only if decay is much faster than oscillation.
 _STIFF_RATIO = 100.0

@@ -21,7 +21,7 @@ from .sample import Sample
 
 # Times closer than this fraction of the duration count as equal.
 _ROUND_OFF = 1e-12
-# A controller is due within this fraction of its period from a multiple of it.
+# A controller is due if the time is this close to a multiple of its period, relative to the period.
 _DUE = 1e-9
 
 See = Callable[[], Sample]

@@ -1,13 +1,15 @@
 """Events of a motion: detected during the integration and located on the dense output.
 
-The expressions are evaluated at the ends of each step and at three times inside it.  If one changes
-sign, Brent's method locates the crossing on the dense output to round-off.  The
-crossing time is then as accurate as the motion.  Scenes without events cost nothing.
+The sign changes of expressions of time alone are found by the search for switches of forces. Other
+expressions are evaluated at the ends of each step and at three times inside it, and between these
+times where they do not predict the values there. If one changes sign, Brent's method locates the
+crossing on the dense output to round-off. The crossing time is then as accurate as the motion.
+Scenes without events cost nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,10 +21,14 @@ from ..common.arrays import Array, FrozenArrays
 from ..common.errors import IntegrationError
 from ..forces.formula import Watched
 from ..scene.scene import Scene
+from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
 from .reduced_flow import Integrate, ReducedFlow, Segment
 
 _PARTS = 4  # Number of parts of a step; the expressions are evaluated at the ends of each part.
+_HALVINGS = 6  # Largest number of times that a part is halved.
+# A part is halved again if the cubic through four samples is off by this fraction of the largest.
+_UNPREDICTED = 0.05
 _SHOWN = 5  # Largest number of times that a repr shows.
 _ROUND_OFF = 1e-12  # Times count as equal if they differ by less than this fraction of them.
 _EPS = 4.0 * float(np.finfo(float).eps)
@@ -89,6 +95,8 @@ class Watch:
         self._events = scene.events_given
         self._signs = np.zeros(len(self._events))
         self._reached = -1.0
+        self._of_time = self._find_times()
+        self._sampled = [k for k in range(len(self._events)) if k not in watched.of_time]
         self.crossings: list[Crossing] = []
         self.end: Crossing | None = None
 
@@ -111,13 +119,11 @@ class Watch:
         if not new_ends.size or self.end is not None:
             return self.end is not None
         step_ends = np.append(segment.knots[segment.knots < self._reached][-1:], new_ends)
-        parts = np.arange(_PARTS * (len(step_ends) - 1) + 1) / _PARTS
-        times = np.interp(parts, np.arange(len(step_ends)), step_ends)
-        times = times[times >= self._reached]
-        values = self._values(segment, times)
-        for k, event in enumerate(self._events):
-            self._locate(segment, k, event.direction, times, values[k])
-        self._reached = float(segment.knots[-1])
+        reached = float(segment.knots[-1])
+        self.crossings += [c for c in self._of_time if self._reached < c.t <= reached]
+        if self._sampled:
+            self._search(segment, step_ends)
+        self._reached = reached
         self.crossings.sort(key=lambda crossing: crossing.t)
         terminal = [c for c in self.crossings if self._events[c.event].terminal]
         if terminal:
@@ -125,18 +131,59 @@ class Watch:
             self.crossings = [c for c in self.crossings if c.t <= terminal[0].t]
         return bool(terminal)
 
-    def _locate(self, segment: Segment, k: int, direction: int, t: Array, values: Array) -> None:
-        """Locate the crossings of event k from the values of its expression at times t."""
-        sign = self._signs[k]
-        for j in range(len(t)):
-            new_sign = float(np.sign(values[j]))
-            if new_sign == 0.0:
-                continue  # The expression only touches zero, or crosses zero in a later part.
-            if sign and new_sign != sign and direction in (0, new_sign):
-                time = self._root(segment, k, t[max(j - 1, 0)], t[j])
-                self.crossings.append(Crossing(k, time, rising=new_sign > 0))
-            sign = new_sign
-        self._signs[k] = sign
+    def _find_times(self) -> list[Crossing]:
+        """Return the crossings of all expressions of time alone.
+
+        Raises IntegrationError if one is not finite.
+        """
+        crossings = []
+        numbers = self._watched.numbers(self._scene.parameters)
+        for k, changes in self._watched.of_time.items():
+            starts, values = changes.spans(self._scene.end, numbers)
+            self._check_finite(values[None], starts, [k])
+            changed, _ = _sign_changes(values, 0.0)
+            crossings += [
+                Crossing(k, float(starts[j]), rising=bool(values[j] > 0.0)) for j in changed
+            ]
+        return [c for c in crossings if self._counts(c)]
+
+    def _counts(self, crossing: Crossing) -> bool:
+        """Return whether a crossing has the direction that its event requests."""
+        direction = self._events[crossing.event].direction
+        return direction == 0 or (direction > 0) == crossing.rising
+
+    def _search(self, segment: Segment, step_ends: Array) -> None:
+        """Locate the crossings of expressions of the state in steps of a segment."""
+        parts = np.arange(_PARTS * (len(step_ends) - 1) + 1) / _PARTS
+        times = np.interp(parts, np.arange(len(step_ends)), step_ends)
+        times, values = self._sample(segment, times[times >= self._reached])
+        for k, row in zip(self._sampled, values, strict=True):
+            changes, sign = _sign_changes(row, self._signs[k])
+            for j in changes:
+                time = self._root(segment, k, times[max(j - 1, 0)], times[j])
+                crossing = Crossing(k, time, rising=bool(row[j] > 0.0))
+                if self._counts(crossing):
+                    self.crossings.append(crossing)
+            self._signs[k] = sign
+
+    def _sample(self, segment: Segment, times: Array) -> tuple[Array, Array]:
+        """Return times with further ones between them, (T,), and the values at them, (E, T)."""
+        values = self._values(segment, times)[self._sampled]
+        left = np.arange(len(times) - 1)
+        for _ in range(_HALVINGS):
+            if not left.size:
+                break
+            middles = 0.5 * (times[left] + times[left + 1])
+            predicted, size = _predict(times, values, left, middles)
+            actual = self._values(segment, middles)[self._sampled]
+            wrong = (np.abs(actual - predicted) > _UNPREDICTED * size).any(axis=0)
+            times = np.insert(times, left + 1, middles)
+            values = np.insert(values, left + 1, actual, axis=1)
+            # Samples of a fast oscillation may agree by chance, so neighbours are halved, too.
+            first = (left + np.arange(len(left)))[wrong]
+            near = np.unique(np.add.outer(first, np.arange(-2, 4)))
+            left = near[(near >= 0) & (near < len(times) - 1)]
+        return times, values
 
     def _root(self, segment: Segment, k: int, a: float, b: float) -> float:
         """Return the time between a and b at which the expression of event k is zero."""
@@ -167,14 +214,55 @@ class Watch:
             base = [array.T for array in space]
         columns = [t[None], states.x.T, states.xdot.T, *relative, *base]
         values = self._watched(columns, scene.parameters)
+        self._check_finite(values, t, range(len(values)))
+        return values
+
+    def _check_finite(self, values: Array, t: Array, events: Sequence[int]) -> None:
+        """Raise IntegrationError if a value (E, T) of events at times (T,) is not finite."""
         bad = ~np.isfinite(values)
         if bad.any():
             k, j = np.argwhere(bad)[0]
             raise IntegrationError(
-                f"event '{self._events[k].name}' is {values[k, j]} at t = {t[j]:g} s; its "
+                f"event '{self._events[events[k]].name}' is {values[k, j]} at t = {t[j]:g} s; its "
                 "expression has to be defined along the motion"
             )
-        return values
+
+
+def _sign_changes(values: Array, sign: float) -> tuple[Indices, float]:
+    """Return the indices of values (T,) with another sign than the last one that is not zero.
+
+    Args:
+        values: Values in order of time; `sign` is the sign before them, zero if there is none.
+        sign: See `values`.
+    Returns:
+        Indices, and the last sign.
+    """
+    # Where a value is zero, the expression only touches zero, or crosses zero in a later part.
+    at = np.flatnonzero(values)
+    signs = np.append(sign, np.sign(values[at]))
+    return at[signs[1:] * signs[:-1] < 0.0], float(signs[-1])
+
+
+def _predict(times: Array, values: Array, left: Indices, middles: Array) -> tuple[Array, Array]:
+    """Interpolate values at the middles of intervals by the polynomial through four samples.
+
+    Args:
+        times: Times of the samples, (T,) [s].
+        values: Values of the samples, (E, T).
+        left: Indices of the left ends of intervals, (P,).
+        middles: Middles of the intervals, (P,) [s].
+    Returns:
+        Values at the middles, and the largest absolute values of the samples used, (E, P) each.
+    """
+    count = min(4, len(times))
+    window = np.clip(left - 1, 0, len(times) - count)[:, None] + np.arange(count)
+    nodes, rows = times[window], values[:, window]
+    weights = np.ones_like(nodes)
+    for i in range(count):
+        for j in range(count):
+            if i != j:
+                weights[:, i] *= (middles - nodes[:, j]) / (nodes[:, i] - nodes[:, j])
+    return (rows * weights).sum(axis=2), np.abs(rows).max(axis=2)
 
 
 def cut_at_event(watch: Watch, segment: Segment, integrate: Integrate) -> list[Segment]:

@@ -163,7 +163,7 @@ class Motion:
         return segment.parameters[self.flow.numbers_at]
 
     def _which(self, t: Array) -> Indices:
-        """Return the index of the segment of each time; a stop belongs to the segment before it."""
+        """Return the segment index of each time; a stop belongs to the segment that it ends."""
         return np.minimum(np.searchsorted(self._ends, t, side="left"), len(self.segments) - 1)
 
 

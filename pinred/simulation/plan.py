@@ -1,8 +1,8 @@
 """The plan of a scene: all quantities that can be computed before integration.
 
-A plan is made once for a scene and used everywhere.  It leaves open whether the angular momentum
-of the base is zero, because that depends on the initial state, and members of one plan may differ
-in it.  `Plan.kind` returns the equations of either case.
+A plan is built once for a scene and used everywhere.  It does not determine whether the angular
+momentum of the base is zero, because that depends on the initial state, in which the members of one
+plan may differ.  `Plan.kind` returns the equations of either case.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ class Acting:
     Attributes:
         system: The system.
         forces: Forces besides gravity and prescribed joints; None if there are none.
-        weight: Gravity force m g in the root joint's fixed frame if it turns a pivoted base,
-            else zero, (3,) [N].
+        weight: Gravity force m g in the root joint's fixed frame if it rotates a pivoted base, else
+            zero, (3,) [N].
         gravity: The part of gravity that acts on the shape or rotates the base, in that frame,
             (3,) [m/s²].
         momentum_changes: Whether a force changes the angular momentum of the base.
@@ -166,7 +166,7 @@ class Plan:
         """The time spans between stops; a report time at a stop belongs to the span before it."""
         return spans_between(self.stops, self.scene.report_times)
 
-    @property
+    @cached_property
     def stops_vary(self) -> bool:
         """Whether the stops depend on Parameters, through conditions on time."""
         return self.forces is not None and bool(
@@ -204,6 +204,14 @@ class Plan:
     def method(self) -> Method:
         """The method of the compiled engine."""
         return self.choice.method
+
+    @property
+    def has_time_functions(self) -> bool:
+        """Whether forces contain functions of time, and step control decides where to see them."""
+        forces = self.forces
+        if forces is None or not (forces.needs_time and forces.time_functions.count):
+            return False
+        return bool(self.scene.integrator is None or self.scene.integrator.adaptive)
 
     @property
     def notices(self) -> tuple[str, ...]:

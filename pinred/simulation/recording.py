@@ -151,7 +151,7 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
         origin if robot is None else origin | {"source": str(robot)}, robot is not None,
     )  # fmt: skip
     if robot is not None:
-        _ = recording.system  # Report errors of a robot that the user named at once.
+        _ = recording.system  # If the user named a robot, report its errors immediately.
     return recording
 
 

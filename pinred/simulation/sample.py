@@ -17,8 +17,9 @@ class Sample:
         xdot: Shape rate, (m,) [rad/s | m/s].
         xi: Body twist relative to the centre of mass, (r,) [m/s | rad/s].
         mu: Body momentum about the centre of mass, (r,) [N·s | N·m·s]; its linear part is zero.
-        weight: Gravity force m g in the body frame if it turns a pivoted base, else zero, (3,) [N].
-        base: The base as seen from space, None if the scene leaves it out.
+        weight: Gravity force m g in the body frame if it rotates a pivoted base, else zero, (3,)
+            [N].
+        base: State of the base in the fixed frame, None if the scene leaves it out.
     """
 
     x: Array

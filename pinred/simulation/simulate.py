@@ -71,7 +71,20 @@ def simulate(
         print(explained(plan))
     run_engine = _compiled if engine == "compiled" else _pinocchio
     with shown(progress, "reduced") as done:
-        return run_engine(plan, done)
+        trajectory = _resolved(plan, partial(run_engine, progress=done))
+    for notice in trajectory.run.notices:
+        warnings.warn(notice, AccuracyWarning, stacklevel=3)
+    return trajectory
+
+
+def _resolved(plan: Plan, run: Callable[[Plan], Trajectory]) -> Trajectory:
+    """Return the trajectory of a plan, with more stops if its steps skip functions of time."""
+    trajectory = run(plan)
+    if not plan.has_time_functions:
+        return trajectory
+    from .time_resolution import resolve
+
+    return resolve(plan, trajectory, run)
 
 
 def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Scene:
@@ -119,7 +132,7 @@ def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
 
 def trajectory_of(scene: Scene) -> Trajectory:
     """Return the trajectory of a scene with the compiled engine."""
-    return _compiled(plan_of(scene), None)
+    return _resolved(plan_of(scene), partial(_compiled, progress=None))
 
 
 def _integrate_plan(
@@ -134,8 +147,6 @@ def _integrate_plan(
     motion = follow(plan, flow, integrate, through)
     wall = time.perf_counter() - started
     run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
-    for notice in run.notices:
-        warnings.warn(notice, AccuracyWarning, stacklevel=5)
     terminal_crossing = motion.ended_by
     scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
     return Trajectory(scene, motion, run, partial(simulate, plan.scene, engine=engine))

@@ -37,9 +37,9 @@ def simulate_many(
     """Simulate many motions of one system with one kernel, in SIMD lanes and on threads.
 
     With DOP853 and Tsit5, eight members are integrated at once (sixteen for small robots), each
-    with individual step lengths.  The results of a member do not depend, to the bit, on the other
-    members, on their order, or on the number of threads.  The results agree with `simulate` within
-    round-off times the growth along the motion; with other methods they are equal to the bit.
+    with individual step lengths.  The results of a member are bit-for-bit independent of the other
+    members, of their order, and of the number of threads.  The results agree with `simulate` within
+    round-off times the growth along the motion; with other methods they are equal bit for bit.
 
     Where `simulate` would choose AdaptiveGauss, DOP853 is used, which costs less for many members.
     Members with controllers, events, or prescribed joints whose plans have breaks are simulated

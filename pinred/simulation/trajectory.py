@@ -90,7 +90,9 @@ class Trajectory(OverTime):
         """The motion at all times; it is integrated again after unpickling."""
         if self._motion is None:
             if self._again is None:
-                raise NotCopyable("this motion was changed by hand; it cannot be integrated again")
+                raise NotCopyable(
+                    "this motion was modified, so it cannot be integrated again; simulate its scene"
+                )
             self._motion = self._again().motion
         return self._motion
 

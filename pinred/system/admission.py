@@ -1,9 +1,9 @@
 """Admission of models: which models pinred can reduce, and error messages for all others.
 
 pinred reduces trees of revolute and prismatic joints whose root moves in one of the groups.  It
-refuses invalid numbers (infinite values, negative masses or moments) and mass matrices that are
-singular at every shape.  Inertias that no real body has, and mass matrices that are singular at
-isolated shapes, are reported as doubts.
+rejects invalid numbers (infinite values, negative masses or moments) and mass matrices that are
+singular at every shape.  Inertias that no mass distribution has, and mass matrices that are
+singular at isolated shapes, cause warnings (`doubts`).
 """
 
 from __future__ import annotations
@@ -64,12 +64,13 @@ def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
         raise ModelError(
             f"the model has {model.nv} degrees of freedom, more than {_MOST_FREEDOMS}: each work "
             "space of Pinocchio for it, of which a run needs several, would take "
-            f"{WORKSPACE_BYTES * float(model.nv) ** 3 / 1e9:.3g} GB; lock joints that need not move"
+            f"{WORKSPACE_BYTES * float(model.nv) ** 3 / 1e9:.3g} GB; "
+            "lock joints that are not needed"
         )
     names = list(model.names)
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise ModelError(f"several joints are called {quoted(twice)}; give each a name of its own")
+        raise ModelError(f"several joints are called {quoted(twice)}; give each a unique name")
     for i in range(2, model.njoints):
         _admit_shape_joint(model, i)
     for i in range(1, model.njoints):
@@ -113,7 +114,7 @@ def _admit_shape_joint(model: pin.Model, i: int) -> None:
 
 
 def _admit_geometry(model: pin.Model, i: int) -> None:
-    """Refuse a joint whose axis is not a unit vector or whose placement is not finite."""
+    """Reject a joint whose axis is not a unit vector or whose placement is not finite."""
     name = model.names[i]
     R = model.jointPlacements[i].rotation
     if not np.isfinite(model.jointPlacements[i].homogeneous).all():
@@ -128,7 +129,7 @@ def _admit_geometry(model: pin.Model, i: int) -> None:
 
 
 def _admit_numbers(model: pin.Model, group: Group) -> None:
-    """Refuse gravity and armature that are not finite or that break the symmetry."""
+    """Reject gravity and armature that are not finite or that break the symmetry."""
     for name, values in (("gravity", model.gravity.vector), ("armature", model.armature)):
         if not np.isfinite(values).all():
             raise ModelError(f"the model's {name} is not finite: {values}")
@@ -153,7 +154,7 @@ def _check_inertias(model: pin.Model, coupled: Coupled | None) -> tuple[str, ...
     for i in range(1, model.njoints):
         _check_body(model, i, unit)
     if not sum(model.inertias[i].mass for i in range(1, model.njoints)) > 0.0:
-        raise ModelError(f"{_body_words(model, 1)} and all bodies behind it have no mass")
+        raise ModelError(f"{_body_words(model, 1)} and its descendants have no mass")
     singular = singular_shapes(model, coupled)
     if singular.everywhere:
         raise ModelError(_refusal(model, singular.everywhere))
@@ -175,7 +176,7 @@ def _body_words(model: pin.Model, i: int) -> str:
 
 
 def _check_body(model: pin.Model, i: int, unit: float) -> None:
-    """Refuse an inertia that is infinite, negative, or so large that products overflow."""
+    """Reject an inertia that is infinite, negative, or so large that products overflow."""
     body = model.inertias[i]
     mass, inertia = body.mass, body.inertia
     if not all(np.isfinite(a).all() for a in (mass, inertia, body.lever)):
@@ -194,7 +195,7 @@ def _check_body(model: pin.Model, i: int, unit: float) -> None:
     if moments[0] < -no_moment(body, unit):
         raise ModelError(
             f"{_body_words(model, i)} has principal moments of inertia {_shown(moments)}; "
-            "none may be negative"
+            "all must be zero or positive"
         )
 
 
@@ -211,7 +212,7 @@ def _refusal(model: pin.Model, joints: tuple[str, ...]) -> str:
             lacks += f" (principal moments of inertia {_shown(moments)})"
     text = f"{_body_words(model, i)} has {lacks}"
     if behind:
-        text += ", and the joints behind it can undo the joint's motion"
+        text += ", and its descendant joints can undo the joint's motion"
     text += ": at no shape does the joint move any mass, so the mass matrix is singular; "
     text += "give it a mass" if body.mass == 0.0 else "give it moments of inertia"
     if i > 1:

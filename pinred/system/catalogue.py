@@ -1,4 +1,4 @@
-"""Robots that can be loaded by name: bundled robots, and robots of example-robot-data."""
+"""Robots that can be loaded by name: bundled robots and those of example-robot-data."""
 
 from __future__ import annotations
 

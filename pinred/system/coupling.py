@@ -67,7 +67,7 @@ def coupled(joints: Sequence[str], couplings: Sequence[Coupling], root: str = ""
     """Return all joints as functions of the independent joints, or None without couplings.
 
     Args:
-        joints: Names of all joints behind the root, (M,).
+        joints: Names of all joints except the root, (M,).
         couplings: Couplings in the file.
         root: Name of the root joint, whose motion is the symmetry.
     Returns:
@@ -97,7 +97,7 @@ def resolved(
 
     Args:
         couplings: Couplings in the file.
-        joints: Names of all joints behind the root.
+        joints: Names of all joints except the root.
         root: Name of the root joint.
     Returns:
         Couplings whose leaders are independent joints, {follower: coupling}.
@@ -120,7 +120,7 @@ def resolved(
         if not ready:
             circle = _circle(direct)
             raise ModelError(
-                f"joints follow each other in a circle: {listed(circle, len(circle))}; "
+                f"joints follow each other in a cycle: {listed(circle, len(circle))}; "
                 "remove one of the couplings"
             )
         for name in ready:
@@ -129,7 +129,7 @@ def resolved(
 
 
 def _check(coupling: Coupling, joints: Sequence[str], root: str) -> None:
-    """Refuse a coupling whose joints are unknown or whose numbers are not finite."""
+    """Reject a coupling whose joints are unknown or whose numbers are not finite."""
     follower, leaders = quoted(coupling.follower), _names(coupling.leaders)
     unknown = [leader for leader in coupling.leaders if leader not in joints]
     if coupling.follower == root:
@@ -156,7 +156,7 @@ def _check(coupling: Coupling, joints: Sequence[str], root: str) -> None:
 
 
 def _circle(direct: Mapping[str, Coupling]) -> list[str]:
-    """Return joints that follow each other, where each coupling has a leader that is a follower."""
+    """Return joints that follow each other in a cycle; each coupling has a leader that follows."""
     path = [next(iter(direct))]
     while path[-1] not in path[:-1]:
         path.append(next(leader for leader in direct[path[-1]].leaders if leader in direct))
@@ -182,7 +182,7 @@ def _names(joints: Iterable[str]) -> str:
 def with_followers(
     lock: Mapping[str, float], couplings: Sequence[Coupling], joints: Sequence[str]
 ) -> tuple[dict[str, float], tuple[Coupling, ...]]:
-    """Add the followers of locked joints to the locks; return them and the remaining couplings.
+    """Return the locked joints with their followers added, and the couplings of all other joints.
 
     A follower whose leader is not a joint of the tree may be locked on its own.
 

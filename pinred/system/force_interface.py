@@ -57,7 +57,7 @@ class SeenState:
     J: Any
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Refuse an unknown name.
+        """Reject an unknown name.
 
         Args:
             name: Name of the attribute.
@@ -143,7 +143,7 @@ class Symbols:
         return joint_index(name, self.every_name, what)
 
     def refuse_follower(self, joint: int, what: str) -> None:
-        """Refuse a follower joint, which is not a shape coordinate.
+        """Reject a follower joint, which is not a shape coordinate.
 
         Args:
             joint: Index of the joint in `every_name`.

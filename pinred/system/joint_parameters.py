@@ -75,7 +75,7 @@ def joint_parameter(system: System, name: str) -> JointParameter | None:
 
 
 class Joints:
-    """Joint placements, and inertias behind locked joints, as functions of joint parameters.
+    """Joint placements, and inertias attached to locked joints, as functions of joint parameters.
 
     Attributes:
         parameters: Joint parameters, in the order of their names.
@@ -162,7 +162,7 @@ class Joints:
         Args:
             values: Values of all parameters, {name: (size,)}.
             changed: Parameters that changed; only their bodies are yielded.  If one is the value of
-                a locked joint, all bodies behind locked joints are yielded.
+                a locked joint, all bodies attached to locked joints are yielded.
         """
         has_locks = any(name in changed for name in self._locks.values())
         behind = self._placements(values) if has_locks else {}

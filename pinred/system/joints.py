@@ -31,7 +31,7 @@ def joint_kind(joint: pin.JointModel) -> str:
 
 
 def motion_group(joint: pin.JointModel) -> Group | None:
-    """Return the symmetry group of a joint's motion, or None if the motion is no such group."""
+    """Return the symmetry group of a joint's motion, or None if the motion does not form one."""
     kind = joint_kind(joint)
     return next((group for group in GROUPS.values() if kind in group.joints), None)
 
@@ -65,7 +65,7 @@ def joint_configuration(joint: pin.JointModel, value: float) -> list[float]:
 
 
 def joint_units(model: pin.Model) -> tuple[str, ...]:
-    """Return the units of all joints behind the root: "m" if prismatic, "rad" if revolute."""
+    """Return the units of all joints except the root: "m" if prismatic, "rad" if revolute."""
     return tuple("m" if is_prismatic(model.joints[i]) else "rad" for i in range(2, model.njoints))
 
 

@@ -104,14 +104,14 @@ def load(
             above it is the ground.  So does any first moving joint whose link above is massless
             and carries all other links.  Otherwise the group is SE3: the root link floats on a new
             root joint.  Consecutive joints at the root count as one joint if they move in a group.
-        lock: Joints to freeze at zero, or mapping from joint to its fixed value [rad | m].
+        lock: Joints to lock at zero, or mapping from joint to its locked value [rad | m].
             Followers of a locked joint are locked with it.
         gravity: Gravity in the world frame, (3,) [m/s²].  If None, the robot's gravity
             (Pinocchio's 9.81 along −z for a URDF).
         root: For MJCF, the body of the world that carries the robot, if several can move.
-        strict: Whether to refuse robots with doubtful inertias instead of emitting a warning.
-            Doubtful are moments that no mass distribution has, and mass matrices that are singular
-            at isolated shapes.
+        strict: Whether to reject robots with doubtful inertias instead of emitting a warning.
+            Inertias are doubtful if no mass distribution has these moments, or if the mass matrix
+            is singular at isolated shapes.
         meshes: Folder, or folders, in which playback looks for the meshes of a URDF file, besides
             those above the file.
         parameters: Robot parameters {name: value} that replace values of the file, such as masses
@@ -269,7 +269,7 @@ def _checked_gravity(value: ArrayLike) -> Array:
 
 
 def is_path(name: str) -> bool:
-    """Return whether a source is the path of a file, not the name of a known robot."""
+    """Return whether a source is a file path instead of the name of a known robot."""
     if "/" in name or Path(name).suffix != "":
         return True
     try:

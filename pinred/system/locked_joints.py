@@ -20,7 +20,7 @@ from .joints import joint_configuration
 
 
 def lock_values(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
-    """Return {joint to lock: value}, where values are zero by default.  Raises InputError."""
+    """Return {joint to lock: value}; a value defaults to zero.  Raises InputError."""
     if isinstance(lock, str):
         raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
     names = list(lock) if isinstance(lock, Mapping) else entries_of(lock)
@@ -159,7 +159,7 @@ class LockedJoints:
 
         Args:
             name: Name of the joint.
-            values: Values that differ from the frozen ones, by joint [rad | m].
+            values: Values by joint that replace the locked values [rad | m].
         """
         tie = self.ties.get(name)
         if tie is None:
@@ -172,7 +172,7 @@ class LockedJoints:
         """Return the placements of all joints of the raw model on their carriers, by joint index.
 
         Args:
-            values: Values of locked joints that differ from the frozen ones [rad | m].
+            values: Values of locked joints that replace the locked values [rad | m].
         """
         raw, q, identity = self.raw, pin.neutral(self.raw), pin.SE3.Identity()
         places = {0: Carried("", identity, identity, {})}

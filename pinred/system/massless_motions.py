@@ -1,4 +1,4 @@
-"""Motions that move no mass and therefore make the mass matrix of a tree singular.
+"""Motions that move no mass, and so make the mass matrix of a tree singular.
 
 Let the bodies have positive semidefinite inertias Y.  A twist of body i moves no mass if motions
 of the joints behind it can cancel the twist in all bodies of its subtree.  These massless twists
@@ -134,7 +134,7 @@ def massless_twists(tree: Tree, x: Sequence[float], tolerance: float) -> list[Ar
     Args:
         tree: Tree of bodies and joints.
         x: Value of every joint [rad | units of length]; the root's entry is not used.
-        tolerance: Sine of the angle between directions that count as equal.
+        tolerance: Sine of the largest angle between directions that count as equal.
     """
     N = list(tree.still)
     for i in range(len(N) - 1, 0, -1):
@@ -175,7 +175,7 @@ def moves_no_mass(tree: Tree, i: int, N: Array, tolerance: float) -> bool:
         tree: Tree of bodies and joints.
         i: Index of the body that the joint moves.
         N: Massless twists of that body, (6, k).
-        tolerance: Sine of the angle between directions that count as equal.
+        tolerance: Sine of the largest angle between directions that count as equal.
     """
     return not tree.stiff[i] and intersect(N, tree.axes[i], tolerance).shape[1] > 0
 
@@ -186,7 +186,7 @@ def intersect(A: Array, B: Array, tolerance: float) -> Array:
     Args:
         A: Orthonormal columns, (6, k).
         B: Columns, (6, l).
-        tolerance: Sine of the angle between directions that count as equal.
+        tolerance: Sine of the largest angle between directions that count as equal.
     """
     if not (A.shape[1] and B.shape[1]):
         return A[:, :0]

@@ -139,7 +139,7 @@ class ModelParameters:
         free: Indices of the bodies whose inertias vary; 0 is the root.
         placed: Indices of the bodies whose joint placements vary.
         turned: Bodies among `placed` whose joint axes rotate.
-        links: Frames of links behind locked joints whose placements on their bodies vary.
+        links: Frames of links attached to locked joints, whose placements on their bodies vary.
         gravity: Whether gravity varies.
     """
 

@@ -68,11 +68,11 @@ class Spring(JointForce):
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may vary.
+            number: Function that replaces a value by a symbol if it may vary.
         Returns:
             Terms with the potential.
         Raises:
-            InputError: Both ends are the same joint.
+            InputError: The force connects a joint with itself.
         """
         k, j = _ends(self, s)
         length = s.x[k] if j is None else s.x[k] - s.x[j]
@@ -115,11 +115,11 @@ class Damper(JointForce):
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may vary.
+            number: Function that replaces a value by a symbol if it may vary.
         Returns:
             Terms with the torques.
         Raises:
-            InputError: Both ends are the same joint.
+            InputError: The force connects a joint with itself.
         """
         import casadi as ca
 
@@ -180,7 +180,7 @@ class Friction(JointForce):
 
         Args:
             s: Variables of the system.
-            number: Turns a value into a symbol if it may vary.
+            number: Function that replaces a value by a symbol if it may vary.
         Returns:
             Terms with the torque.
         Raises:

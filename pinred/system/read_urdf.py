@@ -102,7 +102,7 @@ def _parse(text: str, depth: int) -> pin.Model:
 
 
 def _check_mass(path: Path, model: pin.Model, file_mass: float) -> None:
-    """Refuse a model from which Pinocchio dropped the inertia of a link."""
+    """Reject a model from which Pinocchio dropped the inertia of a link."""
     model_mass = sum(inertia.mass for inertia in model.inertias)
     if abs(model_mass - file_mass) > 1e-9 * max(model_mass, file_mass):
         raise ModelError(
@@ -112,7 +112,7 @@ def _check_mass(path: Path, model: pin.Model, file_mass: float) -> None:
 
 
 def _refuse_macros(path: Path, root: ElementTree.Element) -> None:
-    """Refuse a template that xacro must expand.  Raises LoadError with the command to run."""
+    """Reject a template that xacro must expand.  Raises LoadError with the command to run."""
     used = next((e.tag for e in root.iter() if e.tag.startswith("xacro:")), "")
     if used or any(mark in reduced_text(root) for mark in ("${", "$(")):
         name = path.name.partition(".")[0] + ("" if path.suffix == ".xacro" else "_expanded")

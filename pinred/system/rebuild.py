@@ -30,7 +30,7 @@ class ModelBuilder:
     """A model under construction, with the armature and limits of its joints."""
 
     def __init__(self) -> None:
-        """Start with the world alone."""
+        """Create a model that contains only the world."""
         self.model = pin.Model()
         self._armature: list[ArrayLike] = [np.empty(0)]
         self._limits: list[ArrayLike] = [np.empty((2, 0))]
@@ -190,7 +190,7 @@ def _joint_of_mimic(model: pin.Model, i: int) -> pin.JointModel:
     if scaling == 0.0 or not np.isfinite(twist).all() or not twist.any():
         raise ModelError(
             f"mimic joint {quoted(model.names[i])} has scaling {scaling:g}, from which its "
-            "axis cannot be recovered; build the model without it, or with a fixed joint"
+            "axis cannot be recovered; build the model without this joint, or with a fixed joint"
         )
     slides = not twist[3:].any()
     axis = (twist[:3] if slides else twist[3:]) / scaling
@@ -212,7 +212,7 @@ def joint_along(kinds: Sequence[type], axis: Array, tolerance: float = 0.0) -> p
 
 
 def depth_first(parents: Sequence[int]) -> list[int]:
-    """Return joints 1, 2, … in depth-first order: each joint is followed by all joints behind it.
+    """Return joints 1, 2, … in depth-first order: each joint is followed by its descendants.
 
     Pinocchio requires this order; otherwise its crba returns wrong results without an error.
 

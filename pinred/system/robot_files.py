@@ -1,6 +1,7 @@
 """Robot description files as text and as XML elements, and detection of MJCF files.
 
-`read_text` refuses files that are too large; `read_xml`, too many or too deeply nested elements.
+`read_text` rejects files that are too large.  `read_xml` rejects files with too many elements, or
+elements that are nested too deeply.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def read_text(path: Path) -> str:
     try:
         # The operating system's virtual files, which may be endless, also report size zero.
         if path.stat().st_size == 0:
-            raise LoadError(f"{plain_path(path)} is empty, so not XML")
+            raise LoadError(f"{plain_path(path)} is empty; a robot file must be XML")
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES + 1)
         if len(content) > _MOST_BYTES:
@@ -48,7 +49,10 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise LoadError(f"{plain_path(path)} cannot be read: {error.strerror}") from None
     if "<!DOCTYPE" in text:
-        raise LoadError(f"{plain_path(path)} declares a document type; entities are not supported")
+        raise LoadError(
+            f"{plain_path(path)} declares a document type, which is not supported; "
+            "remove the <!DOCTYPE> declaration"
+        )
     return text
 
 

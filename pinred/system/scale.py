@@ -1,4 +1,4 @@
-"""Scales of a robot: masses moved by joints, radii of gyration, and extreme units."""
+"""Scales of a robot: masses that joints move, radii of gyration, and extreme values."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 Random shapes show whether a joint moves no mass at every shape.  Subspaces that contain the
 massless motions at every shape prove that the matrix is regular (`bound_massless_twists`).  If
-singularity depends on child joints only, closed forms give their values.  In all other cases,
-local minimisation from quarter turns and from random shapes searches for examples.
+singularity depends on child joints only, closed forms provide the joint values.  In all other
+cases, local minimisation from quarter turns and from random shapes searches for examples.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from .massless_motions import (
     undoing_twists,
 )
 
-# Number of random shapes.  A motion that moves no mass at all of these shapes moves none anywhere.
+# Number of random shapes.  A motion that moves no mass at these shapes moves none at any shape.
 _SHAPES = 4
 _EXAMPLES = 4  # largest number of singular shapes that a message names
 _CORNERS = 64  # largest number of starting shapes made of quarter turns
-_DESCENTS = 10  # number of minimisations from the best corners, and as many from random shapes
-_EVALUATIONS = 3000  # largest number of mass matrices per search (some tenths of a second)
+_DESCENTS = 10  # number of minimisations from the best corners, and also from random shapes
+_EVALUATIONS = 3000  # largest number of mass matrices per search, which take about 0.3 s
 _SAMPLES = 32  # number of random shapes that determine the typical inertia of a joint
 _FAR = 100.0  # largest value of prismatic joints, in units of the largest step of the tree
 # Scaled inertias below these limits count as zero: _LOST_EXACT allows for round-off, _LOST for the
@@ -124,7 +124,7 @@ def _massless_joints(tree: Tree, shapes: list[list[float]], tolerance: float) ->
         for i in reversed(range(len(tree.names))):
             if all(moves_no_mass(tree, i, N[i], tolerance) for N in bodies):
                 joints.append(i)
-                # A locked joint cannot cancel the motions of the joints before it.
+                # A locked joint cannot cancel the motions of its ancestors.
                 stiff = tuple(s or k == i for k, s in enumerate(tree.stiff))
                 tree = replace(tree, stiff=stiff)
                 break
@@ -216,7 +216,7 @@ class _Inertia:
 
     H is the mass matrix, P spans the admissible velocities u, and w are scaled coordinates.  The
     minimum is over all entries of w; those after the first `bound` are free.  For a single joint,
-    the joints behind it are free, so s is zero where the joint moves no mass.  For coupled joints,
+    its descendant joints are free, so s is zero where the joint moves no mass.  For coupled joints,
     P = G and no entry is free, so s is the smallest eigenvalue of GᵀHG.
     """
 
@@ -303,7 +303,7 @@ class _Inertia:
             return y
         # Use SciPy's Python BFGS; the Fortran version starts threads even for few unknowns.
         options = {"gtol": 1e-12, "maxiter": 80}
-        # Derivatives may overflow where the inertia of a joint behind is zero.
+        # Derivatives may overflow where the inertia of a descendant joint is zero.
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(minimize(self._at, y, jac=True, method="BFGS", options=options).x)
 
@@ -340,7 +340,7 @@ class _Inertia:
         scaled = behind / np.outer(size, size)
         if not np.isfinite(scaled).all():  # The line search overflowed.
             return np.inf, self._configuration(y), np.zeros(len(H))
-        # The pseudo-inverse allows for joints behind whose inertia is zero at this shape.
+        # The pseudo-inverse allows for descendant joints whose inertia is zero at this shape.
         follow = -np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) @ (H[b:, :b] / size[:, None])
         U = np.vstack([np.eye(b), follow / size[:, None]])
         S = U.T @ H @ U
@@ -370,7 +370,7 @@ def _last_entry(motion: Array) -> int:
 
 
 def _free_inertia(model: pin.Model, joint: int) -> _Inertia:
-    """Return the inertia of a joint when all joints behind it are free to move."""
+    """Return the inertia of a joint when its descendant joints are free to move."""
     subtree = [joint, *(int(k) for k in model.subtrees[joint] if k != joint)]
     columns = [v for k in subtree for v in range(model.idx_vs[k], model.idx_vs[k] + model.nvs[k])]
     P = np.eye(model.nv)[:, columns]

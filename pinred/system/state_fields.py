@@ -42,8 +42,8 @@ class StateField:
         name: Name of the field in State, in files and among the outputs of flows.
         unit: Unit of the entries; " | " separates the units of different entries.
         axis: The axis after time; None for a scalar at each time.
-        derivative: How flows express derivatives of the field: of its "entries", as the body
-            "twist" of a pose change, or not at all ("none").
+        derivative: How flows differentiate the field: by its "entries", as the body "twist" of a
+            change of pose, or not ("none").
         meaning: Name of the quantity, a phrase that starts a sentence.
         needs_base: Whether the field is missing if the scene leaves out the base.
     """

@@ -122,7 +122,7 @@ class System:
 
     @property
     def m(self) -> int:
-        """Dimension of the shape space: the number of independent joints behind the root."""
+        """Dimension of the shape space: the number of independent joints except the root."""
         return len(self.shape_names)
 
     @property
@@ -132,7 +132,7 @@ class System:
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Indices in the model, (m,), of the shape joints."""
+        """Indices of the shape joints in the model, (m,)."""
         every = range(2, self.model.njoints)
         return tuple(every if self.coupled is None else (2 + self.coupled.leads).tolist())
 
@@ -153,7 +153,7 @@ class System:
         return tuple(coupling.follower for coupling in self.couplings)
 
     def joint_number(self, name: str) -> int:
-        """Return the index of a joint among all M joints behind the root.
+        """Return the index of a joint among all M joints except the root.
 
         Args:
             name: Name of the joint.
@@ -163,7 +163,7 @@ class System:
         return int(self.model.getJointId(name)) - 2
 
     def refuse_follower(self, name: str, what: str) -> None:
-        """Refuse a follower joint, which is not a shape coordinate.
+        """Reject a follower joint, which is not a shape coordinate.
 
         Args:
             name: Name of the joint.
@@ -282,7 +282,7 @@ class System:
         return Velocity(xi=v[..., : self.r], xdot=xdot)
 
     def joint_values(self, x: Array) -> Array:
-        """Return the values (..., M) of all joints behind the root at shape x (..., m)."""
+        """Return the values (..., M) of all joints except the root at shape x (..., m)."""
         return x if self.coupled is None else self.coupled.values(x)
 
     def joint_rates(self, v: Array) -> Array:
@@ -290,11 +290,11 @@ class System:
         return v if self.coupled is None else self.coupled.rates(v, self.r)
 
     def on_shape(self, forces: Array) -> Array:
-        """Project forces (..., nv) on the joints of `model` to base and shape, (..., n)."""
+        """Map forces (..., nv) on the joints of `model` to forces on base and shape, (..., n)."""
         return forces if self.coupled is None else self.coupled.forces(forces, self.r)
 
     def sizes_on_shape(self, sizes: Array) -> Array:
-        """Bound the entries of `on_shape`, (..., n), for magnitudes of forces, sizes (..., nv)."""
+        """Bound the entries of `on_shape`, (..., n), for forces of magnitudes sizes (..., nv)."""
         return sizes if self.coupled is None else self.coupled.sizes(sizes, self.r)
 
     def coupled_matrix(self, matrix: Array) -> Array:

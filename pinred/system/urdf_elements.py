@@ -1,6 +1,6 @@
 """URDF elements that Pinocchio's reader drops or replaces by defaults: checks and conversion.
 
-Pinocchio's parser refuses files for reasons that do not change a motion, such as limits without
+Pinocchio's parser rejects files for reasons that do not change a motion, such as limits without
 effort or velocity.  `reduced_text` keeps only the elements that affect the motion, so errors in
 meshes, paths and materials do not matter.
 """
@@ -19,7 +19,7 @@ from ..common.errors import ModelError
 from ..common.names import quoted
 from .robot_file_contents import Coupling
 
-UNLIMITED = 1.7e308  # position limit that represents infinity, which the parser cannot read
+UNLIMITED = 1.7e308  # position limit that represents infinity, because the parser cannot read "inf"
 _DIGITS = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 _NUMBER = re.compile(_DIGITS, re.ASCII)
 _WITH_COMMAS = re.compile(rf"\s*{_DIGITS}(\s*,\s*{_DIGITS})+\s*", re.ASCII)
@@ -57,7 +57,7 @@ def replace_commas(robot: Element) -> str:
 
 
 def check_urdf(robot: Element) -> None:
-    """Refuse invalid axes and inertias.  Raises ModelError that names the joint or link."""
+    """Reject invalid axes and inertias.  Raises ModelError that names the joint or link."""
     for joint in moving_joints(robot):
         _check_axis(joint)
     for link in robot.findall("link"):
@@ -103,7 +103,7 @@ def _parents(robot: Element) -> dict[str, str]:
     for joint in robot.findall("joint"):
         parent, child = joint.find("parent"), joint.find("child")
         if parent is None or child is None:
-            continue  # Pinocchio's reader will refuse the joint.
+            continue  # Pinocchio's reader rejects the joint.
         name = child.get("link", "?")
         if name in parent_of:
             raise ModelError(
@@ -134,7 +134,9 @@ def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
             continue
         leader = mimic.get("joint")
         if leader is None:
-            raise ModelError(f"the <mimic> of joint '{name}' names no joint; give it joint=")
+            raise ModelError(
+                f"the <mimic> of joint '{name}' names no joint; add the attribute joint="
+            )
         ratio, offset = (
             float(_floats(mimic, key, f"the <mimic> of joint '{name}'", 1)[0])
             if key in mimic.attrib
@@ -201,7 +203,7 @@ def _check_axis(joint: Element) -> None:
         return
     if axis is None:
         if planar:
-            raise ModelError(f"planar {name} has no <axis>; give it the normal 0 0 1")
+            raise ModelError(f"planar {name} has no <axis>; add <axis xyz='0 0 1'/>")
         return
     x, y, z = _floats(axis, "xyz", f"the axis of {name}", 3)
     if not (x or y or z):
@@ -209,7 +211,7 @@ def _check_axis(joint: Element) -> None:
     if planar and (x or y or z <= 0):
         raise ModelError(
             f"planar {name} has the plane's normal ({x:g}, {y:g}, {z:g}); "
-            "Pinocchio takes it along z: turn the joint's origin instead"
+            "Pinocchio assumes z. Rotate the joint's origin instead"
         )
 
 

@@ -16,7 +16,7 @@ from ..common.names import brief, quoted_path
 
 @dataclass(frozen=True, eq=False)
 class Visuals:
-    """Shapes for playback.  Treat both attributes as read-only.
+    """Shapes for playback; treat both attributes as read-only.
 
     Attributes:
         model: Model whose joints and frames carry the shapes.

@@ -70,7 +70,7 @@ def test_arguments_replace_objectives_of_gait_files(
         ("gait three_rods --objective spin", "objective must be one of"),
         ("gait three_rods --limits much", "--limits takes numbers"),
         ("gait three_rods --out loop.gif", "loop.gif"),
-        ("reorient three_rods", "give --target"),
+        ("reorient three_rods", "pass --target"),
         ("reorient three_rods --target 0.3 --momentum 1,2", "momentum"),
         (
             "reorient examples/gaits/satellite_turns.toml --group SE3",

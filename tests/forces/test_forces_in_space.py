@@ -217,7 +217,7 @@ def test_ambiguous_functions_are_rejected(function: Any, message: str) -> None:
     [
         (lambda: Wrench([0, 0, 0], link="nose"), r"no link 'nose'; .*the links are"),
         (lambda: Wrench([0, 0, 0, 0], link="beanie"), r"must have 6 values, got 4"),
-        (lambda: Wrench([0], at=[0, 0, 0]), r"at= is a point of a link; give link="),
+        (lambda: Wrench([0], at=[0, 0, 0]), r"at= is a point of a link; pass link="),
         (lambda: Wrench([0, 0, 0], link="beanie", at=[0, 0]), r"at of wrench must be 3 finite"),
         (lambda: Wrench([0], **ODD_FRAME), r"frame of wrench must be one of body, world"),
         (lambda: Wrench([0], **ODD_LINK), r"link of wrench must be a name"),

@@ -76,7 +76,7 @@ def test_invalid_parameters_are_rejected() -> None:
     with pytest.raises(InputError, match="'k' must be a finite number, got 'a'"):
         Parameter("k", "a")  # type: ignore[arg-type]
     one, two = Parameter("k", 1.0), Parameter("k", 1.0)
-    with pytest.raises(InputError, match="two Parameters are called 'k'"):
+    with pytest.raises(InputError, match="two Parameters have the name 'k'"):
         end([Spring("bend", one), Damper("bend", two)])
     with pytest.raises(InputError, match=r"no 'gian'; did you mean 'gain'\? .* here are gain"):
         end([Spring("bend", Parameter("gain", 1.0))], parameters={"gian": 2.0})

@@ -37,7 +37,8 @@ def test_exhausted_budget_gives_no_verdict(
     monkeypatch.setitem(_compare.__globals__, "TimeBudget", lambda _: budget())
     report = pinred.compare(traj)
     assert report.verdict is Verdict.CANNOT_TELL
-    assert f"used up the budget of {evaluations + 0.5:g} s; it reached t = " in report.reasons[-1]
+    expected = f"exceeded the time limit of {evaluations + 0.5:g} s; it reached t = "
+    assert expected in report.reasons[-1]
     reached = float(report.reasons[-1].partition("t = ")[2].partition(" s")[0])
     assert 0.0 <= reached < 2.0
     assert (reached > 0.0) == (evaluations > 0)

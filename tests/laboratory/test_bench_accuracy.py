@@ -326,7 +326,7 @@ def test_interrupted_bench_resumes(
         ratio = expected.ratio_at(row["method"], float(row["error"]))
         assert float(row["times_pinred"]) == ratio or np.isnan(ratio)
     assert main([*command[:-4], "--out", str(folder)]) == 2
-    assert "give another folder, or the same options" in capsys.readouterr().err
+    assert "choose another folder, or the same options" in capsys.readouterr().err
 
 
 def test_bench_accuracy_rejects_unknown_names(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from assertions import close
 from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
+from scipy.optimize import nnls
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
+from pinred.analysis.phases.path_basis import fourier_rows
 from pinred.common.arrays import Array
-from pinred.planning.optimisation import gait_search
+from pinred.planning.optimisation import gait_search, optimise
 from pinred.planning.optimisation.gait_search import fourier_path_of
 from pinred.planning.optimisation.ipopt import Problem, kkt_residual, minimum
 from pinred.planning.optimisation.limits import limits_of
+from pinred.planning.optimisation.loop_peaks import cells_of, loop_peaks
 from pinred.planning.optimisation.objective import COSTS, axis_aim, target_aim
 from pinred.planning.optimisation.transcription import Task, problem_of
 
@@ -103,12 +107,62 @@ def test_best_gait_certificate_agrees_with_aba_and_rnea() -> None:
 
 @pytest.mark.by_hand
 def test_limits_hold_between_sample_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without additional sample times the limits are violated."""
+    """Without the last stage the limits are violated."""
     best = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
     assert np.abs(best.gait.limits).max() <= 1.0
-    monkeypatch.setattr(gait_search, "violation_times", lambda *_: np.zeros(0))
+    monkeypatch.setattr(optimise, "finish", lambda s, gait: (s, s.optimise_from(gait)))
     loose = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
     assert np.abs(loose.gait.limits).max() > 1.0001
+
+
+def test_optimum_within_limits_satisfies_kkt_conditions_of_ellipses() -> None:
+    """An ellipse has extremes mean ± √(cos² + sin²): its KKT conditions have a closed form."""
+    A = rods()
+    best = pinred.optimise_gait(A, harmonics=1, limits=1.0, starts=1)
+    assert best.merit >= 0.10327496
+    arc = best.gait.series
+    mean, cos, sin = arc.mean, arc.cos[0], arc.sin[0]
+    radius, p = np.hypot(cos, sin), pinred.phase_slopes(A, best.gait)
+    extremes = np.abs(mean) + radius
+    assert (extremes <= 1.0).all()
+    close(extremes, np.ones(2), 2e-8)
+    slope = p.twist[2] / p.length - p.pose[2] * p.length_slope / p.length**2
+    normals = np.zeros((2, 3, 2))
+    for j in range(2):
+        normals[j, :, j] = np.sign(mean[j]), cos[j] / radius[j], sin[j] / radius[j]
+    sign = np.sign(p.pose[2])
+    multipliers, residual = nnls(normals.reshape(2, -1).T, sign * slope.ravel())
+    assert (multipliers > 0.01).all()
+    assert residual < 1e-6 * best.merit
+
+
+def test_cells_that_the_last_stage_exceeds_are_added(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without initial cells, a second round finds the same optimum; one round is too few."""
+    monkeypatch.setattr(gait_search, "_NEAR", 9.0)
+    best = pinred.optimise_gait(rods(), harmonics=1, limits=1.0, starts=1)
+    assert best.merit == pytest.approx(0.1032749605, rel=1e-7)
+    assert 0.0 <= best.margins["limits"] < 2e-8
+    monkeypatch.setattr(gait_search, "_ROUNDS", 1)
+    with pytest.raises(pinred.NoOptimum, match="exceeds its limits"):
+        pinred.optimise_gait(rods(), harmonics=1, limits=1.0, starts=1)
+
+
+def test_peaks_of_loop_equal_those_of_fine_grid() -> None:
+    """Maxima of shapes, speeds and torques in every cell, torques by RNEA."""
+    A, T, system = rods(), 1.3, pinred.load("three_rods")
+    limits = limits_of(A, [(-0.5, 1.0), (-1.0, 1.0)], 2.0, 0.3)
+    c = np.random.default_rng(5).uniform(-0.5, 0.5, (5, 2))
+    cells = cells_of(limits, 2)
+    peaks = loop_peaks(A, limits, c, T, cells).values
+    s = (np.arange(cells.count)[:, None] + np.linspace(0.0, 1.0, 301)) / cells.count
+    x, rate, bend = (row @ c for row in fourier_rows(2, s.ravel()))
+    states = zip(x, rate / T, bend / T**2, strict=True)
+    tau = np.array([joint_torques(system, *state) for state in states])
+    scaled = np.stack([(x - limits.middle) / limits.reach, rate / T / 2.0, tau / 0.3])
+    on_grid = np.abs(scaled).reshape(3, cells.count, 301, 2).max(axis=2)
+    expected = on_grid.transpose(0, 2, 1).ravel()
+    assert (peaks >= expected * (1.0 - 1e-12)).all()
+    close(peaks, expected, 1e-4)
 
 
 def test_target_is_reached_at_minimal_torque() -> None:
@@ -136,8 +190,9 @@ def test_bound_on_cost_is_used_and_result_beats_random_loops() -> None:
             assert abs(p.pose[2]) < best.value
 
 
+@pytest.mark.parametrize("exact", [False, True])
 @pytest.mark.parametrize("cost", COSTS)
-def test_transcription_derivatives_equal_differences(cost: str) -> None:
+def test_transcription_derivatives_equal_differences(cost: str, *, exact: bool) -> None:
     """Derivatives of the objective and all constraints, by differences of order 4."""
     for A in (rods(), swimmer()):
         limits = limits_of(A, 1.0, 2.0, 0.3)
@@ -149,17 +204,19 @@ def test_transcription_derivatives_equal_differences(cost: str) -> None:
         ):
             task = Task(A, aim, cost, most, limits, 1.3)  # type: ignore[arg-type]
             path = fourier_path_of(task, 2)
+            if exact:
+                path = replace(path, cells=cells_of(limits, 2), action=0.3)
             problem = problem_of(task, path)
             rng = np.random.default_rng(3)
             z = np.append(rng.uniform(-0.5, 0.5, path.size), 1.3)[: problem.size]
-            along_z, step = rng.normal(size=problem.size), 1e-3
+            along_z, step = rng.normal(size=problem.size), 1e-5 if exact else 1e-3
             expected = sum(
                 weight * problem.evaluate(z + k * step * along_z)[0] / (12.0 * step)
                 for k, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0))
             )
             found = problem.evaluate(z)[1] @ along_z
             size = 1.0 + np.abs(expected)
-            close(found / size, expected / size, 1e-8)
+            close(found / size, expected / size, 1e-6 if exact else 1e-8)
 
 
 def test_costs_equal_rnea_and_pinocchio_metric() -> None:
@@ -205,6 +262,8 @@ def test_kkt_residual_is_zero_at_optima_alone() -> None:
     assert kkt_residual(problem(1.0, 9.0), np.array([1.0])) == pytest.approx(1.0)
     assert kkt_residual(problem(-9.0, 9.0), np.array([1.0])) == pytest.approx(1.0)
     assert minimum(problem(-9.0, 1.0), np.zeros(1)).z == pytest.approx(1.0, abs=1e-6)
+    newton = minimum(problem(-9.0, 9.0), np.zeros(1), newton=True)
+    assert newton.z == pytest.approx(2.0, abs=1e-8)
 
 
 def test_wrong_winding_number_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -241,9 +241,9 @@ def test_equations_of_pivoted_tree_require_gravity_direction() -> None:
         lambda **k: lagrange_poincare(red, zero[:2], zero[:2], zero, **k),
         lambda **k: hamilton_poincare(red, zero[:2], zero[:2], zero, **k),
     ):
-        with pytest.raises(pinred.InputError, match="give either gamma"):
+        with pytest.raises(pinred.InputError, match="pass either gamma"):
             missing()
-        with pytest.raises(pinred.InputError, match="give either gamma"):
+        with pytest.raises(pinred.InputError, match="pass either gamma"):
             missing(gamma=[0, 0, 1], pose=[0, 0, 0, 1])
         with pytest.raises(pinred.InputError, match="length 1, got length 2"):
             missing(gamma=[0, 0, 2])

@@ -215,7 +215,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"method": "RKMK4(nan)"}, "step must be finite and above zero, got nan"),
     ({"method": "RKMK4(0.1, 4)"}, "method RKMK4 has no 2 options; its options are step"),
     ({"method": "RKMK4(order=4)"}, "method RKMK4 has no option 'order'; its options are step"),
-    ({"method": "RKMK4(0.1, step=0.1)"}, "gives step twice"),
+    ({"method": "RKMK4(0.1, step=0.1)"}, "sets step twice"),
     ({"method": "Gauss(0.1, 5)"}, "order must be one of 2"),
     ({"method": "auto(1)"}, "method auto has no options, got 'auto(1)'"),
     ({"method": ""}, "must be a name, or a name with options such as RKMK4(0.01); the methods are"),

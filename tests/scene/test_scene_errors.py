@@ -235,7 +235,7 @@ def test_invalid_scene_error_names_file_and_key(
         ("hello", LoadError, "line 1, column "),
         ("run = " + "[" * 5000, LoadError, "nested too deep"),
         ("a." * 60 + "b = 1", LoadError, "a key of more than 50 parts"),
-        ("run = " + "1" * 5000, LoadError, "a number of thousands of digits"),
+        ("run = " + "1" * 5000, LoadError, "a number with thousands of digits"),
         ('"a b\\n" = 1\nrobot = "cartpole"', InputError, '"a b\\\\n": unknown key "a b\\\\n"'),
     ],
 )

@@ -192,5 +192,70 @@ def test_two_crossings_in_one_step_are_detected(monkeypatch: pytest.MonkeyPatch)
     first = pinred.simulate(BEANIE, **SPRUNG, duration=2.0, rtol=1e-4, atol=1e-4, events=event)
     assert len(first.events["event"]) == 2
     monkeypatch.setattr(events, "_PARTS", 1)
+    monkeypatch.setattr(events, "_HALVINGS", 0)
     second = pinred.simulate(BEANIE, **SPRUNG, duration=2.0, rtol=1e-4, atol=1e-4, events=event)
     assert len(second.events["event"]) < 2
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_all_crossings_of_time_alone_are_found(engine: Engine) -> None:
+    """They are computed before the run, whatever the steps are."""
+    rate = pinred.Parameter("rate", 50.0)
+    traj = pinred.simulate(
+        BEANIE, **SPRUNG, duration=2.0, engine=engine, rtol=1e-4, atol=1e-4,
+        parameters={"rate": 100.0},
+        events=[
+            pinred.Event(lambda s: ca.sin(rate * s.t), "fast"),
+            pinred.Event("sin(100*t)", "rising", direction=1),
+            pinred.Event("abs(t - 1) - 0.001", "short"),
+            pinred.Event("(t - 1)**2", "touching"),
+            pinred.Event(lambda s: ca.if_else(s.t > 0.3, 1.0, -1.0), "jump"),
+            pinred.Event("t", "start"),
+        ],
+    ).events  # fmt: skip
+    zeros = np.pi / 100.0 * np.arange(1, 64)
+    np.testing.assert_allclose(traj["fast"].t, zeros, rtol=1e-15, atol=0.0)
+    np.testing.assert_allclose(traj["rising"].t, zeros[1::2], rtol=1e-15, atol=0.0)
+    assert traj["fast"].rising.tolist() == [k % 2 == 1 for k in range(63)]
+    np.testing.assert_allclose(traj["short"].t, [0.999, 1.001], rtol=1e-14)
+    assert traj["jump"].t.tolist() == [0.3]
+    assert len(traj["touching"]) == len(traj["start"]) == 0
+    np.testing.assert_allclose(traj["fast"].states.t, zeros, rtol=1e-15, atol=0.0)
+
+
+def test_terminal_event_of_time_ends_the_motion() -> None:
+    """Crossings after it do not count."""
+    events = [pinred.Event("cos(t) - 0.5", "end", terminal=True), pinred.Event("sin(40*t)", "fast")]
+    traj = pinred.simulate(BEANIE, **SPRUNG, duration=5.0, events=events)
+    assert traj.scene.end == pytest.approx(np.pi / 3.0, rel=1e-15)
+    np.testing.assert_allclose(traj.events["fast"].t, np.pi / 40.0 * np.arange(1, 14), rtol=1e-14)
+
+
+def test_event_of_time_that_is_not_finite_raises() -> None:
+    """The message states the name of the event and a time."""
+    event = pinred.Event("log(t - 1)", "log")
+    with pytest.raises(pinred.IntegrationError, match="event 'log' is nan at t = "):
+        pinred.simulate(BEANIE, **SPRUNG, duration=2.0, events=[event])
+
+
+def test_fast_events_of_the_state_are_sampled_densely() -> None:
+    """sin(60 x) has many zeros within one step, and its samples do not predict each other."""
+    traj = pinred.simulate(
+        BEANIE, **SPRUNG, duration=5.0, rtol=1e-4, atol=1e-4,
+        events=pinred.Event(lambda s: ca.sin(60.0 * s.x[0]) + 0.01, "fast"),
+    )  # fmt: skip
+    t = np.linspace(0.0, 5.0, 200_001)
+    signs = np.sign(np.sin(60.0 * traj(t).x[:, 0]) + 0.01)
+    expected = t[1:][signs[1:] * signs[:-1] < 0.0]
+    assert len(expected) > 50 > traj.run.steps
+    np.testing.assert_allclose(traj.events["fast"].t, expected, atol=3e-5)
+
+
+def test_short_crossings_of_the_state_are_sampled_densely() -> None:
+    """Samples that are off by a fifth of the largest value hide pairs of crossings."""
+    traj = pinred.simulate(
+        BEANIE, **SPRUNG, duration=5.0, rtol=1e-4, atol=1e-4,
+        events=pinred.Event(lambda s: 0.2 * ca.sin(30.0 * s.x[0]) + 0.19, "dips"),
+    )  # fmt: skip
+    signs = np.sign(0.2 * np.sin(30.0 * traj(np.linspace(0.0, 5.0, 200_001)).x[:, 0]) + 0.19)
+    assert len(traj.events["dips"]) == (signs[1:] * signs[:-1] < 0.0).sum() == 30

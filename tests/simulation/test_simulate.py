@@ -294,7 +294,7 @@ def test_invalid_scenes_are_rejected(options: dict[str, object], words: str) -> 
 def test_missing_initial_state_is_rejected() -> None:
     """No initial state is invented."""
     system = pinred.load(random_model("SE3", 2, 1))
-    with pytest.raises(pinred.InputError, match="give x0, xdot0, xi0 or momentum, or seed="):
+    with pytest.raises(pinred.InputError, match="pass x0, xdot0, xi0 or momentum, or seed="):
         pinred.simulate(system, duration=1.0)
 
 

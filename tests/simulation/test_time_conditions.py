@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import pinred
-from pinred import InputError, Parameter
+from pinred import Gauss, InputError, Parameter
 from pinred.forces import Torque
 from pinred.forces.switch_times import SwitchTimes
 from pinred.judge.reference_solution import FullState
@@ -198,19 +199,34 @@ def test_flow_by_coinciding_switches_is_refused() -> None:
     assert np.isfinite(flow.jacobian(start=0.5)["start"]).all()
 
 
-def test_members_have_switches_of_their_own() -> None:
-    """Each member of a batch stops at its own switches, in SIMD lanes and in flows of columns."""
+@pytest.mark.parametrize("method", ["DOP853", Gauss(0.01)])
+def test_members_have_switches_of_their_own(method: Any) -> None:
+    """Each member of a batch stops at its own switches, as it does alone; some have fewer."""
     rng = np.random.default_rng(1)
     starts, widths = rng.uniform(0.05, 0.8, 12), rng.uniform(1e-3, 0.1, 12)
-    options = scene(PULSE)
+    starts[3], starts[7] = 2.0, 0.95  # no switch, and only one of two
+    options = scene(PULSE, method=method)
     batch = pinred.simulate_many(options, members={"start": starts, "width": widths})
     assert not batch.failures
-    flow = pinred.flow(scene(PULSE, times=[1.0]), wrt=("start", "width"))
+    scenes = []
     for k in range(12):
         values = {"start": float(starts[k]), "width": float(widths[k])}
-        one = pinred.simulate(scene(PULSE, parameters=values))
+        scenes.append(replace(options, parameters=values))
+        one = pinred.simulate(scenes[-1])
         assert np.abs(batch.x[k] - one.x).max() < 1e-8
-        assert np.abs(flow(**values).x - one.x[-1]).max() < 1e-8
+    listed = pinred.simulate_many(scenes)
+    assert np.abs(listed.x - batch.x).max() < 1e-12
+
+
+def test_flows_of_members_stop_at_their_own_switches() -> None:
+    """Columns of inputs of a flow give the states that single calls give."""
+    rng = np.random.default_rng(2)
+    starts = rng.uniform(0.05, 0.8, 5)
+    flow = pinred.flow(scene(PULSE), wrt=("start", "width"), of=("x",))
+    many = flow.columns().values(starts[:, None], np.full((5, 1), 0.1))
+    for k in range(5):
+        one = flow(start=float(starts[k])).x
+        assert np.abs(many[k].reshape(one.shape) - one).max() < 1e-8
 
 
 def test_step_map_checks_the_switches_of_its_own_parameters() -> None:

@@ -92,8 +92,8 @@ def test_locking_leader_locks_followers(tmp_path: Path) -> None:
     ("mimics", "words"),
     [
         (("", mimic("far"), mimic("x")), ["'b-c'", "'far'", "lock=['b-c', 'c-d']"]),
-        ((mimic("c-d"), mimic("a-b"), mimic("b-c")), ["circle", "a-b", "b-c", "c-d"]),
-        ((mimic("b-c"), mimic("a-b")), ["circle", "a-b", "b-c"]),
+        ((mimic("c-d"), mimic("a-b"), mimic("b-c")), ["cycle", "a-b", "b-c", "c-d"]),
+        ((mimic("b-c"), mimic("a-b")), ["cycle", "a-b", "b-c"]),
     ],
 )
 def test_invalid_mimic_is_refused(

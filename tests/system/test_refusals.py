@@ -90,7 +90,7 @@ FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
     ),
     "mimic without a name": (chain("revolute", "<mimic/>"), ModelError, ["<mimic>", "b-c"]),
     "mimic of itself": (
-        chain("revolute", '<mimic joint="b-c"/>'), ModelError, ["circle", "b-c"],
+        chain("revolute", '<mimic joint="b-c"/>'), ModelError, ["cycle", "b-c"],
     ),
     "mimic by no number": (
         chain("revolute", '<mimic joint="a-b" multiplier="two"/>'),

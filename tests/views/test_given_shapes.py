@@ -180,4 +180,4 @@ def test_missing_folders_are_rejected(
     with pytest.raises(pinred.InputError, match="meshes= applies to URDF only"):
         pinred.load(xml, meshes=package)
     assert main(["play", "m.npz", "--meshes", str(package), "--no-meshes"]) == 2
-    assert "give one of them" in capsys.readouterr().err
+    assert "pass only one of them" in capsys.readouterr().err

@@ -1,9 +1,9 @@
 """Bifurcations of relative equilibria: points of a curve where a Hessian eigenvalue vanishes.
 
 F(z, J) = 0 is the equation of the curve, see `curve`; "curvatures" are the eigenvalues of ∂F/∂z.
-At a bifurcation, ∂F/∂z has a null vector v. If v·∂F/∂J ≠ 0, the curve turns back: the point is a
-fold. Otherwise a second curve crosses it. The crossing is a pitchfork if the third derivative along
-v vanishes, as a mirror symmetry implies. A fold must solve the extended system
+At a bifurcation, ∂F/∂z has a null vector v. If v·∂F/∂J ≠ 0, the curve reverses in momentum: the
+point is a fold. Otherwise a second curve crosses it. The crossing is a pitchfork if the third
+derivative along v vanishes, as a mirror symmetry implies. A fold must solve the extended system
 
     F(z, J) = 0,   ∂F/∂z v = 0,   |v| = 1
 
@@ -25,7 +25,7 @@ from .curve import Curve, CurvePoint
 _FOLD = 1e-6  # least |v·∂F/∂J| that counts as a fold, relative to |∂F/∂J|
 _EVEN = 1e-4  # largest third derivative of a pitchfork, relative to the curvatures
 _SAME_FOLD = 1e-7  # largest relative change of a fold's momentum with half the step
-_STEP = 1e-3  # rad, step of the finite differences along the null vector
+_STEP = 1e-3  # step of the finite differences along the null vector [rad]
 
 
 @dataclass(frozen=True)

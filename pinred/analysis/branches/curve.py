@@ -160,7 +160,7 @@ class Curve:
         values = np.linalg.eigvalsh(W @ e.hessian[0] @ W)
         direction = self.local(point.n, along)
         _, _, vectors = np.linalg.svd(self._derivative(e))
-        # In a family or at a crossing there are several null directions; keep the previous tangent.
+        # In a family or at a crossing, several null directions exist; keep the previous tangent.
         rank = len(vectors) - 1
         singular = np.linalg.svd(self._derivative(e), compute_uv=False)
         if singular.size:

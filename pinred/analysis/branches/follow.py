@@ -24,16 +24,16 @@ from ..stability.second_variation import second_variation
 from .bifurcations import Bifurcation, bifurcations_between, extended_residual
 from .curve import Curve, CurvePoint
 
-STEP = 0.05  # rad, longest step along a curve
-_SHORTEST = 1e-6  # rad, shortest step along a curve
+STEP = 0.05  # longest step along a curve [rad]
+_SHORTEST = 1e-6  # shortest step along a curve [rad]
 _BEND = 0.98  # least cosine of the angle between successive tangents
 _MAX_STEPS = 4000  # largest number of steps of one curve
 _MAX_CURVES = 200
 _UNIT = 0.3  # fraction of the range of momenta that counts as 1 rad
-_SWITCH = 0.02  # rad, first step on a branching curve
+_SWITCH = 0.02  # first step on a branching curve [rad]
 _STARTS = 300  # number of starting points of each search
 _SAME = 1e-5  # largest distance of equal points of a branch [rad | m]
-_ROUND_OFF = 1e-12  # rad | m; smaller values are printed as zero
+_ROUND_OFF = 1e-12  # values below this bound are printed as zero [rad | m]
 
 
 @checks_arguments
@@ -83,7 +83,7 @@ class Branches:
         system: The system.
         momentum: Range of momenta (low, high) [N s | N m s].
         points: Points of all branches, one branch after the other.
-        folds: Points where a branch turns back in momentum. Their residual includes the distance to
+        folds: Points where a branch reverses in momentum. Their residual includes the distance to
             the solution of the extended system, relative to the range of momenta.
         pitchforks: Points where a symmetric pair of branches begins.
         crossings: Points where two branches cross without symmetry.
@@ -363,7 +363,7 @@ class _Follower:
         return False
 
     def _is_same(self, a: Points, b: Points) -> bool:
-        """Return whether two points are equal up to coverings."""
+        """Return whether two points are the same equilibrium, perhaps after a covering."""
         return self._distinct.is_same(a, b, _SAME)
 
     def _is_close(self, first: CurvePoint, there: CurvePoint, h: float) -> bool:

@@ -1,4 +1,4 @@
-"""Connection: the linear map from shape rates to the body twist, whatever the physics behind it."""
+"""Connection: the linear map from shape rates to the body twist, from any kind of physics."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class Connection:
             drag: {link: Rod or tensor}.  A tensor (6, 6) is symmetric and maps the link's twist to
                 the drag force and moment [N s/m, N s, N m s], in the link's frame about its origin.
         Returns:
-            The connection.  Its metric gives the dissipated power ẋᵀ M ẋ [W].
+            The connection.  Its metric defines the dissipated power ẋᵀ M ẋ [W].
         """
         return replace(cls.of(viscous_form(system, drag)), system=system)
 
@@ -155,7 +155,7 @@ class Connection:
 
         Args:
             system: The system.
-            density: Density of the fluid [kg/m³], or [kg/m²] per metre of height with an Ellipse.
+            density: Density of the fluid [kg/m³]; for Ellipses, mass per area of the plane [kg/m²].
             bodies: {link: Ellipsoid, Ellipse or tensor}.  A tensor (6, 6) is symmetric and is the
                 added inertia per density in the link's frame.
         Returns:

@@ -1,4 +1,4 @@
-"""The connections of a robot in a viscous or a perfect fluid.
+"""Connections of a robot in a viscous or a perfect fluid.
 
 In a viscous fluid, at low Reynolds number, the total drag on the robot vanishes. In a perfect
 fluid, the momentum of robot and fluid vanishes.
@@ -34,8 +34,8 @@ class Rod:
 
     Attributes:
         length: Length L [m].
-        across: Drag coefficient c_n per length [N s/m²].
-        along: Drag coefficient c_t per length [N s/m²].
+        across: Drag coefficient c_n normal to the rod, per length [N s/m²].
+        along: Drag coefficient c_t along the rod, per length [N s/m²].
         centre: Centre in its link's frame, (3,) [m].
         axis: Direction of the rod in its link's frame, (3,).
         tensor: Drag tensor, (6, 6), in its link's frame about the origin.
@@ -75,7 +75,7 @@ def in_link_frame(tensor: Array, centre: ArrayLike, axis: ArrayLike, sizes: str)
     """
     d, c = vector(axis, 3, "axis"), vector(centre, 3, "centre")
     if not np.linalg.norm(d) > 0.0:
-        raise InputError(f"axis must have a direction, got {d}")
+        raise InputError(f"axis must be a nonzero vector, got {d}")
     turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), d / np.linalg.norm(d))
     X = pin.SE3(turn.toRotationMatrix(), c).inverse().toActionMatrix()
     with np.errstate(all="ignore"):

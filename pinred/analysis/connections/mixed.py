@@ -64,7 +64,7 @@ class MixedConnection:
         Args:
             x: Shape, (m,) [rad | m].
         Returns:
-            (r, m).  Raises SingularInertiaError if two wheels constrain the same motion there.
+            (r, m).  Raises SingularInertiaError if two wheels constrain the same motion at x.
         """
         return self.connection.local(x)
 
@@ -80,7 +80,7 @@ class MixedConnection:
         return read_only(np.asarray(np.linalg.inv(P)[:, len(self.slips) :]))
 
     def free_motions(self, x: ArrayLike) -> Array:
-        """Compute S(x), the body twists that the wheels allow with frozen joints.
+        """Compute S(x), the body twists that the wheels allow with locked joints.
 
         Args:
             x: Shape, (m,) [rad | m].

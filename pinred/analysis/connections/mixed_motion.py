@@ -85,7 +85,7 @@ def simulate_mixed(
 
     y, dense = _integrate(rate, np.concatenate([*initial, system.group.identity()]), t)
     fine = np.linspace(t[0], t[-1], _SHAPES)
-    # A step may have jumped over a singular shape, so check the path between the steps too.
+    # A step may skip a singular shape, so check the path inside steps, too.
     _require_regular_path(mixed, np.asarray(dense(fine)).T[:, :m])
     return _motion(mixed, t, y[:, :m], y[:, m : 2 * m], y[:, 2 * m : 2 * m + k], y[:, 2 * m + k :])
 

@@ -24,8 +24,8 @@ from ...system.system import System
 from .links import link_jacobian, link_named
 
 Twist = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
-_STEP = 5e-3  # rad | m, step of the finite differences of order 6
-_OUTSIDE = 1e-9  # largest motion outside the group, relative to the Jacobian
+_STEP = 5e-3  # step of the finite differences of order 6 [rad | m]
+_OUTSIDE = 1e-9  # largest motion outside the group that counts as zero, relative to the Jacobian
 _SAMPLES = 5  # number of random shapes at which motions are checked
 
 

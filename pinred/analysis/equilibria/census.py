@@ -1,4 +1,4 @@
-"""Census: how many equilibria a search found, and what shows whether some are missing."""
+"""Census: the count of equilibria that a search found, and evidence of missing equilibria."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Census:
         families: Number of families among them.
         starts: Number of starts: random and symmetric ones, and walks from equilibria.
         converged: Number of starts that converged.
-        seen_once: Number of equilibria that one random start reached, by itself or by an image
-            under a symmetry.
-        seen_twice: Number of equilibria that two random starts reached.
+        seen_once: Number of equilibria that exactly one random start reached, directly or through
+            an image under a symmetry.
+        seen_twice: Number of equilibria that exactly two random starts reached.
         not_seen: Number of equilibria that only walks or minimisation reached.
         pending: Number of equilibria from which no walk started, because the limit was reached.
         morse_sum: Sum of (−1)^index over the equilibria in the unreduced shape space; None if an
@@ -53,8 +53,8 @@ class Census:
     def unseen(self) -> int:
         """Estimated number of missing equilibria, by Chao's estimator from the random starts.
 
-        The estimator is a lower bound on average, and weak: equilibria with small basins count for
-        nothing until a start has reached them.
+        The estimator is a lower bound on average, and weak: equilibria with small basins do not
+        contribute until a start has reached them.
         """
         once, twice = self.seen_once, self.seen_twice
         estimate = once * (once - 1) / (2.0 * (twice + 1.0))
@@ -62,7 +62,7 @@ class Census:
 
     @property
     def caveat(self) -> str:
-        """What the search cannot promise, in plain sentences."""
+        """The limitations of the search result, in full sentences."""
         if self.agrees is None:
             text = f"The Morse sum does not apply: {self.reason}. Equilibria can be missing."
         elif self.agrees:

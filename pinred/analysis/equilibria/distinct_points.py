@@ -2,7 +2,7 @@
 
 Two points are equal if their coordinates agree, perhaps after full turns of joints, and also if a
 covering maps one to the other (`shape_symmetries`). Points of different index are never equal.
-Symmetries that are no coverings, such as mirror images, give further critical points.
+Symmetries that are not coverings, such as mirror images, produce further critical points.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .shape_symmetries import embedded, joined, symmetries_of
 _SAME = 1e-6  # largest distance of equal regular points [rad | m]
 _SAME_FLAT = 1e-3  # largest distance of equal points with a flat direction [rad | m]
 FLAT = 1e-7  # largest curvature of a flat direction, relative to the largest curvature
-_NO_CURVATURE = 1e-13  # curvature of a constant energy, relative to the size of the energies
+_NO_CURVATURE = 1e-13  # curvature of a constant energy up to round-off, relative to the energies
 _SNAP = 1e-2  # largest distance of a degenerate point from its image, if it is its own image
 _SAME_ENERGY = 1e-8  # largest relative difference of energies within one family
 _ROUND_OFF = 1e-14  # angles [rad] and direction components below this are set to zero
@@ -58,7 +58,7 @@ class DistinctPoints:
     """The distinct critical points of a problem, in orbits under its symmetries."""
 
     def __init__(self, energy: AmendedEnergy, J: float) -> None:
-        """Find the symmetries; there are no points yet."""
+        """Find the symmetries; the set of points is empty."""
         problem = energy.problem
         self.symmetries = symmetries_of(energy, J)
         self.angles = np.array([k in problem.turning for k in problem.active], dtype=bool)
@@ -103,7 +103,7 @@ class DistinctPoints:
         flat_counts = (np.abs(curvatures) <= floor[:, None]).sum(axis=1)
         flat = flat_counts > 0
         index = (curvatures < -floor[:, None]).sum(axis=1)
-        # A root further than this from a regular point would be another point.
+        # For a regular point, the Newton step bounds the distance from the root.
         is_root = flat | (np.linalg.norm(newton_step(e, absolute=False), axis=1) <= _SAME)
         points = self._snapped(self._tidy(points), flat)
         known = len(self.orbits)
@@ -217,7 +217,7 @@ class DistinctPoints:
 
     def _snapped(self, points: Points, flat: NDArray[np.bool_]) -> Points:
         """Move degenerate points close to a fixed point of a symmetry onto it."""
-        # Newton's method converges slowly to degenerate points, and stops at a distance.
+        # Newton's method converges slowly to degenerate points, and stops before it reaches them.
         x, n = points.x.copy(), points.n.copy()
         for symmetry in self.symmetries if flat.any() else ():
             image = symmetry(Points(x, n))

@@ -30,7 +30,7 @@ from ...system.system import System
 
 Kind: TypeAlias = Literal["axis", "free", "heavy"]
 _STEADY = 1e-12  # relative change below which the rate of a prescribed joint is constant
-_TIMES = (0.0, 0.37, 1.0)  # s, times at which prescribed joints are checked
+_TIMES = (0.0, 0.37, 1.0)  # times at which prescribed joints are checked [s]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from .amended_energy import AmendedEnergy, Points, tangents
 from .distinct_points import FLAT, DistinctPoints, Orbit
 from .equilibrium_problem import Problem
 
-_ASIDE = 0.01  # displacement along a flat direction that shows its degree [rad | m]
+_ASIDE = 0.01  # displacement along a flat direction that determines the degree [rad | m]
 _ZERO = 1e-10  # derivative along a flat direction that counts as zero, relative to the energies
 _STEPS = 20  # largest number of Newton steps across a flat direction
 

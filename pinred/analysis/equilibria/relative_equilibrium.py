@@ -32,7 +32,7 @@ class RelativeEquilibrium(FrozenArrays):
         xi: Body twist, (r,).
         mu: Body momentum, (r,).
         direction: Direction of the momentum in the body, (3,), or the upward vertical where gravity
-            turns a pivoted base; (0,) where there is only one axis.
+            rotates a pivoted base; (0,) for groups with one axis.
         momentum: Momentum J [N s | N m s], see `relative_equilibria`.
         amended_potential: Amended potential [J], with heights from the world origin.
         energy: Energy [J].

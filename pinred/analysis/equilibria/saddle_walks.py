@@ -1,9 +1,10 @@
 """Walks from critical points to neighbours of the next lower and the next higher index.
 
 Each critical point starts two walks along every principal direction of its Hessian. A walk along a
-descending direction searches a point with one negative curvature less, a walk along an ascending
-direction one more. The steps are −Q |Λ|⁻¹ Qᵀ g, with the opposite sign for the k lowest curvatures,
-so that critical points of index k attract. Walks reach points whose basin random starts miss.
+descending direction searches for a point with one negative curvature less, a walk along an
+ascending direction for a point with one more. The steps are −Q |Λ|⁻¹ Qᵀ g, with the opposite sign
+for the k lowest curvatures, so that critical points of index k attract. Walks reach points whose
+basin random starts miss.
 Source: J. Yin, L. Zhang, P. Zhang, "High-index optimization-based shrinking dimer method for
 finding high-index saddle points", SIAM J. Sci. Comput. 41, 2019.
 """
@@ -23,21 +24,21 @@ from .shape_symmetries import Symmetry, embedded, joined
 _STEPS = 60  # largest number of steps of a walk
 _AWAY = 0.1  # first step of a walk [rad | m]
 _SAME = 1e-9  # largest distance of equal starts
-_FLAT = 1e-9  # curvatures below this fraction of the largest count as this fraction
+_FLAT = 1e-9  # smallest curvature used, as a fraction of the largest; smaller ones are replaced
 
 
 def walks_from(
     points: Points, e: Energies, symmetries: Sequence[Symmetry], angles: NDArray[np.bool_]
 ) -> tuple[Points, NDArray[np.intp]]:
-    """Return starts beside critical points, and the indices that walks from them search.
+    """Return starts next to critical points, and the index that the walk from each start targets.
 
     Args:
         points: Critical points.
         e: Their energies.
-        symmetries: Symmetries; of two starts that are images of each other, one is left out.
+        symmetries: Symmetries; of two starts that are images of each other, one is omitted.
         angles: Which active joints are periodic, (ma,).
     Returns:
-        The starts, and the wanted number of negative curvatures of each, (N,).
+        The starts, and the target number of negative curvatures of each, (N,).
     """
     values, vectors = np.linalg.eigh(e.hessian)
     index = (values < 0.0).sum(axis=1)
@@ -63,7 +64,7 @@ def walk(
     Args:
         energy: The amended potential.
         starts: Starting points.
-        wanted: Wanted number of negative curvatures, (N,).
+        wanted: Target number of negative curvatures, (N,).
         J: Momentum.
     Returns:
         The critical points to which walks converged, and their energies.

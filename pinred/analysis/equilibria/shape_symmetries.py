@@ -1,8 +1,8 @@
 """Symmetries of the amended potential: coverings, mirror images and exchanged limbs.
 
 A symmetry maps each joint to ±x or ±x + π, perhaps of another joint, and the direction n to ±P n.
-P rotates by a half turn or reflects at a plane. The joints are searched along the tree: body by
-body, the image must have the mass distribution of the body after P. The amended potential
+P is a rotation by half a turn or a reflection at a plane. The joints are searched along the tree:
+body by body, the image must have the mass distribution of the body after P. The amended potential
 at random points then confirms the symmetry. A covering keeps the position of every body's mass.
 """
 
@@ -32,9 +32,9 @@ class Symmetry:
     """The map x → sign · x[order] + shift, n → turn · n. Arrays are read-only.
 
     Attributes:
-        order: For each active joint, the joint whose value it takes, (ma,).
+        order: For each active joint, the joint whose value it receives, (ma,).
         sign: Signs of the joint values, (ma,).
-        shift: Added to the joint values, (ma,) [rad].
+        shift: Offsets added to the joint values, (ma,) [rad].
         turn: Orthogonal map of the direction, (3, 3).
         is_covering: Whether all masses keep their positions up to a motion of the base, so that
             the image is the same motion, perhaps reversed.
@@ -68,7 +68,7 @@ def symmetries_of(energy: AmendedEnergy, J: float) -> tuple[Symmetry, ...]:
         energy: The amended potential.
         J: Momentum.
     Returns:
-        The symmetries; exotic ones are missed.
+        The symmetries; symmetries of other forms than in the module's description are missed.
     """
     problem = energy.problem
     rng = np.random.default_rng(1)
@@ -110,7 +110,7 @@ def embedded(points: Points, angles: NDArray[np.bool_]) -> Array:
 
 
 def _without_copies(candidates: Iterable[Symmetry], points: Points) -> list[Symmetry]:
-    """Leave out the identity and repeated maps; a covering comes before other equal maps."""
+    """Remove the identity and repeated maps; among equal maps, a covering is kept."""
     angles = np.ones(points.x.shape[1], dtype=bool)
     images = [embedded(points, angles)]
     kept: list[Symmetry] = []

@@ -107,7 +107,8 @@ class Flatness(FrozenArrays):
         """
         if not (self.is_flat or self.attitude_is_flat):
             raise InputError(
-                f"there is no such frame: the curvature is {self.relative[0]:.2g} of its terms"
+                "the connection is not flat, so no such frame exists: "
+                f"the curvature is {self.relative[0]:.2g} of its terms"
             )
         connection = self.connection
         to = vector(x, connection.m, "x", connection.joints)

@@ -1,4 +1,4 @@
-"""Minimum-perturbation coordinates: the frame on the body that gaits disturb least.
+"""Minimum-perturbation coordinates: the body frame that gaits move least.
 
 In a frame h(x) the connection is A′ = Ad_{h⁻¹}A − h⁻¹∂h. With h = (R, p),
 
@@ -11,8 +11,8 @@ Choset, "Geometric motion planning: the local connection, Stokes' theorem, and t
 coordinate choice", Int. J. Robotics Research 30 (2011); for SO(3), Faraji et al.
 
 `corrected_integral` compares surface integrals of the curvature in such a frame with the phase. If
-the group were commutative, Stokes' theorem would give the phase exp(−∬B). For other groups, the
-error depends on the frame.
+the group were commutative, the phase would be exp(−∬B) by Stokes' theorem. For other groups, the
+error of this approximation depends on the frame.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ class Box(Patch):
     Attributes:
         joints: Indices of the joints that vary, (k,).
         limits: Limits (low, high) of each varying joint, (k, 2) [rad | m].
-        at: Shape that gives the values of the other joints, (m,).
+        at: Shape that fixes the values of the other joints, (m,).
         count: Number of Gauss nodes per parameter.
         nodes: Quadrature nodes, (N, k).
         weights: Quadrature weights, (N,).

@@ -35,7 +35,7 @@ class Arc(ABC, FrozenArrays):
         Args:
             s: Path parameters in [0, 1], (N,).
         Returns:
-            Shapes and their derivatives in s, (N, m) each.
+            Shapes and their derivatives with respect to s, (N, m) each.
         """
 
     @abstractmethod
@@ -72,7 +72,7 @@ class Arc(ABC, FrozenArrays):
 
     @abstractmethod
     def extremes(self) -> Array:
-        """Return parameters s (K,) among which every joint takes its extreme values."""
+        """Return parameters s, (K,), that include the extremes of every joint."""
 
 
 @dataclass(frozen=True, eq=False)

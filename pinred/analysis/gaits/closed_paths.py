@@ -1,4 +1,4 @@
-"""Closed paths of arcs: the check that they close, and their winding number."""
+"""Closed paths of arcs: check of closure, and winding number."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...common.errors import InputError
 from .arcs import TAU, Arc
 
 _CLOSED = 1e-9  # largest gap between arcs, relative to the size of the path
-_STEP = 0.05  # turns, largest angle between two samples seen from the centre
+_STEP = 0.05  # largest angle about the centre between two samples [turns]
 
 
 def check_joined(arcs: Sequence[Arc], rise: Array) -> None:
@@ -25,7 +25,7 @@ def check_joined(arcs: Sequence[Arc], rise: Array) -> None:
     """
     ends = [arc.at(np.array([0.0, 1.0]))[0] for arc in arcs]
     if not all(np.isfinite(end).all() for end in ends):
-        raise InputError("a gait must consist of finite numbers")
+        raise InputError("arcs: all coefficients of a gait must be finite")
     size = max(1.0, *(float(np.abs(end).max(initial=0.0)) for end in ends))
     starts = [*(end[0] for end in ends[1:]), ends[0][0] + rise]
     for k, (end, following) in enumerate(zip(ends, starts, strict=True)):
@@ -53,10 +53,14 @@ def winding_number(arcs: Sequence[Arc], joints: Sequence[int], centre: Array) ->
         arms = np.concatenate([arc.at(s)[0][:, joints] for arc in arcs]) - centre
         if not np.hypot(*arms.T).min() > 1e-9:
             raise InputError(
-                f"the gait passes through the centre {centre}: it has no winding number"
+                f"the gait passes through the centre {centre}, so its winding number is "
+                "undefined. Choose another centre"
             )
         steps = np.diff(np.unwrap(np.arctan2(arms[:, 1], arms[:, 0])))
         if np.abs(steps).max() < _STEP * TAU:
             return float(round(steps.sum() / TAU))
         count *= 4
-    raise InputError(f"the gait passes too close to the centre {centre} to count its windings")
+    raise InputError(
+        f"the gait passes too close to the centre {centre} to count its windings. "
+        "Choose another centre"
+    )

@@ -44,7 +44,7 @@ def points_in(path: Path) -> tuple[Array, Array]:
     if t.ndim != 1 or x.ndim != 2 or len(t) != len(x) or len(t) < 4:
         raise InputError(f"{name} must contain times (T,) and shapes (T, m), with T at least 4")
     if not (np.isfinite(t).all() and np.isfinite(x).all() and (np.diff(t) > 0.0).all()):
-        raise InputError(f"times in {name} must increase, and all numbers be finite")
+        raise InputError(f"times in {name} must increase, and all numbers must be finite")
     gap = np.abs(x[-1] - x[0])
     extent = np.ptp(x, axis=0)
     if (gap > _CLOSED * max(float(extent.max()), 1e-300)).any():

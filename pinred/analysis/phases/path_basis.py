@@ -34,8 +34,8 @@ class Drift(FrozenArrays):
 
     Attributes:
         system: System without external wrench.
-        momentum: Spatial momentum J, (r,), in the initial frame of the base. For a path that takes
-            T seconds but is parametrised over [0, 1], this is T J.
+        momentum: Spatial momentum J, (r,), in the initial frame of the base. For a path of duration
+            T that is parametrised over [0, 1], this is T J.
     """
 
     system: System
@@ -161,7 +161,7 @@ def cycloid_basis(harmonics: int, pieces: int, cycles: int) -> PathBasis:
 
 
 def cycloid(s: Array, cycles: int) -> tuple[Array, Array, Array]:
-    """Return φ = cycles (a − sin a) with a = 2πs, and its first two derivatives in s, (N,) each."""
+    """Return φ = cycles (a − sin a) with a = 2πs, and its first two derivatives by s, (N,) each."""
     a = 2.0 * np.pi * s
     return (
         cycles * (a - np.sin(a)),
@@ -296,7 +296,7 @@ def by_coefficients(basis: PathBasis, *rows: Array) -> Array:
 
 
 def sum_over_nodes(basis: PathBasis, m: int, derivatives: Array) -> Array:
-    """Convert the derivatives of a scalar at the nodes to derivatives by the coefficients.
+    """Convert derivatives of a scalar at the nodes to derivatives with respect to the coefficients.
 
     Args:
         basis: Basis functions at the N nodes.

@@ -32,7 +32,7 @@ _LEAST = 1e-14  # smallest tolerance
 _REPEATS = 1e-9  # largest change of body twists over a complete turn, relative to the twists
 
 _LEAST_SAMPLES = 16  # smallest number of samples of a smooth gait
-_PER_HARMONIC = 16  # initial samples per harmonic
+_PER_HARMONIC = 16  # initial number of samples per harmonic
 MOST = 2**15  # largest number of samples
 
 
@@ -148,7 +148,7 @@ def phase(
     connection.refuse_gravity()
     if len(gait.turns) == connection.m and (joint := _open_joint(connection, gait)):
         raise InputError(
-            "gait: expected turns only of revolute joints whose complete turn restores the robot, "
+            "gait: only a joint whose complete turn restores the robot may turn, "
             f"got turns {gait.turns}, with a turn of '{joint}'"
         )
     goal = max(positive(tolerance, "tolerance"), _LEAST)

@@ -128,7 +128,7 @@ def _period_and_solid_angle(moments: Array, rates: Array, J: float) -> tuple[flo
     complement = min((c - a) * above / denominator, 1.0)  # 1 − m
     period = 4.0 * float(ellipkm1(complement)) * np.sqrt(a * b * c / denominator)
     # At azimuth φ from axis i to axis j, cos²θ = (n₀ + g cos²φ)/(d₀ + g cos²φ).  Carlson's
-    # integrals give the mean of cos θ (NIST Digital Library of Mathematical Functions, §19.29).
+    # integrals yield the mean of cos θ (NIST Digital Library of Mathematical Functions, §19.29).
     n0, n1 = abs(above) / (b * J**2), abs(near) / (a * J**2)
     d0, d1, g = abs(c - b) / (b * c), abs(c - a) / (a * c), abs(b - a) / (a * b)
     p, q = n1 * d0, d1 * n0
@@ -140,7 +140,7 @@ def _period_and_solid_angle(moments: Array, rates: Array, J: float) -> tuple[flo
 def _scale_of_errors(moments: Array, rates: Array) -> float:
     """Return the change of J² − 2 E b per relative error of the inertia tensor.
 
-    The tensor's error turns the principal axes by its ratio to the gap of their moments.
+    An error of the tensor rotates the principal axes by its ratio to the gap of their moments.
     """
     size = float(np.linalg.norm(rates))
     outer = moments[[0, 2]] * np.abs(rates[[0, 2]])

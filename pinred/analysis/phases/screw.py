@@ -11,7 +11,7 @@ from ...common.arrays import Array, FrozenArrays
 from ...lie.group import Group
 from .lift import in_space
 
-_STRAIGHT = 1e-12  # rad; a smaller rotation counts as a translation
+_STRAIGHT = 1e-12  # rotation below which a screw counts as a translation [rad]
 
 
 @checks_arguments
@@ -44,7 +44,7 @@ def screw_of(group: Group, pose: Array) -> Screw:
     xi = in_space(group, log)
     v, w = xi[:3], xi[3:]
     angle = float(np.linalg.norm(w))
-    if group.turns == 1:  # the pose keeps complete rotations, its logarithm does not
+    if group.turns == 1:  # unlike its logarithm, the pose keeps complete rotations
         angles = np.array(pose[-1:])
     if angle < _STRAIGHT:
         slide = float(np.linalg.norm(v))

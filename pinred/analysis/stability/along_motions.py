@@ -30,7 +30,7 @@ class LyapunovSpectrum(FrozenArrays):
     Attributes:
         exponents: Exponents, (d,) [1/s], largest first.
         times: Times at which the basis was orthonormalised, (K,) [s].
-        history: Exponents computed up to each of these times, (K, d) [1/s].
+        history: Exponents over the motion up to each of `times`, (K, d) [1/s].
         spread: Range of each exponent over the last half of the motion, (d,) [1/s].
     """
 

@@ -50,7 +50,7 @@ class LinearisedFlow:
     longest: float
 
     def converged_step(self, duration: float) -> float:
-        """Find a step [s] so short that halving it does not change Y after a duration [s]."""
+        """Return a step [s] so short that halving it does not change Y after a duration [s]."""
         longest, directions = self.longest, self._after(duration, self.longest)
         for _ in range(_MAX_HALVINGS):
             refined = self._after(duration, 0.5 * longest)
@@ -66,7 +66,7 @@ class LinearisedFlow:
         self.advance(duration)
 
     def _after(self, duration: float, longest: float) -> Array:
-        """Return Y after a duration, with steps of at most `longest`; self is unchanged."""
+        """Compute Y after a duration, with steps of at most `longest`; self is not modified."""
         copy = replace(self, y=self.y.copy(), Y=self.Y.copy(), longest=longest)
         copy.advance(duration)
         return copy.Y

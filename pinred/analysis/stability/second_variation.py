@@ -36,11 +36,11 @@ from ..equilibria.equilibrium_problem import Problem
 from ..equilibria.search import critical_points, residuals
 
 _NULL = 1e-7  # curvature below which a direction is flat, relative to the largest
-_FAMILY_STEP = 0.1  # rad | m, displacement along a flat direction that tests for a family
+_FAMILY_STEP = 0.1  # displacement along a flat direction that tests for a family [rad | m]
 _SAME_ENERGY = 1e-9  # largest relative difference of energies within one family
 _SYMMETRIC = 1e-12  # largest asymmetry of a symmetric body, relative to its inertia
 _CRITICAL = 1e-8  # largest residual of the critical-point equations, relative to dh
-_RANK = 1e-10  # smallest singular value that counts as non-zero, relative to the largest
+_RANK = 1e-10  # singular value below which a matrix loses rank, relative to the largest
 _DEFINITE = 1e-14  # least eigenvalue of a definite matrix, relative to its largest entry
 _REACH = 1e3  # bound of the multipliers in the search, relative to the body's rate
 

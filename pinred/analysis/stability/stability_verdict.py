@@ -90,7 +90,7 @@ def assess_stability(
     values, left, right = eigen(on_leaf)
     errors = eigenvalue_errors(left, right, _ROUND_OFF * norm(on_leaf))
     is_transverse = np.ones(len(values), dtype=bool)
-    if second.dimension:  # Each family direction adds a double zero eigenvalue.
+    if second.dimension:  # Each direction of the family adds a double eigenvalue at zero.
         is_transverse[np.argsort(np.abs(values))[: 2 * second.dimension]] = False
     values, errors = values[is_transverse], errors[is_transverse]
     left, right = left[:, is_transverse], right[:, is_transverse]

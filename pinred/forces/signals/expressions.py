@@ -191,7 +191,7 @@ class _Reader:
                 tree = ast.parse(self.text, mode="eval")
         except SyntaxError as error:
             row = min(max((error.lineno or 1) - 1, 0), len(self.lines) - 1)
-            end = len(self.lines[row])  # if Python reports no position, the text ended too early
+            end = len(self.lines[row])  # without a reported position, the text ended too early
             column = min(error.offset - 1, end) if error.offset else end
             self._fault(error.msg, row, column)
         except (RecursionError, MemoryError):

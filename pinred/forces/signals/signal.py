@@ -1,4 +1,4 @@
-"""The base class of signals, and functions that validate coefficients."""
+"""Base class of signals, and validation of their coefficients."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class _Table(Signal):
     times: ArrayLike
     values: Numbers
 
-    _least: ClassVar[int] = 2  # smallest number of entries
+    _least: ClassVar[int] = 2  # smallest number of table entries
     _smoothness: ClassVar[int]
 
     def __post_init__(self) -> None:

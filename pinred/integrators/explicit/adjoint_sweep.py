@@ -35,7 +35,7 @@ BEGIN, COVECTOR, STAGE, SEED, RATES = range(5)
 # --- names that a tableau binds -----------------------------------------------------------------
 
 
-STAGES = SIZE = 1  # numbers of stages of a step: without and with the stages of the dense output
+STAGES = SIZE = 1  # numbers of stages per step, without and with the stages of the dense output
 
 
 # Row programs for a step of length h from row BEGIN. fill_rates computes the stage rates, and
@@ -114,7 +114,7 @@ def pull_back_report(
         work: Work rows.
         w: Weights of the stage rates in that state, (S,).
         h: Length of the step [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         at_time: Covector of the state, (n,); overwritten.
         covector: Covector of the state at the start of the step, (n,); the result is added to it.
     """
@@ -156,7 +156,7 @@ def adjoint_sweep_of(tableau: Tableau) -> AdjointSweep:
         return [(base + j, a) for j, a in enumerate(weights.tolist()) if a != 0.0]
 
     def state(i: int) -> tuple[list[Sum], int]:
-        """Return the Sum that computes the state of stage i (none for the first), and its row."""
+        """Return the sums that compute the state of stage i (empty for the first), and its row."""
         terms = weighted(RATES, A[i, :i])
         return ([Sum(STAGE, BEGIN, terms)], STAGE) if terms else ([], BEGIN)
 

@@ -33,7 +33,8 @@ _TSIT5_ERRORS = (
     -0.00178001105222577714, -0.0008164344596567469, 0.007880878010261995, -0.1447110071732629,
     0.5823571654525552, -0.45808210592918697, 1 / 66,
 )  # fmt: skip
-# Coefficients of θ⁴ in the interpolant. Values and derivatives at both ends give the lower terms.
+# Coefficients of θ⁴ in the interpolant. Values and derivatives at both ends determine the lower
+# terms.
 _TSIT5_DENSE = (
     -1.0530884977290216, 0.1017, 2.490627285651253, -16.548102889244902, 47.37952196281928,
     -34.87065786149661, 2.5,

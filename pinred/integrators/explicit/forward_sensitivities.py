@@ -39,7 +39,7 @@ def workspace_of(weights: Weights, n: int) -> Workspace:
 
 @once_for_all
 def weights_of(tableau: Tableau) -> Weights:
-    """Return the weights of a tableau, which are cached."""
+    """Return the weights of a tableau; the result is cached."""
     s, size = tableau.stages, len(tableau.A)
     end_weights = tableau.A[s]
     begin, end = np.zeros(size), np.zeros(size)

@@ -114,7 +114,7 @@ def _rate(address: int, params: Array, work: Array, y: Array, row: int, quaterni
         b = q[3] * d[1] - q[1] * d[3] - (q[2] * d[0] - q[0] * d[2])
         c = q[3] * d[2] - q[2] * d[3] - (q[0] * d[1] - q[1] * d[0])
         d[0], d[1], d[2] = 2.0 * a, 2.0 * b, 2.0 * c
-        d[3] *= 0.0  # sets the entry to zero, but keeps it non-finite if it was
+        d[3] *= 0.0  # sets the entry to zero, but keeps infinities and NaN non-finite
 
 
 @compiled
@@ -157,7 +157,7 @@ def _straighten(rate: Array, h: float, row: Array, quaternion: int) -> None:
 
 @compiled
 def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Array) -> None:
-    """Write the state (n,) at `time` after the start of a step h, using cubic polynomials."""
+    """Write the state (n,) at `time` within a step of length h, by cubic interpolation."""
     x = time / h
     y = 1.0 - x
     by_difference, by_start, by_end = x * x * (3.0 - 2.0 * x), h * x * y * y, -h * x * x * y

@@ -2,10 +2,10 @@
 
 E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed.,
 Springer 1993, sections II.4 (step control, first step), II.5 and II.6 (dense output), and
-Hairer's code dop853.f, whose constants serve all methods here.
+Hairer's code dop853.f, whose constants all methods of this module use.
 
 The state stored at a step end is the result of the step before its quaternion is normalised,
-so a step can be repeated from it to the last bit.
+so that repeating a step from this state reproduces it bit for bit.
 """
 
 from __future__ import annotations

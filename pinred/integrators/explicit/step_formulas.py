@@ -25,13 +25,13 @@ _SAFETY, _SHRINK, _GROW, _CRASH = 0.9, 0.333, 6.0, 0.1  # factors of the step co
 # --- names that a tableau and a number type bind ----------------------------------------------
 
 
-HALVINGS, REST = 0, 1  # factors of the method's order, 2^HALVINGS · REST
+HALVINGS, REST = 0, 1  # factorisation of the method's order: 2^HALVINGS · REST
 FIRST, TERMS = RATES, 3  # first row and number of the dense-output terms
 
 
-# In all lanes: same(number) returns a number, get(rows, row, i) and put(rows, row, i, value) return
-# and set entry i of a row, choose(condition, yes, no) returns `yes` where a condition is true, else
-# `no`, and power(base, exponent) returns a power.
+# Operations that act on all lanes: same(number) copies a number to each lane; get(rows, row, i)
+# reads entry i of a row, and put(rows, row, i, value) sets it; choose(condition, yes, no) selects
+# `yes` where the condition is true, else `no`; power(base, exponent) returns a power.
 same = get = put = choose = power = unbound
 
 
@@ -119,7 +119,7 @@ def first_step(run: Run, params: Array, work: Array) -> Any:
 
     Hairer's first step depends on the unit of time of the model. Here √(|y|/|ÿ|) replaces this
     unit. Where |y| or |ẏ| vanishes, a fraction of the end time replaces their ratio. The function
-    costs one evaluation.
+    takes one evaluation.
     """
     longest = same(min(run.t_end, run.max_step))
     size, rate = same(0.0), same(0.0)
@@ -158,7 +158,7 @@ def next_step(error: Any, h: Any, accepted: Any, again: Any, max_step: float) ->
         error: Error of the step, in units of the tolerance.
         h: Length of the step [s].
         accepted: Whether the step is accepted.
-        again: Whether the trial before it was rejected.
+        again: Whether the previous trial was rejected.
         max_step: Longest step [s].
     Returns:
         The length [s]; a rejected step becomes shorter.

@@ -9,7 +9,7 @@ import numpy as np
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 
-_ROUND_OFF = 1e-12  # relative error that is allowed in sums of weights
+_ROUND_OFF = 1e-12  # largest relative error of a sum of weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class Tableau:
 
         y₀ + x (F₀ + y (F₁ + x (F₂ + y (F₃ + x (F₄ + …))))).
 
-    F₀, F₁ and F₂ give Hermite's cubic polynomial. F₃ and later terms are weighted sums of rates.
+    F₀, F₁ and F₂ define Hermite's cubic polynomial. F₃ and later terms are weighted sums of rates.
 
     Attributes:
         A: Weights of the rates in the state of each stage, (s + 1 + e, s + 1 + e), strictly lower

@@ -144,7 +144,7 @@ def _error(run: Run, work: Array) -> float:
             coefficient += work[LAST, j] * work[L, i * lanes + j]
         coefficient *= work[SCALE, i]
         total += coefficient * coefficient
-    # Relative to the size of the state.
+    # The error of the quadrature, relative to the size of the state.
     relative = sqrt(total * run.stages) * run.rtol
     if relative == 0.0:
         return 0.0

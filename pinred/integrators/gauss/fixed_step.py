@@ -66,7 +66,7 @@ def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # 
     newton = run.solver == NEWTON or (auto and run.remaining > 0)
     if newton and run.tangent == 0:
         return WANTED
-    # All steps have the same length to the last bit; the clock's round-off is ignored.
+    # All steps have exactly the same length; round-off of the time is ignored.
     h = run.h
     if run.steps == 0:
         guess_evenly(run, params, work, L, h)

@@ -27,7 +27,7 @@ def work_rows(stages: int, n: int, behind: int) -> Array:
     Args:
         stages: Number of stages.
         n: Number of entries of the state.
-        behind: Number of additional floats behind the rows, as workspace.
+        behind: Number of additional floats after the rows, as workspace.
     Returns:
         The rows, (ROWS + …, stride).
     """

@@ -93,14 +93,16 @@ def prepare_guess(
 ) -> None:
     """Compute the table that extrapolates the stage increments of one step to those of another.
 
-    The polynomial through the stage rates of the first step gives the rates of the other step.
+    The polynomial through the stage rates of the first step is evaluated at the other step's
+    stages.
 
     Args:
         work: Work rows.
         lanes: Number of SIMD lanes.
         stages: Number of stages.
         table: Row of the table.
-        begin: Start of the other step, in lengths of the first, from its start.
+        begin: Start of the other step, measured from the start of the first, in lengths of the
+            first.
         ratio: Length of the other step, in lengths of the first.
     """
     c, b, bary = work[C], work[B], work[BARY]
@@ -210,7 +212,7 @@ def finish(work: Array, n: int, lanes: int, row: int) -> None:
             total += work[row, i * lanes + j]
         old = work[Y, i]
         new = old + total
-        # Knuth's two-sum gives the exact round-off, whichever term is larger.
+        # Knuth's two-sum computes the exact round-off, whichever term is larger.
         back = new - old
         work[NEXT_CARRY, i] = (old - (new - back)) + (total - back)
         work[NEW, i] = new

@@ -1,7 +1,7 @@
 """Tables of Gauss–Legendre collocation with s stages, of order 2s, padded to whole vectors.
 
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section II.1.3.
-The step is written in L_j = h b_j f(Y_j): Y_i = y + Σ_j μ_ij L_j, y₁ = y + Σ_j L_j, with
+The step is written in terms of L_j = h b_j f(Y_j): Y_i = y + Σ_j μ_ij L_j, y₁ = y + Σ_j L_j, with
 μ_ij = a_ij / b_j. The method is symplectic and preserves quadratic invariants if
 μ_ij + μ_ji = 1. Here this holds for the floating-point numbers, too (M. Antoñana, J. Makazaga,
 A. Murua, Reducing and monitoring round-off error propagation for symplectic implicit

@@ -34,7 +34,7 @@ def integrate_in_lanes(
     width: int,
     params: ArrayLike,
     y0: ArrayLike,
-    t_end: float,
+    t_end: ArrayLike,
     times: ArrayLike,
     quaternion: int = -1,
     threads: int | None = None,
@@ -53,9 +53,9 @@ def integrate_in_lanes(
         width: Number of SIMD lanes, one of WIDTHS.
         params: Parameters, (N, p).
         y0: Initial states, (N, n).
-        t_end: End time [s].
-        times: Sorted report times within [0, t_end], (T,) [s].
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        t_end: End time, or one for each member, (N,) [s].
+        times: Sorted report times, (T,) or (N, T), as for `integrate_many` [s].
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         threads: Number of threads, None for all processors.
         progress: Called with the finished fraction of the members.
     Returns:
@@ -135,7 +135,7 @@ def _lane_loop(name: str, order: int, tableau: Tableau, width: int) -> LaneLoop:
 
 
 def _aligned(rows: int, size: int) -> Array:
-    """Return zeros (rows, size) that start at a cache line."""
+    """Return zeros, (rows, size), aligned to a cache line."""
     raw = np.zeros(rows * size + _CACHE_LINE // 8)
     first = -(raw.ctypes.data // 8) % (_CACHE_LINE // 8)
     return raw[first : first + rows * size].reshape(rows, size)

@@ -35,9 +35,9 @@ from .vectors import bits, choose, fetch_and_add
 # Rows of the lane registers, all stored as floats: time and length of the next step [s]; whether
 # the last trial step was rejected; numbers of accepted steps, rejected steps and evaluations; the
 # next report time [s] and its index; the index of the entry that is not finite, −1 for none;
-# whether the lane has a member, and the index of this member.
+# whether the lane has a member, and the index of this member; its end time [s].
 TIME, STEP, AGAIN, STEPS, REJECTED, EVALUATIONS = range(6)
-NEXT_TIME, NEXT, ENTRY, LIVE, MEMBER, REGISTERS = range(6, 12)
+NEXT_TIME, NEXT, ENTRY, LIVE, MEMBER, END, REGISTERS = range(6, 13)
 # Rows of the registers of prepared members: length of the first step, index of the member, index of
 # the entry that is not finite. Rows COUNT and USED contain one number each: how many members are
 # prepared, and how many of them have entered lanes.
@@ -192,22 +192,31 @@ def enter_lane(
         registers[EVALUATIONS, lane] = BEGUN
         registers[ENTRY, lane] = -1.0
         registers[LIVE, lane], registers[MEMBER, lane] = 1.0, member
-        registers[NEXT_TIME, lane] = batch.times[0] if batch.times.shape[0] else np.inf
+        registers[END, lane] = batch.ends[member]
+        registers[NEXT_TIME, lane] = report_time(batch, member, 0)
         while registers[NEXT_TIME, lane] <= 0.0:
             report_state(run, batch, space, lane, Y)
         return True
 
 
+def report_time(batch: Batch, member: int, j: int) -> float:
+    """Return report time j of a member, infinity after the last one [s]."""
+    time: float = np.inf
+    if j < batch.times.shape[1]:
+        time = batch.times[member % batch.times.shape[0], j]
+    return time
+
+
 def report_state(run: Run, batch: Batch, space: Workspace, lane: int, row: int) -> None:
     """Store the state in a row as the result for the next report time of a lane."""
     registers = space.registers
-    j, count = int(registers[NEXT, lane]), batch.times.shape[0]
-    out = batch.y[int(registers[MEMBER, lane]), j]
+    j, member = int(registers[NEXT, lane]), int(registers[MEMBER, lane])
+    out = batch.y[member, j]
     for i in range(run.n):
         out[i] = space.work[row, i * WIDTH + lane]
     unit_alone(out, run.quaternion)
     registers[NEXT, lane] = j + 1
-    registers[NEXT_TIME, lane] = batch.times[j + 1] if j + 1 < count else np.inf
+    registers[NEXT_TIME, lane] = report_time(batch, member, j + 1)
 
 
 def non_finite_entry(run: Run, work: Array, lane: int) -> int:
@@ -232,7 +241,7 @@ def leave_lane(run: Run, batch: Batch, registers: Array, lane: int) -> None:
     outcome.t, outcome.entry = registers[TIME, lane], int(registers[ENTRY, lane])
     outcome.steps, outcome.rejected = int(registers[STEPS, lane]), int(registers[REJECTED, lane])
     outcome.evaluations = int(registers[EVALUATIONS, lane])
-    if registers[TIME, lane] >= run.t_end:
+    if registers[TIME, lane] >= registers[END, lane]:
         outcome.status = DONE
     elif registers[STEPS, lane] + registers[REJECTED, lane] >= run.max_steps:
         outcome.status = TOO_MANY
@@ -256,14 +265,15 @@ def run_members(
         most: Largest number of members to take from the queue at once.
     """
     run: Run = initial_run[0]
-    work, registers, params, times = space.work, space.registers, space.params, batch.times
+    work, registers, params = space.work, space.registers, space.params
     space.ready_registers[COUNT, 0] = space.ready_registers[USED, 0] = 0.0
     live = 0
     for lane in range(WIDTH):
         live += enter_lane(run, batch, queue, space, lane, most)
     while live > 0 and batch.stop[0] == 0:
         t, planned = get(registers, TIME, 0), get(registers, STEP, 0)
-        t_new = choose(t + 1.01 * planned >= run.t_end, run.t_end, t + planned)
+        t_end = get(registers, END, 0)
+        t_new = choose(t + 1.01 * planned >= t_end, t_end, t + planned)
         t_new = choose(get(registers, LIVE, 0) == 1.0, t_new, 0.0)
         h = t_new - t
         fill_step(run.address, params, work, h)
@@ -292,7 +302,7 @@ def run_members(
         due = bits(accepted & (next_time <= t_new))
         for lane in range(WIDTH if due else 0):
             if (due >> lane) & 1:
-                end = times[int(registers[NEXT, lane])]
+                end = registers[NEXT_TIME, lane]
                 while registers[NEXT_TIME, lane] <= end:
                     report_state(run, batch, space, lane, NEW)
         non_finite = bits(~accepted & ~((error > 1.0) & (error < np.inf)))
@@ -313,7 +323,7 @@ def run_members(
         put(registers, REJECTED, 0, rejected)
         put(registers, EVALUATIONS, 0, counted)
         spent = steps + rejected >= float(run.max_steps)
-        stopped = (t >= run.t_end) | spent | (0.1 * step <= _EPS * t)
+        stopped = (t >= t_end) | spent | (0.1 * step <= _EPS * t)
         over = bits((get(registers, LIVE, 0) == 1.0) & stopped)
         for lane in range(WIDTH if over else 0):
             if (over >> lane) & 1:
@@ -322,5 +332,5 @@ def run_members(
                 live += enter_lane(run, batch, queue, space, lane, most)
 
 
-INLINED = (normalise, is_finite, accept_steps, report_state)
+INLINED = (normalise, is_finite, accept_steps, report_time, report_state)
 COMPILED = (prepare_members, non_finite_entry, enter_lane, run_members)

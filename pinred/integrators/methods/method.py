@@ -73,6 +73,11 @@ class Method(ABC):
     def dense_order(self) -> int:
         """Order of the dense output."""
 
+    @classmethod
+    def stage_times(cls) -> tuple[float, ...]:
+        """Return the times of the stages as fractions of a step; none if they are not known."""
+        return ()
+
     @abstractmethod
     def stepper(self) -> Stepper:
         """Return the compiled stepper; the first call imports and compiles it."""
@@ -194,6 +199,12 @@ class Explicit(ErrorControl):
     @abstractmethod
     def tableau(cls) -> Tableau:
         """Return the coefficients of the method, the same object at every call."""
+
+    @classmethod
+    def stage_times(cls) -> tuple[float, ...]:
+        """Return the times of the stages and of the end, as fractions of a step."""
+        tableau = cls.tableau()
+        return tuple(tableau.A[: tableau.stages + 1].sum(axis=1).tolist())
 
     def stepper(self) -> Stepper:
         """Return the compiled stepper."""

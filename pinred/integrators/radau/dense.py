@@ -1,12 +1,11 @@
 """Stored steps and dense output of Radau IIA.
 
 A step end is stored as the state before its quaternion is normalised, followed by the stages of
-the step. Dense output from stored steps is thus equal, to the last bit, to the dense output during
-the run.
+the step. Dense output from stored steps thus equals the dense output during the run bit for bit.
 
-The polynomial through the stages has order 3 only. Corrections from ẏ and ÿ at the ends, which
-the exact Jacobian gives, raise it to order 5. In stiff directions ẏ and ÿ amplify errors by hλ
-and (hλ)². Filters remove these directions and are 1 − O(h³) in others: 1 − (1 − F)³ with
+The polynomial through the stages has order 3 only. Corrections from ẏ and ÿ at the ends, computed
+with the exact Jacobian, raise it to order 5. In stiff directions ẏ and ÿ amplify errors by hλ and
+(hλ)². Filters remove these directions and are 1 − O(h³) in others: 1 − (1 − F)³ with
 F = (1 − hJ/γ)⁻¹, which decreases as 1/(hλ), for ẏ, and its square for ÿ.
 """
 

@@ -1,8 +1,8 @@
 """Radau IIA of order 5 over a kernel and its derivative, for hard springs and strong dampers.
 
 E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer 1996,
-section IV.8, and Hairer's code radau5.f, with its step control and constants. The coefficients
-are SciPy's copy. Evaluating the exact Jacobian is cheap compared with factorising the systems, so
+section IV.8, and Hairer's code radau5.f, with its step control and constants. The coefficients are
+copied from SciPy. Evaluating the exact Jacobian is cheap compared with factorising the systems, so
 the Jacobian is recomputed before every factorisation.
 """
 
@@ -153,7 +153,7 @@ def _tolerances(run: Run) -> tuple[float, float]:
 
 @compiled
 def _measure(run: Run, work: Array) -> None:
-    """Fill row SCALE with the reciprocal of each entry's tolerance."""
+    """Set row SCALE to the reciprocal of each entry's tolerance."""
     n, quaternion = run.n, run.quaternion
     rtol, atol = _tolerances(run)
     for i in range(n):

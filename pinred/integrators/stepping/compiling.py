@@ -64,7 +64,8 @@ def bind_globals(function: _Function, name: str, **values: Any) -> _Function:
         function = function.py_func
     if name in _names:
         raise RuntimeError(
-            f"two compiled functions have the name '{name}', so one would run the other"
+            f"two compiled functions have the name '{name}', so one would run "
+            "the machine code of the other. Give them distinct names"
         )
     _names.add(name)
     copy: Any = FunctionType(

@@ -33,7 +33,7 @@ def call_tangent(typing: Any, address: Any, y: Any, params: Any, directions: Any
 def call_slopes(
     typing: Any, address: Any, y: Any, params: Any, along_y: Any, along_params: Any, out: Any
 ) -> Any:
-    """Write the derivatives along directions of y and params to `out`, SEEDS values per entry."""
+    """Write the derivatives of ẏ along directions of (y, params) to `out`, SEEDS per entry."""
     return _calling(y, params, along_y, along_params, out)
 
 
@@ -62,9 +62,9 @@ def check_contiguous(*arrays: Any) -> None:
     """Check that numba's array types are contiguous arrays of float64, which kernels require."""
     for array in arrays:
         if not (isinstance(array, types.Array) and array.layout == "C"):
-            raise TypeError("a kernel takes contiguous arrays")
+            raise TypeError("kernel arguments must be contiguous arrays")
         if array.dtype != types.float64:
-            raise TypeError("a kernel takes arrays of float64")
+            raise TypeError("kernel arguments must be arrays of float64")
 
 
 def emit_call(builder: Any, address: Any, pointers: list[Any]) -> None:

@@ -1,4 +1,4 @@
-"""Steps that are repeated with their lengths fixed, and what derivatives propagate over them."""
+"""Repetition of stored steps with fixed lengths; tangents and cotangents propagated over them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from .state_rows import copy_row, unit_alone
 
 # These values are plain tuples: numba takes microseconds to find the type of a named tuple.
 
-# The steps of a run: address of the kernel; index of the first of the quaternion's four entries, −1
-# for none; parameters, (p,); times of the step ends, (K,) [s]; sorted report times, (T,) [s].
+# The steps of a run: address of the kernel; index of the quaternion's first entry, −1 without a
+# quaternion; parameters, (p,); times of the step ends, (K,) [s]; sorted report times, (T,) [s].
 Replay: TypeAlias = tuple[int, int, Array, Array, Array]
 
 # A state and tangent directions, and their reports. N rows contain one direction each, or SEEDS
@@ -35,7 +35,7 @@ def across(y: Array, factor: float, quaternion: int, v: Array, width: int) -> No
     Args:
         y: State after `unit_alone`.
         factor: Return value of `unit_alone`.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         v: Tangents or covectors, (n width,), changed in place.
         width: Number of consecutive values in v for each entry of the state.
     """
@@ -63,7 +63,7 @@ def back_to_given(y0: Array, quaternion: int, covector: Array, y: Array) -> None
 
     Args:
         y0: State before normalisation.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
         covector: Covector, changed in place.
         y: Workspace (n,).
     """

@@ -48,7 +48,7 @@ class Run:
     address: int  # address of the kernel
     tangent: int  # address of the tangent kernel, or 0
     n: int  # number of entries of the state
-    quaternion: int  # index of the first of the quaternion's four entries, or −1
+    quaternion: int  # index of the quaternion's first entry, −1 without a quaternion
     pairs: int  # number of positions in y, followed by as many momenta
     spin: int  # number of parameters that are components of a constant momentum
     stages: int  # number of stages per evaluation

@@ -200,7 +200,9 @@ class Batch(NamedTuple):
     Attributes:
         params: Parameters, (N, p).
         y0: Initial states, (N, n).
-        times: Sorted report times, (T,) [s].
+        ends: End times, (N,) [s].
+        times: Sorted report times, (N, T), or (1, T) if all members have the same; rows of
+            different lengths end with infinity [s].
         y: States at the report times, (N, T, n).
         outcomes: Outcomes of the members, (N,) of OUTCOME.
         stop: Flag, (1,); a nonzero value interrupts all threads.
@@ -210,6 +212,7 @@ class Batch(NamedTuple):
 
     params: Array
     y0: Array
+    ends: Array
     times: Array
     y: Array
     outcomes: NDArray[np.void]
@@ -244,7 +247,7 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
     for member in range(first, last):
         if run.member != member:
             runs[0] = first_run[0]
-            run.member = member
+            run.member, run.t_end = member, batch.ends[member]
             for i in range(run.n):
                 work[Y, i] = batch.y0[member, i]
         status = PAUSED
@@ -252,7 +255,8 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
             if batch.stop[0] != 0:
                 return last
             status = advance(
-                runs, batch.params[member], work, batch.times, batch.y[member],
+                runs, batch.params[member], work, batch.times[member % batch.times.shape[0]],
+                batch.y[member],
                 batch.no_times, batch.no_knots,
             )  # fmt: skip
         if status == WANTED:

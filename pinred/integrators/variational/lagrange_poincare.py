@@ -43,10 +43,10 @@ END, BEGIN, STOP, BEGIN_RATE, STOP_RATE, TURN = range(6)
 ROWS, LEAST = SUB + 6, 6  # number of rows; smallest row length, for the six entries of row TURN
 
 _MOST = 100  # largest number of fixed-point iterations per step
-# Ratios of successive changes that count as stalled: near round-off, elsewhere.
+# Ratios of successive changes above which the iteration has stalled: near round-off, and elsewhere.
 _STALLED, _SLOWEST = 0.5, 0.95
-# Changes relative to the largest absolute value: near round-off, and largest accepted change of a
-# stalled iteration.
+# Changes relative to the largest absolute value: the change that counts as near round-off, and the
+# largest accepted change of a stalled iteration.
 _SMALL, _SLACK = 1e-14, 1e-11
 # Negligible size of the predicted next change, relative to the largest absolute value.
 _NOTHING = 1e-17

@@ -220,7 +220,8 @@ def cached_code(
 def _unpack(columns: Array, matrix: Array, A: Array, health: Array, M: Array) -> None:
     """Fill the terms of `Locals` from the outputs of `column_graph`.
 
-    There, symmetric matrices are symmetric only up to round-off; here they are symmetrised.
+    Symmetric matrices among these outputs are symmetric only up to round-off, so they are
+    symmetrised.
     """
     r, m, rows, metric = A.shape[1], A.shape[2], matrix.shape[1], M.shape[1]
     for k in range(len(columns)):

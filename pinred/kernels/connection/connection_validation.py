@@ -14,8 +14,9 @@ from ..validation import require_agreement
 from .connection_form import ConnectionForm
 
 _TRIALS = 2  # number of shapes at which values are compared
-_MOST_DRAWS = 100  # largest number of random shapes drawn to find these
-# Smallest cond(P_b)⁻¹ of a trial shape: near singular shapes, both sides are only round-off.
+_MOST_DRAWS = 100  # largest number of random shapes drawn to find trial shapes
+# Smallest cond(P_b)⁻¹ of a trial shape: near singular shapes, both compared values are only
+# round-off.
 _LEAST_CONDITION = 1e-3
 _STEP = 1e-3  # step of central differences [rad | m]; it amplifies round-off by 1/_STEP
 _TOLERANCE = 1e-7  # relative tolerance of comparisons with differences
@@ -35,7 +36,7 @@ def validate_velocity(form: ConnectionForm, code: NativeCode) -> None:
 
 
 def validate_slope(form: ConnectionForm, code: NativeCode) -> None:
-    """Compare derivatives in x with finite differences, and derivatives in ẋ with A and M.
+    """Compare derivatives by x with finite differences, derivatives by ẋ with A and M.
 
     Raises KernelMismatch.
     """
@@ -56,7 +57,7 @@ def validate_slope(form: ConnectionForm, code: NativeCode) -> None:
 
 
 def validate_columns(form: ConnectionForm, code: NativeCode) -> None:
-    """Compare the matrix of the form, A and M with the reference.  Raises KernelMismatch."""
+    """Compare the matrix of the form F, A and M with the reference.  Raises KernelMismatch."""
     r, m = form.r, form.m
     rows = r + m * form.symmetric
     for x, _ in trial_shapes(form):
@@ -73,7 +74,7 @@ def validate_columns(form: ConnectionForm, code: NativeCode) -> None:
 
 
 def validate_column_derivatives(form: ConnectionForm, code: NativeCode) -> None:
-    """Compare A with the reference, ∂A with differences of it.  Raises KernelMismatch."""
+    """Compare A with the reference, and ∂A with its differences.  Raises KernelMismatch."""
     r, m = form.r, form.m
     for x, _ in trial_shapes(form):
         columns = _evaluate_columns(code, x, r + 1 + r * m)[:m]

@@ -1,4 +1,4 @@
-"""Run time against error: every method at every tolerance, timed in alternating rounds."""
+"""Run time against error, for every method at every tolerance, timed in alternating rounds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .solver import PreparedRun, Solver
 from .timing import alternating, repeated
 from .work_precision import Point, WorkPrecision
 
-YARDSTICK = "pinred"  # method that is part of every run, so that time ratios stay within one run
+YARDSTICK = "pinred"  # method that every run contains, so that time ratios stay within a run
 
 
 @checks_arguments

@@ -1,4 +1,4 @@
-"""Run time against error in a folder: a run continues the record of the runs before it."""
+"""Run time against error, recorded in a folder; a run continues the record of earlier runs."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class ManyTiming:
         members: Number of members.
         duration: Duration of each motion [s].
         rates: Results of the solvers.
-        missing: Reasons why solvers were left out or did not reach the requested error.
+        missing: Reasons why solvers were omitted or did not reach the requested error.
     """
 
     problem: str

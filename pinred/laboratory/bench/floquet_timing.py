@@ -109,9 +109,7 @@ def _differences(least: RelativeEquilibrium, T: float) -> Array:
     r, m = system.r, system.m
     start = red.mass_matrix(least.x) @ np.concatenate([least.xi, least.xdot])
     scene = least.scene(duration=T)
-    mu = np.zeros(
-        r
-    )  # the linear momentum is zero, so the angular momentum needs no reference point
+    mu = np.zeros(r)  # with zero linear momentum, the angular momentum is the same about any point
     mu[-1] = least.momentum
 
     def final_state(change: Array) -> Array:
@@ -126,7 +124,7 @@ def _differences(least: RelativeEquilibrium, T: float) -> Array:
 
 
 def _by_scipy(scene: Scene, T: float) -> Array:
-    """Compute the monodromy matrix, (k, k), with SciPy's DOP853 over kernel and Jacobian."""
+    """Compute the monodromy matrix, (k, k), with SciPy's DOP853 applied to kernel and Jacobian."""
     flow = CompiledFlow.of_plan(plan_of(without_base(scene)))
     n = len(flow.y0)
 

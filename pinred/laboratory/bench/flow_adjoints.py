@@ -1,4 +1,4 @@
-"""Gradients of flows compared with CVODES's adjoints (by CasADi) of the same equations."""
+"""Gradients of flows, compared with CasADi's CVODES adjoints of the same equations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...simulation.flow_map.flow import Flow
 from .timing import alternating, repeated
 
 _MOST = 1_000_000  # largest number of steps of CVODES
-_LONGEST = 3.0  # total time for each of the two adjoints [s]
+_LONGEST = 3.0  # time limit for all runs of each of the two adjoints [s]
 
 
 @dataclass(frozen=True)

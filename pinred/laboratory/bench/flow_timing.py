@@ -47,7 +47,8 @@ class FlowTiming:
         step: Time of one step with its Jacobians [µs].
         gradient: Time of a gradient with respect to initial shape, rates and twist, including
             its forward run, relative to a forward run.
-        inertias: As `gradient`, with the masses and centres of mass of all bodies as more inputs.
+        inertias: As `gradient`, with the masses and centres of mass of all bodies as additional
+            inputs.
         gauss: As `gradient`, with AdaptiveGauss at tolerance 1e-10.
         jax: Additional time of a call through JAX [µs]; NaN without JAX.
         jax_gradient: Additional time of a gradient through JAX [µs]; NaN without JAX.

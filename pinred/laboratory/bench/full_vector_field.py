@@ -50,7 +50,7 @@ def full_vector_field(system: System) -> Callable[[float, Array], Array]:
 
 
 def _circles(system: System) -> list[bool]:
-    """Return for each coordinate of (root, x) whether Pinocchio stores it as cosine and sine."""
+    """Return whether Pinocchio stores each coordinate of (root, x) as cosine and sine."""
     joints = system.model.joints
     root = [False] * system.group.size
     root[-1] = joints[1].nq > system.group.size

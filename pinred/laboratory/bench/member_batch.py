@@ -1,4 +1,4 @@
-"""Batches of members of one problem, and pinred's ways to integrate them."""
+"""Batches of members of one problem, and pinred's methods to integrate them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .problems import Problem
 from .solver import End
 
 _TOLERANCES = tuple(10.0 ** (-k / 3) for k in range(18, 40))
-_SPREAD = 0.05  # standard deviation of the rates (relative) and shapes [rad | m] of members
+_SPREAD = 0.05  # standard deviation of the members' rates (relative) and shapes [rad | m]
 
 
 @dataclass(frozen=True)

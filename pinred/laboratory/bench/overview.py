@@ -15,15 +15,15 @@ Table: TypeAlias = tuple[str, list[tuple[str, list[str]]]]  # title, and (name, 
 
 ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)
 LOOSEST, TIGHTEST = 1e-4, 1e-13  # largest and smallest tolerance in the table of error / tolerance
-FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods in this table
+FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods in the table of error/tolerance
 _SIDE_BY_SIDE = 6  # largest number of scenes in one table
 
 
 def overview(results: Sequence[WorkPrecision]) -> str:
     """Format tables of several results, with one column for each scene.
 
-    The tables give pinred's wall time at each error, and other methods' times in the same run
-    divided by pinred's. The last table gives errors of pinred's methods relative to their
+    The tables contain pinred's wall time at each error, and the ratios of other methods' times in
+    the same run to it. The last table gives errors of pinred's methods relative to their
     tolerances.
 
     Args:
@@ -80,7 +80,7 @@ def _time(error: float, result: WorkPrecision, name: str) -> str:
 
 
 def _following(result: WorkPrecision, method: str) -> str:
-    """Format the range of error / tolerance over the points with errors above the reference's."""
+    """Format the range of error / tolerance over points with errors above the reference error."""
     if method not in FOLLOWING:
         return "—"
     ratios = [

@@ -1,7 +1,7 @@
 """Methods of the accuracy benchmark that use pinred's integrators.
 
-All explicit methods are included. Another method is added by one call of `own_method`, with a
-function that creates the integrator from a tolerance, or from a step for methods with fixed steps.
+All explicit methods are included. To add a method, call `own_method` with a function that creates
+the integrator from a tolerance, or from a step length for methods with fixed steps.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Accuracy benchmarks on disk: one csv file whose rows are self-contained.
 
-The rows of a scene are written together. An interrupted benchmark keeps all finished scenes and can
-continue with the next. Every row names its run. Reading keeps runs separate, so that ratios never
-compare times of different runs.
+The rows of a scene are written together. An interrupted benchmark keeps all completed scenes and
+can continue with the next scene. Every row names its run. Reading keeps runs separate, so that
+ratios never compare times of different runs.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
     if effort is not None and other_efforts:
         raise InputError(
             f"'{path}' was measured as '{min(other_efforts)}', not '{effort}': "
-            "give another folder, or the same options"
+            "choose another folder, or the same options"
         )
     return results
 

@@ -25,7 +25,7 @@ from .taylor import has_heyoka, reduced_graph, taylor_expressions
 
 _QUAD = (1e-23, 1e-20)  # tolerances in quadruple precision
 _EPS = float(np.finfo(float).eps)
-CONFIRMED = 1e-9  # a larger distance from ABA [rad | m] counts as the error of the reference
+CONFIRMED = 1e-9  # distance from ABA above which it counts as the error of the reference [rad | m]
 
 
 @checks_arguments

@@ -21,7 +21,7 @@ from .chains import FAMILIES, chain
 from .timing import ROUNDS, NoCache, alternating, evaluations
 
 JOINTS = (5, 10, 20, 50, 100)
-LONG = 20  # smallest number of joints that enters the fit of the exponent
+LONG = 20  # smallest number of joints that is included in the fit of the exponent
 
 
 @checks_arguments

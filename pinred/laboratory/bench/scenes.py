@@ -1,4 +1,4 @@
-"""Problems of the accuracy benchmark by name; SCENES gets one entry for each."""
+"""Problems of the accuracy benchmark by name; SCENES contains one entry for each problem."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def bundled(name: str) -> Problem:
 
 
 def faster(name: str) -> Problem:
-    """Return a bundled robot with its default initial state, but with multiplied rates."""
+    """Return a bundled robot with its default initial state and its rates scaled by a factor."""
     robot, factor = _FASTER[name]
     slow = bundled(robot)
     about = f"{robot} from its default state with rates times {factor:g}"

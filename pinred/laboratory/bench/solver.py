@@ -10,7 +10,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from .problems import Problem
 
-ATOL = 0.01  # ratio of absolute to relative tolerance, for methods that use both
+ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
 UNKNOWN = float("nan")
 
 

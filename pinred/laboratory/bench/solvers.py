@@ -15,7 +15,7 @@ from .pinred_methods import OWN
 from .solver import Solver
 
 SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)
-# ALL_SOLVERS includes methods that take minutes to prepare.
+# ALL_SOLVERS also includes methods whose preparation takes minutes.
 ALL_SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA_SLOW)
 
 

@@ -15,7 +15,7 @@ from ...kernels.object_cache import ObjectCache
 
 ROUNDS = 15  # default number of rounds; the median over rounds is reported
 SPAN = 0.01  # least duration of an action in a round [s]; short actions are repeated
-LOADING = 20.0  # a first call below this time [s] is repeated, as it may include compilation
+LOADING = 20.0  # a first call shorter than this [s] is repeated, because it may include compilation
 FEWEST = 3  # least number of rounds of a slow action
 
 
@@ -45,8 +45,8 @@ def alternating(
         rounds: Number of rounds.
         span: Least duration of an action in a round [s]; SPAN if None. The number of repetitions
             is chosen for it.
-        budget: Time of an action in all rounds [s]. A slow action skips rounds, but takes part in
-            at least FEWEST.
+        budget: Time limit for an action over all rounds [s]. A slow action skips rounds, but is
+            timed in at least FEWEST of them.
         progress: Called with the completed fraction.
     Returns:
         (rounds, actions) seconds per repetition; NaN in skipped rounds.
@@ -66,7 +66,7 @@ def alternating(
     for k in range(rounds):
         for j, (action, count) in enumerate(zip(actions, counts, strict=True)):
             n = numbers_of_rounds[j]
-            if k * n // rounds < (k + 1) * n // rounds:  # select n of the rounds, evenly spread
+            if k * n // rounds < (k + 1) * n // rounds:  # select n evenly spread rounds
                 seconds[k, j] = _seconds(action, count) / count
         progress((k + 2) / (rounds + 1))
     return seconds

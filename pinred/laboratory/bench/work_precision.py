@@ -29,7 +29,7 @@ class Point:
         position: Norm of the translational part of log(g⁻¹ĝ) [m].
         energy: Relative drift of energy, see conservation_drift.py.
         momentum: Relative drift of momentum.
-        failure: Reason why the method failed; if it did, the numbers are NaN.
+        failure: Reason for a failure of the method, whose numbers are then NaN; "" otherwise.
     """
 
     method: str

@@ -31,8 +31,8 @@ class Entry:
         reason: Reason of the outcome in one line.
         about: Category of the reason, for the summary.
         due: Whether the description should work, see scope.py.
-        why_not: Reason why the description need not work.
-        choice: Option that had to be chosen to load the description, such as "root=arm".
+        why_not: Reason why the description is not required to work.
+        choice: Option that resolved an ambiguity of the description, such as "root=arm".
         group: Symmetry group of the system.
         joints: Number of joints m.
         duration: Duration of the motion [s].

@@ -65,7 +65,7 @@ def find_descriptions(folders: Iterable[str | Path]) -> SearchResult:
     Args:
         folders: Folders or files.
     Returns:
-        The descriptions, and the number of files of each other kind.
+        The descriptions, and the numbers of files of all other kinds.
     Raises:
         LoadError: A folder is missing.
     """

@@ -25,7 +25,7 @@ class Corpus:
     """The table of a corpus.
 
     Attributes:
-        entries: One entry for each description; includes fragments that only the trial revealed.
+        entries: One entry for each description, including fragments that only the trial detected.
         fragments: Number of files with parts of robots only.
         macros: Number of xacro templates.
         copies: Number of duplicates.
@@ -117,7 +117,7 @@ def corpus(
 
     Args:
         folders: Folders or files.
-        robots: Also try all robots that have a name (listed by `pinred robots`).
+        robots: Also try all robots that can be loaded by name (listed by `pinred robots`).
         duration: Duration of the motions [s].
         patience: Time limit for one description [s].
         out: A csv file, updated regularly and at the end, also on interruption.

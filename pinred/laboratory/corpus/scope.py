@@ -136,7 +136,7 @@ def _why_closed(mj: Any, model: Any, joints: list[int]) -> str:
 
 
 def _welded_roots(mj: Any, model: Any, k: int) -> set[int]:
-    """Return the root body at each end of a connect or weld constraint; 0 is the ground."""
+    """Return the root bodies that a connect or weld constraint joins; 0 is the ground."""
     ends = [int(model.eq_obj1id[k]), int(model.eq_obj2id[k])]
     if int(model.eq_objtype[k]) == int(mj.mjtObj.mjOBJ_SITE):
         ends = [int(model.site_bodyid[end]) for end in ends]

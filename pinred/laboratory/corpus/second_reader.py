@@ -2,7 +2,7 @@
 
 MuJoCo reads the file itself; bodies and joints are matched by name. At random MuJoCo coordinates
 the pose of pinred's group follows from the position of one body by Newton's method, and velocities
-follow from its Jacobian. So pinred's reader contributes only the model that is compared. If the
+follow from its Jacobian. So only the compared model depends on pinred's reader. If the
 file fixes a base that floats in pinred, the MuJoCo model gets a free joint at that base.
 """
 
@@ -28,7 +28,7 @@ STATES = 3
 # Springs and dampers stay enabled, because MuJoCo disables gravity compensation with them.
 _OFF = ("CONSTRAINT", "EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT", "ACTUATION")
 _NEWTON = 60  # largest number of Newton iterations for the pose
-_CANCELS = 1e-3  # fraction of the cancelling moments that is added to the scale of force errors
+_CANCELS = 1e-3  # fraction of cancelling moments that is added to the scale of force errors
 _ROUND_OFF = 1e-12  # relative position step below which Newton's method has converged
 
 
@@ -63,7 +63,7 @@ def differences(
         The largest differences.
     Raises:
         LoadError: MuJoCo does not read the file, or bodies cannot be matched.
-        PinredError: pinred refuses a part of the file.
+        PinredError: pinred rejects a part of the file.
     """
     with library_output(EVERYTHING), warnings_kept():
         try:
@@ -77,7 +77,7 @@ def differences(
             model.opt.gravity[:] = 0.0
         for joint in np.flatnonzero(model.jnt_type == int(mujoco_package().mjtJoint.mjJNT_FREE)):
             first = model.jnt_dofadr[joint]
-            model.dof_armature[first : first + 6] = 0.0  # ignored with a warning
+            model.dof_armature[first : first + 6] = 0.0  # pinred ignores it with a warning
         pair = _Pair(system, model, root)
         rng = np.random.default_rng(0)
         samples = [pair.at_random(rng) for _ in range(STATES)]
@@ -138,7 +138,7 @@ class _Pair:
         world = robot_in(model, root)
         self._felt = gravity_of(world)
         ids = {world.joint_names[j]: j for body in world.bodies for j in world.joints(body)}
-        # In both readings, followers move independently here, so all joints are matched.
+        # Followers move independently in both models here, so all joints are matched.
         names = [str(name) for name in system.model.names[2:]]
         if missing := [name for name in names if name not in ids]:
             raise LoadError(f"MuJoCo has no joint '{missing[0]}'")

@@ -31,8 +31,8 @@ from .second_reader import Differences, differences
 _MASS = 1e-12  # largest passing error of the mass matrix, relative to its largest entry
 _FORCES = 1e-11  # largest passing error of forces, relative to the magnitudes of their terms
 _PLACES = 1e-10  # largest passing error of positions, relative to the robot's reach
-_SHORTER = 0.1  # factor that shortens the motion if the verdict is CANNOT TELL
-_CHOICES = 5  # largest number of choices that are tried per file
+_SHORTER = 0.1  # factor on the duration of the motion after the verdict CANNOT TELL
+_CHOICES = 5  # largest number of choices tried per file
 _WEIGHTLESS = (0.0, 0.0, 0.0)
 
 
@@ -55,9 +55,7 @@ def run_trial(description: Description, options: TrialOptions) -> Entry:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             entry = _try_description(description, options, entry)
-    except (
-        Exception
-    ) as error:  # any other exception is a defect of pinred, so the table must show it
+    except Exception as error:  # any other exception is a defect of pinred that the table must show
         entry = replace(
             entry, outcome="error", reason=f"{type(error).__name__}: {_line(error)}",
             about="exception that is not pinred's",
@@ -198,7 +196,7 @@ def _refused(entry: Entry, error: PinredError) -> Entry:
     return replace(entry, outcome="refused", reason=_line(error), about=about(error))
 
 
-_CATEGORIES = (  # words in an error message, and the category they indicate
+_CATEGORIES = (  # words in an error message, and the category that they indicate
     ("follows", "impossible coupling"),
     ("closes a loop", "closed loop"),
     ("closed loop", "closed loop"),

@@ -1,4 +1,4 @@
-"""A child process that tries descriptions one by one, and is replaced when it fails.
+"""A child process that tries descriptions one by one; a failed process is replaced.
 
 A file that crashes a parser or exceeds the time limit affects only its own row of the table.
 """
@@ -58,10 +58,10 @@ class Worker:
         return Entry(description.file, description.kind, outcome, reason, about, wall=wall)
 
     def _ready(self) -> tuple[Connection, float]:
-        """Return the pipe to a running process, and the time limit for its answer [s]."""
+        """Start a process if none is running; return its pipe, and the time limit for answers."""
         if self._pipe is not None:
             return self._pipe, self._patience
-        # Threads and open libraries of the parent do not survive a fork.
+        # Threads and loaded libraries of the parent process do not survive a fork.
         context = multiprocessing.get_context("spawn")
         self._pipe, child_end = context.Pipe()
         self._process = context.Process(

@@ -9,7 +9,7 @@ from ...system.load import load
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
 
 _ROUNDING = 2e3  # bound on round-off in units of eps; rates amplify the round-off of momenta
-# Factor of the initial rates, and a duration [s] in which chaos amplifies any initial error.
+# Factor of the initial rates, and a duration [s] over which chaos amplifies any initial error.
 _SCENES: dict[str, tuple[float, float]] = {
     "planar_chain5": (5.0, 100.0),
     "falling_cat": (5.0, 100.0),

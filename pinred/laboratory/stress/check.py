@@ -15,7 +15,7 @@ from ...simulation.trajectory import Trajectory
 
 T = TypeVar("T")
 _TIGHT = 1e-8  # largest relative tolerance for the `adaptive` methods
-_ANY = 10**12  # step limit that no run reaches
+_ANY = 10**12  # limit on trial steps, too large to be reached
 Effort: TypeAlias = Literal["short", "usual", "full"]
 
 
@@ -38,7 +38,7 @@ class Trial:
     adaptive: tuple[Callable[[], Method], ...] = (AdaptiveGauss,)
 
     def methods(self, rtol: float) -> list[Method]:
-        """Return the methods with step control that a relative tolerance is tested with."""
+        """Return the methods with step control that are tested at a relative tolerance."""
         further = self.adaptive if rtol <= _TIGHT else ()
         return [DOP853(max_steps=_ANY), *(make() for make in further)]
 

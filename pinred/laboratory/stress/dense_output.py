@@ -1,4 +1,4 @@
-"""Check of dense output: does it satisfy the equations between step ends?"""
+"""Check that dense output satisfies the equations of motion between step ends."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ...system.catalogue import bundled_robots
 from ...system.load import load
 from .check import Case, Cases, Check, Trial, tolerance
 
-_BOUND = 50.0  # largest defect in tolerances; dense output has lower order and no error control
+_BOUND = 50.0  # largest defect, in tolerances; dense output has a lower order and no error control
 
 
 def _cases(trial: Trial) -> Cases:

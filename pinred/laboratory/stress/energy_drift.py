@@ -1,4 +1,4 @@
-"""Check of energy over up to a million periods: bounded for symplectic methods, else drifting.
+"""Check of the energy over up to a million periods: bounded with symplectic methods, else drifting.
 
 Pinocchio computes the energies of states at random times, so that no phase is preferred. The drift
 is the slope of a fitted line, with its standard deviation.
@@ -76,7 +76,7 @@ def _cases(trial: Trial) -> Cases:
 
 
 def _check_bounded(trial: Trial, swing: Swing, make: Make, periods: int) -> Cases:
-    """Check that a symplectic method has no measurable slope and no growing changes."""
+    """Check that the energy of a symplectic method has no measurable slope or growing changes."""
     method = make(swing.period / _STEPS)
     line = _fit_line(trial, swing, method, periods)
     case = f"{swing.name}, {method.name}, {periods:.0e} periods"
@@ -87,7 +87,7 @@ def _check_bounded(trial: Trial, swing: Swing, make: Make, periods: int) -> Case
 
 def _check_drifting(trial: Trial, swing: Swing, make: Make, periods: int) -> Cases:
     """Check that the energy loss of a method of order p decreases at least with step^p."""
-    count = min(periods // 10, _DRIFTING)  # longer runs lose too much for a linear fit
+    count = min(periods // 10, _DRIFTING)  # longer runs lose too much energy for a linear fit
     coarse, fine = (
         _fit_line(trial, swing, make(swing.period / (n * _STEPS)), count) for n in (1, 2)
     )

@@ -1,7 +1,7 @@
 """Check that a motion does not depend on the frames of the world and of the base.
 
-With fixed steps, motions differ by round-off alone. Step control amplifies round-off, because an
-error estimate that consists of round-off determines the step length.
+With fixed steps, motions differ by round-off alone. Step control amplifies round-off, because error
+estimates that are only round-off then determine the step length.
 """
 
 from __future__ import annotations

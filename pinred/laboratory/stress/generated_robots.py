@@ -15,13 +15,12 @@ Link = tuple[pin.JointModel, ArrayLike, pin.Inertia]
 
 
 def serial(name: str, links: Sequence[Link]) -> System:
-    """Build a chain without gravity.
+    """Build a serial chain without gravity.
 
     Args:
         name: Name of the robot.
-        links: For each link, its joint, the joint position on the previous link [m], and the
-            body. The first
-            joint is the root.
+        links: For each link, its joint, the position of the joint on the previous link [m], and the
+            body. The first joint is the root.
     Returns:
         The chain.
     """

@@ -1,7 +1,7 @@
-"""Check of mass ratios up to 1e8: a light base, a light link, a heavy load.
+"""Check of mass ratios up to 1e8: light bases, light links, heavy loads.
 
 A momentum that is a small difference of large momenta has their round-off. Therefore the rate of a
-body that is lighter than its neighbours by a factor has an error of at least that factor
+body that is lighter than its neighbours by a factor has a relative error of at least that factor
 times eps.
 """
 

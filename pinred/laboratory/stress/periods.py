@@ -9,7 +9,7 @@ from .energy_drift import swings
 
 _RTOL = 1e-12
 _PER_PERIOD = (
-    10.0  # error bound per period, in tolerances: energy may drift by a tolerance per step
+    10.0  # error bound per period, in tolerances, because energy may drift by a tolerance per step
 )
 _PER_SQUARE = 1.0  # error bound per squared period, in tolerances: energy drift shifts the phase
 

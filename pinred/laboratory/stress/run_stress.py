@@ -1,4 +1,4 @@
-"""The table of all checks, and their execution."""
+"""The table of all checks, and functions that run them."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def run_check(
     cases: list[Case] = []
     stopped = ""
     try:
-        # A result that overflows fails its bound, so numpy's warnings are redundant.
+        # A result that overflows exceeds its bound, so numpy's warnings are redundant.
         with np.errstate(all="ignore"):
             for case in check.cases(trial):
                 cases.append(case)

@@ -1,4 +1,4 @@
-"""Time reversal: does a motion with reversed rates return to its initial state?"""
+"""Check that a motion with reversed rates returns to its initial state."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ _OMEGA = np.array([0.5, 0.7, 1.6])
 def _cases(trial: Trial) -> Cases:
     for ratio in trial.pick((1e2,), (1e2, 1e3, 1e4)):
         yield _check_two_scales(trial, ratio)
-    # Each case rotates by the same angle, within a very short or very long time.
+    # Each case rotates by the same angle, over a very short or very long time.
     for seconds in trial.pick((1e-9, 1e9), (1e-12, 1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9, 1e12)):
         times = seconds * np.linspace(0.0, 10.0, 21)
         omega = _OMEGA / seconds

@@ -20,7 +20,7 @@ from .check import EPS, Case, Cases, Check, Trial, dop853
 _ROUNDING = 50.0  # bound in units of eps times the growth times the square root of the steps
 _RTOL = 1e-11
 _NO_ATOL = 1e-30  # an absolute tolerance would depend on the units
-# Without any absolute tolerance, an angle that starts at zero would need a first step of length 0.
+# Without any absolute tolerance, an angle that starts at zero would require a first step of zero.
 _POSES = {"falling_cat": None, "cartpole": None, "planar_chain5": [0.0, 0.0, 0.5]}
 
 

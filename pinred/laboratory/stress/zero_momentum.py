@@ -1,4 +1,4 @@
-"""Sweep of momenta through zero: kernels with and without momentum must agree in the limit."""
+"""Check that kernels with and without momentum agree in the limit of zero momentum."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ SAME = 1e-5  # relative difference of merits below which two optima are consider
 @checks_arguments
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """A local optimum: a loop that no small change within the limits improves.
+    """A local optimum: a loop that no small admissible change improves.
 
     Attributes:
         gait: The loop.

@@ -8,14 +8,18 @@ import numpy as np
 
 from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array
-from .ipopt import Minimum, minimum
-from .limits import tighten_limits, violation_times
+from .ipopt import Minimum, kkt_residual, minimum
+from .loop_peaks import Cells, cells_of, loop_peaks
 from .transcription import Path, Task, fourier_path, problem_of
 
-_PIECES = 2  # number of quadrature segments of order 16, divided by (harmonics + 3)
-_CHECKS = 4  # number of times at which limits are imposed, divided by (harmonics + 1)
-_ROUNDS = 6  # largest number of repeated optimisations that enforce limits between check times
-_EXCHANGED = 2  # number of first repetitions that add times instead of tightening limits
+_PIECES = 2  # number of quadrature segments of order 16 per (harmonics + 3)
+_CHECKS = 4  # number of times at which limits are imposed per (harmonics + 1)
+_NEAR = 0.7  # peaks below this part of their limit constrain the last stage only if they exceed it
+RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
+# Weights of the root of the action in the length, in successive solves of the last stage.
+_WEIGHTS = (0.1, 0.05, 0.025, 0.01, 0.003, 0.001, 0.0003, 0.0)
+_NEWTON_STEPS = 40  # largest number of iterations with second derivatives
+_ROUNDS = 4  # largest number of last stages, each with the cells that the previous one exceeded
 
 
 class StartFailed(Exception):  # noqa: N818
@@ -43,9 +47,34 @@ class Search:
         Returns:
             The result of IPOPT.
         """
+        return minimum(problem_of(self.task, self.path), self.unknowns(gait), most=most)
+
+    def polish(self, gait: Gait) -> Minimum:
+        """Find the optimum near a Fourier gait with second derivatives.
+
+        The length does not determine the speed along the loop, so that its Hessian is nearly
+        singular.  The root of the action, which does, is faded out in several solves.
+
+        Args:
+            gait: A gait with at most as many harmonics as the paths.
+        Returns:
+            The result with the smallest residual, which is that of the problem without action.
+        """
+        asked, z = problem_of(self.task, self.path), self.unknowns(gait)
+        results: list[Minimum] = []
+        for weight in _WEIGHTS if self.task.cost == "length" else _WEIGHTS[-1:]:
+            eased = problem_of(self.task, replace(self.path, action=weight))
+            result = minimum(eased, z, tolerance=1e-10, most=_NEWTON_STEPS, newton=True)
+            results.append(replace(result, residual=kkt_residual(asked, result.z)))
+            if not result.residual <= RESIDUAL:
+                break
+            z = result.z
+        return min(results, key=lambda result: result.residual)
+
+    def unknowns(self, gait: Gait) -> Array:
+        """Return the unknowns z of the optimisation for a Fourier gait."""
         y = self.path.unknowns(gait.series.coefficients((len(self.path.shift) - 1) // 2))
-        z = np.append(y, gait.period) if self.task.period_is_free else y
-        return minimum(problem_of(self.task, self.path), z, most=most)
+        return np.append(y, gait.period) if self.task.period_is_free else y
 
     def coefficients(self, z: Array) -> Array:
         """Return the path coefficients, (K, m), for the unknowns z of the optimisation."""
@@ -83,35 +112,40 @@ def fourier_path_of(
     )  # fmt: skip
 
 
-def enforce_limits(
-    search: Search, best: Minimum, harmonics: int, start: Array | None = None
-) -> tuple[Search, Minimum]:
-    """Repeat an optimisation until its limits also hold between the sample times.
+def finish(search: Search, gait: Gait, *, newton: bool = True) -> tuple[Search, Minimum]:
+    """Solve the problem with limits of the true extremes, from one with limits at sample times.
 
-    The limits are imposed where the loop exceeds them.  Remaining violations tighten the limits.
+    With second derivatives, the length is not replaced by the root of the action either.
 
     Args:
         search: The search of the first optimum.
-        best: The first optimum.
-        harmonics: Number of harmonics.
-        start: See `fourier_path_of`.
+        gait: The first optimum.
+        newton: Whether to use second derivatives, which cost one gradient per unknown.
     Returns:
-        The last search and its optimum.
+        The search of the problem asked, and its optimum.
     Raises:
-        StartFailed: The loop still exceeds its limits.
+        StartFailed: The loop exceeds limits.
     """
-    task, more = search.task, np.zeros(0)
-    for k in range(_ROUNDS):
+    task = search.task
+    every = cells_of(task.limits, len(gait.series.cos))
+    use = np.asarray(_peaks(task, gait, every) > _NEAR)
+    for _ in range(_ROUNDS):
+        values, slopes, bends = (rows[:0] for rows in search.path.checked)
+        path = replace(
+            search.path, checked=(values, slopes, bends), cells=every.select(use),
+            action=0.0 if newton else 1.0,
+        )  # fmt: skip
+        search = Search(task, path)
+        best = search.polish(gait) if newton else search.optimise_from(gait)
         gait = search.gait(best.z)
-        worst = violation_times(task.connection, gait, task.limits)
-        if not len(worst):
-            return replace(search, task=task), best
-        more = np.union1d(more, worst) if k < _EXCHANGED else more
-        imposed = search.task.limits
-        if k >= _EXCHANGED:
-            imposed = tighten_limits(imposed, task.connection, gait, task.limits)
-        search = Search(
-            replace(task, limits=imposed), fourier_path_of(task, harmonics, more, start)
-        )
-        best = search.optimise_from(gait)
-    raise StartFailed("the loop still exceeds its limits between the sample times")
+        beyond = _peaks(task, gait, every) > 1.0
+        if not beyond.any():
+            return search, best
+        use |= beyond
+    raise StartFailed("the loop still exceeds its limits")
+
+
+def _peaks(task: Task, gait: Gait, cells: Cells) -> Array:
+    """Return the peaks of a gait, relative to the limits."""
+    c = gait.series.coefficients()
+    return loop_peaks(task.connection, task.limits, c, gait.period, cells).values

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -13,9 +13,19 @@ from ...common.arrays import Array
 from ...common.casadi_callback import ArrayCallback, dense
 from ...common.interrupts import held_interrupt
 
+# Options that keep the first iterate near bounds that are active at the start.
+_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+_WARM = {f"ipopt.{name}": 1e-8 for name in _PUSHES} | {
+    "ipopt.mu_strategy": "monotone",
+    "ipopt.mu_init": 1e-5,
+}
+
 # Function from the unknowns z, (n,), to the values of the objective and of k constraints,
 # (1 + k,), and to their derivatives, (1 + k, n).
 Evaluate: TypeAlias = Callable[[Array], tuple[Array, Array]]
+
+
+_STEP = 1e-6  # step of the differences of gradients
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +69,17 @@ class Minimum:
     residual: float
 
 
-def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: int = 500) -> Minimum:
+def minimum(
+    problem: Problem,
+    start: Array,
+    *,
+    tolerance: float = 1e-8,
+    most: int = 500,
+    newton: bool = False,
+) -> Minimum:
     """Find a local minimum near an initial point.
 
-    The Hessian is approximated by L-BFGS.  A failure raises no error; check the residual to see
+    A failure raises no error; check the residual to see
     whether the final iterate is a minimum.
 
     Args:
@@ -70,6 +87,8 @@ def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: in
         start: Initial point, (n,).
         tolerance: IPOPT's tolerance.
         most: Maximum number of iterations.
+        newton: Whether to compute the Hessian by differences of gradients; otherwise it is
+            approximated by L-BFGS.
     Returns:
         The result at the final iterate.
     """
@@ -98,6 +117,9 @@ def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: in
             "print_time": False,
             "show_eval_warnings": False,
         }
+        if newton:
+            hessian = function.hessian()
+            options |= {"ipopt.hessian_approximation": "exact", "hess_lag": hessian} | _WARM
         solver = ca.nlpsol("gait", "ipopt", nlp, options)
         solution = solver(x0=start, lbg=problem.lower, ubg=problem.upper)
         stats = solver.stats()
@@ -169,3 +191,20 @@ class _Function(ArrayCallback):
         # Store a reference, because CasADi stores none.
         self._jacobian = ArrayCallback(name, inputs, outputs, lambda z: [self.at(z[0])[1]])
         return self._jacobian
+
+    def hessian(self) -> ArrayCallback:
+        """Return the upper triangle of the Hessian of the Lagrangian as a CasADi Function."""
+        n = self._problem.size
+        names, sizes = ("x", "p", "lam_f", "lam_g"), (n, 0, 1, len(self._problem.lower))
+        inputs = [dense(name, size) for name, size in zip(names, sizes, strict=True)]
+        outputs = [("hessian", ca.Sparsity.upper(n))]
+        return ArrayCallback("hessian", inputs, outputs, self._differences)
+
+    def _differences(self, inputs: Sequence[Array]) -> list[Any]:
+        """Return the Hessian for inputs of IPOPT, by differences of gradients."""
+        z, _, lam_f, lam_g = (array.ravel() for array in inputs)
+        weights = np.concatenate([lam_f, lam_g[: self._problem.constraints]])
+        gradient = weights @ self.at(z)[1]
+        moved = [weights @ self.at(z + step)[1] for step in _STEP * np.eye(len(z))]
+        differences = (np.array(moved) - gradient) / _STEP
+        return [ca.triu(ca.DM(0.5 * (differences + differences.T)))]

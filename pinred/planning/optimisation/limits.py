@@ -169,68 +169,6 @@ def find_extremes(values: Callable[[Array], Array], s: Array) -> tuple[Array, Ar
 
 _TIMES = 1024  # smallest number of torque samples in a cycle
 _PER_HARMONIC = 64  # number of torque samples per harmonic
-_OVERCORRECTION = 1.1  # factor on violations by which limits are tightened
-
-
-def violation_times(connection: Connection, gait: Gait, limits: Limits) -> Array:
-    """Find the times s = t/T at which a Fourier gait exceeds each limit most.
-
-    Args:
-        connection: The connection.
-        gait: The gait.
-        limits: The limits.
-    Returns:
-        At most one s per joint and kind of limit; empty if no limit is exceeded.
-    """
-    arc = gait.series
-    s = arc.extremes()
-    x = arc.at(s)[0]
-    times = _worst_violations(s, np.maximum(limits.shape[:, 0] - x, x - limits.shape[:, 1]))
-    if np.isfinite(limits.speed).any():
-        arc = _rate_gait(gait).series
-        s = arc.extremes()
-        times += _worst_violations(s, np.abs(arc.at(s)[0]) - limits.speed)
-    if np.isfinite(limits.torque).any():
-        s, peaks = peak_torques(connection, gait)
-        times += s[peaks > limits.torque].tolist()
-    return np.unique(np.array(times) % 1.0)
-
-
-def _worst_violations(s: Array, beyond: Array) -> list[float]:
-    """Return, for each joint that exceeds its limit, the time s of its largest violation.
-
-    Args:
-        s: Times, (N,).
-        beyond: Excess over the limits, (N, m).
-    Returns:
-        The times, at most m.
-    """
-    worst = beyond.argmax(axis=0)
-    return [float(s[k]) for k, joint in zip(worst, beyond.T, strict=True) if joint[k] > 0.0]
-
-
-def tighten_limits(imposed: Limits, connection: Connection, gait: Gait, limits: Limits) -> Limits:
-    """Tighten the limits imposed on the optimiser by the violations of its last gait.
-
-    Args:
-        imposed: Limits imposed in the last optimisation.
-        connection: The connection.
-        gait: The gait.
-        limits: Limits that the gait must satisfy.
-    Returns:
-        The new imposed limits.
-    """
-    ranges = gait.limits
-    low = np.maximum(0.0, limits.shape[:, 0] - ranges[:, 0])
-    high = np.maximum(0.0, ranges[:, 1] - limits.shape[:, 1])
-    speed, torque = imposed.speed, imposed.torque
-    if np.isfinite(speed).any():
-        speed = speed - _OVERCORRECTION * np.maximum(0.0, peak_speeds(gait) - limits.speed)
-    if np.isfinite(torque).any():
-        peaks = peak_torques(connection, gait)[1]
-        torque = torque - _OVERCORRECTION * np.maximum(0.0, peaks - limits.torque)
-    shape = imposed.shape + _OVERCORRECTION * np.stack([low, -high], axis=1)
-    return Limits(shape, speed, torque)
 
 
 def margins(connection: Connection, gait: Gait, limits: Limits) -> dict[str, float]:

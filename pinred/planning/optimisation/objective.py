@@ -1,8 +1,8 @@
 """Objectives (functions of the pose after a loop) and costs of a loop, with exact derivatives.
 
-During the optimisation the square root of the action ∫x′ᵀMx′ ds replaces the length.  The root is
-never smaller than the length, and equals it at constant speed, so that the optimal parametrisation
-is unique.  For a path
+The optimisation starts with the square root of the action ∫x′ᵀMx′ ds in place of the length, and
+its last stage fades it out.  The root is never smaller than the length, and equals it at constant
+speed, so that it determines the speed along the loop, which the length does not.  For a path
 x(s), s = t/T, joint torques against inertia are f/T² with the covariant force f of the path.
 Joint torques against drag are M x′/T.
 """
@@ -272,14 +272,14 @@ def torques(connection: Connection, x: Array, slope: Array, bend: Array) -> Arra
 def torque_slopes(
     connection: Connection, x: Array, slope: Array, bend: Array, along: Array
 ) -> Array:
-    """Compute the derivatives of λᵀτ for joint torques τ at period T = 1.
+    """Compute the derivatives of λᵀτ along a path, with the joint torques τ at period T = 1.
 
     Args:
         connection: The connection.
         x: Shapes, (N, m).
         slope: First derivatives by s, (N, m).
         bend: Second derivatives by s, (N, m).
-        along: Covectors λ, (N, m).
+        along: Constant weights λ of the torques, (N, m).
     Returns:
         (N, 3m): the derivatives with respect to (x, x′, x″).
     """
@@ -305,6 +305,8 @@ def cost_of(
     coefficients: Array,
     lift: PathLift,
     period: float,
+    *,
+    action: float = 1.0,
 ) -> Cost:
     """Compute the cost of a path and its derivatives.
 
@@ -315,6 +317,7 @@ def cost_of(
         coefficients: Coefficients of the path, (K, m).
         lift: Horizontal lift of the path: the motion of the base along it.
         period: Period T [s].
+        action: Weight of the root of the action in the cost "length"; with 0, it is the length.
     Returns:
         The cost.
     Raises:
@@ -324,8 +327,10 @@ def cost_of(
         return Cost(period, np.zeros_like(coefficients), period)
     x, slope, w, m = lift.x, lift.slope, basis.weights, connection.m
     if kind == "length":
-        length = float(np.sqrt(w @ lift.square))
-        derivatives = (0.5 * w / max(length, 1e-300))[:, None] * lift.square_slopes
+        root, speed = float(np.sqrt(w @ lift.square)), np.sqrt(lift.square)
+        length = action * root + (1.0 - action) * float(w @ speed)
+        factors = action / max(root, 1e-300) + (1.0 - action) / np.maximum(speed, 1e-300)
+        derivatives = (0.5 * w * factors)[:, None] * lift.square_slopes
         return Cost(length, sum_over_nodes(basis, m, derivatives), 0.0)
     bend, order = basis.bends @ coefficients, torque_order(connection)
     if kind == "acceleration":

@@ -17,7 +17,7 @@ from ...common.errors import InputError, IntegrationError, NoOptimum, SingularIn
 from ...common.names import brief
 from ...common.progress import Progress, shown
 from .best_gait import BestGait, Optimum, group_optima
-from .gait_search import Search, StartFailed, enforce_limits, fourier_path_of
+from .gait_search import RESIDUAL, Search, StartFailed, finish, fourier_path_of
 from .ipopt import Minimum, minimum
 from .limits import LimitsLike, limits_of, margins
 from .objective import (
@@ -73,8 +73,7 @@ def polygon_gait(path: Path, y: Array, period: float) -> Gait:
     return Gait.waypoints(path.coefficients(y), period=period)
 
 
-RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
-_CONTINUED = (1, 3, 5, 9)  # numbers of harmonics of successive optimisations
+_CONTINUED = (1, 3, 5, 9)  # numbers of harmonics in the successive optimisations of a continuation
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 
 
@@ -208,9 +207,9 @@ def _check_task(task: Task) -> None:
             "cost 'time' needs limits of speeds or torques, which bound the period from below"
         )
     if isinstance(task.aim, TargetAim) and (cost is None or task.most is not None):
-        raise InputError("objective 'target' minimises a cost. Give cost= and omit most=.")
+        raise InputError("objective 'target' minimises a cost. Pass cost= and omit most=.")
     if task.most is not None and cost is None:
-        raise InputError("most= bounds a cost. Give cost= as well.")
+        raise InputError("most= bounds a cost. Pass cost= as well.")
     if cost is None and connection.m > 2:
         raise InputError(
             f"cost: expected a cost for {connection.m} joints, got None; without cost, a cycle "
@@ -255,7 +254,7 @@ def _optimise_fourier(
         search = Search(task, fourier_path_of(task, h))
         best = search.optimise_from(gait)
         gait = search.gait(best.z)
-    search, best = enforce_limits(search, best, harmonics)
+    search, best = finish(search, gait)
     gait = search.gait(best.z)
     turns = None
     if m == 2:
@@ -299,7 +298,7 @@ def _verify(search: Search, best: Minimum, gait: Gait, turns: float | None) -> O
     sampled = phase(connection, gait, tolerance=1e-11)
     difference = connection.group.error(sampled.pose, lift.pose)
     if not max(float(difference.rotation), float(difference.translation)) <= _PHASE_ERROR:
-        raise StartFailed("the loop is too fine for the nodes of the transcription")
+        raise StartFailed("the transcription has too few nodes to resolve the loop")
     cost = np.nan
     if task.cost is not None:
         cost = cost_of(task.cost, connection, path.basis, c, lift, gait.period).value

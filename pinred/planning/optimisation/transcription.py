@@ -24,6 +24,7 @@ from ...common.arrays import Array
 from ...common.errors import NoConvergence, SingularInertiaError
 from .ipopt import Problem
 from .limits import Limits
+from .loop_peaks import Cells, loop_peaks
 from .objective import (
     DEGREES,
     AxisAim,
@@ -36,6 +37,7 @@ from .objective import (
 )
 
 _INSIDE = 1e-6  # relative margin inside the limits, for round-off and small overshoot
+_ROUND_OFF = 1e-8  # relative margin of the peaks inside the limits: the tolerance of IPOPT
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,12 +119,17 @@ class Path:
             limits are imposed, (C, K) each.
         matrix: Matrix L of the affine map, (K m, n).
         shift: Constant term c₀ of the affine map, (K, m).
+        cells: Cells in which the peaks of the loop are limited; None if limits are imposed at
+            sample times.
+        action: Weight of the root of the action in the cost "length".
     """
 
     basis: PathBasis
     checked: tuple[Array, Array, Array]
     matrix: Array
     shift: Array
+    cells: Cells | None = None
+    action: float = 1.0
 
     @property
     def size(self) -> int:
@@ -204,7 +211,7 @@ def problem_of(task: Task, path: Path) -> Problem:
         def add(value: Array, by_c: Array, by_T: Array | float = 0.0) -> None:
             """Append values, (k,), with their derivatives in c, (k, K, m), and T, (k,)."""
             derivative = np.zeros((len(value), size))
-            derivative[:, :n] = by_c.reshape(len(value), -1) @ path.matrix
+            derivative[:, :n] = by_c.reshape(len(value), len(path.matrix)) @ path.matrix
             if free:
                 derivative[:, n] = by_T
             results.append(value)
@@ -213,7 +220,7 @@ def problem_of(task: Task, path: Path) -> Problem:
         lift = path_lift(connection, path.basis, c, task.drift)
         cost = None
         if task.cost is not None:
-            cost = cost_of(task.cost, connection, path.basis, c, lift, T)
+            cost = cost_of(task.cost, connection, path.basis, c, lift, T, action=path.action)
         size_of_cost = 1.0 if cost is None else max(cost.value, 1e-300)
         power = 1.0 / DEGREES[task.cost or "time"]
         root = size_of_cost**power
@@ -238,7 +245,10 @@ def problem_of(task: Task, path: Path) -> Problem:
                 np.array([cost.value / task.most]), cost.slope[None] / task.most,
                 cost.by_log_period / T / task.most,
             )  # fmt: skip
-        if len(limited):
+        if path.cells is not None:
+            peaks = loop_peaks(connection, limits, c, T, path.cells)
+            add(peaks.values, peaks.by_c, peaks.by_log_period / T)
+        elif len(limited):
             x, x1, x2 = values @ c, slopes @ c, bends @ c
             tau = torques(connection, x, x1, x2) / T**order
             for k in limited:
@@ -262,7 +272,7 @@ def problem_of(task: Task, path: Path) -> Problem:
             count = 1 + len(g_lower)
             return np.full(count, np.nan), np.full((count, size), np.nan)
 
-    g_lower, g_upper = _nonlinear_bounds(task, len(values), len(limited))
+    g_lower, g_upper = _nonlinear_bounds(task, path)
     rows, lower, upper = _linear_constraints(task, path)
     return Problem(
         size,
@@ -273,7 +283,7 @@ def problem_of(task: Task, path: Path) -> Problem:
     )
 
 
-def _nonlinear_bounds(task: Task, checks: int, limited: int) -> tuple[Array, Array]:
+def _nonlinear_bounds(task: Task, path: Path) -> tuple[Array, Array]:
     """Return the bounds of the nonlinear constraints."""
     identity = task.connection.group.identity()
     residual, _ = (
@@ -285,8 +295,13 @@ def _nonlinear_bounds(task: Task, checks: int, limited: int) -> tuple[Array, Arr
     if task.most is not None:
         lower.append(np.array([-np.inf]))
         upper.append(np.ones(1))
-    lower.append(np.full(checks * limited, -1.0))
-    upper.append(np.full(checks * limited, 1.0))
+    if path.cells is not None:
+        lower.append(np.full(len(path.cells.joint), -np.inf))
+        upper.append(np.full(len(path.cells.joint), 1.0 - _ROUND_OFF))
+    else:
+        limited = len(path.checked[0]) * int(np.isfinite(task.limits.torque).sum())
+        lower.append(np.full(limited, -1.0))
+        upper.append(np.full(limited, 1.0))
     return np.concatenate(lower), np.concatenate(upper)
 
 

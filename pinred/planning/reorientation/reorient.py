@@ -318,7 +318,7 @@ def _target_rotation(system: System, target: ArrayLike) -> Array:
 
 
 def _plan_at_zero_momentum(request: _Request, n: int) -> TurnPlan:
-    """Return a plan of n cycles, verified with independent samples.  Raises StartFailed."""
+    """Return a plan of n cycles, verified on independent samples.  Raises StartFailed."""
     group, connection, turn = request.system.group, request.connection, request.turn
     gait = turning_loop(request.task(target_aim(group, turn / n)), request.start, turn / n)
     once = phase(connection, gait, tolerance=1e-13)
@@ -332,7 +332,7 @@ def _plan_at_zero_momentum(request: _Request, n: int) -> TurnPlan:
 
 
 def _plan_with_momentum(request: _Request, n: int, *, quick: bool) -> TurnPlan:
-    """Return a plan of n cycles, verified with doubled quadrature.  Raises StartFailed."""
+    """Return a plan of n cycles, verified with twice the quadrature nodes.  Raises StartFailed."""
     system, start = request.system, request.start
     seconds = _SECONDS * n if request.duration is None else positive(request.duration, "duration")
     passage = passage_of(system, request.momentum, start, n, seconds)
@@ -356,7 +356,10 @@ def _choose_duration(request: _Request, peaks: Peaks, n: int) -> float:
         return max(_SECONDS * n, shortest)
     seconds = positive(request.duration, "duration")
     if seconds < shortest:
-        raise InputError(f"speeds and torques need {shortest:.3g} s, got duration {seconds:g}")
+        raise InputError(
+            f"duration: limits of speeds and torques need {shortest:.3g} s, got {seconds:g} s. "
+            "Choose a longer duration, or wider limits"
+        )
     return seconds
 
 

@@ -15,7 +15,7 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ..optimisation.gait_search import Search, StartFailed, enforce_limits, fourier_path_of
+from ..optimisation.gait_search import Search, StartFailed, finish, fourier_path_of
 from ..optimisation.limits import margins
 from ..optimisation.objective import TargetAim
 from ..optimisation.transcription import Passage, Path, Task, fourier_path
@@ -29,11 +29,11 @@ _DAMPED_STEPS = 40  # largest number of damped Newton steps
 _CONVERGENCE = 1e-3  # rotation error below which full Newton steps converge [rad]
 _LONGEST = 0.5  # largest rotation of a damped step [rad]
 _HARMONICS = 3  # number of harmonics of the loops
-_ITERATIONS = 70  # iterations of the optimiser; more iterations hardly shorten loops
+_ITERATIONS = 70  # number of iterations of the optimiser; more iterations hardly shorten loops
 _EDGE = 1e-3  # fraction of the joint ranges reserved for the final Newton steps
 _REACHED = 1e-5  # largest rotation error of the optimiser's loop [rad]
 _FINE = 64  # number of quadrature segments of order 16 for the final Newton steps
-_FINE_PASSAGE = 24  # number of these segments for each cycle from rest to rest
+_FINE_PASSAGE = 24  # number of quadrature segments of order 16 for each cycle from rest to rest
 
 
 def first_loop(connection: Connection, start: Array, turn: Array, limits: Array) -> Gait:
@@ -175,8 +175,7 @@ def _shortest_loop(task: Task, aim: TargetAim, gait: Gait, start: Array) -> Gait
     best = search.optimise_from(gait, most=_ITERATIONS)
     if not _newton_step(task, aim, search.path, best.z)[0] <= _REACHED:
         raise StartFailed(f"the optimiser did not reach the target ({best.status})")
-    search, best = enforce_limits(search, best, _HARMONICS, start)
-    return search.gait(best.z)
+    return search.gait(finish(search, search.gait(best.z), newton=False)[1].z)
 
 
 def fine_path(m: int, start: Array, passage: Passage | None, *, finer: int = 1) -> Path:

@@ -40,7 +40,7 @@ from .scalars import INDEX, Scalar, Turn, Vec, add, dot, mul, solve_ldl, sub
 
 @dataclass
 class Eliminated:
-    """Data of an eliminated joint for the outward pass, in its body's frame at joint value zero.
+    """Data of an eliminated joint for the outward pass, in the body's frame at joint value zero.
 
     Attributes:
         inner: Inertia of the subtree with the joint's velocity eliminated.
@@ -208,7 +208,7 @@ def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated
 
 
 def _join(groups: Groups, i: int, body: Body, a: Articulated, step: Step) -> Eliminated:
-    """Leave a joint's rate to its groups, except a prescribed part; a: inertia of the subtree."""
+    """Pass a joint's rate on to its groups, except a prescribed part; a: inertia of the subtree."""
     rate = groups.pushed.get(groups.number(i))
     if rate is None:
         none: Vec = [0.0, 0.0, 0.0]

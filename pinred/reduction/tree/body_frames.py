@@ -23,7 +23,7 @@ from ...system.variants import nominal
 from .scalars import Scalar, Sym, Vec
 
 _SNAP = 4e-16  # round-off of the entries of a rotation matrix
-_ANGLE = 4e-15  # rad, round-off of an angle that is computed from a product of rotations
+_ANGLE = 4e-15  # round-off of an angle computed from a product of rotations [rad]
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""Identical branches in SIMD lanes: both legs at once, both arms at once.
+"""Identical branches, such as both legs or both arms, computed together in SIMD lanes.
 
-The sweep is written once for branches with equal joints, in symbols that stand for one number per
-branch.  CasADi does not distinguish such packed symbols from others.  Therefore a list of marks
-(see `Mark`) records where numbers are packed into lanes, and where lanes become plain numbers
-again: one lane, or the sum over all.  `lowering` generates vector instructions for packed
+Branches with equal joints share one sweep, whose symbols represent one number per branch.  CasADi
+does not distinguish such packed symbols from others.  Therefore a list of marks (see `Mark`)
+records where numbers are packed into lanes, and where lanes become plain numbers again: one lane,
+or the sum over all.  `lowering` generates vector instructions for packed
 expressions.
 """
 

@@ -96,7 +96,7 @@ def locked(
     *,
     rotors: bool = True,
 ) -> ca.SX:
-    """Return the inertia with frozen joints, (r, r).
+    """Return the inertia with locked joints, (r, r).
 
     Args:
         system: The system.

@@ -83,7 +83,7 @@ class _Tree:
         self._paths = [self._path(k) for k in range(self._count + 1)]
 
     def _path(self, k: int) -> list[int]:
-        """Return the joints on the path from the root, excluded, to body k, numbered from 1."""
+        """Return the joints between the root and body k, numbered from 1, without the root."""
         path = []
         while k:
             path.append(k)
@@ -190,7 +190,7 @@ class _Tree:
         return screws, inertias
 
     def _on_shape(self, H: Array, dH: Array, d2H: Array, *com: Array) -> InertiaDerivatives:
-        """Convert derivatives with respect to all joints x = G y + b to those for the shape y."""
+        """Convert derivatives by all joints x = G y + b to derivatives by the shape y."""
         coupled, r = self._system.coupled, self._root.shape[1]
         c, dc, d2c = com[0][:, 0, 0], np.moveaxis(com[1][:, 0], 1, -1), np.moveaxis(com[2], 3, 1)
         if coupled is None:

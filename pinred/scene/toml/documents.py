@@ -45,15 +45,15 @@ def _parsed(text: str, place: Place, what: str) -> dict[str, Any]:
     if _LONG_KEY.search(text):
         raise LoadError(f"{place.file}: not {what}: a key of more than 50 parts")
     try:
-        return tomllib.loads(text + "\n")  # A final line break gives every error a line number.
+        return tomllib.loads(text + "\n")  # With a final line break, every error has a line number.
     except tomllib.TOMLDecodeError as error:
         match = re.fullmatch(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", str(error))
         problem, where = match.groups() if match else (str(error), None)
         raise LoadError(f"{place.file}, {where or 'at its end'}: not TOML: {problem}") from None
     except RecursionError:
-        raise LoadError(f"{place.file}: not {what}: tables or lists nested too deep") from None
+        raise LoadError(f"{place.file}: not {what}: tables or lists nested too deeply") from None
     except ValueError:
-        raise LoadError(f"{place.file}: not TOML: a number of thousands of digits") from None
+        raise LoadError(f"{place.file}: not TOML: a number with thousands of digits") from None
 
 
 def robot_in(document: Mapping[str, Any], folder: Path, place: Place) -> System:

@@ -68,7 +68,7 @@ def read_scene_file(path: str | Path) -> SceneFile:
 
 
 class _Builder:
-    """A builder of the scene in a validated document."""
+    """Conversion of a validated document to a scene."""
 
     def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
         self.place, self.document = place, document
@@ -107,7 +107,7 @@ class _Builder:
             self._option_place("method").fail("engine 'pinocchio' has an integrator of its own")
         try:
             scene = Scene(system=self.system, **options)
-            _ = scene.start  # Evaluate here, so that errors name the file too.
+            _ = scene.start  # Evaluated here, so that errors name the file, too.
         except PinredError as error:
             self._explain(error, options)
         return SceneFile(scene, engine)

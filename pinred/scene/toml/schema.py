@@ -58,7 +58,7 @@ class Node(ABC):
         if not self.name:
             return self._schema(defs)
         if self.name not in defs:
-            defs[self.name] = {}  # A type may contain itself.
+            defs[self.name] = {}  # Reserve the entry first, because a type may contain itself.
             defs[self.name] = self._schema(defs)
         return {"$ref": f"#/$defs/{self.name}"}
 
@@ -259,7 +259,7 @@ class Table(Node):
         words: Description of the table, for messages.
         apart: Pairs of keys that exclude each other.
         needs: {key: another key that it requires}.
-        one_of: Keys of which exactly one must be present; no restriction if empty.
+        one_of: Keys, exactly one of which must be present; no restriction if empty.
         name: Name of the type in the JSON Schema.
     """
 

@@ -72,7 +72,7 @@ class SignalReader:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Create a reader without signals."""
+        """Create a reader that has not read any signals yet."""
         self._folder = folder
         self._places: list[tuple[Signal, Place]] = []
 
@@ -85,7 +85,7 @@ class SignalReader:
         Returns:
             The signal.
         Raises:
-            InputError: the signal is not defined; the message names the place.
+            InputError: the value does not define a valid signal; the message names the place.
             LoadError: a csv file cannot be read.
         """
         signal = self.value(value, place)

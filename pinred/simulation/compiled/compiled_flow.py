@@ -71,8 +71,11 @@ class CompiledFlow:
         """Force parameters: a view of the last entries of `parameters`."""
         return self.parameters[..., self.numbers_at]
 
-    def parameters_between(self, start: float, stop: float) -> Array:
-        """Return a copy of the parameters that selects the table segments between two stops."""
+    def parameters_between(self, start: float | Array, stop: float | Array) -> Array:
+        """Return a copy of the parameters for the table segments between two stops.
+
+        For members, the stops may have a row for each member, (N, 1).
+        """
         parameters, forces = self.parameters.copy(), self.kernel.forces
         if forces is not None:
             numbers = parameters[..., self.numbers_at]
@@ -179,7 +182,7 @@ def _kernel(kind: Kind) -> Kernel:
 def flows_of(
     plan: Plan, given: GivenStates, own: MemberParameters = NO_DIFFERENCES
 ) -> list[tuple[Indices, CompiledFlow]]:
-    """Return two flows of N members: of those with angular momentum and of those without.
+    """Return separate flows for the members with and without angular momentum.
 
     Args:
         plan: The plan of all members.

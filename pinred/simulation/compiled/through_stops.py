@@ -65,7 +65,7 @@ def through_stops(
 
 
 class PartSegments(Segments):
-    """The segments of a run over parts of time, each made when it is requested."""
+    """The segments of a run over parts of time; each is created at first access."""
 
     def __init__(self, parts: Parts, starts: Array, stops: Array, divisions: int) -> None:
         """Store the solutions.
@@ -74,7 +74,7 @@ class PartSegments(Segments):
             parts: Solutions of the S parts.
             starts: Start times of the parts, (S,) [s].
             stops: End times of the parts, (S,) [s].
-            divisions: Number of parts into which long steps are divided for their users.
+            divisions: Number of parts into which each long step is divided.
         """
         self._parts, self._starts, self._divisions = parts, starts, divisions
         self.ends, self.steps, self.evaluations = stops, parts.steps, parts.evaluations
@@ -84,7 +84,7 @@ class PartSegments(Segments):
         """Times of all step ends, (K,) sorted [s]."""
         parts, counts = self._parts, np.diff(self._parts.first)
         times = parts.knots[: parts.first[-1]] + np.repeat(self._starts, counts)
-        times[parts.first[1:] - 1] = self.ends  # exact, despite round-off of sums of step lengths
+        times[parts.first[1:] - 1] = self.ends  # exact, despite round-off in sums of step lengths
         return np.unique(refined(np.unique(times), self._divisions))
 
     def __getitem__(self, k: Any) -> Any:

@@ -308,7 +308,7 @@ def flow(
 ) -> Flow:
     """Return the flow of a scene as a prepared map with derivatives.
 
-    The flow gives the state at the end, or at `times` if the scene has them.  An InputError is
+    The flow returns the state at the end, or at `times` if the scene has them.  An InputError is
     raised for scenes without derivatives: with Controllers, which are Python functions, or with
     methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.
 

@@ -38,13 +38,13 @@ class Columns:
     def __init__(
         self, flow: Any, propagator: Propagator, inputs: Inputs, run: Callable[..., Run]
     ) -> None:
-        """Prepare the vectors of a flow.
+        """Determine the input and output vectors of a flow.
 
         Args:
             flow: The Flow.
             propagator: Kernels and runs of the flow.
             inputs: Inputs of the flow.
-            run: Function from {input: value} to the run with these inputs.
+            run: Function that integrates the flow for {input: value} and returns the run.
         Raises:
             InputError: The flow has no inputs, or one of them is a pose.
         """
@@ -53,7 +53,7 @@ class Columns:
                 "pose0 is an element of a group, and inputs must be vectors; leave it out of wrt="
             )
         if not flow.inputs:
-            raise InputError("the flow has no inputs with derivatives; name some as wrt=")
+            raise InputError("the flow has no inputs with derivatives; name some in wrt=")
         self.flow = flow
         self.names, self.sizes = tuple(flow.inputs), tuple(flow.inputs.values())
         self.starts = [flow.own(name) for name in self.names]

@@ -138,7 +138,7 @@ class InitialMap:
 
 def _refuse_overflow(out: Array) -> None:
     if not np.isfinite(out).all():
-        raise InputError("the initial momentum or twist overflows: rates or momentum too large")
+        raise InputError("the initial momentum or twist overflows; reduce rates or momentum")
 
 
 def _moved_back(t: float, path: Array, k: int) -> Array:

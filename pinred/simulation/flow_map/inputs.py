@@ -217,7 +217,7 @@ class Inputs:
 
 
 def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
-    """Return a scene in which all robot parameters that `names` contains are variable.
+    """Return a scene in which the robot parameters among `names` are variable.
 
     An InputError is raised for bodies and joints that do not exist.
     """

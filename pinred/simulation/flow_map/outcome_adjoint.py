@@ -12,11 +12,11 @@ from ...integrators.stepping.kernel_call import call, call_adjoint
 from ...kernels.flow_functions import Row, outcome_of
 from ...kernels.kernel import Kernel
 
-# Covectors of rows of the outputs at T times of a segment, and their derivatives: times, (T,) [s];
-# reduced states at these times, (T, n), read-only; constants of the kernel, (p,); covectors of the
-# rows, (T, rows); derivatives with respect to the states, (T, n), overwritten, and with respect to
-# the constants, (p,), to which the result is added.
-OutputCovectors: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
+# Covectors of rows of the outputs at T times of a segment, and their derivatives: start of the
+# segment [s]; times after the start, (T,) [s]; reduced states at these times, (T, n), read-only;
+# constants of the kernel, (p,); covectors of the rows, (T, rows); derivatives with respect to the
+# states, (T, n), overwritten, and to the constants, (p,), to which the result is added.
+OutputCovectors: TypeAlias = tuple[float, Array, Array, Array, Array, Array, Array]
 
 
 class OutcomeAdjoint:
@@ -33,7 +33,7 @@ class OutcomeAdjoint:
     def __call__(self, back: OutputCovectors) -> None:
         """Compute the derivatives of Σ covectors · rows."""
         argument = np.zeros(self._argument_size)
-        slopes = np.empty(len(argument) + len(back[2]))
+        slopes = np.empty(len(argument) + len(back[3]))
         addresses = (self._outputs.address, self._outcome.adjoint.address)
         out = np.empty(self._output_size)
         _propagate_covectors(addresses, self._size, self._pose, back, argument, out, slopes)
@@ -57,12 +57,12 @@ def _propagate_covectors(
     argument: work space for (y, t, pose); the output function reads only y and t.
     out, slopes: work space for the outputs and for the derivatives at one time.
     """
-    times, y, constants, covectors, at_times, by_constants = back
+    begin, times, y, constants, covectors, at_times, by_constants = back
     argument_size = argument.shape[0]
     for j in range(times.shape[0]):
         for k in range(size):
             argument[k] = y[j, k]
-        argument[size] = times[j]
+        argument[size] = begin + times[j]
         if pose >= 0:
             call(addresses[0], argument, constants, out)
             for k in range(size + 1, argument_size):

@@ -275,8 +275,8 @@ class Propagator:
             at_times = np.zeros((len(span.times), self._n))
             if len(span.times):
                 constants = np.concatenate([solution.params, run.flow.path])
-                times, weights = span.start + span.times, covectors[span.rows]
-                adjoint((times, solution.y, constants, weights, at_times, by_rest))
+                times, weights = span.times, covectors[span.rows]
+                adjoint((span.start, times, solution.y, constants, weights, at_times, by_rest))
             gradients = run_back(self.method, self.field, solution, span.times, covector, at_times)
             covector = gradients.by_state
             by_rest[:p] += gradients.by_parameters
@@ -323,7 +323,7 @@ class Propagator:
         )  # fmt: skip
         if not np.isfinite(step.y).all():
             raise IntegrationError(
-                f"a step of {h:g} s of '{kernel.system.name}' is not finite: take shorter ones"
+                f"a step of {h:g} s of '{kernel.system.name}' is not finite; choose a shorter step"
             )
         end_state = self._state(flow, t + h, step.y[0], parameters)
         if columns is None or not isinstance(end_state, State):

@@ -56,7 +56,7 @@ class Jump:
         return np.asarray(delays[0])
 
     def only_slopes(self) -> Array:
-        """Return the derivative of the time by each force parameter, (p,).  Raises InputError."""
+        """Return the derivative of the time by the force parameters, (p,).  Raises InputError."""
         return self.delay(np.eye(self.slopes.shape[1]))
 
 

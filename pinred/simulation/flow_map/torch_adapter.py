@@ -81,7 +81,7 @@ def _to_numpy(tensors: Sequence[Any]) -> list[Any]:
 def _function() -> Any:
     """Return the autograd function of all flows.
 
-    Operators take only tensors and numbers, so a number states which flow they evaluate.
+    Operators take only tensors and numbers, so the flow is identified by its number.
     """
     import torch
 
@@ -141,16 +141,16 @@ def _function() -> Any:
 
         @staticmethod
         def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-            """Save nothing, because second derivatives are refused."""
+            """Save nothing, because second derivatives are rejected."""
 
         @staticmethod
         def backward(_ctx: Any, *_: Any) -> Any:
-            """Refuse a second derivative.  Raises InputError."""
+            """Reject a second derivative.  Raises InputError."""
             raise InputError(FIRST_ORDER)
 
         @staticmethod
         def jvp(_ctx: Any, *_: Any) -> Any:
-            """Refuse a second derivative.  Raises InputError."""
+            """Reject a second derivative.  Raises InputError."""
             raise InputError(FIRST_ORDER)
 
     class Jvp(FirstOrder):

@@ -155,7 +155,7 @@ _numbers = count()
 
 
 def numbered(function: Function) -> int:
-    """Register a function, which stays registered as long as the process lives.
+    """Register a function, which stays registered until the process ends.
 
     XLA does not report when the last program that calls the function is deleted.
 

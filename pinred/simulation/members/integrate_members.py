@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...integrators.integrate_many import STATUS, Solutions, integrate_many
@@ -16,7 +18,7 @@ from ...kernels.kernel import Kernel
 from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import wild_steps
-from ..plan import Plan, Span, spans_between
+from ..plan import Plan
 from .trajectories import Batch, Failure
 
 # Largest number of kernel instructions for which the state of sixteen lanes fits in registers.
@@ -41,59 +43,27 @@ def integrate_members(
     Returns:
         The solutions of all members.
     """
-    sets: dict[bytes, list[int]] = {}
-    stops = plan.stops_of_runs(flow.numbers)
-    for k, row in enumerate(stops):
-        sets.setdefault(row.tobytes(), []).append(k)
-    parts = []
-    for group in map(np.array, sets.values()):
-        spans = spans_between(stops[group[0]], plan.scene.report_times)
-        own = flow if len(sets) == 1 else flow[group]
-        parts.append(_integrate_spans(own, plan, spans, members[group], threads, progress))
-    return parts[0] if len(parts) == 1 else _joined(flow, members, list(sets.values()), parts)
-
-
-def _joined(
-    flow: CompiledFlow, members: Indices, groups: list[list[int]], parts: list[Batch]
-) -> Batch:
-    """Return the results of groups of members with different stops as one batch."""
-    order = np.argsort(np.concatenate(groups))
-    y, steps, evaluations = (
-        np.concatenate([getattr(part, name) for part in parts])[order]
-        for name in ("y", "steps", "evaluations")
-    )
-    failures = [failure for part in parts for failure in part.failures]
-    wall = sum(part.wall * len(part.members) for part in parts) / len(members)
-    return Batch(members, flow, parts[0].method, y, steps, evaluations, failures, wall)
-
-
-def _integrate_spans(
-    flow: CompiledFlow,
-    plan: Plan,
-    spans: list[Span],
-    members: Indices,
-    threads: int | None,
-    progress: Callable[[float], None] | None,
-) -> Batch:
-    """Integrate members with equal stops; see `integrate_members`."""
     began, reports, count = perf_counter(), plan.scene.report_times, len(members)
+    stops = plan.stops_of_runs(flow.numbers)
     # A single body that only translates has no state; integrate one zero instead.
-    y0 = flow.y0 if flow.y0.shape[1] else np.zeros((count, 1))
-    y = np.full((count, len(reports), y0.shape[1]), np.nan)
+    states = flow.y0.copy() if flow.y0.shape[1] else np.zeros((count, 1))
+    y = np.full((count, len(reports), states.shape[1]), np.nan)
     status, entry, steps, evaluations = (np.zeros(count, np.int64) for _ in range(4))
-    end, alive = np.zeros(count), np.arange(count)
-    for k, span in enumerate(spans):
-        done = None if progress is None else _scaled(progress, k, len(spans))
-        solutions = _integrate_span(flow[alive], plan.method, span, y0, threads, done)
-        y[alive, span.rows] = solutions.y[:, : len(span.times)]
-        status[alive], entry[alive] = solutions.status, solutions.entry
-        steps[alive] += solutions.steps
-        evaluations[alive] += solutions.evaluations
-        end[alive] = span.start + solutions.end
-        alive = alive[solutions.ok]
-        y0 = np.ascontiguousarray(solutions.y[solutions.ok, -1])
-        if not alive.size:
-            break
+    end, last = np.zeros(count), max(map(len, stops))
+    for k in range(last):
+        done = None if progress is None else _scaled(progress, k, last)
+        for runs in _together(plan, stops, status, k):
+            own = [stops[i] for i in runs] if plan.stops_vary else stops[:1]
+            piece, y0 = _piece(own, k, reports), states[runs]
+            solutions = _integrate_piece(flow[runs], plan.method, piece, y0, threads, done)
+            _store(y, runs, piece, solutions)
+            status[runs], entry[runs] = solutions.status, solutions.entry
+            steps[runs] += solutions.steps
+            evaluations[runs] += solutions.evaluations
+            end[runs] = piece.start + solutions.end
+            final = solutions.y[np.arange(len(runs)), piece.reported.sum(axis=1)]
+            states[runs[solutions.ok]] = final[solutions.ok]
+    alive = np.flatnonzero(status == 0)
     failures = []
     for j in np.flatnonzero(status).tolist():
         reason = STATUS[int(status[j])]
@@ -113,27 +83,87 @@ def lanes_of(method: Method, kernel: Kernel) -> int:
     return 16 if kernel.instructions <= _SMALL else 8
 
 
-def _integrate_span(
+@dataclass(frozen=True)
+class _Piece:
+    """The spans of N runs between two successive stops of each; N = 1 if all have the same.
+
+    Attributes:
+        start: Start times, (N,) [s].
+        stop: End times, (N,) [s].
+        first: Index of the first report time in each span, (N,).
+        reported: Mask of the columns of `times` that are report times, (N, W).
+        times: Report times, then the stop, counted from the start of each span; infinity in
+            columns that a span does not need, (N, W) [s].
+    """
+
+    start: Array
+    stop: Array
+    first: Indices
+    reported: NDArray[np.bool_]
+    times: Array
+
+
+def _piece(stops: list[Array], k: int, reports: Array) -> _Piece:
+    """Return span k of runs with stops; a report time at a stop belongs to the span before it."""
+    stop = np.array([own[k] for own in stops])
+    start = np.array([own[k - 1] for own in stops]) if k else np.zeros(len(stops))
+    first = np.searchsorted(reports, start, side="right") if k else np.zeros(len(stops), int)
+    counts = np.searchsorted(reports, stop, side="right") - first
+    columns = np.arange(counts.max() + 1)
+    reported = columns < counts[:, None]
+    index = np.minimum(first[:, None] + columns, len(reports) - 1)
+    times = np.where(reported, reports[index] - start[:, None], np.inf)
+    times[np.arange(len(stops)), counts] = stop - start
+    return _Piece(start, stop, first, reported, times)
+
+
+def _store(y: Array, runs: Indices, piece: _Piece, solutions: Solutions) -> None:
+    """Store states at report times in `y`, whose first axis is that of all runs."""
+    if len(piece.first) == 1:
+        first, count = int(piece.first[0]), int(piece.reported.sum())
+        y[runs, first : first + count] = solutions.y[:, :count]
+        return
+    row, column = np.nonzero(piece.reported)
+    y[runs[row], piece.first[row] + column] = solutions.y[row, column]
+
+
+def _together(plan: Plan, stops: list[Array], status: NDArray[np.int64], k: int) -> list[Indices]:
+    """Return the runs that have a span k, in groups that are integrated together.
+
+    Methods with steps of equal length divide each span differently, so that their runs are
+    integrated together only if their spans have the same length.
+    """
+    runs = np.flatnonzero(status == 0)
+    if plan.stops_vary:
+        runs = runs[np.array([len(stops[i]) > k for i in runs], bool)]
+    if plan.method.adaptive or not plan.stops_vary or not runs.size:
+        return [runs] if runs.size else []
+    lengths = np.array([stops[i][k] - (stops[i][k - 1] if k else 0.0) for i in runs])
+    return [runs[lengths == length] for length in np.unique(lengths)]
+
+
+def _integrate_piece(
     flow: CompiledFlow,
     method: Method,
-    span: Span,
+    piece: _Piece,
     y0: Array,
     threads: int | None,
     progress: Callable[[float], None] | None,
 ) -> Solutions:
-    """Integrate members from y0 (N, k) over one span; the last states are those at the stop."""
-    kernel, length, times = flow.kernel, span.stop - span.start, span.times
-    if not (times.size and times[-1] == length):
-        times = np.append(times, length)
-    parameters = flow.parameters_between(span.start, span.stop)
+    """Integrate members from y0 (N, k), each over one time span."""
+    kernel, times = flow.kernel, piece.times
+    lengths: Array | float = piece.stop - piece.start
+    if len(times) == 1:
+        lengths, times = float(piece.stop[0] - piece.start[0]), times[0]
+    parameters = flow.parameters_between(piece.start[:, None], piece.stop[:, None])
     lanes, quaternion = lanes_of(method, kernel), kernel.layout.quaternion
     if lanes and isinstance(method, Explicit):
         address = wide_rate(kernel, lanes, own_parameters=True).address
         return integrate_in_lanes(
-            method, address, lanes, parameters, y0, length, times, quaternion, threads, progress
+            method, address, lanes, parameters, y0, lengths, times, quaternion, threads, progress
         )
     return integrate_many(
-        method, flow.address(method), parameters, y0, length, times, quaternion, threads,
+        method, flow.address(method), parameters, y0, lengths, times, quaternion, threads,
         flow.tangent, kernel.layout.canonical, progress,
     )  # fmt: skip
 

@@ -123,7 +123,10 @@ def _structure(plan: Plan) -> Hashable:
     forces, states = plan.forces, plan.scene.given
     varied = plan.scene.varied
     robot = None if varied is None else (varied.names, plan.acting.gravity.astype(bool).tobytes())
-    stop_key: Hashable = (plan.stops.tobytes(), robot)
+    stops = plan.stops
+    if plan.stops_vary and forces is not None:  # members stop at their own switches
+        stops = forces.switching.tables
+    stop_key: Hashable = (stops.tobytes(), robot)
     if forces is not None and forces.held:
         stop_key = id(plan)  # Controllers have states, so each member has its own.
     return (None if forces is None else forces.key, plan.method, stop_key, states.mu is None)

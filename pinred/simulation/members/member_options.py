@@ -1,4 +1,4 @@
-"""Members stated by arrays of the options and parameters that differ between members."""
+"""Members specified by arrays of the options and parameters that differ between them."""
 
 from __future__ import annotations
 
@@ -221,7 +221,7 @@ class MemberOptions:
         model = template.force_model
         if not self.parameters or model is None:
             return None
-        # Compute entry by entry, so that no bit of a member depends on the number of members.
+        # Compute entry by entry, so that a member's results do not depend on the number of members.
         numbers = np.repeat(model.numbers_from(0.0, template.end)[None], self.count, axis=0)
         for k, parameter in enumerate(model.parameters):
             if parameter.name in self.robot or parameter.name not in self.parameters:

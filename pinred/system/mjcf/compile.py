@@ -86,7 +86,7 @@ def _guarded(what: str, compile_source: Callable[[], Any]) -> Any:
         except Exception as error:  # MuJoCo raises ValueError, RuntimeError and other types.
             raise LoadError(f"MuJoCo cannot read {what}: {_one_line(error)}") from None
     if any("NaN" in warning for warning in warnings):
-        raise LoadError(f"{what} has nan instead of a number")
+        raise LoadError(f"{what} contains nan where a number is required")
     return model
 
 
@@ -130,7 +130,7 @@ def _compile(spec: Any, *, shapes: bool) -> Any:
 
 
 def _refuse_negative(spec: Any) -> None:
-    """Refuse negative masses, which MuJoCo's compiler reads as zero.  Raises ModelError."""
+    """Reject negative masses, which MuJoCo's compiler reads as zero.  Raises ModelError."""
     for body in spec.bodies:
         for what, values in (("mass", [body.mass]), ("moment of inertia", body.inertia)):
             if min(values) < 0.0:
@@ -176,7 +176,7 @@ def _replace_by_point(mj: Any, geom: Any) -> None:
 
 @dataclass
 class _Open:
-    """An XML element that is open.  before: number of elements ahead of this element."""
+    """An open XML element.  before: number of elements counted before it."""
 
     tag: str
     attributes: dict[str, str]
@@ -205,7 +205,7 @@ class _Measure:
 
 
 def check_text(path: Path, text: str) -> None:
-    """Refuse an MJCF file whose text is too large or too deeply nested for a parser.
+    """Reject an MJCF file whose text is too large or too deeply nested for a parser.
 
     Raises LoadError, which names the file at fault.
     """
@@ -213,11 +213,12 @@ def check_text(path: Path, text: str) -> None:
 
 
 def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
-    """Add the size of a file to `size`.  depth: number of elements around it."""
+    """Add the size of a file to `size`.  depth: number of enclosing elements."""
     size.letters += len(text)
     if size.letters > _MOST_LETTERS:
         raise LoadError(
-            f"{plain_path(path)}: more than {_MOST_LETTERS} characters of MJCF in total"
+            f"{plain_path(path)}: more than {_MOST_LETTERS} characters of MJCF in total; "
+            "simplify the file"
         )
     if path.resolve() in size.reading or len(size.reading) > _DEEPEST_INCLUDES:
         raise LoadError(f"{plain_path(path)} includes itself, or too many files include each other")

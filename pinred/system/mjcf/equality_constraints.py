@@ -126,7 +126,7 @@ def _ties_outside(tree: Tree, constraint: Constraint) -> bool:
 
 
 def _is_ground(tree: Tree, body: int) -> bool:
-    """Return whether a body is fixed: it has no motion and is no mocap body."""
+    """Return whether a body is fixed: it cannot move and is not a mocap body."""
     model = tree.world.model
     while body:
         if body in tree.carriers or model.body_jntnum[body] or model.body_mocapid[body] >= 0:
@@ -136,12 +136,12 @@ def _is_ground(tree: Tree, body: int) -> bool:
 
 
 def _coupling(tree: Tree, constraint: Constraint) -> Sequence[Coupling]:
-    """Return the coupling that a joint constraint defines, if the follower is not frozen.
+    """Return the coupling that a joint constraint defines, if the follower is not locked.
 
     MuJoCo's polynomial applies to displacements from the reference configuration (qpos0).
 
     Raises:
-        ModelError: The constraint fixes a joint, is not proportional, or its leader is frozen.
+        ModelError: The constraint fixes a joint, is not proportional, or its leader is locked.
     """
     world, free = tree.world, tree.free_joints
     first, second = constraint.objects
@@ -155,7 +155,7 @@ def _coupling(tree: Tree, constraint: Constraint) -> Sequence[Coupling]:
             f"an equality that fixes a joint is not supported: {words}; lock the joint "
             f"(lock={{'{follower.name}': {follower.q0 + c0:g}}}), or remove the constraint"
         )
-    if first not in free:  # The follower is frozen, so the constraint would freeze its leader.
+    if first not in free:  # The follower is locked, so the constraint would fix its leader.
         return ()
     leader = joint_of(world, second)
     if any(higher):

@@ -100,7 +100,7 @@ def not_linear(world: World, constraint: Constraint) -> str:
 
 
 def _fixed(world: World, tendon: int) -> list[tuple[int, float]]:
-    """Return joints and coefficients of a fixed tendon; nothing for a spatial tendon."""
+    """Return joints and coefficients of a fixed tendon; empty for a spatial tendon."""
     model, kind = world.model, int(mujoco_package().mjtWrap.mjWRAP_JOINT)
     first = int(model.tendon_adr[tendon])
     wraps = range(first, first + int(model.tendon_num[tendon]))
@@ -117,7 +117,7 @@ class TendonLaws:
 
     Attributes:
         couplings: Couplings, each with one joint as the follower.
-        held: Values of joints that constraints hold, and names of these constraints, by joint.
+        held: Values of joints that constraints fix, and names of these constraints, by joint.
     """
 
     couplings: list[Coupling]

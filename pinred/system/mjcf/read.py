@@ -47,7 +47,7 @@ def read_mujoco(
     Args:
         source: Path, MjSpec or MjModel.
         root: Name of the body attached to the world that carries the robot, if several can move.
-        lock: Joints to freeze, with their values [rad | m].
+        lock: Joints to lock, with their values [rad | m].
         gravity: Gravity that replaces the file's, (3,) [m/s²]; None for the file's.
     Returns:
         The robot.
@@ -143,7 +143,7 @@ def keyframes_of(
 
 
 def refuse_heavy_tendons(tree: Tree, tendons: Sequence[int]) -> None:
-    """Refuse tendons with armature that act on a robot.  Raises ModelError."""
+    """Reject tendons with armature that act on a robot.  Raises ModelError."""
     model = tree.world.model
     for tendon in tendons:
         if model.tendon_armature[tendon] or _has_rotors(model, tendon):

@@ -1,4 +1,4 @@
-"""Conversion of the joints of the body that carries all others to one joint of a symmetry group.
+"""Conversion of the root body's joints to a single joint of a symmetry group.
 
 MuJoCo has no planar joint: a file moves a body in a plane with three joints, which become SE(2).
 With an additional slide normal to the plane they become ℝ × SE(2).  Three slides with a ball, or
@@ -160,7 +160,7 @@ def _is_spatial(joints: Sequence[Joint]) -> bool:
     """Return whether three slides and three hinges can move a body in all directions.
 
     The test is in the reference configuration.  Armature of these joints breaks the symmetry,
-    except on slides ahead of hinges whose axes meet in one point.
+    except on slides before hinges whose axes meet in one point.
     """
     kinds = [joint.kind for joint in joints]
     if sorted(kinds) != ["hinge"] * 3 + ["slide"] * 3:
@@ -174,7 +174,7 @@ def _is_spatial(joints: Sequence[Joint]) -> bool:
 
 
 def _spatial(joints: Sequence[Joint], gravity: Array) -> RootMotion:
-    """Return the motion of three slides and three hinges, in any order."""
+    """Return the six-dimensional motion of three slides and three hinges, in any order."""
     first_hinge = next(joint for joint in joints if joint.kind == "hinge")
     slides = [joint for joint in joints if joint.kind == "slide"]
     weight = rotors.of_slides(slides, gravity)
@@ -287,7 +287,7 @@ def _axes(z: Array, slides: Sequence[Joint]) -> Array:
 
 
 def _twist(joints: Sequence[Joint], values: Sequence[float], rates: Sequence[float]) -> pin.Motion:
-    """Compute the body twist of a chain of joints with these values and rates."""
+    """Compute the body twist of a chain of joints from joint values and rates."""
     twist = pin.Motion.Zero()
     for joint, value, rate in zip(joints, values, rates, strict=True):
         twist = joint.motion(value).actInv(twist) + joint.twist(rate)
@@ -295,7 +295,7 @@ def _twist(joints: Sequence[Joint], values: Sequence[float], rates: Sequence[flo
 
 
 def _moves_freely(joints: Sequence[Joint], values: Sequence[float]) -> bool:
-    """Return whether the joint twists are linearly independent at these joint values."""
+    """Return whether the joint twists are linearly independent at the given joint values."""
     twists = [_twist(joints, values, rates).vector for rates in np.eye(len(joints)).tolist()]
     return _rank(twists) == len(joints)
 

@@ -22,7 +22,7 @@ _EXACT = 1e-12  # cosines and relative sizes below this value count as zero
 
 
 def of_slides(slides: Sequence[Joint], gravity: Array) -> pin.Inertia:
-    """Return the rotor inertia of slides ahead of all other joints, at the joints' origin.
+    """Return the rotor inertia of slides before all other joints, at the joints' origin.
 
     gravity: (3,) [m/s²], in the frame of the slides' axes.  Raises ModelError.
     """
@@ -86,7 +86,7 @@ def _rotors(joints: Sequence[Joint]) -> Array:
 
 
 def _refuse_falling(joints: Sequence[Joint], gravity: Array, axes: Array) -> None:
-    """Refuse armature if gravity acts along the axes, because armature has no weight."""
+    """Reject armature if gravity acts along the axes, because armature has no weight."""
     if np.abs(axes @ gravity).max() > _EXACT * np.linalg.norm(gravity):
         _refuse(joints, "gravity acts along them, but armature has no weight")
 

@@ -17,7 +17,7 @@ from .root import RootMotion, root_motion
 from .world import World
 
 # Values of mjtSameFrame for which MuJoCo replaces the position (_SAME_PLACE) or the rotation
-# (_SAME_TURN) of a body's inertial frame by that of the body frame, because they nearly agree.
+# (_SAME_TURN) of a body's inertial frame by those of the body frame, because they nearly agree.
 _SAME_PLACE, _SAME_TURN = (1,), (1, 3)
 
 
@@ -41,8 +41,8 @@ class Tree:
         root: Motion of the joints of the body that carries all others.  None if the file fixes
             this body, or if no single body carries all others.
         shape: Shape joints.
-        locked: Values of frozen joints by id [rad | m].
-        keep_frozen: Whether frozen joints whose value may vary remain joints of the model.
+        locked: Values of locked joints by id [rad | m].
+        keep_frozen: Whether locked joints whose value may vary remain joints of the model.
     """
 
     world: World
@@ -66,7 +66,7 @@ class Tree:
 
     @property
     def free_joints(self) -> list[int]:
-        """The ids of joints that are not frozen."""
+        """The ids of joints that are not locked."""
         return [joint for joint in self.world.all_joints if joint not in self.locked]
 
 
@@ -77,9 +77,9 @@ def tree_of(
 
     Args:
         world: The robot in the compiled model.
-        lock: Joints to freeze, with their values [rad | m].
+        lock: Joints to lock, with their values [rad | m].
         gravity: Gravity that acts on rotors of the base, (3,) [m/s²].
-        keep_frozen: Whether frozen joints behind the root remain joints of the model.
+        keep_frozen: Whether locked joints other than the root remain joints of the model.
     Returns:
         The tree.
     Raises:
@@ -119,7 +119,7 @@ def _place_in_world(world: World, body: int) -> pin.SE3:
 
 
 def _locked(world: World, lock: Mapping[str, float]) -> dict[int, float]:
-    """Return {joint id: value} for the joints to freeze.  Raises InputError."""
+    """Return {joint id: value} for the joints to lock.  Raises InputError."""
     ids = {world.joint_names[joint]: joint for joint in world.all_joints}
     values = {}
     for name, value in lock.items():
@@ -156,10 +156,10 @@ def _add_root(tree: Tree, at: Carrier, joints: list[int]) -> tuple[Carrier, list
     """Add the root joint; return the carrier of its body, and the body's remaining joints."""
     world = tree.world
     place = at.at
-    # Frozen joints ahead of the first free joint only shift the placement.
+    # Locked joints before the first free joint only shift the placement.
     while joints and joints[0] in tree.locked:
         place, joints = place * _frozen_motion(tree, joints[0]), joints[1:]
-    # If any joint is frozen, several joints cannot form one root joint together.
+    # If any joint is locked, several joints cannot form one root joint together.
     count = 1 if any(joint in tree.locked for joint in joints) else len(joints)
     candidates = [joint_of(world, joint) for joint in joints[:count]]
     root = root_motion(candidates, tree.gravity, place.rotation)
@@ -175,7 +175,7 @@ def _add_root(tree: Tree, at: Carrier, joints: list[int]) -> tuple[Carrier, list
 
 
 def _add_joint(tree: Tree, at: Carrier, id_: int) -> Carrier:
-    """Add one joint of a body; return the carrier of the body behind it."""
+    """Add one joint of a body; return the carrier of the body after it."""
     joint = joint_of(tree.world, id_)
     if joint.nv != 1:
         raise ModelError(
@@ -196,7 +196,7 @@ def _add_joint(tree: Tree, at: Carrier, id_: int) -> Carrier:
 
 
 def _stays_joint(tree: Tree, joint: int, at: Carrier, root_body: int | None) -> bool:
-    """Return whether a frozen joint remains a joint: it is no ball and not ahead of the root."""
+    """Return whether a locked joint remains a joint: it is neither a ball nor before the root."""
     return (
         tree.keep_frozen
         and tree.world.kind(joint) in ("slide", "hinge")
@@ -205,7 +205,7 @@ def _stays_joint(tree: Tree, joint: int, at: Carrier, root_body: int | None) -> 
 
 
 def _frozen_motion(tree: Tree, id_: int) -> pin.SE3:
-    """Return the displacement of the body by a frozen joint, in the body's frame."""
+    """Return the displacement of the body by a locked joint, in the body's frame."""
     joint = joint_of(tree.world, id_)
     return joint.motion(tree.locked[id_]) if joint.nv == 1 else pin.SE3.Identity()
 

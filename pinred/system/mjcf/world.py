@@ -26,7 +26,7 @@ class World:
     Attributes:
         model: The MjModel.
         top: Id of the body that carries the robot.
-        bodies: Ids of that body and of all bodies behind it, depth first.
+        bodies: Ids of that body and of its descendants, depth first.
         others: Names of other bodies attached to the world that can move.
         body_names: Unique names of all bodies by id; unnamed bodies get a generated name.
         joint_names: Unique names of all joints by id; unnamed joints get a generated name.
@@ -118,7 +118,7 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
     names = tuple(body_names[body] for body in candidates)
     if root is None:
         if not candidates:
-            raise LoadError(f"no body in {what} has a joint or a mass; there is nothing to move")
+            raise LoadError(f"no body in {what} has a joint or a mass")
         if len(candidates) > 1:
             joints = {body: sum(model.body_jntnum[i] for i in trees[body]) for body in candidates}
             largest = sorted(candidates, key=lambda body: -joints[body])
@@ -167,7 +167,7 @@ def _moves(model: Any, bodies: Iterable[int]) -> bool:
 
 
 def _below(children: list[list[int]], body: int) -> Iterator[int]:
-    """Yield a body and all bodies behind it, depth first, which is Pinocchio's order."""
+    """Yield a body and its descendants, depth first, which is Pinocchio's order."""
     stack = [body]
     while stack:
         top = stack.pop()

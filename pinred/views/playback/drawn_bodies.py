@@ -23,7 +23,7 @@ from ...system.robot_files import is_mjcf, read_text
 from ...system.system import System
 from ...system.visuals import Visuals, mesh_folders
 
-# Muted colours that are distinguishable for colour-blind people (after Okabe and Ito).
+# Muted colours that colour-blind people can distinguish (after Okabe and Ito).
 PALETTE = (
     (0.55, 0.62, 0.70), (0.90, 0.62, 0.20), (0.35, 0.70, 0.85), (0.25, 0.62, 0.48),
     (0.80, 0.55, 0.68), (0.85, 0.80, 0.45), (0.40, 0.48, 0.70),
@@ -41,7 +41,7 @@ _SHAPES = {
 }
 _MESHES = (7, 8)  # mesh, and signed distance function, which includes a mesh
 _VISIBLE_GROUPS = (
-    3  # MuJoCo's viewer shows groups below this; higher ones usually have collision shapes
+    3  # MuJoCo's viewer shows groups below this number; higher groups are usually collision shapes
 )
 _NO_COLOUR = (0.5, 0.5, 0.5, 1.0)  # default colour, replaced by the colour of the material
 
@@ -88,7 +88,7 @@ class Bodies:
     Attributes:
         solids: The shapes.
         meshes: Their meshes.
-        note: Remark for the user on the origin of the shapes; may be empty.
+        note: Remark for the user about the origin of the shapes, or empty.
     """
 
     solids: tuple[Solid, ...]
@@ -217,7 +217,7 @@ def _from_geometry(system: System, visuals: Visuals) -> Bodies:
 def _joint_of(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]:
     """Return the joint that moves a shape, and the shape's placement on it.
 
-    The link frame identifies the shape's position in the system, whose joints may be frozen and
+    The link frame identifies the shape's position in the system, whose joints may be locked and
     whose root may differ from the file's.
     """
     if entry.parentFrame >= raw.nframes:  # the shape is attached to a joint without a frame

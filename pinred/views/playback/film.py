@@ -28,7 +28,7 @@ from .view_options import View
 
 SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120
-GIF_FPS = (0.01, 50.0)  # gif frames last whole 0.01 s, and browsers play shorter than 0.02 s slowly
+GIF_FPS = (0.01, 50.0)  # gif delays are multiples of 0.01 s; browsers slow delays below 0.02 s
 SUFFIXES = (".mp4", ".gif", ".png")
 
 
@@ -186,7 +186,7 @@ def check_frames(path: Path, count: int) -> None:
 
 
 def write_frames(path: Path, shots: Iterator[bytes]) -> int:
-    """Write PNG pictures as film_0000.png and so on, all or none.
+    """Write PNG pictures as film_0000.png and so on; on failure, no frame is written.
 
     The frames are written to a temporary folder and moved when all are complete. If moving
     fails, the old frames are restored.
@@ -225,8 +225,8 @@ def write_frames(path: Path, shots: Iterator[bytes]) -> int:
 def write_gif(path: Path, shots: Iterator[bytes], fps: float) -> int:
     """Write PNG pictures as a gif.
 
-    Frame durations are whole hundredths of a second and vary, so that each frame ends as near as
-    possible to its time.
+    Frame durations are whole hundredths of a second.  They vary, so that each frame ends as close
+    to its time as possible.
 
     Args:
         path: The file.
@@ -237,7 +237,7 @@ def write_gif(path: Path, shots: Iterator[bytes], fps: float) -> int:
     """
     from PIL import Image  # a dependency of meshcat
 
-    method = Image.Quantize.FASTOCTREE  # the default uses most colours for the background
+    method = Image.Quantize.FASTOCTREE  # the default method spends most colours on the background
     pictures = [
         Image.open(io.BytesIO(shot)).convert("RGB").quantize(method=method) for shot in shots
     ]

@@ -13,10 +13,10 @@ from .playback import Playback
 
 ARROW = 1.3  # length of the momentum arrow with a margin, in radii of the robot
 _SAMPLES = 200  # number of frames that determine the robot's radius
-_BESIDE = 1.8  # distance between the robot and its ghost, in radii
+_BESIDE = 1.8  # distance between the robot and its ghost, in radii of the robot
 _ELEVATION, _PLANAR_ELEVATION = 18.0, 50.0  # elevation of the camera [deg]
-_DEEP = 5.0  # largest fall for which the grid is drawn as a floor, in radii
-_FAR = 10.0  # half of the side length of the grid, in radii
+_DEEP = 5.0  # largest fall for which the grid is drawn as a floor, in radii of the robot
+_FAR = 10.0  # half of the side length of the grid, in radii of the robot
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,8 @@ class Framing(FrozenArrays):
         aside: Offset from the robot to its ghost.
         cell: Side of the grid's squares.
         cells: Number of squares in a row of the grid, which follows the camera.
-        wide: Enlargement of the squares if the camera stands still and shows the whole path.
+        wide: Factor on the size of the squares if the camera does not move and shows the whole
+            path.
         grid: Centre of the grid if the camera looks at `middle`.
         normal: Unit normal of the grid: a floor, or a wall behind falling robots.
     """
@@ -53,7 +54,7 @@ class Framing(FrozenArrays):
 
 
 def frame(film: Playback, bodies: Bodies) -> Framing:
-    """Compute a framing that shows the whole robot, and its momentum arrow from the side."""
+    """Compute a framing that shows the whole robot, with its momentum arrow in side view."""
     radius = _radius(film, bodies)
     low, high = film.com.min(axis=0), film.com.max(axis=0)
     middle = 0.5 * (low + high)

@@ -48,7 +48,10 @@ def find_browser() -> str:
         if path := shutil.which(name):
             return path
     if requested:
-        raise InputError(f"PINRED_BROWSER is '{requested}', but there is no such program")
+        raise InputError(
+            f"PINRED_BROWSER is '{requested}', which does not exist; "
+            "set it to the path of Chromium, or unset it"
+        )
     raise InputError(
         "frames are rendered by Chromium, which was not found; install it "
         "(apt-get install chromium) or name it in the environment variable PINRED_BROWSER"
@@ -85,7 +88,7 @@ class Browser:
             try:
                 data = data[os.write(self._send, data) :]
             except OSError:
-                raise OutputError("the browser has ended") from None
+                raise OutputError("the browser has exited") from None
         for answer in self._messages():
             if answer.get("id") == self._count:
                 if "error" in answer:
@@ -178,7 +181,7 @@ def browser() -> Iterator[Browser]:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Wait until the browser ends after its pipe was closed, and kill it otherwise."""
+    """Wait until the browser exits after its pipe was closed; kill it after a time limit."""
     try:
         process.wait(10.0)
     except subprocess.TimeoutExpired:

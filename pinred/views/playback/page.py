@@ -47,7 +47,7 @@ def page(source: MotionSource, view: View) -> bytes:
 
 
 def save_html(source: MotionSource, path: str | Path, view: View) -> int:
-    """Write the page to a .html file; on failure an existing file is kept.
+    """Write the page to a .html file; if this fails, an existing file is kept.
 
     Args:
         source: The motion.

@@ -1,4 +1,4 @@
-"""Quantities for drawing a motion at the frames of a film.
+"""Quantities that are drawn at each frame of a motion.
 
 All quantities are computed with Pinocchio from (q, v): forward kinematics, centre of mass,
 centroidal momentum and composite inertia. The momentum arrow shows the conserved momentum.
@@ -24,7 +24,7 @@ from .view_options import View
 
 MOST_FRAMES = 100_000
 
-STILL = 1e-9  # momentum that counts as zero, relative to √(2 · mass · kinetic energy)
+STILL = 1e-9  # largest momentum that counts as zero, relative to √(2 · mass · kinetic energy)
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def playback(source: MotionSource, view: View) -> Playback:
     if view.ghost:
         if not isinstance(source, Trajectory):
             raise InputError(
-                "a file of a motion contains no forces, so the full simulation cannot be run; play "
+                "a recording contains no forces, so the full simulation cannot be run; play "
                 "the trajectory or its scene file with ghost=True"
             )
         ghost = _ghost(source, states.t, placements)
@@ -109,7 +109,7 @@ def frame_times(source: MotionSource, view: View, most: int, *, even: bool = Fal
         source: The motion.
         view: Its fps and speed determine evenly spaced times.
         most: Largest number of frames.
-        even: Use evenly spaced times also for recordings, instead of their own times.
+        even: Use evenly spaced times for recordings, too, instead of their report times.
     Returns:
         The times.
     Raises:
@@ -196,7 +196,7 @@ class Momentum(FrozenArrays):
     Attributes:
         vector: Momentum in the world frame, (F, 3); exactly zero if it is round-off.
         tail: Start of the arrow, (F, 3) [m].
-        words: Description of the momentum.
+        words: Description of the momentum for the legend.
         unit: Unit of the momentum.
     """
 

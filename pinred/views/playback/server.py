@@ -93,7 +93,7 @@ def _listen(content: bytes, port: int | None) -> _Server:
         if port is not None and error.errno in (errno.EADDRINUSE, errno.EACCES):
             reason = "taken" if error.errno == errno.EADDRINUSE else "not permitted"
             raise InputError(
-                f"port {port} is {reason}; choose another, or none for any free one"
+                f"port {port} is {reason}; choose another port, or none to use any free port"
             ) from None
         raise OutputError(f"cannot serve on {HOST}: {error.strerror}") from error
 
@@ -164,7 +164,7 @@ def play(
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
     """
-    check_port(port)  # check before building the page, which may take long
+    check_port(port)  # check the port first, because building the page may take long
     player = Player(page(source, view), port)
     wait = not hasattr(sys, "ps1") if wait is None else wait
     try:

@@ -30,8 +30,8 @@ class ShapePanel(FrozenArrays):
         low: Lower limits of the axes, (2,).
         high: Upper limits of the axes, (2,).
         components: Names of the components of the curvature B_αβ, with units.
-        field: Curvature over both joints, (components, N, N), with the other joints frozen at the
-            first frame.
+        field: Curvature over both joints, (components, N, N), with the other joints at their values
+            in the first frame.
     """
 
     labels: tuple[str, str]
@@ -56,7 +56,7 @@ def shape_panel(
     Returns:
         The panel.
     Raises:
-        InputError: Unknown joints.
+        InputError: A joint is unknown.
     """
     names, units = system.shape_names, system.units
     for name in pair or ():

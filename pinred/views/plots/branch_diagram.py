@@ -16,7 +16,7 @@ from .motion_labels import labels_of
 from .style import PALETTE, figure, legend, styled
 
 GREY = "#555555"
-_SAME = 2e-3  # largest distance of coinciding lines, relative to the figure size
+_SAME = 2e-3  # largest distance between lines that coincide, relative to the size of the figure
 _LINES: dict[
     str, dict[str, Any]
 ] = {  # line styles by the index of the amended potential: zero, even or odd
@@ -64,7 +64,7 @@ def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
         for segment, label in _segments(found.branch(number)):
             line = np.array([(p.momentum, height(p)) for p in segment])
             earlier = drawn.setdefault(label, [])
-            # Overlapping dashes would look like a solid line, so mirror images are drawn once.
+            # Overlapping dashed lines would look solid, so only one of two mirror images is drawn.
             if not any(_covers(other, line, near) for other in earlier):
                 axes.plot(*line.T, color=color, **_LINES[label])
                 earlier.append(line)

@@ -140,7 +140,7 @@ def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
         kind: Name of the function, such as "shape", "energy" or "phase".
         joints: Names or indices of joints.
         limits: (low, high) of each joint on an axis [rad | m].
-        when: Time at which the momentum and frozen joints are taken [s].
+        when: Time at which the momentum and the joints that are not on an axis are evaluated [s].
         component: Name or index of a component of the body twist.
         at: Shape of the joints that are not on an axis, (m,) [rad | m].
         path: Shapes to draw over the figure, (T, m) [rad | m].
@@ -155,7 +155,7 @@ def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     Returns:
         The figure.
     Raises:
-        InputError: Unknown kind or option; the message lists the valid ones.
+        InputError: The kind or an option is unknown; the message lists the valid names.
         MissingPackageError: matplotlib is not installed.
     """
     return draw(source, kind, options)

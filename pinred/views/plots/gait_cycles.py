@@ -1,7 +1,7 @@
 """Figures of gaits: the path of the body over some cycles, and an optimised loop.
 
-The figure of an optimised loop shows the loop over the curvature, and beside it the joints and the
-base over time.
+The figure of an optimised loop shows the loop over the curvature, next to the joints and the base
+over time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .style import BLACK, RED, figure, legend, line, styled
 _MOST = 1000
 
 _TIMES = 400
-_OTHERS = 5  # largest number of further local optima in the figure
+_OTHERS = 5  # largest number of other local optima in the figure
 
 
 @checks_arguments
@@ -48,7 +48,7 @@ def cycles(source: Phase, *, count: int = 5) -> Figure:
     """
     if not isinstance(source, Phase):
         raise InputError(
-            f"cycles draws a Phase, as pinred.phase returns, got {type(source).__name__}"
+            f"cycles draws a Phase, which pinred.phase returns; got {type(source).__name__}"
         )
     if isinstance(count, bool) or not 1 <= int(count) <= _MOST:
         raise InputError(f"count must be a number of cycles from 1 to {_MOST}, got {count!r}")

@@ -22,7 +22,7 @@ from .motion_labels import labels, robot_of
 from .shape_plane import mark_start
 from .style import RED, figure, styled
 
-_NONE = 1e-12  # momentum that counts as zero, relative to the moment of inertia times 1 rad/s
+_NONE = 1e-12  # largest momentum that counts as zero, relative to moment of inertia times 1 rad/s
 _CONSTANT = 1e-6  # largest relative change of |L| that counts as constant
 _CURVES = 4  # number of energy level curves on each side of the separatrix
 _POINTS = 181  # number of points of a level curve
@@ -33,13 +33,13 @@ _POINTS = 181  # number of points of a level curve
 def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
     """Draw the path of the angular momentum in the body frame on its sphere.
 
-    The momentum is taken about the pivot (SO3), or about the centre of mass (SE3). Thin curves are
-    levels of the energy ½ Lᵀ I⁻¹ L for a frozen shape; a rigid body stays on one of them. Without
-    the robot of a recording there are no levels.
+    The momentum refers to the pivot (SO3) or to the centre of mass (SE3). Thin curves are
+    levels of the energy ½ Lᵀ I⁻¹ L with locked joints; a rigid body stays on one of them. If the
+    robot of a recording is not available, no levels are drawn.
 
     Args:
         motion: Trajectory, or a recording read from a file.
-        when: Time of the frozen shape [s]; a recording uses its nearest time.
+        when: Time at which the joints are locked [s]; a recording uses its nearest time.
     Returns:
         The figure.
     Raises:
@@ -55,7 +55,7 @@ def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
         inertia = _frozen_inertia(system, frozen_at.x)
     least = _NONE * (1.0 if inertia is None else float(np.trace(inertia)))
     if size <= least:
-        raise InputError(f"'{names.robot}' has no angular momentum, so there is no sphere")
+        raise InputError(f"'{names.robot}' has zero angular momentum, which cannot be drawn")
     steady = np.ptp(np.linalg.norm(L, axis=1)) <= _CONSTANT * size
     about = "pivot" if group_named(names.group).is_pivot else "centre of mass"
     drawing = figure(
@@ -139,7 +139,7 @@ def level_curves(inertia: Array, size: float) -> list[Array]:
 
 
 def _frozen_inertia(system: System, x: Array) -> Array:
-    """Compute the inertia (3, 3) of the robot with joints frozen at x, see `sphere`."""
+    """Compute the inertia (3, 3) of the robot with joints locked at x, see `sphere`."""
     I = Reduction(system).locked_inertia(x)
     return I if len(I) == 3 else np.asarray(np.linalg.inv(np.linalg.inv(I)[3:, 3:]))
 

@@ -1,4 +1,4 @@
-"""Labels of a motion: robot, group, joints and units; and the joints that share a panel."""
+"""Labels of a motion (robot, group, joints, units), and grouping of joints into panels."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ..motion_source import MotionSource
 if TYPE_CHECKING:
     from ...analysis.connections.connection import Connection
 
-FEW = 6  # up to this number, all joints share a panel even if they are on different branches
+FEW = 6  # largest number of joints that share a panel even if they are on different branches
 MOST = 8  # largest number of lines in a panel
-_SMALL = 4  # branches share a panel up to this total number of joints
+_SMALL = 4  # largest total number of joints of branches that share a panel
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Labels:
         self.require(2, what)
         pair = self.indices((0, 1) if joints is None else joints)
         if len(pair) != 2:
-            raise InputError(f"joints must be two for {what}, got {len(pair)}")
+            raise InputError(f"joints: expected two joints for {what}, got {len(pair)}")
         return pair
 
     def with_unit(self, joint: int) -> str:

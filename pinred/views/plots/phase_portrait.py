@@ -26,7 +26,7 @@ from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, 
 _LEVELS = 14  # number of level curves of the potential and of the energy
 _TRIED = 50  # largest number of states of a recording whose energy is checked
 _CLOSE = 1e-7  # largest relative difference of energies that count as equal
-_FLAT = 1e-9  # relative change that counts as constant; also the least scale of potentials [J]
+_FLAT = 1e-9  # largest relative change of constant values; also smallest scale of potentials [J]
 
 
 @checks_arguments
@@ -46,8 +46,9 @@ def phase(
 
     The momentum μ is about the centre of mass if the group translates. On SO3 and SE3 it rotates
     in the body frame, so the potential is valid at `when` only. Potentials of forces are included,
-    torques are not. There is no potential for a pivot in gravity, for a recording without its
-    robot, or for a recording whose energy includes forces, because these are not stored.
+    torques are not. No potential is drawn for a pivot in gravity, or for a recording without its
+    robot. The same holds for a recording whose energy includes forces, because a recording does not
+    store them.
 
     Args:
         motion: Trajectory, or a recording read from a file.
@@ -63,7 +64,7 @@ def phase(
     names.require(1, "a phase portrait")
     selected = names.indices(joints if joints is not None else range(min(2, len(names.joints))))
     if len(selected) > 2:
-        raise InputError(f"joints must be one or two for a phase portrait, got {len(selected)}")
+        raise InputError(f"joints: expected one or two for a phase portrait, got {len(selected)}")
     units = [names.units[k] for k in selected]
     path = fine_path(motion)
     if limits is None:
@@ -84,7 +85,7 @@ def phase(
 
 
 class _Landscape:
-    """Amended potential of a motion, for the momentum and the frozen joints at one time."""
+    """Amended potential of a motion, for the momentum and the other joints at one time."""
 
     def __init__(self, motion: MotionSource, system: System, time: float) -> None:
         """Evaluate the momentum and the shape of the motion at a time."""
@@ -139,7 +140,7 @@ def _why_no_potential(motion: MotionSource, system: System | None) -> str:
 
 
 def _is_all_energy(states: State, system: System) -> bool:
-    """Return whether the stored energy is that of Pinocchio's model, so includes no forces."""
+    """Return whether the stored energy equals that of Pinocchio's model, and so excludes forces."""
     model, data = system.model, system.model.createData()
     q, v = system.sorted_q(states.q), system.sorted_v(states.v)
     differences, size = [], 0.0

@@ -128,7 +128,7 @@ def crossings(motion: MotionSource, function: Callable[[Array], Array]) -> Array
         Times of the crossings, (K,) [s].
     """
     t = fine_times(motion)
-    # An exact zero takes the sign of the value before, so that its crossing is counted once.
+    # An exact zero is assigned the sign of the previous value, so that its crossing counts once.
     signs = np.sign(function(t))
     for k in np.flatnonzero(signs == 0.0):
         signs[k] = signs[k - 1] if k else 0.0

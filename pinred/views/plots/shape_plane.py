@@ -1,4 +1,4 @@
-"""Lines and planes in shape space: one or two joints vary, the others are frozen.
+"""Lines and planes in shape space: one or two joints vary, the others are fixed.
 
 A quantity over a plane is drawn as a colour map with level sets.
 """
@@ -123,7 +123,7 @@ def mark_start(axes: Any, *path: Array) -> None:
 
 
 def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
-    """Format the values of the frozen joints for a title; "" if no joint is frozen."""
+    """Format the values of the fixed joints for a title; "" if no joint is fixed."""
     others = [k for k in range(len(names.joints)) if k not in joints]
     if not others:
         return ""
@@ -141,7 +141,7 @@ def draw_field(
     """Draw a function of two joints in colours, with a colour bar and a legend.
 
     Args:
-        axes: Where to draw.
+        axes: Axes in which the function is drawn.
         plane: The shapes.
         values: The function, on the grid of the plane.
         labels: Names and units of both joints.

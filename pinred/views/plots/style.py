@@ -97,7 +97,7 @@ def styled(function: Callable[P, Figure]) -> Callable[P, Figure]:
         with _style_context():
             drawing = function(*arguments, **options)
         for text in _texts(drawing):
-            text.set_parse_math(False)  # names may contain $, which is not a formula
+            text.set_parse_math(False)  # names may contain $, which must not start a formula
         return drawing
 
     return build
@@ -159,7 +159,7 @@ def shown(name: str) -> str:
 
 
 def legend(axes: Axes, *, title: str | None = None) -> None:
-    """Put a legend to the right of the axes if it has more than one entry or a title."""
+    """Add a legend to the right of the axes if it has more than one entry, or a title."""
     if len(axes.get_legend_handles_labels()[1]) > 1 or title:
         axes.legend(
             loc="upper left",

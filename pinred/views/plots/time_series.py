@@ -160,7 +160,7 @@ def error(compared: Report | Trajectory) -> Figure:
 
 
 def _largest(errors: Array, bounds: Array) -> tuple[Array, Array]:
-    """Return the error (T,) of the joint closest to its bound at each time, and that bound."""
+    """Return error and bound, (T,) each, of the joint that is closest to its bound at each time."""
     if not errors.shape[1]:
         return np.zeros(len(errors)), np.zeros(len(errors))
     k = np.argmax(errors / bounds, axis=1)

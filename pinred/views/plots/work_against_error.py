@@ -78,7 +78,7 @@ def work_precision(
     Returns:
         The figure.
     Raises:
-        InputError: There is nothing to draw, or an argument is of the wrong kind.
+        InputError: `results` is empty, or an argument has the wrong type.
     """
     problems = [results] if isinstance(results, MeasuredWork) else list(results)
     if not problems or not all(isinstance(problem, MeasuredWork) for problem in problems):

@@ -1,4 +1,4 @@
-"""Pinocchio's ABA called from Python, under hand-written integrators and SciPy's.
+"""Pinocchio's ABA called from Python, integrated by hand-written methods and by SciPy's.
 
 The methods with fixed steps integrate Pinocchio's (q, v) with pin.integrate. SciPy's methods
 integrate the state of full_vector_field.py.
@@ -22,7 +22,7 @@ from .scipy_over_field import Field, scipy_methods
 Tangent = Callable[[Array, Array], Array]
 Step = Callable[
     [Array, Array], tuple[Array, Array]
-]  # (q, v) → the increment of q in its tangent space, and the new v
+]  # functions (q, v) → increment of q in its tangent space, and new v
 State = tuple[Array, Array, Array]  # q, x, v
 Preparing = Callable[[Problem, float], PreparedRun]
 

@@ -24,8 +24,8 @@ _MAX_STEP = 0.1  # largest step [s], Drake's default
 class DrakeModel:
     """A MultibodyPlant of a system, and the conversion of coordinates.
 
-    A free base has a quaternion. A spherical pivot has roll, pitch and yaw, the only
-    representation that Drake offers. Velocities of the base are expressed in fixed axes.
+    A free base uses a quaternion. A spherical pivot uses roll, pitch and yaw, the only
+    representation in Drake. Velocities of the base are expressed in fixed axes.
     """
 
     def __init__(self, system: System) -> None:
@@ -138,12 +138,12 @@ class DrakeModel:
         return np.asarray(a)
 
     def put(self, q: Array, v: Array, x: Array) -> None:
-        """Set the state of the plant from Pinocchio's coordinates."""
+        """Set the plant's state from Pinocchio's coordinates."""
         self.plant.SetPositions(self.context, self.positions(q, x))
         self.plant.SetVelocities(self.context, self.velocities(q, v))
 
     def _turn(self, q: Array) -> Array:
-        """Return the orthogonal matrix (n, n) from Pinocchio's velocities to Drake's."""
+        """Return the orthogonal matrix (n, n) that maps Pinocchio's velocities to Drake's."""
         system, T = self.system, np.eye(self.system.n)
         k = system.group.linear
         if self._is_free:

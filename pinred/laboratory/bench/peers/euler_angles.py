@@ -46,7 +46,7 @@ def rotation_of(angles: Array, order: Order) -> Array:
 
 
 def spin_matrix(angles: Array, order: Order) -> Array:
-    """Compute the matrix (3, 3) from angle rates to the body's angular velocity."""
+    """Compute the matrix (3, 3) that maps angle rates to the body's angular velocity."""
     third = rotation_about(order[2], angles[2]).T
     second = third @ rotation_about(order[1], angles[1]).T
     unit = np.eye(3)

@@ -155,7 +155,7 @@ class ExudynModel:
         return np.asarray(a)
 
     def _turn(self, y: Array) -> Array:
-        """Return the matrix from rates of Exudyn's coordinates to Pinocchio's velocities."""
+        """Return the matrix that maps rates of Exudyn's coordinates to Pinocchio's velocities."""
         T, group = np.eye(self.system.n), self.system.group
         k = group.linear
         if group.plane:
@@ -242,7 +242,7 @@ def _prepare(problem: Problem, value: float, solver: str, stages: float) -> Prep
         bridge.start(y0, rates)
         try:
             bridge.mbs.SolveDynamic(settings, solverType=kind)
-        except Exception as error:  # Exudyn raises exceptions of several types
+        except Exception as error:  # Exudyn raises exceptions of various types
             raise IntegrationError(f"Exudyn: {' '.join(str(error).split())[:200]}") from None
         state = bridge.mbs.systemData
         return np.array(state.GetODE2Coordinates()), np.array(state.GetODE2Coordinates_t())

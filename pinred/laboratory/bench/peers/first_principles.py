@@ -1,4 +1,4 @@
-"""The full (unreduced) dynamics as a CasADi graph, written from a textbook.
+"""The full (unreduced) dynamics as a CasADi graph, following a textbook.
 
 Featherstone's articulated-body algorithm (Rigid Body Dynamics Algorithms, 2008, table 7.1) in
 body coordinates, on the state (root, x, v) of full_vector_field.py. It shares no code with pinred's

@@ -9,7 +9,7 @@ from ....system.system import System
 
 
 def root_rotation(system: System, q: Array) -> Array:
-    """Return the matrix (k, k) from the root's linear velocity in body axes to fixed axes."""
+    """Return the matrix (k, k) that rotates the root's linear velocity from body to fixed axes."""
     k, pose = system.group.linear, system.configuration(q).pose
     return system.group.Ad(pose)[:k, :k]
 

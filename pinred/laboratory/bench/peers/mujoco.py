@@ -136,7 +136,7 @@ class MujocoModel:
         self.mj.mj_forward(self.model, self.data)
 
     def _turn(self, q: Array) -> Array:
-        """Return the orthogonal matrix (n, n) from Pinocchio's velocities to MuJoCo's.
+        """Return the orthogonal matrix (n, n) that maps Pinocchio's velocities to MuJoCo's.
 
         MuJoCo expresses the linear velocity in the parent's axes.
         """
