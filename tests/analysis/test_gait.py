@@ -75,13 +75,12 @@ def test_winding_gait_operations_keep_turns() -> None:
         close(gait.reversed().at(0.2)[0], gait.at(1.8)[0] - rise, 1e-13)
         x = gait.at(np.linspace(0.0, gait.period * (1.0 - 1e-15), 2001))[0]
         close(gait.limits, np.stack([x.min(axis=0), x.max(axis=0)], axis=1), 1e-2)
-        for refused, words in (
-            (lambda g=gait: g.scaled(0.5), "expected 1 for joints that turn"),
-            (lambda g=gait: g.winding(), "do not turn"),
-            (lambda g=gait: g.signals(["a", "b"]), "gait: expected"),
-        ):
-            with pytest.raises(pinred.InputError, match=words):
-                refused()
+        with pytest.raises(pinred.InputError, match="expected 1 for joints that turn"):
+            gait.scaled(0.5)
+        with pytest.raises(pinred.InputError, match="do not turn"):
+            gait.winding()
+        with pytest.raises(pinred.InputError, match="gait: expected"):
+            gait.signals(["a", "b"])
     for turns in ([0.5, 0.0], [1.0], [np.nan, 0.0], "ab"):
         with pytest.raises(pinred.InputError, match="turns"):
             Gait.waypoints([[0.2, 0.1]], turns=turns)

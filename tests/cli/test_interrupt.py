@@ -129,7 +129,7 @@ def test_interrupt_tests_pass_below_nohup() -> None:
     test = f"{__file__}::test_interrupt_raises_keyboard_interrupt_in_python"
     code = (
         "import signal, subprocess, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-        f"run = [sys.executable, '-m', 'pytest', '-q', '-p', 'no:xdist', {test!r}]\n"
+        f"run = [sys.executable, '-m', 'pytest', '-q', {test!r}]\n"
         "sys.exit(subprocess.run(run, capture_output=True).returncode)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0

@@ -219,7 +219,7 @@ def test_fast_controller_approaches_continuous_damper() -> None:
         ([np.nan], r"1 finite torques \(beanie\), but returned \[nan\] at t = 0\.5 s"),
         ([1.0, 2.0], r"must return 1 finite torques"),
         (None, r"must return 1 finite torques"),
-        ("up", "must be numbers, got 'up'"),
+        ("up", "torque: expected .* got 'up'"),
         ({"nose": 1.0}, "returned a torque for 'nose' at t = 0.5 s; its joints are beanie"),
     ],
 )

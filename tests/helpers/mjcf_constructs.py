@@ -312,10 +312,9 @@ ACTING = {
         f'<site name="tip"/>{FAR}', '<site name="top"/>', ("rope", "stop"),
     ),
     "equality constraints": (
-        '<equality><weld name="held" body1="arm" body2="hand"/><tendon name="same" tendon1="line"/>'
-        '<connect name="apart" body1="side" anchor="0 0 0"/></equality>'
-        '<tendon><fixed name="line"><joint joint="arm" coef="1"/></fixed></tendon>',
-        "", '<body name="hand" mocap="true"/>', ("held", "same"),
+        '<equality><weld name="held" body1="arm" body2="hand"/>'
+        '<connect name="apart" body1="side" anchor="0 0 0"/></equality>',
+        "", '<body name="hand" mocap="true"/>', ("held",),
     ),
     "compensated gravity": (
         "", f'<body name="light" gravcomp="1">{INERTIAL}</body>', "", ("light",),

@@ -79,7 +79,7 @@ def test_limited_rate_stops_after_the_budget() -> None:
     """The error has the time of the evaluation."""
     rate = counted_budget(1.5).limit(lambda _, y: y)
     assert rate(0.1, np.ones(1)) == 1.0
-    with pytest.raises(AbaStopped, match=r"budget of 1.5 s; it reached t = 0.2 s") as stop:
+    with pytest.raises(AbaStopped, match=r"time limit of 1.5 s; it reached t = 0.2 s") as stop:
         rate(0.2, np.ones(1))
     assert stop.value.time == 0.2
 

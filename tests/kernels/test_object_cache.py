@@ -156,10 +156,10 @@ def test_get_rejects_links_pipes_and_folders(
     assert target.read_bytes()[HEADER:] == CODE
     file.unlink()
     os.mkfifo(file)
-    assert_rejected(cache, file, "plain file")
+    assert_rejected(cache, file, "regular file")
     file.unlink()
     file.mkdir()
-    with pytest.warns(CacheWarning, match="plain file"):
+    with pytest.warns(CacheWarning, match="regular file"):
         assert cache.get(KEY) is None
     with pytest.warns(CacheWarning, match="not stored"):
         cache.put(KEY, CODE)

@@ -283,7 +283,7 @@ def test_interrupted_bench_resumes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Finished scenes are kept; ratios use times of one run."""
-    folder, real, asked = tmp_path / "out", accuracy_in_folder.bench_problem, []
+    folder, real, asked = tmp_path / "out", vars(accuracy_in_folder)["bench_problem"], []
 
     def dies_at_the_second(problem: Problem, methods: Any, *rest: Any, **more: Any) -> Any:
         asked.append((problem.name, [method.name for method in methods]))

@@ -17,7 +17,7 @@ from trees import ROOTS, random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.forces import Damper, Spring, Wrench
+from pinred.forces import Damper, Force, Spring, Wrench
 from pinred.lie import GROUPS, Group
 from pinred.scene.scene import ENGINES
 from pinred.signals import Fourier
@@ -101,7 +101,7 @@ def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> p
 def test_custom_group_motion_agrees_with_aba(system: pinred.System) -> None:
     """Free, forced and with a prescribed joint, by both engines, against Pinocchio's ABA."""
     pose0 = system.group.exp(np.linspace(0.3, -0.9, system.r))
-    acting = [Spring("joint1", 2.0, 0.3), Damper("joint2", 0.2)]
+    acting: list[Force] = [Spring("joint1", 2.0, 0.3), Damper("joint2", 0.2)]
     acting.append(Wrench(np.linspace(0.4, -0.3, system.r).tolist()))
     plan = {"joint3": Fourier(0.0, [0.3], [0.1], 2.0)}
     scenes: list[dict[str, Any]] = [{}, {"forces": acting, "prescribed": plan}]

@@ -284,9 +284,11 @@ def test_armature_of_free_joint_is_ignored_with_warning(gravity: str) -> None:
         system = pinred.load(mujoco.MjSpec.from_string(text))
     bare = tree_in(text.replace('<joint name="j" type="free"/>', '<freejoint name="j"/>'))
     assert worst(bare).worst < EXACT
-    H = [symmetric(pin.crba(m, m.createData(), q)) for m in (system.model, bare.model)
-         for q in (pin.neutral(m),)]  # fmt: skip
-    np.testing.assert_array_equal(*H)
+    H, expected = (
+        symmetric(pin.crba(model, model.createData(), pin.neutral(model)))
+        for model in (system.model, bare.model)
+    )
+    np.testing.assert_array_equal(H, expected)
     assert system.model.armature.tolist() == [0, 0, 0, 0, 0, 0, 0.1]
     assert system.mass == sum(bare.world.model.body_mass)
 

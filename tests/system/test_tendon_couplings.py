@@ -132,7 +132,7 @@ def test_quadruped_with_tendons_agrees_with_aba(prescribed: dict[str, str]) -> N
             seed=1,
             duration=0.3,
             prescribed=prescribed,
-            engine=engine,  # type: ignore[arg-type]
+            engine=engine,
         )
         report = pinred.compare(traj)
         assert report.passed, str(report)

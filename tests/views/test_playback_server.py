@@ -82,7 +82,9 @@ def test_taken_port_is_rejected(capsys: pytest.CaptureFixture[str]) -> None:
     """Without a port a free one is used; close() frees the port."""
     first = Player(b"1")
     port = int(first.url.split(":")[2].strip("/"))
-    with pytest.raises(pinred.InputError, match=f"port {port} is taken; choose another, or none"):
+    with pytest.raises(
+        pinred.InputError, match=f"port {port} is taken; choose another port, or none"
+    ):
         Player(b"2", port)
     with Player(b"2") as second:
         assert answer(first)[1] + answer(second)[1] == b"12"

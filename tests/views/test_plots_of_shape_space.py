@@ -213,7 +213,7 @@ def test_curvature_plot_of_motion_has_path() -> None:
     assert figure.axes[1].get_ylabel() == "B, component v2 [m/rad²]"
     with pytest.raises(pinred.InputError, match="the components are v1, v2, v3, w1, w2, w3"):
         pinred.plot(traj, "curvature", component="w4")
-    with pytest.raises(pinred.InputError, match="must be two"):
+    with pytest.raises(pinred.InputError, match="expected two joints"):
         pinred.plot(traj, "curvature", joints=["bend"])
     with pytest.raises(pinred.InputError, match="limits must increase"):
         pinred.plot(traj, "curvature", limits=[(0, 1), (1, 1)])
