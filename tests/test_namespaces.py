@@ -29,7 +29,7 @@ def test_type_checkers_reject_an_unknown_name() -> None:
         _ = pinred.nope  # type: ignore[attr-defined]
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_function_is_not_hidden_by_the_module_of_its_name() -> None:
     """A function remains callable after its module was imported, in any order of imports."""
     code = (
@@ -41,7 +41,7 @@ def test_function_is_not_hidden_by_the_module_of_its_name() -> None:
     assert python(code) == "True\n"
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_aliases_provide_the_same_objects() -> None:
     """The short module paths can be imported, and their names are those of the deeper modules."""
     code = (
@@ -54,7 +54,7 @@ def test_aliases_provide_the_same_objects() -> None:
     assert python(code) == "True True\n"
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_eager_import_of_all_names_succeeds() -> None:
     """No name requires that another was imported before; EAGER_IMPORT imports all of them."""
     for seed in "01":

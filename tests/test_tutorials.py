@@ -145,6 +145,7 @@ def test_tutorial_coupled_planar_prints_reference_values(
     np.testing.assert_allclose(output.names["vdot"], vdot, atol=1e-12)
 
 
+@pytest.mark.by_hand
 def test_tutorial_falling_cat_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:
@@ -189,6 +190,7 @@ def test_tutorial_quadruped_flight_prints_reference_values(
     assert abs(final) < 1e-6
 
 
+@pytest.mark.by_hand
 def test_tutorial_satellite_arms_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:
@@ -271,6 +273,7 @@ def test_tutorial_trusted_height_function_prints_reference_values(
     assert error < 0.5
 
 
+@pytest.mark.by_hand
 def test_tutorial_hand_that_stays_put_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:
@@ -295,6 +298,7 @@ def test_tutorial_identification_prints_reference_values(
     assert residual == pytest.approx(1e-3, rel=0.2)
 
 
+@pytest.mark.by_hand
 def test_tutorial_best_stroke_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:
@@ -327,6 +331,7 @@ def test_tutorial_satellite_turns_by_its_arms_prints_reference_values(
     assert output.text.count("verdict: PASSED") == 1
 
 
+@pytest.mark.by_hand
 def test_tutorial_turning_over_in_flight_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:
@@ -358,6 +363,7 @@ def test_tutorial_turning_over_in_flight_prints_reference_values(
     assert output.text.count("verdict: PASSED") == 1
 
 
+@pytest.mark.by_hand
 def test_tutorial_attitude_control_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:
@@ -432,6 +438,7 @@ def test_tutorial_steady_spins_prints_reference_values(
     assert output.text.count("verdict: PASSED") == 1
 
 
+@pytest.mark.by_hand
 def test_tutorial_double_spherical_pendulum_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:

@@ -27,6 +27,7 @@ def chaotic_motion(duration: float) -> pinred.Trajectory:
     )  # fmt: skip
 
 
+@pytest.mark.by_hand
 def test_linearise_equals_differences_of_pinocchio_equations() -> None:
     """∂(ẋ, π̇)/∂(x, π) equals differences of Pinocchio's equations at a time inside the motion."""
     traj = chaotic_motion(2.0)

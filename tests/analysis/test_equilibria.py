@@ -116,7 +116,7 @@ def point_mass_pendulum(path: Path) -> pinred.System:
         return pinred.load(path, group="SO2")
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_point_mass_pendulum_matches_closed_form(tmp_path: Path) -> None:
     """λ² = (L² − r²)/(L² − α²), L = α(m + α)/(m(1 + α)): both hanging branches, J = 0.2 … 30."""
     system = point_mass_pendulum(tmp_path / "pendulum.urdf")

@@ -82,6 +82,7 @@ def test_polygon_gait_has_no_coefficients() -> None:
         pinred.phase_slopes(A, pinred.Gait.waypoints([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
 
 
+@pytest.mark.by_hand
 @pytest.mark.parametrize(
     "name", ["three_rods", pytest.param("falling_cat", marks=pytest.mark.slow)]
 )

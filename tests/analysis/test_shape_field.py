@@ -41,7 +41,7 @@ def agree(red: pinred.Reduction, shapes: Array) -> None:
             close(computed[index], getattr(red.at(shapes[index]), name))
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(cases(0, 8))
 def test_grid_mass_matrix_equals_crba(case: Case) -> None:
     """H at any pose of the base, and its blocks, for trees on every group."""
@@ -59,8 +59,8 @@ def test_grid_mass_matrix_equals_crba(case: Case) -> None:
         close(field.reduced_metric[k], H[r:, r:] - H[r:, :r] @ A)
 
 
-@pytest.mark.slow
-@settings(max_examples=60)
+@pytest.mark.by_hand
+@settings(max_examples=25)
 @given(cases(0, 6))
 def test_grid_curvature_equals_rnea_derivatives(case: Case) -> None:
     """B of trees on every group, with any leading axes."""

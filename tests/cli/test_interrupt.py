@@ -24,7 +24,7 @@ def check(at: float) -> None:
     assert (code, error) == (130, "pinred: interrupted\n"), at
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("part", range(20))
 def test_interrupt_at_random_times_ends_compare(part: int) -> None:
     """The interrupt arrives at random times after the start."""

@@ -48,7 +48,7 @@ def test_commands_print_ascii_on_ascii_terminal(words: tuple[str, ...]) -> None:
 OTHERS = [pytest.param(name, marks=pytest.mark.by_hand) for name in COMMANDS if name != "gait"]
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("command", ["", "gait", *OTHERS])
 def test_help_is_ascii_on_ascii_terminal(command: str) -> None:
     """Except for single letters, each page is the same as on other terminals."""
@@ -69,7 +69,7 @@ def test_errors_are_one_ascii_line() -> None:
     assert done.stderr.count(b"\n") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_nearest_ascii_keeps_encodable_characters() -> None:
     """Other characters become the nearest ASCII text."""
     assert "m/s^2" in run("inspect", "falling_cat").stdout.decode()

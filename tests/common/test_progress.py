@@ -122,7 +122,7 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
     return outputs
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_progress_bar_in_notebook_updates_one_output(outputs: dict[str, list[Any]]) -> None:
     """One output of the cell is updated in place, with an escaped title."""
     before, bar, after = outputs["0"]

@@ -149,7 +149,7 @@ def test_fully_prescribed_shape_is_reconstruction(momentum: bool, engine: Engine
         assert report.passed, str(report)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @settings(max_examples=10)
 @given(groups, seeds, st.integers(1, 4), st.data())
 def test_driving_torques_equal_rnea(
@@ -209,7 +209,7 @@ def test_torque_on_prescribed_joint_reduces_drive_torque() -> None:
     np.testing.assert_allclose(pushed.energy_balance.residual, 0.0, atol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("engine", ENGINES)
 def test_splines_with_many_knots_equal_plan(engine: Engine) -> None:
     """A segment ends at each knot, and reported states at knots follow the motion."""

@@ -50,7 +50,7 @@ run = { duration = 0.2, method = { name = "BS3", rtol = 1e-5 } }
 """
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_new_explicit_method_needs_one_file(tmp_path: Path) -> None:
     """It has its order on a robot; command line, scene files, schema and benchmark know it."""
     code = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)[-1]

@@ -418,7 +418,7 @@ def test_slow_iterations_converge_to_round_off(order: int, rate: float) -> None:
     np.testing.assert_allclose(solution.states[1:, 0], ends, rtol=0, atol=3e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_unsolved_dense_output_raises() -> None:
     """The result is an error instead of NaN."""
     solution = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), params=np.array([np.nan]))

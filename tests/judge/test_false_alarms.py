@@ -110,6 +110,7 @@ def test_compare_of_extreme_values_does_not_fail(robot: str, speed: float, offse
     assert str(report.verdict) == expected, str(report)
 
 
+@pytest.mark.by_hand
 def test_compare_of_motion_between_rests_does_not_fail() -> None:
     """At rest, accelerations consist of round-off alone."""
     rods = pinred.load("three_rods")

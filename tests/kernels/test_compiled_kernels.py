@@ -59,7 +59,7 @@ def test_kernel_rate_equals_readable_route(case: Case) -> None:
         np.testing.assert_allclose(rate, expected[rows], rtol=0, atol=1e-10 * scale)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @settings(max_examples=25)
 @given(cases(1, 5))
 def test_kernel_rate_satisfies_hamilton_poincare(case: Case) -> None:

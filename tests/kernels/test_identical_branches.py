@@ -112,7 +112,7 @@ def test_identical_branches_are_grouped() -> None:
             assert link.parent < k
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @settings(max_examples=20)
 @given(groups, st.integers(2, 6), st.integers(1, 4), seeds, st.sampled_from(MADE))
 def test_kernels_with_identical_branches_equal_readable_route(

@@ -63,7 +63,7 @@ for thread in threads:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_dropped_kernels_print_nothing(tmp_path: Path) -> None:
     """Threads that build and drop kernels print nothing, even after failed copies."""
     done = subprocess.run(

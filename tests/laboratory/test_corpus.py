@@ -161,7 +161,7 @@ def test_included_file_that_does_not_load_is_a_fragment(tmp_path: Path) -> None:
     assert "1 parts" in Corpus((entry,)).summary()
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_hanging_file_does_not_stop_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its process is killed at the time limit, or has crashed, and a new one continues."""
     monkeypatch.setattr(workers, "_serve", _slow_or_dead)
@@ -183,7 +183,7 @@ def _slow_or_dead(pipe: Any, *_: Any) -> None:
         pipe.send(Entry(what.file, what.kind, "passed"))
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_corpus_command_prints_and_writes_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

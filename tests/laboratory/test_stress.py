@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -54,7 +54,17 @@ def perturb_bodies(system: pinred.System, by: float) -> pinred.System:
     return pinred.load(model)
 
 
-@pytest.mark.parametrize("name", CHECKS)
+LONG = {"energy", "tolerances", "casimirs", "mass_ratios"}  # checks that take more than 5 s
+
+
+def with_long_by_hand(names: Iterable[str]) -> list[Any]:
+    """Return test parameters, of which the long checks are marked by_hand."""
+    return [
+        pytest.param(name, marks=pytest.mark.by_hand) if name in LONG else name for name in names
+    ]
+
+
+@pytest.mark.parametrize("name", with_long_by_hand(CHECKS))
 def test_check_passes(name: str) -> None:
     """The short form of the check passes."""
     outcome = run_check(CHECKS[name], SHORT)
@@ -133,7 +143,9 @@ NOTICED = {
 
 
 @pytest.mark.filterwarnings("ignore::pinred.ModelWarning")  # flat bodies cause warnings
-@pytest.mark.parametrize("name", [name for name in CHECKS if name not in INVARIANT])
+@pytest.mark.parametrize(
+    "name", with_long_by_hand([name for name in CHECKS if name not in INVARIANT])
+)
 def test_wrong_constant_fails(name: str) -> None:
     """The check fails for a robot with wrong constants, because of a case, not of an error."""
     outcome = run_with_fault(name, NOTICED[name])

@@ -97,7 +97,7 @@ def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> p
     return tree
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_custom_group_motion_agrees_with_aba(system: pinred.System) -> None:
     """Free, forced and with a prescribed joint, by both engines, against Pinocchio's ABA."""
     pose0 = system.group.exp(np.linspace(0.3, -0.9, system.r))

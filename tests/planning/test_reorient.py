@@ -43,7 +43,7 @@ def assert_rest_to_rest(plan: pinred.TurnPlan) -> None:
     assert ((traj.x >= low - 1e-12) & (traj.x <= high + 1e-12)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_reorient_falling_cat_by_half_a_turn() -> None:
     """Half a turn about its length, confirmed by SciPy and full ABA."""
     cat = pinred.load("falling_cat")
@@ -103,6 +103,7 @@ def test_reorient_reaches_random_targets(name: str, seed: int) -> None:
     assert_rest_to_rest(plan)
 
 
+@pytest.mark.by_hand
 def test_reorient_planar_base_by_angle() -> None:
     """Three rods, also from their singular straight shape; a full turn needs several cycles."""
     rods = pinred.load("three_rods")

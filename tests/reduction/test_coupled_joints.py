@@ -20,7 +20,7 @@ from pinred.reduction.tree.momenta import momenta
 from pinred.system.robot_file_contents import Contents, Coupling
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(coupled_cases())
 def test_coupled_mass_matrix_and_derivatives(case: CoupledCase) -> None:
     """At one shape by Pinocchio, and at many by compiled code: GᵀHG and its derivative."""
@@ -41,7 +41,7 @@ def test_coupled_mass_matrix_and_derivatives(case: CoupledCase) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(coupled_cases())
 def test_sweep_of_coupled_joints_solves_velocities_and_forces(case: CoupledCase) -> None:
     """H v = (μ, π) for any momentum, and π̇ against the derivative of the Lagrangian by y."""

@@ -433,7 +433,7 @@ def test_run_engine_option_replaces_engine_of_file(
     assert "(compiled)" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_two_processes_write_the_same_bytes(tmp_path: Path) -> None:
     """The same scene gives the same file."""
     files = [tmp_path / "a.csv", tmp_path / "b.csv"]

@@ -100,6 +100,7 @@ def entries(folder: Any) -> int:
     return sum(1 for file in folder.rglob("*") if file.is_file())
 
 
+@pytest.mark.by_hand
 @pytest.mark.parametrize(
     "kind",
     [pytest.param(k, marks=pytest.mark.slow) if k in SLOW else k for k in SCENES],
@@ -197,7 +198,7 @@ def test_new_robots_under_computed_torque_reuse_the_kernels(builds: list[str]) -
     assert len(builds) <= made + 1  # the begin of a flow
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("kind", ["constants of expressions", "formula", "spline"])
 def test_reused_kernel_agrees_with_aba(kind: str) -> None:
     """A kernel compiled for other values gives the motion of Pinocchio's ABA."""

@@ -85,7 +85,7 @@ def end_of(task: Any) -> Any:
     return pinred.simulate(value).x[-1] if kind == "scene" else value(0.05).x
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_pickles_work_in_spawned_processes() -> None:
     """Scenes, flows and motions give the same numbers in spawned processes."""
     original = scene()

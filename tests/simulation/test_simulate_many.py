@@ -104,7 +104,7 @@ def test_invalid_members_are_rejected() -> None:
         pinred.simulate_many(system, seeds=[1], seed=2)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
 def test_progress_is_fraction_of_members(method: str) -> None:
     """Progress grows for all methods, and its exceptions end the call."""

@@ -41,7 +41,7 @@ def test_connection_and_metric_agree_with_closed_form(swivel: float, lift: float
     np.testing.assert_allclose(at.local_connection[0], climb, atol=1e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("engine", ENGINES)
 def test_closed_boom_path_yaws_the_drone(engine: Engine) -> None:
     """Without momentum the yaw is −∮ A dα, and only free fall changes height and drift."""

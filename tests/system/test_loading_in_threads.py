@@ -57,7 +57,7 @@ def run(code: str, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_threads_that_load_keep_output_of_others(tmp_path: Path) -> None:
     """Standard error is the same file, and has exactly the lines of the other thread."""
     broken = tmp_path / "broken.urdf"

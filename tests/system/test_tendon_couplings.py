@@ -121,7 +121,7 @@ def test_quadruped_with_tendons_has_twelve_coordinates() -> None:
         assert np.abs(residuals(text, values)).max() < 1e-15
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("prescribed", [{}, {"pitch0": "0.3*sin(2*t)"}])
 def test_quadruped_with_tendons_agrees_with_aba(prescribed: dict[str, str]) -> None:
     """In both engines, also if one of two leaders is prescribed."""
