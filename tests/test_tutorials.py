@@ -410,6 +410,7 @@ def as_notebook(text: str) -> Any:
     return v4.new_notebook(cells=cells)
 
 
+@pytest.mark.by_hand
 def test_tutorial_runs_as_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All cells run in a Jupyter kernel, and figures are displayed as images."""
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path))

@@ -54,6 +54,7 @@ def test_linearise_equals_differences_of_pinocchio_equations() -> None:
     assert "frequency" in str(linear)
 
 
+@pytest.mark.by_hand
 def test_linearise_includes_dampers_and_time_dependent_forces() -> None:
     """A damper adds −c Σ M⁻¹_kk to the trace; prescribed joints enter by the clock."""
     cat = pinred.load("falling_cat")

@@ -78,7 +78,7 @@ def test_nearest_ascii_keeps_encodable_characters() -> None:
     assert "".join(map(nearest_ascii, "×é\udcff中")) == "xe\\xff\\u4e2d"
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("encoding", [pytest.param("utf-8", marks=pytest.mark.by_hand), "ascii"])
 def test_undecodable_file_names_are_accepted_or_refused(tmp_path: Path, encoding: str) -> None:
     """Motions and scenes accept them; robot files do not."""

@@ -43,7 +43,7 @@ print(sum(event.is_start for _, event in record.buffer))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_second_process_loads_all_loops_from_cache() -> None:
     """All loops come from disk; the code of another method would give large errors."""
     counts = []
@@ -69,8 +69,8 @@ def test_each_loop_has_its_own_cache_file() -> None:
     loops = [loop for method in CASES.values() for loop in loops_of(method)]
     codes = {loop.py_func.__code__.co_code for loop in loops}
     files = {loop._cache._cache_file._index_name for loop in loops}
-    assert len(codes) == 3
-    assert len(files) == len(loops) == 3 * len(METHODS)
+    assert len(codes) == 4
+    assert len(files) == len(loops) == 4 * len(METHODS)
 
 
 def one(x: float) -> float:

@@ -84,6 +84,7 @@ def test_trial_has_expected_outcome(case: str, tmp_path: Path) -> None:
         assert entry.reason
 
 
+@pytest.mark.by_hand
 def test_misread_mass_fails_against_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A mass error of 1e-9 passes compare, which shares the model, but not MuJoCo."""
 

@@ -54,7 +54,8 @@ def perturb_bodies(system: pinred.System, by: float) -> pinred.System:
     return pinred.load(model)
 
 
-LONG = {"energy", "tolerances", "casimirs", "mass_ratios"}  # checks that take more than 5 s
+# Checks that take more than 5 s.
+LONG = {"energy", "tolerances", "casimirs", "mass_ratios", "between", "frames"}
 
 
 def with_long_by_hand(names: Iterable[str]) -> list[Any]:

@@ -487,10 +487,10 @@ def test_conversion_of_wrong_length_names_argument() -> None:
     system = pinred.load("satellite_two_arms")
     pose, x, xi = system.group.identity(), np.zeros(system.m), np.zeros(system.r)
     refused(lambda: system.q(pose[:-1], x), ShapeError, ["pose", "(..., 7)", "(6,)"])
-    refused(lambda: system.q(pose, x[1:]), ShapeError, ["x", f"({system.m},)"])
-    refused(lambda: system.v(0.0, x), ShapeError, ["xi", "(6,)", "()"])
+    refused(lambda: system.q(pose, x[1:]), ShapeError, ["x", f"(..., {system.m})"])
+    refused(lambda: system.v(0.0, x), ShapeError, ["xi", "(..., 6)", "()"])
     refused(lambda: system.v(xi, np.zeros((2, system.m + 1))), ShapeError, ["xdot"])
-    refused(lambda: system.configuration(pose), ShapeError, ["q", f"({system.model.nq},)"])
+    refused(lambda: system.configuration(pose), ShapeError, ["q", f"(..., {system.model.nq})"])
     refused(lambda: system.velocity("v"), ShapeError, ["v", "numbers"])
 
 
