@@ -23,7 +23,7 @@ from pinred.planning.optimisation.extremal_problem import ExtremalProblem
 from pinred.planning.optimisation.extremal_start import start_of
 from pinred.planning.optimisation.levenberg_marquardt import levenberg_marquardt
 from pinred.planning.optimisation.limits import limits_of
-from pinred.planning.optimisation.objective import axis_aim, target_aim
+from pinred.planning.optimisation.objective import AxisAim, TargetAim, axis_aim, target_aim
 from pinred.planning.optimisation.transcription import Task
 
 BEST = 2.385991643818944  # rotation per length of three rods, by Pinocchio's mass matrix
@@ -191,13 +191,11 @@ def test_jacobian_of_shooting_equals_differences_of_residuals(kind: str) -> None
     A = pinred.Connection.mechanical(pinred.load("falling_cat")) if kind == "space" else rods()
     rng = np.random.default_rng(4)
     gait = random_gait(rng, A.m, 1)
-    aim = {
-        "rotation": lambda: axis_aim(A.group, "rotation", None),
-        "bounded": lambda: axis_aim(A.group, "rotation", None),
-        "displacement": lambda: axis_aim(A.group, "displacement", "x"),
-        "target": lambda: target_aim(A.group, [0.1, 0.2, 0.3]),
-        "space": lambda: target_aim(A.group, [0.1, 0.2, 0.3]),
-    }[kind]()
+    aim: AxisAim | TargetAim = target_aim(A.group, [0.1, 0.2, 0.3])
+    if kind in ("rotation", "bounded"):
+        aim = axis_aim(A.group, "rotation", None)
+    elif kind == "displacement":
+        aim = axis_aim(A.group, "displacement", "x")
     most = 1.0 if kind == "bounded" else None
     problem = ExtremalProblem(Task(A, aim, "length", most, limits_of(A, 3.0, None, None), 1.0))
     start = start_of(problem, gait)
@@ -244,7 +242,7 @@ def test_extremal_refuses_other_problems(best: pinred.BestGait) -> None:
         ({"task": replace(best.task, most=9.0)}, "expected a length at its bound 9"),
     ):
         with pytest.raises(pinred.InputError, match=re.escape(message)):
-            pinred.extremal(replace(best, **change))  # type: ignore[arg-type]
+            pinred.extremal(replace(best, **change))
 
 
 @pytest.mark.parametrize(

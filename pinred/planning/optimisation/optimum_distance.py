@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 from ...analysis.gaits.gait import Gait
 from ...common.argument_kinds import checks_arguments
@@ -11,8 +10,6 @@ from ...common.errors import InputError, NoOptimum
 from .extremal_loop import polish, refuse_extremal
 from .gait_search import Search, StartFailed, finish, fourier_path_of, measure
 from .transcription import Task
-
-Route: TypeAlias = Literal["extremal", "harmonics", "none"]
 
 
 @checks_arguments
@@ -28,7 +25,7 @@ class OptimumDistance:
     """
 
     value: float | None
-    route: Route
+    route: str
     reason: str
 
     def __str__(self) -> str:
