@@ -223,7 +223,7 @@ def test_types_without_parts_are_refused() -> None:
         i = model.addJoint(root, kind, pin.SE3.Identity(), "neck")
         for k in (root, i):
             model.appendBodyToJoint(k, inertia(np.random.default_rng(k)), pin.SE3.Identity())
-        with pytest.raises(pinred.ModelError, match="'neck' is of kind .*Spherical"):
+        with pytest.raises(pinred.ModelError, match=r"'neck' is of kind .*Spherical"):
             pinred.load(model)
 
 
