@@ -18,7 +18,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add_scene(sub)
     sub.add_argument(
         "--budget", type=float, metavar="S",
-        help="wall time after which ABA stops [s] (default: 30, or 500 times the simulation's)",
+        help="processor time after which ABA stops [s] (default: 30, or 500 times the run's)",
     )  # fmt: skip
 
 

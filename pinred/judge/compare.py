@@ -63,8 +63,8 @@ def compare(
         traj: Trajectory returned by `simulate`.
         progress: True for a progress bar, or a function that is called with the completed
             fraction of the work, 0 to 1.
-        budget: Wall time after which ABA stops [s]; by default 30 s, or 500 times the wall time
-            of the simulation if that is longer.
+        budget: Processor time after which ABA stops [s]; by default 30 s, or 500 times the wall
+            time of the simulation if that is longer.
     Returns:
         The report. It is true if the comparison passed: `assert pinred.compare(traj)`. The
         verdict is CANNOT TELL if ABA does not reach the end of the motion.
@@ -89,13 +89,14 @@ def _compare(traj: Trajectory, progress: Progress, budget: TimeBudget) -> Report
     full = FullState(scene, traj.motion.replay, budget)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     stopped: tuple[str, ...] = ()
+    started = time.perf_counter()
     try:
         solutions = _integrate_with_aba(full, y0, times, (rtol, atol), progress)
     except AbaStopped as stop:
         stopped = (f"errors of the motion cannot be judged: {stop}; compare a shorter motion",)
         times = times[:1]
         initial = full.run(y0, times, rtol, atol)
-        solutions = _Solutions(initial, initial, np.ones(1), budget.spent)
+        solutions = _Solutions(initial, initial, np.ones(1), time.perf_counter() - started)
     progress(0.8)
     reference, growth = solutions.reference, solutions.growth
     defects = compute_defects(traj, full)

@@ -1,9 +1,12 @@
-"""The time limit of a comparison: how long ABA may integrate a motion."""
+"""The time limit of a comparison: how long ABA may integrate a motion.
+
+The limit counts processor time, so a verdict does not depend on other programs of the machine.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import perf_counter
+from time import perf_counter, thread_time
 
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
@@ -36,29 +39,40 @@ class TimeBudget:
     """A time limit that starts when it is created.
 
     Attributes:
-        seconds: Time limit [s].
+        seconds: Time limit, in processor time of the current thread [s].
     """
 
-    def __init__(self, seconds: float, clock: Callable[[], float] = perf_counter) -> None:
+    def __init__(
+        self,
+        seconds: float,
+        clock: Callable[[], float] = thread_time,
+        wall: Callable[[], float] = perf_counter,
+    ) -> None:
         """Start the clock.
 
         Args:
             seconds: Time limit [s].
-            clock: Function that returns the time [s].
+            clock: Function that returns the processor time [s].
+            wall: Function that returns the wall time [s], which advances at least as fast.
         """
-        self.seconds, self._clock, self._start = seconds, clock, clock()
+        self.seconds, self._clock, self._wall = seconds, clock, wall
+        self._start, self._due = clock(), wall() + seconds
 
-    @property
-    def spent(self) -> float:
-        """Time since the start [s]."""
-        return self._clock() - self._start
+    def is_exceeded(self) -> bool:
+        """Return whether the time is up.  The processor time is read only if it can be."""
+        now = self._wall()
+        if now <= self._due:
+            return False
+        left = self.seconds - (self._clock() - self._start)
+        self._due = now + left
+        return left < 0.0
 
     def limit(self, rate: Rate) -> Rate:
         """Return a vector field that raises AbaStopped when the time is up."""
 
         def limited(t: float, y: Array) -> Array:
-            if self.spent > self.seconds:
-                raise AbaStopped(f"ABA exceeded the time limit of {self.seconds:g} s", t)
+            if self.is_exceeded():
+                raise AbaStopped(f"ABA exceeded {self.seconds:g} s of processor time", t)
             return rate(t, y)
 
         return limited

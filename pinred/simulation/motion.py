@@ -179,15 +179,15 @@ def follow(
         plan: The plan of the scene.
         flow: Reduced flow of the plan.
         integrate: The function that integrates the flow.
-        through: Integrates the flow through all stops of the plan at once, for scenes without
-            controllers and events; None if the engine cannot do this.
+        through: Integrates the flow through all stops of the plan at once, if `passes_stops` is
+            true; None if the engine cannot do this.
     Returns:
         The motion.
     Raises:
         IntegrationError: The integration failed.
     """
     varies = bool(plan.acting.driven) and len(plan.stops) > 1
-    if through is not None and len(plan.stops) > 1 and not _is_interrupted(plan):
+    if through is not None:
         return Motion(flow, through(), varies=varies)
     t, y, parameters = 0.0, flow.y0, flow.parameters.copy()
     numbers = parameters[flow.numbers_at]
@@ -208,9 +208,3 @@ def follow(
                 y = segment.at(np.array([t]))[0]
     varies = bool(plan.acting.driven) and len(segments) > 1
     return Motion(flow, segments, varies=varies, actions=control.calls, watch=watch)
-
-
-def _is_interrupted(plan: Plan) -> bool:
-    """Return whether controllers or events interrupt a motion between the stops of its plan."""
-    has_controllers = plan.forces is not None and bool(plan.forces.held)
-    return has_controllers or bool(plan.scene.events_given)

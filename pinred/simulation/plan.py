@@ -205,6 +205,12 @@ class Plan:
         """The method of the compiled engine."""
         return self.choice.method
 
+    @cached_property
+    def passes_stops(self) -> bool:
+        """Whether there are several stops, without controllers or events between them."""
+        has_controllers = self.forces is not None and bool(self.forces.held)
+        return len(self.stops) > 1 and not has_controllers and not self.scene.events_given
+
     @property
     def has_time_functions(self) -> bool:
         """Whether forces contain functions of time, and step control decides where to see them."""

@@ -144,10 +144,12 @@ def _pinocchio(plan: Plan, progress: Progress | None, again: _Again) -> Trajecto
 def _compiled(plan: Plan, progress: Progress | None, again: _Again) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
-    from .compiled.through_stops import through_stops
 
-    flow = CompiledFlow.of_plan(plan)
-    through = through_stops(flow, plan, progress)
+    flow, through = CompiledFlow.of_plan(plan), None
+    if plan.passes_stops:
+        from .compiled.through_stops import through_stops
+
+        through = through_stops(flow, plan, progress)
     integrate = integrator(flow, plan, progress)
     return _integrate_plan(plan, flow, integrate, "compiled", plan.method.name, again, through)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,6 +14,7 @@ import pinred
 from pinred.analysis.gaits.arcs import FourierArc
 from pinred.common.arrays import Array
 from pinred.signals import Fourier
+from pinred.system.robot_file_contents import Contents, Coupling
 
 Q1 = np.radians(-65.0)
 
@@ -267,3 +270,98 @@ def test_unknown_frames_rows_and_axes_are_refused() -> None:
             planar().workspace(limits=wrong)
     with pytest.raises(pinred.InputError, match="samples must be"):
         planar().workspace(samples=1)
+
+
+def coupled_arm() -> pinred.FloatingArm:
+    """An arm in the plane whose last joint follows the first with ratio −1.5."""
+    model = pin.Model()
+    model.gravity.setZero()
+    joint, place = 0, pin.SE3.Identity()
+    body = pin.Inertia(1.0, np.array([0.4, 0.1, 0.0]), 0.1 * np.eye(3))
+    kinds = [pin.JointModelPlanar(), *[pin.JointModelRZ()] * 3]
+    for name, kind in zip(("base", "one", "two", "three"), kinds, strict=True):
+        joint = model.addJoint(joint, kind, place, name)
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+        place = pin.SE3(np.eye(3), np.array([0.8, 0.1, 0.0]))
+    model.addFrame(pin.Frame("hand", joint, 0, place, pin.FrameType.OP_FRAME))
+    contents = Contents(couplings=(Coupling("three", {"one": -1.5}, 0.2),))
+    return pinred.FloatingArm(pinred.System(model, "coupled_arm", contents=contents), "hand")
+
+
+@pytest.mark.parametrize("axes", ["local", "world"])
+def test_jacobian_and_its_rate_follow_couplings(axes: Literal["local", "world"]) -> None:
+    """J_g ẋ is the hand's velocity by Pinocchio, and J̇_g its difference along the motion."""
+    arm = coupled_arm()
+    system, group = arm.system, arm.system.group
+    x, xdot, g0 = np.array([0.4, -0.7]), np.array([0.9, -0.6]), np.array([0.2, 0.1, 0.8])
+    red, model = pinred.Reduction(system), system.model
+
+    def at(t: float) -> tuple[Array, Array]:
+        """Return the shape and the pose after a time of the horizontal motion."""
+        solution = solve_ivp(
+            lambda s, y: group.rate(y, -red.local_connection(x + s * xdot) @ xdot),
+            (0.0, t), g0, method="DOP853", rtol=1e-13, atol=1e-14,
+        )  # fmt: skip
+        return x + t * xdot, np.asarray(solution.y[:, -1])
+
+    def jacobian(t: float) -> Array:
+        shape, pose = at(t)
+        return arm.generalized_jacobian(shape, axes=axes, pose=pose)
+
+    data = model.createData()
+    xi = -red.local_connection(x) @ xdot
+    pin.forwardKinematics(model, data, system.model_q(g0, x), system.model_v(xi, xdot))
+    frame = {"local": pin.LOCAL, "world": pin.LOCAL_WORLD_ALIGNED}[axes]
+    velocity = pin.getFrameVelocity(model, data, model.getFrameId("hand"), frame).vector
+    close(jacobian(0.0) @ xdot, velocity, 1e-13)
+    h, weights_of = 1e-2, [(1, 672.0), (2, -168.0), (3, 32.0), (4, -3.0)]
+    expected = sum(w / (840.0 * h) * (jacobian(k * h) - jacobian(-k * h)) for k, w in weights_of)
+    close(arm.rate(x, xdot, axes=axes, pose=g0), expected, 1e-10)
+
+
+@pytest.mark.parametrize("make", [planar, coupled_arm])
+def test_radius_and_its_gradient_agree_with_pinocchio_and_differences(make: object) -> None:
+    """The distance of the hand from the centre of mass, also with a joint that follows."""
+    arm: pinred.FloatingArm = make()  # type: ignore[operator]
+    system = arm.system
+    x = np.array([0.5, -0.8])
+    pose, q = system.group.identity(), system.model_q(system.group.identity(), x)
+    com = pin.centerOfMass(system.model, system.model.createData(), q)
+    radius = np.linalg.norm(arm.hand_pose(x, pose=pose).translation - com)
+    assert arm._radius(x) == pytest.approx(radius, rel=1e-14)
+    h = 1e-2
+    steps = np.array([[k * h * e for e in np.eye(2)] for k in (1, 2, 3, 4)])
+    weights = np.array([672.0, -168.0, 32.0, -3.0]) / (840.0 * h)
+    expected = weights @ (arm._radius(x + steps) - arm._radius(x - steps))
+    close(arm._radius_gradient(x), expected, 1e-12)
+
+
+def test_gradient_of_radius_is_finite_where_hand_is_at_centre_of_mass() -> None:
+    """A hand at the only body's centre of mass: the distance is zero, and so is its gradient."""
+    model = pin.Model()
+    model.gravity.setZero()
+    model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
+    model.addJoint(1, pin.JointModelRZ(), pin.SE3.Identity(), "one")
+    for joint in (1, 2):
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addFrame(pin.Frame("hand", 2, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    arm = pinred.FloatingArm(pinred.load(model), "hand")
+    assert arm._radius(np.array([0.3])) == 0.0
+    close(arm._radius_gradient(np.array([0.3])), [0.0], 0.0)
+
+
+def test_singular_points_are_all_sign_changes_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Roots on samples, between them, and at both ends."""
+    roots = np.array([0.0, 0.01, 0.25, 1.0 / 3.0 + 1e-5, 0.5, 0.777, 1.0])
+
+    def determinants(_arm: pinred.FloatingArm, shapes: Array) -> Array:
+        fraction = np.asarray(shapes)[..., 0]
+        return np.asarray(np.prod([fraction - root for root in roots], axis=0))
+
+    monkeypatch.setattr(pinred.FloatingArm, "determinants", determinants)
+    found = planar().singular_along([0.0, 0.0], [1.0, 0.3])
+    close(found, roots, 1e-15)
+    with pytest.raises(ValueError, match="read-only"):
+        found[0] = 1.0
+    fine = planar().singular_values_of("q1", [0.3, 0.3], limits=(-1.0, 1.0))
+    close(fine, roots, 4e-15)

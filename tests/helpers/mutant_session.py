@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 import tempfile
 import time
 import traceback
@@ -38,6 +39,16 @@ _VALIDATION = (
     "kernels/validation",
     "kernels/reference_state",
 )  # modules of these packages that never generate a kernel
+
+
+def is_woven(path: Path) -> bool:
+    """Return whether numba may compile functions of a module, or code that they generate.
+
+    numba's cache ignores the constants of a function. A mutant of such a module would therefore
+    run the machine code that was cached without the mutant.
+    """
+    text = path.read_text()
+    return "compiling import" in text or "llvmlite import" in text
 
 
 class MutantSession:
@@ -197,9 +208,7 @@ class MutantSession:
             function.__code__ = code
         with tempfile.TemporaryDirectory() as folder:
             if self._woven(module):
-                for dispatcher in self._compiled:
-                    dispatcher._cache = NullCache()  # type: ignore[attr-defined]
-                numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]  # for integrators that are compiled from now on
+                _compile_again(self._compiled, str(self._package / module), folder)
             if module.startswith(_IN_KERNELS) and not module.startswith(_VALIDATION):
                 os.environ["PINRED_CACHE_DIR"] = folder
             items = [self._items[name] for name in tests]
@@ -210,9 +219,8 @@ class MutantSession:
         return ""
 
     def _woven(self, module: str) -> bool:
-        """Return whether functions of a module may be compiled into integrators."""
-        text = (self._package / module).read_text()
-        return module.startswith("integrators") and "compiling import" in text
+        """Return whether numba may compile functions of a module, or code that they generate."""
+        return is_woven(self._package / module)
 
     def _forked(self, work: Callable[[], str], seconds: float) -> str:
         """Call a function in a fork; return its result, or the reason why the fork failed."""
@@ -241,6 +249,53 @@ class MutantSession:
             os.killpg(child, signal.SIGKILL)
             os.waitpid(child, 0)
             return "time"
+
+
+def _compile_again(compiled: list[Dispatcher], path: str, folder: str) -> None:
+    """Compile functions again if they depend on a source file; the others stay in the cache.
+
+    Args:
+        compiled: Functions that exist.
+        path: Path of the source file.
+        folder: Folder of the cache for functions that are created later and depend on the file.
+    """
+    shared, enable = str(numba.config.CACHE_DIR), Dispatcher.enable_caching  # type: ignore[attr-defined]
+    for dispatcher in compiled:
+        if _depends(dispatcher, path):
+            dispatcher._cache = NullCache()  # type: ignore[attr-defined]
+
+    def enable_apart(self: Dispatcher) -> None:
+        numba.config.CACHE_DIR = folder if _depends(self, path) else shared  # type: ignore[attr-defined]
+        enable(self)
+        numba.config.CACHE_DIR = shared  # type: ignore[attr-defined]
+
+    Dispatcher.enable_caching = enable_apart  # type: ignore[method-assign]
+
+
+def _depends(value: object, path: str) -> bool:
+    """Return whether a function or class uses code of a source file, directly or indirectly."""
+    pending, seen = [value], set[int]()
+    while pending:
+        value = pending.pop()
+        value = getattr(value, "py_func", None) or getattr(value, "_defn", value)
+        if id(value) in seen:
+            continue
+        seen.add(id(value))
+        if isinstance(value, type):
+            module = sys.modules.get(value.__module__)
+            if getattr(module, "__file__", None) == path:
+                return True
+        if not isinstance(value, FunctionType):
+            continue
+        if value.__code__.co_filename == path:
+            return True
+        codes = [value.__code__]
+        for code in codes:
+            codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+        names = {name for code in codes for name in code.co_names}
+        pending += [value.__globals__[name] for name in names if name in value.__globals__]
+        pending += [cell.cell_contents for cell in value.__closure__ or ()]
+    return False
 
 
 def _codes(code: CodeType) -> dict[tuple[str, int, int], CodeType]:

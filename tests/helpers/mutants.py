@@ -42,7 +42,7 @@ from typing import TextIO
 
 import numba
 import pytest
-from mutant_session import MutantSession
+from mutant_session import MutantSession, is_woven
 from mutations import Mutant, mutants
 
 ROOT = Path(__file__).parents[2]
@@ -192,7 +192,8 @@ class Copy:
         self._write(target, mutant.text)
         with tempfile.TemporaryDirectory() as cache:
             files = list(dict.fromkeys(test.split("::")[0] for test in tests))
-            prefix = "NUMBA" if module.startswith("integrators") else "PINRED"
+            is_numba = module.startswith("integrators") or is_woven(target)
+            prefix = "NUMBA" if is_numba else "PINRED"
             environment = {f"{prefix}_CACHE_DIR": cache}
             code = self._forked(files, Chosen(tests), environment, seconds)
         self._write(target, text)

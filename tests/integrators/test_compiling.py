@@ -14,9 +14,17 @@ import pytest
 from numba.core.errors import TypingError
 
 import pinred
+from pinred.analysis.phases import lift
 from pinred.integrators import stepping
 from pinred.integrators.methods import METHODS, Method
-from pinred.integrators.stepping.compiling import SOURCES, bind_globals, compiled, inlined, stamp
+from pinred.integrators.stepping.compiling import (
+    SOURCES,
+    bind_globals,
+    compiled,
+    inlined,
+    stamp,
+    stamp_of,
+)
 
 PACKAGE = Path(pinred.__file__).parent
 CASES: dict[str, Method] = {
@@ -142,6 +150,41 @@ def test_stamp_includes_subfolders(name: str, tmp_path: Path) -> None:
     (folder / name).write_text((folder / name).read_text(encoding="utf-8") + "#", encoding="utf-8")
     assert stamp(folder) != SOURCES
     assert Path(stepping.__file__).parent.parent == PACKAGE / "integrators"
+
+
+CONSTANT = """
+from pinred.integrators.stepping.compiling import compiled
+
+@compiled
+def scale(x: float) -> float:
+    return {factor} * x
+"""
+
+
+@pytest.mark.slow
+def test_changed_constant_of_module_elsewhere_is_compiled_again(tmp_path: Path) -> None:
+    """Only a constant differs, so numba finds the same name, line and bytecode in its cache."""
+    results = []
+    for factor in (2.0, 3.0):
+        (tmp_path / "other.py").write_text(CONSTANT.format(factor=factor), encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, "-B", "-c", "import other; print(other.scale(1.0))"],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+                 "PYTHONPATH": f"{tmp_path}:{PACKAGE.parent}"},
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        results.append(float(done.stdout))
+    assert results == [2.0, 3.0]
+
+
+def test_modules_with_compiled_functions_have_stamps_of_their_own() -> None:
+    """Machine code outside of the integrators is stale when its file changes."""
+    file = lift._lift._cache._cache_file  # type: ignore[attr-defined]
+    assert file._source_stamp == stamp_of(PACKAGE / "analysis/phases/lift.py")
+    assert file._source_stamp.startswith(SOURCES)
+    assert file._source_stamp != SOURCES
+    assert stamp_of(PACKAGE / "integrators/integrate.py") == SOURCES
 
 
 def allocate_array(n: int) -> float:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError
+from pinred.integrators.explicit.tableau import Tableau
 from pinred.integrators.integrate import integrate
-from pinred.integrators.integrate_many import STATUS, Solutions
+from pinred.integrators.integrate_many import STATUS, Solutions, integrate_many
 from pinred.integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from pinred.integrators.methods import DOP853, Tsit5
 from pinred.integrators.methods.method import Explicit
@@ -113,3 +116,108 @@ def test_lanes_handle_limits_and_edge_cases() -> None:
     assert run(method, params[:0], y0[:0]).ok.all()
     with pytest.raises(InputError, match="width must be one of"):
         run(method, params, y0, lanes=4)
+
+
+@dataclass(frozen=True)
+class Kutta(Explicit):
+    """Kutta's method of order 3, with a stage and a term of its dense output: quick to compile."""
+
+    about: ClassVar[str] = "a test"
+    order: ClassVar[int] = 3
+    dense_order: ClassVar[int] = 3
+
+    @classmethod
+    def tableau(cls) -> Tableau:
+        """Return the coefficients."""
+        return _tableau()
+
+
+@cache
+def _tableau() -> Tableau:
+    A = np.zeros((5, 5))
+    A[1, 0] = 0.5
+    A[2, :2] = -1.0, 2.0
+    A[3, :3] = np.array([1.0, 4.0, 1.0]) / 6.0
+    A[4, [0, 2, 3]] = 0.3, 0.2, -0.1
+    errors = np.array([[1.0, -2.0, 1.0, 0.0]]) / 6.0
+    return Tableau(A, errors, np.array([[0.2, -0.1, 0.3, 0.1, -0.5]]))
+
+
+@cache
+def jump_kernel(wide: int) -> NativeCode:
+    """Compile `kernel` with a jump of the first rate by p₂ at t = 0.7."""
+    y, p = ca.SX.sym("y", 7), ca.SX.sym("p", 3)
+    a, b, t, q = y[0], y[1], y[2], y[3:]
+    w = ca.vertcat(ca.sin(a), p[1], ca.cos(b))
+    turn = 0.5 * ca.vertcat(q[3] * w + ca.cross(q[:3], w), -ca.dot(q[:3], w))
+    first = ca.cos(a) * ca.sqrt(p[0] - t) + p[2] * (t > 0.7)
+    function = ca.Function("rate", [y, p], [ca.vertcat(first, ca.sin(3.0 * a + b), 1.0, turn)])
+    wide_inputs = (0,) if wide == 1 else (0, 1)
+    return load_object(compile_object(function, "rate", wide=wide, wide_inputs=wide_inputs), "rate")
+
+
+def mixed_members(count: int) -> tuple[Array, Array, Array, Array]:
+    """Return parameters, states, ends and report times; three of the members fail.
+
+    Member 1 becomes non-finite on its way, member 5 at the start; member 9 meets a jump that no
+    step passes.
+    """
+    params, y0 = members(count)
+    params = np.column_stack([params, np.zeros(count)])
+    y0[5, 0], params[2, 0] = 0.3, 6.0
+    params[1, 0], params[5, 0], params[9, 2] = 0.9, np.nan, 1e16
+    rng = np.random.default_rng(8)
+    ends = rng.uniform(1.0, 2.0, count)
+    times = np.sort(rng.uniform(0.0, 1.0, (count, 7)), axis=1) * ends[:, None]
+    times[:, :2], times[:, -2:] = 0.0, ends[:, None]
+    times[::3, -1] = np.inf
+    times[::4, 3] = times[::4, 2]
+    return params, y0, ends, times
+
+
+QUICK = Kutta(1e-5, 1e-7)
+
+
+@pytest.mark.parametrize("method", [QUICK, Kutta(1e-5, 1e-7, max_steps=60, max_step=0.02)], ids=str)
+def test_lanes_equal_scalar_batch_with_separate_ends_and_failures(method: Kutta) -> None:
+    """States, outcomes and counts of all members, of which three fail, each in another way."""
+    params, y0, ends, times = mixed_members(19)
+    expected = integrate_many(method, jump_kernel(1).address, params, y0, ends, times, 3, 1)
+    found = integrate_in_lanes(method, jump_kernel(8).address, 8, params, y0, ends, times, 3, 1)
+    words = [STATUS[k] for k in expected.status.tolist()]
+    assert words[5] == "not finite"
+    if method.max_steps > 60:
+        assert [words[k] for k in (1, 9)] == ["not finite", "step size underflow"]
+        assert expected.entry[[1, 5]].tolist() == [0, 0]
+        assert words.count("done") == 16
+        assert expected.rejected.sum() > 20
+    else:
+        assert 2 < words.count("too many steps") < 18
+    for name in ("status", "entry", "steps", "rejected", "evaluations"):
+        # Round-off decides how many steps approach a singularity.
+        rows = np.arange(19) != 1 if name in ("steps", "rejected", "evaluations") else slice(None)
+        counts = [getattr(each, name)[rows] for each in (found, expected)]
+        np.testing.assert_array_equal(*counts, name)
+    np.testing.assert_allclose(found.end, expected.end, rtol=1e-9)
+    np.testing.assert_array_equal(np.isnan(found.y), np.isnan(expected.y))
+    np.testing.assert_allclose(found.y, expected.y, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(found.times, times)
+
+
+def test_lanes_follow_constant_rotation_at_all_report_times() -> None:
+    """Both angles are at rest, so the body rotates about (1, p₁, 0) at a constant rate."""
+    count = 11
+    params, y0, ends, _ = mixed_members(count)
+    params[:, 0], params[:, 2], y0[:, :2] = 4.0, 0.0, np.pi / 2.0
+    params[:, 1] = np.linspace(-2.0, 2.0, count)
+    times = np.linspace(0.0, 1.0, 23)[None] * ends[:, None]
+    found = integrate_in_lanes(
+        Kutta(1e-9, 1e-11), jump_kernel(8).address, 8, params, y0, ends, times, 3, 2
+    )
+    np.testing.assert_allclose(found.y[..., 2], times, atol=1e-13)
+    for member in range(count):
+        first = pin.Quaternion(y0[member, 3:] / np.linalg.norm(y0[member, 3:]))
+        for time, y in zip(times[member], found.y[member], strict=True):
+            turn = pin.Quaternion(pin.exp3(time * np.array([1.0, params[member, 1], 0.0])))
+            q = (first * turn).coeffs()
+            np.testing.assert_allclose(np.sign(q @ y[3:]) * y[3:], q, atol=1e-8)

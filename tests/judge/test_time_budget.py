@@ -25,7 +25,7 @@ def traj() -> pinred.Trajectory:
 def counted_budget(seconds: float) -> TimeBudget:
     """Return a budget whose clock advances by one second at each reading."""
     clock = count()
-    return TimeBudget(seconds, lambda: float(next(clock)))
+    return TimeBudget(seconds, lambda: float(next(clock)), count(0.0, 1e9).__next__)
 
 
 @pytest.mark.parametrize("evaluations", [0, 60, 4000])
@@ -37,7 +37,7 @@ def test_exhausted_budget_gives_no_verdict(
     monkeypatch.setitem(_compare.__globals__, "TimeBudget", lambda _: budget())
     report = pinred.compare(traj)
     assert report.verdict is Verdict.CANNOT_TELL
-    expected = f"exceeded the time limit of {evaluations + 0.5:g} s; it reached t = "
+    expected = f"exceeded {evaluations + 0.5:g} s of processor time; it reached t = "
     assert expected in report.reasons[-1]
     reached = float(report.reasons[-1].partition("t = ")[2].partition(" s")[0])
     assert 0.0 <= reached < 2.0
@@ -79,9 +79,16 @@ def test_limited_rate_stops_after_the_budget() -> None:
     """The error has the time of the evaluation."""
     rate = counted_budget(1.5).limit(lambda _, y: y)
     assert rate(0.1, np.ones(1)) == 1.0
-    with pytest.raises(AbaStopped, match=r"time limit of 1.5 s; it reached t = 0.2 s") as stop:
+    with pytest.raises(AbaStopped, match=r"1.5 s of processor time; it reached t = 0.2 s") as stop:
         rate(0.2, np.ones(1))
     assert stop.value.time == 0.2
+
+
+def test_time_of_other_programs_does_not_count() -> None:
+    """The machine is busy for an hour, of which the comparison has one second."""
+    wall, clock = iter([0.0, 3600.0, 3601.0, 3609.0, 3611.0]), iter([0.0, 1.0, 11.0])
+    budget = TimeBudget(10.0, lambda: next(clock), lambda: next(wall))
+    assert [budget.is_exceeded() for _ in range(4)] == [False, False, False, True]
 
 
 @pytest.mark.parametrize("budget", [0.0, -1.0, float("nan"), "long"])

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from strategies import Case, cases, make_case, seeds
-from trees import random_model
+from trees import inertia, random_model
 
 import pinred
 from pinred import poisson
@@ -253,3 +254,43 @@ def test_bracket_of_invalid_arguments_raises() -> None:
         poisson.bracket(some, one.mu[0])  # type: ignore[call-overload]
     with pytest.raises(pinred.ShapeError, match="a gradient with respect to z"):
         poisson.bracket(some, some)([0.1], [0.0], np.ones(3), [0.0, 0.0, 1.0])
+
+
+ROOT_PLACE = pin.SE3(pin.exp3(np.array([0.4, -0.3, 0.7])), np.array([0.5, -0.4, 0.9]))
+PIVOTS = {
+    "heavy": (pin.JointModelSpherical(), (1.0, -2.0, -9.0)),
+    "SO2": (pin.JointModelRZ(), tuple(-9.0 * ROOT_PLACE.rotation[:, 2])),
+    "R": (pin.JointModelPX(), tuple(-9.0 * ROOT_PLACE.rotation[:, 2])),
+}
+
+
+@pytest.mark.parametrize("form", ["connection", "canonical"])
+@pytest.mark.parametrize("pivot", [*PIVOTS, "SE3"])
+def test_hamiltonian_is_total_energy_by_pinocchio(pivot: str, form: Any) -> None:
+    """Including the height of the root joint, which is away from the world's origin."""
+    kind, gravity = PIVOTS.get(pivot, (pin.JointModelFreeFlyer(), (0.0, 0.0, 0.0)))
+    model = pin.Model()
+    model.gravity.linear = np.array(gravity)
+    joint, rng = model.addJoint(0, kind, ROOT_PLACE, "root"), np.random.default_rng(5)
+    model.appendBodyToJoint(joint, inertia(rng), pin.SE3.Identity())
+    joint = model.addJoint(joint, pin.JointModelRY(), pin.SE3.Random(), "one")
+    model.appendBodyToJoint(joint, inertia(rng), pin.SE3.Identity())
+    system = pinred.load(model)
+    pose = system.group.exp(rng.normal(size=system.r))
+    if system.group.linear:
+        pose[: system.group.linear] = 0.0  # the energy does not depend on it
+    x, xdot, xi = rng.normal(size=1), rng.normal(size=1), rng.normal(size=system.r)
+    q, v = system.model_q(pose, x), system.model_v(xi, xdot)
+    data = system.model.createData()
+    H = np.triu(pin.crba(system.model, data, q))
+    mu, pi = np.split((H + np.triu(H, 1).T) @ v, [system.r])
+    A = pinred.Reduction(system).local_connection(x)
+    z = [*x, *(pi if form == "canonical" else pi - A.T @ mu), *mu]
+    space = poisson.phase_space(system, form=form)
+    if pivot == "heavy":
+        weight = ROOT_PLACE.rotation.T @ system.gravity
+        z += (system.group.matrix(pose).T @ weight / np.linalg.norm(weight)).tolist()
+    found = float(ca.Function("h", [space.z], [space.hamiltonian])(np.array(z)))
+    expected = pin.computeKineticEnergy(system.model, data, q, v)
+    expected += pin.computePotentialEnergy(system.model, data, q)
+    assert found == pytest.approx(expected, rel=1e-12)

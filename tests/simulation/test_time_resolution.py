@@ -127,7 +127,7 @@ def test_functions_of_time_are_factors_of_expressions() -> None:
 
 
 def test_scenes_without_functions_of_time_are_not_checked() -> None:
-    """Nor are methods with fixed steps."""
+    """Methods with fixed steps cannot refine their steps, so they are not checked either."""
     linear = Torque(lambda s: {"bend": 0.1 * s.t - s.x["bend"]})
     for other in (scene(), scene(linear), scene(Torque(bump), method="Gauss(0.01)")):
         assert not plan_of(other).has_time_functions

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from .amended_energy import AmendedEnergy, Energies, Points
-from .search import LONGEST, clipped, converged, residuals, some
+from .search import iterated
 from .shape_symmetries import Symmetry, embedded, joined
 
-_STEPS = 60  # largest number of steps of a walk
 _AWAY = 0.1  # first step of a walk [rad | m]
 _SAME = 1e-9  # largest distance of equal starts
 _FLAT = 1e-9  # smallest curvature used, as a fraction of the largest; smaller ones are replaced
@@ -69,19 +68,7 @@ def walk(
     Returns:
         The critical points to which walks converged, and their energies.
     """
-    current = Points(starts.x.copy(), starts.n.copy())
-    running = np.arange(len(starts))
-    for _ in range(_STEPS):
-        e = energy(current[running], J)
-        active = np.isfinite(residuals(e)) & (residuals(e) > 1e-14)
-        running, e = running[active], some(e, active)
-        if not running.size:
-            break
-        step = _step(e, wanted[running])
-        stepped = current[running].moved(clipped(step, LONGEST))
-        current.x[running], current.n[running] = stepped.x, stepped.n
-        running = running[np.linalg.norm(step, axis=1) > 1e-13]
-    return converged(energy, current, J)
+    return iterated(energy, starts, J, lambda e, running: _step(e, wanted[running]))
 
 
 def _step(e: Energies, wanted: NDArray[np.intp]) -> Array:

@@ -8,6 +8,7 @@ turn, and half of all starts have their direction along a principal axis of the 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -87,6 +88,25 @@ def critical_points(energy: AmendedEnergy, points: Points, J: float) -> tuple[Po
     Returns:
         The points that converged to critical points, and their energies.
     """
+    return iterated(energy, points, J, lambda e, _: -newton_step(e, absolute=False))
+
+
+def iterated(
+    energy: AmendedEnergy,
+    points: Points,
+    J: float,
+    step: Callable[[Energies, NDArray[np.intp]], Array],
+) -> tuple[Points, Energies]:
+    """Repeat steps from all points until they converge.
+
+    Args:
+        energy: The amended potential.
+        points: Starting points.
+        J: Momentum.
+        step: Returns the steps, (K, u), from the energies at K points and their numbers, (K,).
+    Returns:
+        The points that converged to critical points, and their energies.
+    """
     current = Points(points.x.copy(), points.n.copy())
     running = np.arange(len(points))
     for _ in range(NEWTON):
@@ -95,10 +115,10 @@ def critical_points(energy: AmendedEnergy, points: Points, J: float) -> tuple[Po
         e = energy(current[running], J)
         active = np.isfinite(residuals(e)) & (residuals(e) > 1e-14)
         running, e = running[active], some(e, active)
-        step = -newton_step(e, absolute=False)
-        stepped = current[running].moved(clipped(step, LONGEST))
+        moves = step(e, running)
+        stepped = current[running].moved(clipped(moves, LONGEST))
         current.x[running], current.n[running] = stepped.x, stepped.n
-        running = running[np.linalg.norm(step, axis=1) > 1e-13]
+        running = running[np.linalg.norm(moves, axis=1) > 1e-13]
     return converged(energy, current, J)
 
 

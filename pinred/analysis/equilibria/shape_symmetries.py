@@ -285,7 +285,7 @@ class _Masses:
         return placed[self._parents[i]] * self._places[i] * pin.exp6(self._axes[i - 2] * value)
 
     def _moved(self, P: Array, place: pin.SE3, i: int) -> tuple[float, Array, Array]:
-        """Return mass, centre and inertia of a body after P."""
+        """Return mass, centre and inertia of body i at a place, transformed by the isometry P."""
         mass, lever, T = self._bodies[i]
         R = P @ place.rotation
         return mass, self._origin + P @ (place.act(lever) - self._origin), R @ T @ R.T

@@ -125,21 +125,6 @@ def lifted(group: Group, segments: PathSegments, J: Array) -> Lifted:
     return Lifted(_poses(group, poses, angle), inner)
 
 
-def travelled(segments: PathSegments) -> tuple[float, float]:
-    """Compute the path lengths ∫|ω| dt [rad] and ∫|v| dt [m] at zero momentum.
-
-    Args:
-        segments: Body twists along the path.
-    Returns:
-        Rotation and translation along the path.
-    """
-    weights = segments.h[:, None] * tables(STAGES).b
-    rotation, translation = (
-        np.linalg.norm(twists, axis=-1) for twists in (segments.a[..., 3:], segments.a[..., :3])
-    )
-    return float((weights * rotation).sum()), float((weights * translation).sum())
-
-
 def _poses(group: Group, out: Array, angle: Array) -> Array:
     """Convert positions and quaternions (..., 7), and unwrapped angles, to poses (..., size)."""
     linear = out[:, list(group.axes[: group.linear])]
@@ -200,7 +185,7 @@ def _lift(
                 F[i, 4] = w * q + z * p - x * r
                 F[i, 5] = w * r + x * q - y * p
                 F[i, 6] = -(x * p + y * q + z * r)
-            change, size = 0.0, 1.0
+            change, size, finite = 0.0, 1.0, 0.0
             for i in range(stages):
                 for k in range(7):
                     new = 0.0
@@ -209,8 +194,9 @@ def _lift(
                     new = out[segment, k] + h[segment] * new
                     change = max(change, abs(new - Y[i, k]))
                     size = max(size, abs(new))
+                    finite += new - new  # NaN for infinities and NaN, which `max` ignores
                     Y[i, k] = new
-            if not change < 1e300:
+            if finite != 0.0:
                 return segment
             # The rates are one iteration behind the values, so evaluating them contracts the error
             # again.

@@ -24,7 +24,7 @@ from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
 from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
-from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lift, nodes, travelled
+from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lift, nodes
 from .screw import Screw, screw_of
 
 _FLOOR = 64.0 * np.finfo(float).eps  # round-off, relative to the path length of the base
@@ -170,7 +170,7 @@ def phase(
                 return Phase(
                     group=group,
                     pose=pose,
-                    error=_bound(difference, sampled.segments, pose),
+                    error=_bound(group, difference, path),
                     geometric=_horizontal(group, sampled.segments, pose, has_momentum=has_momentum),
                     momentum=mu,
                     times=np.concatenate([[0.0], np.cumsum(sampled.segments.h)]),
@@ -212,12 +212,13 @@ def _open_joint(connection: Connection, gait: Gait) -> str:
     return ""
 
 
-def _bound(difference: PoseError, segments: PathSegments, pose: Array) -> PoseError:
+def _bound(group: Group, difference: PoseError, path: Array) -> PoseError:
     """Return the change of the pose in the last doubling of the samples, plus round-off."""
-    rotation, translation = travelled(segments)
+    steps = group.error(path[:-1], path[1:])
+    rotation, translation = 1.0 + steps.rotation.sum(), steps.translation.sum()
     return PoseError(
-        rotation=difference.rotation + _FLOOR * (1.0 + rotation),
-        translation=difference.translation + _FLOOR * (translation + rotation * np.abs(pose).max()),
+        rotation=difference.rotation + _FLOOR * rotation,
+        translation=difference.translation + _FLOOR * rotation * translation,
     )
 
 

@@ -21,7 +21,7 @@ from ..stepping.compiling import compiled, inlined
 from ..stepping.run_state import STAGES_KEPT, Run, first_step_by_rate, keep_state, reject_step
 from ..stepping.state_rows import Y, entry_size, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
-from .fixed_step import continue_from_end, not_finite_in, write_inside_state
+from .fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
 from .newton import rows_of_stages
 from .stage_rows import CARRY, GUESS, INFO, LAST, OLD, RATE, SCALE, L
 from .stages import NO_SOLUTION, finish, guess, guess_evenly, iterate, prepare_guess
@@ -41,8 +41,8 @@ _FASTEST = 0.15
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
     """Evaluate the initial rates and choose the first step (hook of the step loop)."""
-    unit_alone(work[Y], run.quaternion)
     keep_state(run, work, 0.0, end_times, end_states)
+    unit_alone(work[Y], run.quaternion)
     for i in range(run.n):
         work[CARRY, i] = 0.0
     guess_evenly(run, params, work, L, 1.0)
@@ -156,7 +156,7 @@ def _error(run: Run, work: Array) -> float:
 
 LOOPS = loops(
     "AdaptiveGauss",
-    Hooks(begin_run, next_end_time, attempt_step, accept_step, write_state, store_end=store_end),
+    Hooks(begin_run, next_end_time, attempt_step, accept_step, write_state, load_step, store_end),
 )
 
 

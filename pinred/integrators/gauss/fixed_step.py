@@ -50,12 +50,19 @@ _SLACK = 1e-6
 
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:  # noqa: ARG001
-    """Normalise the quaternion and store the initial state (hook of the step loop)."""
-    unit_alone(work[Y], run.quaternion)
+    """Store the initial state and normalise its quaternion (hook of the step loop)."""
     keep_state(run, work, 0.0, end_times, end_states)
+    unit_alone(work[Y], run.quaternion)
     for i in range(run.n):
         work[CARRY, i] = 0.0
     return DONE
+
+
+@inlined
+def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
+    """Normalise the quaternion of the initial state, which is stored as given (hook)."""
+    if run.t == 0.0:
+        unit_alone(work[Y], run.quaternion)
 
 
 @inlined
@@ -245,7 +252,9 @@ def _write_by_segments(run: Run, params: Array, work: Array, h: float, out: Arra
     return bool(iterations != NO_SOLUTION)
 
 
-LOOPS = loops("Gauss", Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state))
+LOOPS = loops(
+    "Gauss", Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state, load_step)
+)
 
 
 @once_for_all

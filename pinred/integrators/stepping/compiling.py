@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from hashlib import sha256
 from operator import attrgetter
 from pathlib import Path
@@ -21,11 +22,20 @@ def stamp(folder: Path) -> str:
     return sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 
 
-SOURCES = stamp(Path(__file__).parent.parent)
+_FOLDER = Path(__file__).parent.parent
+SOURCES = stamp(_FOLDER)
 # Without fast-math, results do not depend on where a function is inlined. Compiled functions
 # never allocate arrays, so reference counting (_nrt) is off and views of rows cost nothing.
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
 _names: set[str] = set()
+
+
+@cache
+def stamp_of(path: Path) -> str:
+    """Return the stamp of functions of a source file: SOURCES, and a digest of a file elsewhere."""
+    if path.is_relative_to(_FOLDER):
+        return SOURCES
+    return f"{SOURCES} {sha256(path.read_bytes()).hexdigest()}"
 
 
 def compiled(function: _Function) -> _Function:
@@ -33,8 +43,11 @@ def compiled(function: _Function) -> _Function:
     dispatcher: Any = numba.njit(cache=True, **_OPTIONS)(function)
     # numba reuses cached machine code as long as the file of the function is unchanged, although
     # it contains code inlined from other files. The stamp makes the cached code stale when any file
-    # changes. numba offers no public way to set the stamp.
-    vars(attrgetter("_cache._cache_file")(dispatcher))["_source_stamp"] = SOURCES
+    # of the integrators or the file of the function changes; functions elsewhere call no compiled
+    # functions of further files. numba offers no public way to set the stamp.
+    vars(attrgetter("_cache._cache_file")(dispatcher))["_source_stamp"] = stamp_of(
+        Path(function.__code__.co_filename)
+    )
     typed: _Function = dispatcher
     return typed
 

@@ -29,7 +29,7 @@ def through_stops(
 
     Args:
         flow: The flow of the plan.
-        plan: The plan.
+        plan: The plan, for which `passes_stops` is true.
         progress: Called repeatedly with the completed fraction of the stops, 0 to 1.
     Returns:
         The function; None for methods without step control, whose steps depend on each span.
@@ -56,7 +56,7 @@ def through_stops(
     def through() -> Segments:
         return run(plan.stops)
 
-    if len(plan.stops) > 1 and type(method) not in _compiled_methods:
+    if type(method) not in _compiled_methods:
         # The first integration compiles the method; this time must not count as run time.
         _compiled_methods.add(type(method))
         with suppress(IntegrationError):  # the real run raises the same error
