@@ -41,6 +41,7 @@ from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_file_contents import Contents, Coupling, Origin
 from .robot_files import is_mjcf, read_text, read_xml
+from .split_joints import split_joints
 from .system import System
 from .urdf_elements import mimic_couplings
 from .visuals import Visuals, mesh_folders, with_visuals
@@ -235,21 +236,23 @@ def _load_model(
     robot: _Robot, lock: Mapping[str, float], gravity: Array | None, visuals: Visuals | None
 ) -> System:
     """Lock joints of a robot, choose its root joint, and return its system."""
-    raw, names = robot.raw, list(robot.raw.names)
-    locked, couplings = with_followers(lock, robot.couplings, names)
+    split = split_joints(robot.raw)
+    raw, names = split.model, list(split.model.names)
+    all_couplings = (*robot.couplings, *split.couplings)
+    locked, couplings = with_followers(split.locked(lock), all_couplings, names)
     bare = rebuild(raw, frozen=frozen_configurations(raw, locked))
     chain = root_chain(bare)
     model = _on_root(bare, robot.group, chain)
     locked_joints = None
     if locked:
-        ties, shared = ties_of(locked, robot.couplings, names)
+        ties, shared = ties_of(locked, all_couplings, names)
         places = {} if chain is None else places_on_root(bare, chain)
         several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
         locked_joints = LockedJoints(
             raw, locked, ties, places, str(model.names[1]), several, shared
         )
     contents = replace(
-        passive_contents(raw, list(model.names)[2:], locked),
+        passive_contents(raw, list(model.names)[2:], locked, split.sliding),
         visuals=visuals,
         warnings=(robot.warning,) if robot.warning else (),
         couplings=couplings,

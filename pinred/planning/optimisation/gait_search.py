@@ -7,9 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...analysis.gaits.gait import Gait
+from ...analysis.phases.path_basis import path_lift
+from ...analysis.phases.phase import Phase, phase
 from ...common.arrays import Array
 from .ipopt import Minimum, kkt_residual, minimum
 from .loop_peaks import Cells, cells_of, loop_peaks
+from .objective import TargetAim, cost_of
 from .transcription import Path, Task, fourier_path, problem_of
 
 _PIECES = 2  # number of quadrature segments of order 16 per (harmonics + 3)
@@ -19,6 +22,7 @@ RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
 # Weights of the root of the action in the length, in successive solves of the last stage.
 _WEIGHTS = (0.1, 0.05, 0.025, 0.01, 0.003, 0.001, 0.0003, 0.0)
 _NEWTON_STEPS = 40  # largest number of iterations with second derivatives
+_PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 _ROUNDS = 4  # largest number of last stages, each with the cells that the previous one exceeded
 
 
@@ -143,6 +147,56 @@ def finish(search: Search, gait: Gait, *, newton: bool = True) -> tuple[Search, 
             return search, best
         use |= beyond
     raise StartFailed("the loop still exceeds its limits")
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A loop with the numbers of its certificate, sampled independently of the optimiser.
+
+    Attributes:
+        gait: The loop.
+        phase: Geometric phase of one cycle.
+        value: Objective of one cycle [rad | m]; for a target, the deviation from the target.
+        cost: Cost of one cycle; NaN if no cost is selected.
+        merit: The maximised quantity; see `Task.merit`.
+    """
+
+    gait: Gait
+    phase: Phase
+    value: float
+    cost: float
+    merit: float
+
+
+def measure(search: Search, best: Minimum, gait: Gait) -> Measured:
+    """Compute the merit of a loop with an independently sampled phase.
+
+    Args:
+        search: The search.
+        best: Its optimum.
+        gait: The loop of the optimum.
+    Returns:
+        The loop and its merit.
+    Raises:
+        StartFailed: The nodes of the transcription do not resolve the loop.
+    """
+    task, path = search.task, search.path
+    connection, c = task.connection, search.coefficients(best.z)
+    lift = path_lift(connection, path.basis, c)
+    sampled = phase(connection, gait, tolerance=1e-11)
+    difference = connection.group.error(sampled.pose, lift.pose)
+    if not max(float(difference.rotation), float(difference.translation)) <= _PHASE_ERROR:
+        raise StartFailed("the transcription has too few nodes to resolve the loop")
+    cost = np.nan
+    if task.cost is not None:
+        cost = cost_of(task.cost, connection, path.basis, c, lift, gait.period).value
+        if task.cost == "length":  # the length does not depend on the speed
+            cost = sampled.length
+    if isinstance(task.aim, TargetAim):
+        value = float(np.linalg.norm(task.aim.error(sampled.pose)[0]))
+    else:
+        value = task.aim.value(sampled.pose)[0]
+    return Measured(gait, sampled, value, cost, task.merit(value, cost))
 
 
 def _peaks(task: Task, gait: Gait, cells: Cells) -> Array:

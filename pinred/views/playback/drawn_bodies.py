@@ -227,6 +227,9 @@ def _on_joint(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]
     name = str(raw.names[entry.parentJoint])
     if entry.parentJoint == 0:
         return int(not raw.existJointName(system.root_name)), entry.placement
+    if system.model.existFrame(name, pin.FrameType.JOINT):  # also of a joint that was split
+        frame = system.model.frames[system.model.getFrameId(name, pin.FrameType.JOINT)]
+        return frame.parentJoint, frame.placement * entry.placement
     if not system.model.existJointName(name):
         raise LoadError(f"shape '{entry.name}' is attached to joint '{name}', which is locked")
     return system.model.getJointId(name), entry.placement
