@@ -8,7 +8,7 @@ time cost nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -24,7 +24,7 @@ from ..system.coordinates import Indices
 from .compiled.integrator import divisions_of
 from .motion import Motion
 from .plan import Plan
-from .trajectory import Trajectory
+from .trajectory import Cost, Trajectory
 
 _TIMES = 8000  # number of times in the table of a run
 _FEWEST = 16  # least number of times in a span of the table
@@ -35,8 +35,9 @@ _MISSED, _MOST_MISSED = 0.02, 0.2
 _ROUND_OFF = 1e-9  # the same as a fraction of the function's largest absolute value
 _SHOWN = 5  # largest number of times in a notice
 _RERUNS = 2  # largest number of further runs
-# Change of the final state between two runs that is an error, in tolerances.
+# Change of states between two runs that is an error, in tolerances.
 _CHANGED = 100.0
+_COMPARED = 16  # number of times at which two runs are compared
 _SPARSE = 32  # largest distance of grid times at which functions are compared, in grid times
 _LINEAR = 1e-3  # largest deviation from linear interpolation between them, relative to the range
 _RUNS = 16  # number of runs whose grid values are cached
@@ -83,17 +84,26 @@ def resolve(plan: Plan, trajectory: Trajectory, run: Callable[[Plan], Trajectory
     if len(runs) == 1:
         return trajectory
     last, notices = runs[-1], runs[-1].run.notices
-    if missed.size and _differ(runs[-2], last):
+    if missed.size and differ(runs[-2], last):
         times = ", ".join(f"{t:g}" for t in missed[:_SHOWN].tolist())
         notices += (
             f"forces: a function of time of '{plan.system.name}' changes faster than the steps "
             f"near t = {times} s, so the motion may be wrong. Limit the steps with max_step, or "
             "state the times as breaks of a table",
         )
-    evaluations = sum(r.run.evaluations for r in runs)
-    wall = sum(r.run.wall for r in runs)
-    last.run = replace(last.run, evaluations=evaluations, wall=wall, notices=notices)
+    last.run = replace(cost_of_all([r.run for r in runs]), notices=notices)
     return last
+
+
+def cost_of_all(runs: Sequence[Cost]) -> Cost:
+    """Return the cost of the last of several runs, with the evaluations and times of all."""
+    notices = dict.fromkeys(notice for run in runs for notice in run.notices)
+    return replace(
+        runs[-1],
+        evaluations=sum(run.evaluations for run in runs),
+        wall=sum(run.wall for run in runs),
+        notices=tuple(notices),
+    )
 
 
 def _unresolved(plan: Plan, trajectory: Trajectory) -> Array:
@@ -102,13 +112,14 @@ def _unresolved(plan: Plan, trajectory: Trajectory) -> Array:
     return find_unresolved(plan, trajectory.motion, DOP853)
 
 
-def _differ(first: Trajectory, second: Trajectory) -> bool:
-    """Return whether two motions differ at their end by more than their tolerance explains."""
-    end = np.array([min(first.scene.end, second.scene.end)])
-    y, other = first.motion.reduced(end), second.motion.reduced(end)
+def differ(first: Trajectory, second: Trajectory) -> bool:
+    """Return whether two motions of a scene differ by more than their tolerance explains."""
+    end = min(first.scene.end, second.scene.end)
+    times = np.linspace(0.0, end, _COMPARED + 1)[1:]
+    y, other = first.motion.reduced(times), second.motion.reduced(times)
     rtol, atol = first.scene.rtol, first.scene.atol
-    scale = atol + rtol * max(1.0, float(np.abs(y).max(initial=0.0)))
-    return not float(np.abs(y - other).max(initial=0.0)) <= _CHANGED * scale
+    scale = atol + rtol * np.maximum(1.0, np.abs(y).max(axis=1, initial=0.0))
+    return not (np.abs(y - other).max(axis=1, initial=0.0) <= _CHANGED * scale).all()
 
 
 def find_unresolved(plan: Plan, motion: Motion, method: type[Method], divisions: int = 1) -> Array:
