@@ -29,11 +29,11 @@ from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
 from .analysis.floating_arm import FloatingArm as FloatingArm
 from .analysis.floating_arm import Singularity as Singularity
+from .analysis.frames.corrected_integral import CorrectedIntegral as CorrectedIntegral
+from .analysis.frames.corrected_integral import corrected_integral as corrected_integral
 from .analysis.frames.flatness import Flatness as Flatness
 from .analysis.frames.flatness import flatness as flatness
-from .analysis.frames.optimal_frame import CorrectedIntegral as CorrectedIntegral
 from .analysis.frames.optimal_frame import OptimalFrame as OptimalFrame
-from .analysis.frames.optimal_frame import corrected_integral as corrected_integral
 from .analysis.frames.optimal_frame import optimal_frame as optimal_frame
 from .analysis.full_reduction import Reduction as Reduction
 from .analysis.gaits.gait import Gait as Gait

@@ -22,7 +22,7 @@ def extremal(best: BestGait) -> Extremal:
         The extremal, with its charge and the residual of the boundary value problem.
     Raises:
         InputError: The cost is not the length, the gait is a polygon, or a limit is active.
-        NoOptimum: No extremal was found near the gait, or it has a corner or exceeds the limits.
+        NoOptimum: No extremal was found near the gait, or it exceeds the limits.
     """
     refuse_extremal(best.task, best.gait, best.cost)
     return polish(best.task, best.gait, best.merit)

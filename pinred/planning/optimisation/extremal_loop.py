@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
 
+from ...analysis.gaits.arcs import Arc, PolynomialArc
 from ...analysis.gaits.gait import Gait
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
@@ -21,6 +23,7 @@ RESIDUAL = 1e-10  # largest residual of an accepted extremal
 _GAIT_ERROR = 1e-12  # error of the interpolation at which sampling ends, relative to the loop
 _MOST_SAMPLES = 64  # largest number of samples of a segment
 _CORNER = 1e-6  # relative jump of the shape rate at the start above which a loop has a corner
+_DEGREE = 16  # degree of the polynomials of a loop with a corner, one for each segment
 _WORSE = 1e-7  # relative loss of merit by which an extremal is another one than the optimum
 
 
@@ -33,9 +36,12 @@ class Extremal(FrozenArrays):
     does not prove a minimum of length: neither second-order conditions nor other loops are checked.
 
     Attributes:
-        gait: The loop at constant speed in the metric, as a Fourier series.
-        error: Largest distance of the series from the extremal, at samples not used by a coarser
-            series [rad | m].
+        gait: The loop at constant speed in the metric, as a Fourier series; as polynomial arcs if
+            it has a corner.
+        error: Largest distance of the gait from the extremal, at samples not used by a coarser
+            series or by polynomials of half the degree [rad | m].
+        corner: Jump of the shape rate at the start, relative to the rate; 0 for a smooth loop. A
+            corner is optimal if the displacement depends on where a cycle starts.
         length: Length of the extremal.
         pose: Pose of the base after one cycle, (size,).
         value: Objective of one cycle [rad | m]; for a target, the deviation from the target.
@@ -49,6 +55,7 @@ class Extremal(FrozenArrays):
 
     gait: Gait
     error: float
+    corner: float
     length: float
     pose: Array
     value: float
@@ -69,8 +76,8 @@ class Extremal(FrozenArrays):
                 f"  length                {self.length:.12g}",
                 f"  charge                {np.array2string(self.charge, precision=6)}",
                 f"  residual              {self.residual:.1e}, relative, of Wong's equations",
-                f"  error of the gait     {self.error:.1e}, with {len(self.gait.series.cos)} "
-                "harmonics",
+                f"  error of the gait     {self.error:.1e}",
+                f"  corner at the start   {self.corner:.2g}, relative jump of the shape rate",
                 "  not proven: that no other loop is better. An extremal satisfies the first-order",
                 "  conditions only.",
             ]
@@ -134,11 +141,10 @@ def polish(task: Task, gait: Gait, merit: float) -> Extremal:
     if not root.residual <= RESIDUAL:
         raise NoOptimum(
             f"no extremal was found near the optimum: residual {root.residual:.1e} after "
-            f"{root.iterations} iterations. The optimum may tend to a loop with a corner at its "
-            "start, or may need more harmonics"
+            f"{root.iterations} iterations. Increase the harmonics of the optimum; a loop with a "
+            "corner at its start needs many"
         )
     z = root.z * start.scale
-    _refuse_corner(problem, z)
     found = _extremal(problem, z, gait.period, root.residual, root.iterations)
     if not found.merit >= merit - _WORSE * abs(merit):
         raise NoOptimum(
@@ -160,30 +166,51 @@ def _extremal(
     moved = Displacement.of(task.aim, pose)
     deviation = float(np.linalg.norm(moved.errors))
     value = deviation if isinstance(task.aim, TargetAim) else moved.value
-    gait, error = _dense(problem, states, period)
+    corner = _corner(problem, states)
+    gait, error = (_with_corner if corner else _smooth)(problem, states, period)
     charge = states[0, -problem.group.dim :] / length
     return Extremal(
-        gait=gait, error=error, length=length, pose=pose, value=value,
+        gait=gait, error=error, corner=corner, length=length, pose=pose, value=value,
         merit=task.merit(value, length), charge=charge, residual=residual, iterations=iterations,
     )  # fmt: skip
 
 
-def _refuse_corner(problem: ExtremalProblem, z: Array) -> None:
-    """Raise NoOptimum if the shape rate jumps at the start of the loop."""
-    states, _ = problem.split(z)
+def _corner(problem: ExtremalProblem, states: Array) -> float:
+    """Return the relative jump of the shape rate at the start; 0 for a smooth loop."""
     ends, _ = problem.advance(states, 1.0 / SEGMENTS)
     both = problem.motions(np.stack([states[0], ends[-1]]))
     first, last = problem.equations.rates(both)[0]
     jump = float(np.abs(last - first).max() / np.abs(first).max())
-    if not jump <= _CORNER:
-        raise NoOptimum(
-            f"the extremal has a corner at its start: the shape rate jumps by {jump:.1e} of its "
-            "size. The displacement depends on where a cycle starts; choose an objective that "
-            "does not, such as a rotation in the plane"
-        )
+    return jump if jump > _CORNER else 0.0
 
 
-def _dense(problem: ExtremalProblem, states: Array, period: float) -> tuple[Gait, float]:
+def _with_corner(problem: ExtremalProblem, states: Array, period: float) -> tuple[Gait, float]:
+    """Return the loop as polynomial arcs, one for each segment, and its error."""
+    s = 0.5 * (1.0 - np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE))
+    m, shapes = problem.task.connection.m, [states[:, : problem.task.connection.m]]
+    for step in np.diff(s):
+        states, _ = problem.advance(states, step / SEGMENTS)
+        shapes.append(states[:, :m])
+    arcs: list[Arc] = []
+    error = 0.0
+    for x in np.stack(shapes, axis=1):  # (degree + 1, m) of each segment
+        coarse = _through(s[::2], x[::2], period)
+        error = max(error, float(np.abs(coarse.at(s[1::2])[0] - x[1::2]).max()))
+        arcs.append(_through(s, x, period))
+    return Gait(tuple(arcs)), error
+
+
+def _through(s: Array, x: Array, period: float) -> PolynomialArc:
+    """Return the polynomial through shapes (N, m) at parameters s (N,), for one segment."""
+    columns = [Chebyshev.fit(s, column, len(s) - 1, domain=[0.0, 1.0]) for column in x.T]
+    powers = np.zeros((len(s), x.shape[1]))
+    for k, column in enumerate(columns):
+        coefficients = column.convert(kind=Polynomial).coef
+        powers[: len(coefficients), k] = coefficients
+    return PolynomialArc(period / SEGMENTS, powers)
+
+
+def _smooth(problem: ExtremalProblem, states: Array, period: float) -> tuple[Gait, float]:
     """Return the loop as a Fourier gait, and its error."""
     count, m = 8, problem.task.connection.m
     while True:
