@@ -207,8 +207,8 @@ class SwitchTimes:
             finite where g only touches zero.
         """
         if switch not in self._slopes:
-            g, column = self._arguments[switch], ca.vertcat(self._time, *self._numbers)
-            outputs = [g, *ca.horzsplit(ca.jacobian(g, column))]
+            argument, column = self._arguments[switch], ca.vertcat(self._time, *self._numbers)
+            outputs = [argument, *ca.horzsplit(ca.jacobian(argument, column))]
             self._slopes[switch] = VectorProgram(self._inputs, outputs)
         own, whole, sides = numbers[self.used], self._located[switch].whole, []
         for side in within:
