@@ -29,11 +29,11 @@ from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
 from .analysis.floating_arm import FloatingArm as FloatingArm
 from .analysis.floating_arm import Singularity as Singularity
+from .analysis.frames.corrected_integral import CorrectedIntegral as CorrectedIntegral
+from .analysis.frames.corrected_integral import corrected_integral as corrected_integral
 from .analysis.frames.flatness import Flatness as Flatness
 from .analysis.frames.flatness import flatness as flatness
-from .analysis.frames.optimal_frame import CorrectedIntegral as CorrectedIntegral
 from .analysis.frames.optimal_frame import OptimalFrame as OptimalFrame
-from .analysis.frames.optimal_frame import corrected_integral as corrected_integral
 from .analysis.frames.optimal_frame import optimal_frame as optimal_frame
 from .analysis.full_reduction import Reduction as Reduction
 from .analysis.gaits.gait import Gait as Gait
@@ -89,7 +89,10 @@ from .planning.gait_file import gait_schema as gait_schema
 from .planning.gait_file import load_gait as load_gait
 from .planning.optimisation.best_gait import BestGait as BestGait
 from .planning.optimisation.best_gait import Optimum as Optimum
+from .planning.optimisation.extremal import extremal as extremal
+from .planning.optimisation.extremal_loop import Extremal as Extremal
 from .planning.optimisation.optimise import optimise_gait as optimise_gait
+from .planning.optimisation.optimum_distance import OptimumDistance as OptimumDistance
 from .planning.reorientation.reorient import reorient as reorient
 from .planning.reorientation.turn_plan import TurnPlan as TurnPlan
 from .reduction.pointwise_reduction import ReducedShape as ReducedShape

@@ -5,13 +5,17 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
+from pathlib import Path
+from tempfile import gettempdir
 
 import pytest
+from compile_ahead import compile_ahead
 from hypothesis import settings
 
 import pinred
 from pinred.views.playback.headless_browser import Browser, browser, find_browser
 
+_MANY = 1000  # number of tests of a run that needs most integrators
 # The default run uses the same examples every time, so that no test fails by chance.
 settings.register_profile(
     "repeatable", deadline=None, print_blob=True, max_examples=20, derandomize=True, database=None
@@ -62,6 +66,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     kept = set(selected)
     config.hook.pytest_deselected(items=[item for item in items if item not in kept])
     items[:] = selected
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Share the compilation of the integrators between the processes of a long test run."""
+    run = getattr(session.config, "workerinput", {}).get("testrunuid", "")
+    if run and len(session.items) > _MANY:
+        compile_ahead(Path(gettempdir()) / f"pinred-{run}")
 
 
 def _set_examples(item: pytest.Item, count: int) -> bool:

@@ -137,8 +137,8 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
     from ..integrators.methods import Gauss
     from ..scene.scene_options import ENGINES, RUN_OPTIONS, SCENE_OPTIONS
 
-    add_options(sub, {**SCENE_OPTIONS, "engine": RUN_OPTIONS["engine"]})
-    sub.set_defaults(engine=ENGINES[0])
+    add_options(sub, {**SCENE_OPTIONS, **{name: RUN_OPTIONS[name] for name in ("engine", "check")}})
+    sub.set_defaults(engine=ENGINES[0], check=False)
     add = option_adder(sub)
     add("--step H", "step of a fixed-step method [s]", float)
     add("--order P", f"order of Gauss (default: {Gauss.order})", int)

@@ -26,7 +26,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Simulate and compare.  Returns 0 for PASSED, 1 for FAILED, 3 for CANNOT TELL."""
     from ..simulation.simulate import simulate
 
-    traj = simulate(scene_of(arguments), engine=arguments.engine, progress=True)
+    scene, engine = scene_of(arguments), arguments.engine
+    traj = simulate(scene, engine=engine, check=arguments.check, progress=True)
     return print_comparison(traj, arguments.budget)
 
 

@@ -27,6 +27,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add_parameters(sub)
     add = option_adder(sub)
     add("--any-winding", "let the winding number vary")
+    add("--distance", "print the distance from the extremal, or from twice the harmonics")
     add("--compare", "compare a cycle with full ABA")
     add("--out FILE", "gait as joint data (.npz, .csv), or figure of it on the curvature")
 
@@ -43,6 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
         source.connection, **{**source.optimise, **_stated(arguments)}, progress=True
     )
     print(best)
+    if arguments.distance:
+        print(f"  distance from optimum: {best.distance()}")
     return write_plan(
         best,
         path,

@@ -26,7 +26,7 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
     from ..simulation.simulate import simulate
 
     file = read_scene_file(path)
-    return simulate(file.scene, engine=file.engine, progress=True)
+    return simulate(file.scene, engine=file.engine, check=file.check, progress=True)
 
 
 def show_motion(

@@ -25,12 +25,12 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
     sub.add_argument("scene", metavar="SCENE", nargs="?", help="scene file (docs/scenes.md)")
     add = option_adder(sub)
-    add("--check", "validate the scene without running it")
+    add("--check", "validate the scene without running it", dest="validate")
     add("--explain", "print what the simulation skips")
     add("--compare", "compare with full ABA; exit 1 on failure")
     add("--out FILE", "write the motion to traj.npz or traj.csv")
     engine = replace(RUN_OPTIONS["engine"], default="the engine in the file")
-    add_options(sub, {"engine": engine})
+    add_options(sub, {"engine": engine, "check": RUN_OPTIONS["check"]})
     add_parameters(sub, "value of a parameter of the file or of its robot, instead of the file's")
     add("--schema", "print the JSON Schema of scene files")
 
@@ -60,11 +60,12 @@ def run(arguments: argparse.Namespace) -> int:
         print(explanation)
     elif note := large_angles(scene.given.x[0], scene.system):
         print(f"note: {note}")
-    if arguments.check:
+    if arguments.validate:
         print(f"ok: {_title(scene)}")
         return 0
     path = None if arguments.out is None else check_path(arguments.out)
-    traj = simulate(scene, engine=arguments.engine or file.engine, progress=True)
+    engine, check = arguments.engine or file.engine, bool(arguments.check or file.check)
+    traj = simulate(scene, engine=engine, check=check, progress=True)
     print(summary(traj))
     if path is not None:
         traj.save(path)

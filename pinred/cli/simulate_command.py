@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.samples < 2:
         raise InputError(f"--samples must be at least 2, got {arguments.samples}")
     scene = replace(scene, times=np.linspace(0.0, scene.end, arguments.samples))
-    traj = simulate(scene, engine=arguments.engine, progress=True)
+    traj = simulate(scene, engine=arguments.engine, check=arguments.check, progress=True)
     traj.save(path)
     if scene.left_out:
         print(scene.left_out)

@@ -40,6 +40,15 @@ def is_folder(path: Path) -> bool:
         return False
 
 
+def is_special(path: Path) -> bool:
+    """Return whether a path is a pipe, a device or a socket, whose reading may never end."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
 _NAME = re.compile(r"\.pinred-[0-9a-f]{16}\.tmp")
 _NO_LINKS = os.O_NOFOLLOW | os.O_CLOEXEC
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from functools import cache, wraps
-from threading import RLock, get_ident
+from threading import Lock, RLock, get_ident
 from typing import Any, ParamSpec, TypeVar
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
+_LOCK = Lock()
 
 
 def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
@@ -27,6 +29,37 @@ def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
     """
     values: dict[Hashable, Any] = vars(owner).setdefault("_once", {})
     value: _T = values[key] if key in values else values.setdefault(key, make())
+    return value
+
+
+def recent(owner: object, key: Hashable, make: Callable[[], _T], most: int, kind: Hashable) -> _T:
+    """Return a value that is computed once for a key while it is among the most recently used.
+
+    Values of the same kind share a limit.  A value that is dropped lives on as long as others
+    refer to it; the next call computes another one.
+
+    Args:
+        owner: Object that stores the values.
+        key: Key of the value in this owner.
+        make: Function that computes the value.
+        most: Largest number of stored values of this kind.
+        kind: Key of the values that share the limit.
+    Returns:
+        The value.
+    """
+    values: OrderedDict[Hashable, Any] = once(owner, (recent, kind), OrderedDict)
+    value: _T
+    with _LOCK:
+        if key in values:
+            values.move_to_end(key)
+            value = values[key]
+            return value
+    made = make()
+    with _LOCK:
+        value = values.setdefault(key, made)  # another thread may have been faster
+        values.move_to_end(key)
+        while len(values) > most:
+            values.popitem(last=False)
     return value
 
 

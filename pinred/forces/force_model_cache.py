@@ -6,7 +6,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 from ..common.errors import InputError
-from ..common.memo import once
+from ..common.memo import recent
 from ..common.names import brief
 from ..common.parameter import Parameter, parameters_in, values_of
 from ..reduction.potential import spring_pair
@@ -31,8 +31,8 @@ def cached_force_model(
 ) -> ForceModel:
     """Return the model of springs, forces and prescribed joints, from the cache if possible.
 
-    The most recent models of a system are cached. Scenes that differ only in their initial state
-    or in variable robot parameters share them.
+    The most recently used models of a system are cached. Scenes that differ only in their initial
+    state or in variable robot parameters share them.
 
     Args:
         system: The robot.
@@ -61,13 +61,12 @@ def cached_force_model(
         freed,
         links,
     )
-    models: dict[Hashable, tuple[ForceModel, object]] = once(owner, cached_force_model, dict)
-    if key not in models:
+
+    def make() -> tuple[ForceModel, object]:
         model = ForceModel(owner, _all_forces(sprung, forces, prescribed), prescribed, freed, links)
-        while len(models) >= _REMEMBERED:
-            models.pop(next(iter(models)), None)
-        models[key] = (model, (tuple(forces), dict(prescribed)))
-    model = models[key][0]
+        return model, (tuple(forces), dict(prescribed))
+
+    model, _ = recent(owner, key, make, _REMEMBERED, cached_force_model)
     return model if system is owner else model.on(system)
 
 

@@ -15,7 +15,7 @@ from ..reduction.tree.identical_branches import Lanes
 from ..system.system import System
 from ..system.variants import nominal
 from .kernel import Kernel, Structure, layout_of
-from .machine.native import compile_object, load_object
+from .machine.native import compile_object, load_objects
 from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph
 from .reference_state import perturb_parameters
@@ -86,13 +86,14 @@ def build_kernel(
     key = cache_key(model_bytes(system, structure.freed), json.dumps(settings))
     head, rate_code, outputs_code = _unpack(cache.get_or_compile(key, compile_code))
     meta = json.loads(head)
+    rate, outputs = load_objects({"rate": rate_code, "outputs": outputs_code})
     kernel = Kernel(
         system=system,
         structure=structure,
         forces=forces,
         layout=layout_of(system, structure, forces),
-        rate=load_object(rate_code, "rate"),
-        outputs=load_object(outputs_code, "outputs"),
+        rate=rate,
+        outputs=outputs,
         instructions=int(meta["instructions"]),
     )
     with explain_ill_scaling(system):

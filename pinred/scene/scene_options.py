@@ -228,6 +228,11 @@ RUN_OPTIONS = {
         "engine: compiled for machine code, pinocchio for Pinocchio with SciPy's DOP853",
         default=ENGINES[0], table="run", command="--engine E",
     ),
+    "check": Option(
+        Flag(),
+        "find forces that steps skip, such as in a narrow range of the shape, and run again with "
+        "stops there", default="false", table="run", command="--check-steps",
+    ),
 }  # fmt: skip
 
 

@@ -1,10 +1,10 @@
 """Events of a motion: detected during the integration and located on the dense output.
 
 The sign changes of expressions of time alone are found by the search for switches of forces. Other
-expressions are evaluated at the ends of each step and at three times inside it, and between these
-times where they do not predict the values there. If one changes sign, Brent's method locates the
-crossing on the dense output to round-off. The crossing time is then as accurate as the motion.
-Scenes without events cost nothing.
+expressions are evaluated at the ends of each step and at three times inside it, between these
+times where they do not predict the values there, and at extrema close to zero. If one changes sign,
+Brent's method locates the crossing on the dense output to round-off. The crossing time is then as
+accurate as the motion. Scenes without events cost nothing.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ from ..forces.formula import Watched
 from ..scene.scene import Scene
 from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
+from .event_extrema import extremum_times
 from .reduced_flow import Integrate, ReducedFlow, Segment
 
 _PARTS = 4  # Number of parts of a step; the expressions are evaluated at the ends of each part.
 _HALVINGS = 6  # Largest number of times that a part is halved.
+_EXTREMA = 12  # Largest number of samples near an extremum between two samples.
 # A part is halved again if the cubic through four samples is off by this fraction of the largest.
 _UNPREDICTED = 0.05
 _SHOWN = 5  # Largest number of times that a repr shows.
@@ -183,6 +185,17 @@ class Watch:
             first = (left + np.arange(len(left)))[wrong]
             near = np.unique(np.add.outer(first, np.arange(-2, 4)))
             left = near[(near >= 0) & (near < len(times) - 1)]
+        return self._with_extrema(segment, times, values)
+
+    def _with_extrema(self, segment: Segment, times: Array, values: Array) -> tuple[Array, Array]:
+        """Add samples where an event may reach zero and return between two samples."""
+        for _ in range(_EXTREMA):
+            new = extremum_times(times, values)
+            if not new.size:
+                break
+            at = np.searchsorted(times, new)
+            times = np.insert(times, at, new)
+            values = np.insert(values, at, self._values(segment, new)[self._sampled], axis=1)
         return times, values
 
     def _root(self, segment: Segment, k: int, a: float, b: float) -> float:

@@ -34,6 +34,7 @@ def simulate(
     engine: Engine = "compiled",
     progress: Progress | bool | None = None,
     explain: bool = False,
+    check: bool = False,
     **options: Unpack[SceneOptions],
 ) -> Trajectory:
     """Integrate the reduced equations of a scene and reconstruct the motion of the base.
@@ -47,6 +48,8 @@ def simulate(
             called with the completed fraction of the time, from 0 to 1.
         explain: Whether to print the terms that the simulation skips and the variables that it
             integrates.
+        check: Whether to test between the stages of steps that no force is skipped, such as one
+            that acts in a narrow range of the shape. It costs some further runs.
         options: Fields of Scene.
     Returns:
         The trajectory.
@@ -54,7 +57,7 @@ def simulate(
         InputError: An option is invalid, or options contradict each other.
         ShapeError: An array has the wrong shape.
         SymmetryError: Gravity breaks the symmetry.
-        IntegrationError: The integrator cannot continue.
+        IntegrationError: The integrator cannot continue, or `check` finds a skipped force.
         KernelMismatch: A compiled kernel disagrees with Pinocchio.
     """
     if not one_of(engine, ENGINES):
@@ -69,12 +72,27 @@ def simulate(
         from .explain import explain as explained
 
         print(explained(plan))
-    run_engine = _compiled if engine == "compiled" else _pinocchio
     with shown(progress, "reduced") as done:
-        trajectory = _resolved(plan, partial(run_engine, progress=done))
+        trajectory = _simulated(plan, engine, done, check=check)
     for notice in trajectory.run.notices:
         warnings.warn(notice, AccuracyWarning, stacklevel=3)
     return trajectory
+
+
+def _simulated(
+    plan: Plan, engine: Engine, progress: Progress | None = None, *, check: bool = False
+) -> Trajectory:
+    """Return the trajectory of a plan; with `check`, one whose steps skip no force."""
+    run_engine = _compiled if engine == "compiled" else _pinocchio
+    again = partial(simulate, plan.scene, engine=engine, check=check)
+    run = partial(run_engine, progress=progress, again=again)
+    if not check:
+        return _resolved(plan, run)
+    from .step_resolution import check_has_step_control, resolve_steps
+
+    if engine == "compiled":
+        check_has_step_control(plan)
+    return resolve_steps(plan, _resolved(plan, run), run)
 
 
 def _resolved(plan: Plan, run: Callable[[Plan], Trajectory]) -> Trajectory:
@@ -111,15 +129,19 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
     return replace(scene, **options) if options else scene
 
 
-def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
+_Again = Callable[[], Trajectory]
+
+
+def _pinocchio(plan: Plan, progress: Progress | None, again: _Again) -> Trajectory:
     from .pinocchio.pinocchio_flow import PinocchioFlow
     from .pinocchio.scipy_integrator import integrator
 
     flow = PinocchioFlow(plan)
-    return _integrate_plan(plan, flow, integrator(flow, plan, progress), "pinocchio", "DOP853")
+    integrate = integrator(flow, plan, progress)
+    return _integrate_plan(plan, flow, integrate, "pinocchio", "DOP853", again)
 
 
-def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
+def _compiled(plan: Plan, progress: Progress | None, again: _Again) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
 
@@ -129,12 +151,12 @@ def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
 
         through = through_stops(flow, plan, progress)
     integrate = integrator(flow, plan, progress)
-    return _integrate_plan(plan, flow, integrate, "compiled", plan.method.name, through)
+    return _integrate_plan(plan, flow, integrate, "compiled", plan.method.name, again, through)
 
 
 def trajectory_of(scene: Scene) -> Trajectory:
     """Return the trajectory of a scene with the compiled engine."""
-    return _resolved(plan_of(scene), partial(_compiled, progress=None))
+    return _simulated(plan_of(scene), "compiled")
 
 
 def _integrate_plan(
@@ -143,6 +165,7 @@ def _integrate_plan(
     integrate: Integrate,
     engine: Engine,
     method: str,
+    again: _Again,
     through: Callable[[], Segments] | None = None,
 ) -> Trajectory:
     started = time.perf_counter()
@@ -151,7 +174,7 @@ def _integrate_plan(
     run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
     terminal_crossing = motion.ended_by
     scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
-    return Trajectory(scene, motion, run, partial(simulate, plan.scene, engine=engine))
+    return Trajectory(scene, motion, run, again)
 
 
 def _until(scene: Scene, end: float) -> Scene:

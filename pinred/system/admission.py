@@ -106,10 +106,10 @@ def _admit_shape_joint(model: pin.Model, i: int) -> None:
         )
     if not is_shape_joint(joint):
         kind = joint_kind(joint)
-        split = "split it into such joints with massless bodies between them, "
         raise ModelError(
-            f"joint {quoted(name)} is of kind {kind} with {joint.nv} degrees of freedom; shape "
-            f"joints are revolute or prismatic: {split if joint.nv > 1 else ''}or lock it"
+            f"joint {quoted(name)} is of kind {kind} with {joint.nv} degrees of freedom, which is "
+            "not a product of hinges and slides; replace it by such joints with massless bodies "
+            "between them, or lock it"
         )
 
 

@@ -41,6 +41,7 @@ from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_file_contents import Contents, Coupling, Origin
 from .robot_files import is_mjcf, read_text, read_xml
+from .split_joints import split_joints
 from .system import System
 from .urdf_elements import mimic_couplings
 from .visuals import Visuals, mesh_folders, with_visuals
@@ -138,7 +139,6 @@ def load(
                 "meshes= applies to URDF only; an MJCF file contains the paths of its meshes"
             )
         system = _load_mujoco(source, mjcf_kind, requested, locked, new_gravity, root)
-        doubts: tuple[str, ...] = ()
     else:
         visuals = with_visuals(source)
         if visuals is not None:
@@ -159,14 +159,13 @@ def load(
             )
         robot = _read(source, requested, locked, folders)
         system = _load_model(robot, locked, new_gravity, visuals)
-        doubts = system.doubts
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
         warnings.warn(message, LeftOutWarning, stacklevel=_CALLER)
     for warning in system.contents.warnings:
         warnings.warn(f"{quoted(system.name)}: {warning}", ModelWarning, stacklevel=_CALLER)
-    for doubt in doubts:
+    for doubt in system.doubts:
         if strict:
             raise ModelError(f"{quoted(system.name)} is refused because of strict=True: {doubt}")
         warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=_CALLER)
@@ -235,21 +234,23 @@ def _load_model(
     robot: _Robot, lock: Mapping[str, float], gravity: Array | None, visuals: Visuals | None
 ) -> System:
     """Lock joints of a robot, choose its root joint, and return its system."""
-    raw, names = robot.raw, list(robot.raw.names)
-    locked, couplings = with_followers(lock, robot.couplings, names)
+    split = split_joints(robot.raw)
+    raw, names = split.model, list(split.model.names)
+    all_couplings = (*robot.couplings, *split.couplings)
+    locked, couplings = with_followers(split.locked(lock), all_couplings, names)
     bare = rebuild(raw, frozen=frozen_configurations(raw, locked))
     chain = root_chain(bare)
     model = _on_root(bare, robot.group, chain)
     locked_joints = None
     if locked:
-        ties, shared = ties_of(locked, robot.couplings, names)
+        ties, shared = ties_of(locked, all_couplings, names)
         places = {} if chain is None else places_on_root(bare, chain)
         several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
         locked_joints = LockedJoints(
             raw, locked, ties, places, str(model.names[1]), several, shared
         )
     contents = replace(
-        passive_contents(raw, list(model.names)[2:], locked),
+        passive_contents(raw, list(model.names)[2:], locked, split.sliding),
         visuals=visuals,
         warnings=(robot.warning,) if robot.warning else (),
         couplings=couplings,

@@ -19,6 +19,7 @@ from .robot_file_contents import Contents, LeftOut
 
 # Kinds of actions that pinred does not simulate (LeftOut.what).
 BASE = "springs, damping and friction of the base"
+SLIDING = "dry friction against sliding in a plane"
 UNEVEN = "dry friction that is not the same in both directions"
 
 
@@ -220,13 +221,16 @@ def _settle_polynomial(force: Any) -> None:
     object.__setattr__(force, "polynomial", tuple(finite(value, what) for value in coefficients))
 
 
-def passive_contents(raw: pin.Model, shape: Sequence[str], locked: Collection[str]) -> Contents:
+def passive_contents(
+    raw: pin.Model, shape: Sequence[str], locked: Collection[str], sliding: Sequence[str] = ()
+) -> Contents:
     """Return the dampers and dry friction of a model, and the actions that are not simulated.
 
     Args:
         raw: Model with all joints, as read from a URDF's <dynamics>.
         shape: Names of the shape joints.
         locked: Names of frozen joints.  All remaining joints belong to the base.
+        sliding: Names of joints whose dry friction acts against sliding in a plane.
     Returns:
         Contents with `passive` and `left_out`.
     Raises:
@@ -256,5 +260,6 @@ def passive_contents(raw: pin.Model, shape: Sequence[str], locked: Collection[st
             uneven.append(name)
         elif most[0]:
             forces.append(Friction(name, float(most[0])))
-    left_out = [LeftOut(k, tuple(v)) for k, v in ((BASE, base), (UNEVEN, uneven)) if v]
+    names = {BASE: base, UNEVEN: uneven, SLIDING: sliding}
+    left_out = [LeftOut(kind, tuple(joints)) for kind, joints in names.items() if joints]
     return Contents(left_out=tuple(left_out), passive=tuple(forces))

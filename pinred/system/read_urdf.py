@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
@@ -20,7 +22,7 @@ from ..common.errors import LoadError, ModelError
 from ..common.library_output import library_output
 from ..common.names import plain_path
 from .robot_file_contents import Coupling
-from .robot_files import read_text, read_xml
+from .robot_files import read_xml
 from .urdf_elements import (
     UNLIMITED,
     check_urdf,
@@ -31,6 +33,8 @@ from .urdf_elements import (
     total_mass,
     tree_depth,
 )
+
+T = TypeVar("T")
 
 # Message of the URDF parser: one line with the error, and one with a position in its C++ source.
 URDFDOM = re.compile(
@@ -65,7 +69,8 @@ def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...], str]:
     model, why = None, ""
     with library_output(URDFDOM) as messages:
         try:
-            model = _parse(reduced_text(root), depth)
+            text = reduced_text(root)
+            model = with_deep_stack(lambda: pin.buildModelFromXML(text), depth)
         except Exception as error:  # Pinocchio raises parser errors of any type.
             why = str(error).strip() or type(error).__name__
     if model is None:
@@ -80,23 +85,15 @@ def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...], str]:
     return model, couplings, warning
 
 
-def drawn_text(path: Path) -> str:
-    """Return the text of a URDF file for Pinocchio's parser of shapes.  Raises LoadError."""
-    root = read_xml(path)
-    if replace_commas(root):
-        return ElementTree.tostring(root, encoding="unicode")
-    return read_text(path)
-
-
-def _parse(text: str, depth: int) -> pin.Model:
-    """Return Pinocchio's model of a URDF text whose chains have at most `depth` links."""
+def with_deep_stack(parse: Callable[[], T], depth: int) -> T:
+    """Run a parser on a robot whose chains have at most `depth` links; return its result."""
     if depth < _DEEP:
-        return pin.buildModelFromXML(text)
+        return parse()
     # The parser recurses once per link and would overflow the default stack.
     before = threading.stack_size(_STACK * depth)
     try:
         with ThreadPoolExecutor(1) as one:
-            return one.submit(pin.buildModelFromXML, text).result()
+            return one.submit(parse).result()
     finally:
         threading.stack_size(before)
 

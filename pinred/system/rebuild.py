@@ -72,6 +72,25 @@ class ModelBuilder:
         return model
 
 
+@dataclass(frozen=True, eq=False)
+class NewJoint:
+    """A joint to add to a model.
+
+    Attributes:
+        name: Name.
+        joint: Joint model.
+        placement: Placement on the joint before, or on the placement of the first joint.
+        armature: Armature, (nv,) [kg m² | kg]; zero if None.
+        limits: Lower and upper position limits, (2, nq) [rad | m]; infinite if None.
+    """
+
+    name: str
+    joint: pin.JointModel
+    placement: pin.SE3
+    armature: ArrayLike | None = None
+    limits: ArrayLike | None = None
+
+
 @dataclass(frozen=True)
 class _Carrier:
     """The joint of the new model that moves a body of the old model, and the body's placement."""
@@ -84,7 +103,7 @@ def rebuild(
     raw: pin.Model,
     *,
     frozen: Mapping[int, Array] | None = None,
-    replaced: Mapping[int, pin.JointModel] | None = None,
+    replaced: Mapping[int, Sequence[NewJoint]] | None = None,
     root: pin.JointModel | None = None,
     chain: RootChain | None = None,
     order: Sequence[int] = (),
@@ -95,7 +114,8 @@ def rebuild(
         raw: Model to copy.
         frozen: Configurations of joints to fix, {joint index: (nq,)}.  The body of a fixed joint
             becomes part of its parent body.
-        replaced: New joint models, {joint index: model}.  They have no armature and no limits.
+        replaced: Chains of joints that replace joints, {joint index: chain}.  The last joint of a
+            chain carries the body.
         root: Joint to insert between the world and the model.
         chain: Joints that `root` replaces; if None, `root` is an additional joint.
         order: Indices of all joints in the new order, parents before children; if empty, the
@@ -127,8 +147,9 @@ def rebuild(
             joint.calc(motion, q)
             carrier = _Carrier(under.joint, at * motion.M)
         elif i in replaced:
-            k = builder.add_joint(under.joint, replaced[i], at, raw.names[i])
-            carrier = _Carrier(k, pin.SE3.Identity())
+            carrier = _Carrier(
+                _add_chain(builder, under.joint, at, replaced[i]), pin.SE3.Identity()
+            )
         else:
             k = builder.add_joint(
                 under.joint,
@@ -147,6 +168,16 @@ def rebuild(
             pin.Frame(frame.name, on.joint, 0, on.placement * frame.placement, frame.type), False
         )
     return builder.finish()
+
+
+def _add_chain(builder: ModelBuilder, on: int, at: pin.SE3, chain: Sequence[NewJoint]) -> int:
+    """Add a chain of joints at a placement on a joint; return the index of its last joint."""
+    for new in chain:
+        on = builder.add_joint(
+            on, new.joint, at * new.placement, new.name, armature=new.armature, limits=new.limits
+        )
+        at = pin.SE3.Identity()
+    return on
 
 
 def _unused_name(raw: pin.Model, chain: RootChain | None) -> str:
@@ -169,7 +200,7 @@ def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
     mimics = list(model.mimicking_joints)
     if not mimics:
         return model.copy(), ()
-    plain = rebuild(model, replaced={i: _joint_of_mimic(model, i) for i in mimics})
+    plain = rebuild(model, replaced={i: [_joint_of_mimic(model, i)] for i in mimics})
     leaders = {
         model.joints[k].idx_v: model.names[k] for k in range(1, model.njoints) if k not in mimics
     }
@@ -181,7 +212,7 @@ def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
     return plain, tuple(couplings)
 
 
-def _joint_of_mimic(model: pin.Model, i: int) -> pin.JointModel:
+def _joint_of_mimic(model: pin.Model, i: int) -> NewJoint:
     """Reconstruct the plain joint from which a mimic joint was created, from its axis."""
     joint, scaling = model.joints[i], float(model.joints[i].extract().scaling)
     motion = joint.createData()
@@ -194,7 +225,8 @@ def _joint_of_mimic(model: pin.Model, i: int) -> pin.JointModel:
         )
     slides = not twist[3:].any()
     axis = (twist[:3] if slides else twist[3:]) / scaling
-    return joint_along(PRISMATIC if slides else REVOLUTE, axis, _ALIGNED)
+    plain = joint_along(PRISMATIC if slides else REVOLUTE, axis, _ALIGNED)
+    return NewJoint(str(model.names[i]), plain, pin.SE3.Identity())
 
 
 def joint_along(kinds: Sequence[type], axis: Array, tolerance: float = 0.0) -> pin.JointModel:

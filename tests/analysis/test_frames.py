@@ -12,7 +12,9 @@ from textbook import DELTA, J2, M2, D, M
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
+from pinred.analysis.frames.norm_distance import norm_distance
 from pinred.common.arrays import Array
+from pinred.kernels.connection.connection_form import form_of
 
 CIRCLE = pinred.Gait.fourier([0.0, 0.0], [[1.0, 0.0]], [[0.0, 1.0]])
 RODS = {name: pinred.Rod(LENGTH, 2.0, 1.0, centre=(CENTRES[name], 0.0, 0.0)) for name in LINKS}
@@ -52,17 +54,75 @@ def test_error_of_surface_integral_grows_with_radius() -> None:
 def test_optimal_frame_is_independent_of_base_link() -> None:
     """All base links give the same least norm to 1e-8."""
     A = swimmer()
-    found = [pinred.optimal_frame(c, BOX) for c in (A, A.seen_from("front"), A.seen_from("rear"))]
+    bases = (A, A.seen_from("front"), A.seen_from("rear"))
+    found = [pinred.optimal_frame(c, BOX, degree=14) for c in bases]
     norms = np.array([[each.angular, each.linear] for each in found])
     close(norms, np.tile(norms[0], (3, 1)), 1e-8)
     assert found[0].angular < 0.2 * found[0].angular_before
     assert found[1].linear < 0.1 * found[1].linear_before
 
 
+@pytest.mark.parametrize("reach", [1.5, 2.5])
+def test_distance_of_optimal_frame_is_that_to_high_degree(reach: float) -> None:
+    """The norm by degree 26 is closer to the limit than degree 14 by the estimated distance."""
+    box = [[-reach, reach]] * 2
+    coarse, fine = (pinred.optimal_frame(swimmer(), box, degree=d) for d in (14, 26))
+    assert coarse.degree == 14
+    missed = (coarse.angular - fine.angular) / coarse.angular
+    assert 1e-6 < missed < 1e-4
+    assert 0.7 * missed < coarse.distance < 4.0 * missed
+    assert fine.distance < 1e-6
+
+
+def test_degree_of_optimal_frame_is_raised_until_it_converged() -> None:
+    """Degree 14 would be 5e-5 from the limit."""
+    frame = pinred.optimal_frame(swimmer(), BOX)
+    assert frame.degree > 14
+    assert frame.distance <= 1e-6
+    assert frame.angular == pytest.approx(0.033980975, rel=1e-6)  # by degree 28, extrapolated
+
+
+def test_distance_of_optimal_frame_in_closed_form() -> None:
+    """For A = x₀ e₁ on the square, u solves Laplace's equation with ∂u/∂n = A·n: a series.
+
+    A = ∇(x₀x₁)/2 + (−x₁, x₀)/2. The best rotation removes the gradient part of A; the torsion of a
+    square bar, 2.2492 (2a)⁴/16, is the remaining ∫|A′|² of (−x₁, x₀).
+    """
+    group = pinred.lie.GROUPS["SO2"]
+
+    def values(x: ca.SX, v: ca.SX) -> ca.SX:
+        return ca.vertcat(v[0] + x[0] * v[2])
+
+    form = form_of(
+        group, ("a", "b"), ("rad", "rad"), "areas", values,
+        lambda x: np.array([[1.0, 0.0, x[0]]]), symmetric=False,
+    )  # fmt: skip
+    frame = pinred.optimal_frame(pinred.Connection.of(form), [[-1.0, 1.0]] * 2)
+    odd = np.arange(1, 200, 2)
+    torsion = 16.0 / 3.0 * (1.0 - 192.0 / np.pi**5 * np.sum(np.tanh(0.5 * np.pi * odd) / odd**5.0))
+    expected = np.sqrt(0.25 * torsion / 4.0)
+    assert frame.angular >= expected
+    assert (frame.angular - expected) / expected == pytest.approx(frame.distance, rel=0.5)
+    assert frame.distance <= 1e-6
+
+
+def test_norm_distance_extrapolates_powers() -> None:
+    """Exact for 2 + 3 d⁻⁵; round-off and degrees that do not increase are recognised."""
+    degrees = [10, 12, 14]
+    norms = [2.0 + 3.0 * d**-5.0 for d in degrees]
+    spectral = [1.0 + 10.0 ** (-d) for d in degrees]
+    assert norm_distance(degrees, norms, 2.0) == pytest.approx(1.5 * 14.0**-5.0, rel=1e-6)
+    assert norm_distance(degrees, [1.0, 1.0, 1.0], 1.0) < 1e-12
+    assert 1e-14 < norm_distance(degrees, spectral, 1.0) < 1e-11
+    assert norm_distance([1, 1, 1], norms, 1.0) == np.inf
+    assert norm_distance(degrees, [1.0, 0.9, 0.7], 1.0) > 0.7 * 0.99  # It does not converge yet.
+    assert norm_distance(degrees, [1e-2, 1e-4, 1e-6], 1.0) <= 1e-6
+
+
 def test_optimal_frame_connection_is_its_velocity() -> None:
     """A′ is the velocity of the frame on a horizontal motion."""
     A = swimmer()
-    frame, G = pinred.optimal_frame(A, BOX), A.group
+    frame, G = pinred.optimal_frame(A, BOX, degree=14), A.group
     x, xdot, h = np.array([0.7, -0.4]), np.array([0.3, 0.9]), 1e-4
     step = [G.compose(G.inverse(frame.pose(x)), frame.pose(x + k * h * xdot)) for k in (-1, 1)]
     displacement = (G.log(step[1]) - G.log(step[0])) / (2.0 * h)
@@ -73,7 +133,7 @@ def test_optimal_frame_connection_is_its_velocity() -> None:
 def test_other_frames_have_larger_norm() -> None:
     """Any other smooth frame has larger angular and linear norms."""
     A = swimmer()
-    best = pinred.optimal_frame(A, BOX)
+    best = pinred.optimal_frame(A, BOX, degree=14)
     rng = np.random.default_rng(1)
     u, w = best.patch.nodes, best.patch.weights / best.patch.weights.sum()
     for _ in range(5):

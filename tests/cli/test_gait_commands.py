@@ -27,6 +27,15 @@ def test_gait_writes_the_printed_loop(tmp_path: Path, capsys: pytest.CaptureFixt
         assert read.pose[2] == pytest.approx(best.phase.pose[2], rel=1e-6)
 
 
+def test_gait_prints_its_distance_from_the_optimum(capsys: pytest.CaptureFixture[str]) -> None:
+    """A polygon has no extremal, and says so."""
+    words = "gait three_rods --cost none --vertices 6 --limits 1 --starts 1"
+    assert main([*words.split(), "--distance"]) == 0
+    assert "distance from optimum: not known" in capsys.readouterr().out
+    assert main(words.split()) == 0
+    assert "distance" not in capsys.readouterr().out
+
+
 def test_reorient_writes_the_planned_motion(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -71,16 +72,19 @@ def list_imports() -> list[Import]:
     return imports
 
 
-def _imported_names(file: Path, name: str, *, is_package: bool) -> Iterator[tuple[int, str]]:
-    """Yield the line and the full name of everything that a file imports."""
+@cache
+def _imported_names(file: Path, name: str, *, is_package: bool) -> tuple[tuple[int, str], ...]:
+    """Return the line and the full name of everything that a file imports."""
     containing = name.split(".") if is_package else name.split(".")[:-1]
+    imported: list[tuple[int, str]] = []
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from ((node.lineno, alias.name) for alias in node.names)
+            imported += ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = ".".join(containing[: len(containing) - node.level + 1]) if node.level else ""
             module = ".".join(name for name in (base, node.module) if name)
-            yield from ((node.lineno, f"{module}.{alias.name}") for alias in node.names)
+            imported += ((node.lineno, f"{module}.{alias.name}") for alias in node.names)
+    return tuple(imported)
 
 
 def find_upward_imports(imports: Iterable[Import]) -> list[Import]:

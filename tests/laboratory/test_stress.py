@@ -55,7 +55,17 @@ def perturb_bodies(system: pinred.System, by: float) -> pinred.System:
 
 
 # Checks that take more than 5 s.
-LONG = {"energy", "tolerances", "casimirs", "mass_ratios", "between", "frames"}
+LONG = {
+    "periods",
+    "units",
+    "zero_momentum",
+    "energy",
+    "tolerances",
+    "casimirs",
+    "mass_ratios",
+    "between",
+    "frames",
+}
 
 
 def with_long_by_hand(names: Iterable[str]) -> list[Any]:

@@ -316,7 +316,7 @@ def test_keys_are_the_options_of_python() -> None:
     tables = [SCENE.keys[name].node for name in ("start", "run")]
     keys = {key for table in tables for key in table.keys}  # type: ignore[attr-defined]
     keys |= set(SCENE.keys) - {"robot", "load", "start", "run"}
-    assert keys == scene | {"samples", "engine"}
+    assert keys == scene | {"samples", "engine", "check"}
     assert set(LOAD.keys) == {"group", "gravity", "lock", "root", "strict", "meshes"}
     for kind in FORCES.values():
         table = kind.table

@@ -13,6 +13,7 @@ from pinred.common.arrays import Array
 from pinred.forces import Controller, Torque
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation import events, motion
+from pinred.simulation.event_extrema import extremum_times
 
 BEANIE = pinred.load("elroys_beanie")
 W = np.sqrt(1.5)  # of x = sin(W t)/W: a spring of 1 N·m/rad on the shape's inertia 2/3
@@ -193,6 +194,7 @@ def test_two_crossings_in_one_step_are_detected(monkeypatch: pytest.MonkeyPatch)
     assert len(first.events["event"]) == 2
     monkeypatch.setattr(events, "_PARTS", 1)
     monkeypatch.setattr(events, "_HALVINGS", 0)
+    monkeypatch.setattr(events, "_EXTREMA", 0)
     second = pinred.simulate(BEANIE, **SPRUNG, duration=2.0, rtol=1e-4, atol=1e-4, events=event)
     assert len(second.events["event"]) < 2
 
@@ -259,3 +261,50 @@ def test_short_crossings_of_the_state_are_sampled_densely() -> None:
     )  # fmt: skip
     signs = np.sign(0.2 * np.sin(30.0 * traj(np.linspace(0.0, 5.0, 200_001)).x[:, 0]) + 0.19)
     assert len(traj.events["dips"]) == (signs[1:] * signs[:-1] < 0.0).sum() == 30
+
+
+@pytest.mark.parametrize(
+    ("rate", "level", "least"), [(60.0, 0.199, 60), (60.0, 0.1999, 60), (30.0, -0.199, 30)]
+)
+def test_grazing_pairs_of_crossings_are_found(
+    rate: float, level: float, least: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Extrema close to zero are searched between samples; samples alone miss half of the pairs."""
+    scene = pinred.Scene(
+        system=BEANIE, **SPRUNG, duration=5.0, rtol=1e-4, atol=1e-4,
+        events=pinred.Event(lambda s: 0.2 * ca.sin(rate * s.x[0]) + level, "dips"),
+    )  # fmt: skip
+    traj = pinred.simulate(scene)
+    signs = np.sign(0.2 * np.sin(rate * traj(np.linspace(0.0, 5.0, 500_001)).x[:, 0]) + level)
+    assert len(traj.events["dips"]) == (signs[1:] * signs[:-1] < 0.0).sum() >= least
+    monkeypatch.setattr(events, "_EXTREMA", 0)
+    assert len(pinred.simulate(scene).events["dips"]) < 0.6 * least
+
+
+def test_events_that_touch_zero_end_the_search() -> None:
+    """A double zero inside a step is sampled a few times, and is no crossing."""
+    traj = pinred.simulate(
+        BEANIE, **SPRUNG, duration=5.0, events=pinred.Event("(x[0] - 0.3)**2", "touching")
+    )
+    assert len(traj.events["touching"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([1.0, 0.01, 1.1], 1),  # may reach zero inside
+        ([1.0, 0.9, 1.1], 0),  # too far from zero
+        ([0.0, 1.0, 2.0], 0),  # linear
+        ([0.02, 0.1, 1.0], 1),  # at the start
+        ([1.0, 0.1, 0.02], 1),  # at the end
+        ([1.0, -0.01, 1.1], 0),  # two crossings are known already
+        ([-1.0, -0.01, -1.1], 1),
+        ([1.0, 2.0], 0),
+    ],
+)
+def test_extrema_close_to_zero_are_sampled(values: list[float], expected: int) -> None:
+    """New times lie between samples, where a parabola predicts an extremum close to zero."""
+    times = np.arange(float(len(values)))
+    found = extremum_times(times, np.array([values]))
+    assert len(found) == expected
+    assert not np.isin(found, times).any()

@@ -97,7 +97,6 @@ FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
         ModelError, ["multiplier", "b-c", "two"],
     ),
     "floating inside": (chain("floating"), ModelError, ["b-c", "6 degrees of freedom"]),
-    "planar inside": (chain("planar"), ModelError, ["b-c", "3 degrees of freedom"]),
     "planar, another normal": (
         robot(link("w", 0), link("a"), joint("w", "a", "planar", '<axis xyz="1 0 0"/>')),
         ModelError, ["w-a", "normal", "origin"],
@@ -313,12 +312,11 @@ def test_two_hinges_in_one_body_are_a_chain(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "name"),
     [
-        (chain("planar"), "b-c"),
         (chain("floating"), "b-c"),
         (on_arm(BALL), "socket"),
         (chain("revolute", '<mimic joint="far"/>'), "b-c"),
     ],
-    ids=["planar", "floating", "ball", "mimic of none"],
+    ids=["floating", "ball", "mimic of none"],
 )
 def test_advice_to_lock_works(tmp_path: Path, text: str, name: str) -> None:
     """If the refusal advises to lock a joint, the locked robot loads."""
@@ -446,8 +444,6 @@ MODELS: dict[str, tuple[Callable[[], pin.Model], list[str]]] = {
     ),
     "beside the root": (lambda: grown(RX, parent=0), ["odd", "fixed world"]),
     "spherical": (lambda: grown(pin.JointModelSpherical()), ["odd", "Spherical"]),
-    "universal": (lambda: grown(pin.JointModelUniversal(E[0], E[1])), ["odd", "Universal"]),
-    "helical": (lambda: grown(pin.JointModelHX(0.1)), ["odd", "HX"]),
     "axis too long": (lambda: grown(pin.JointModelRevoluteUnaligned(2 * E[0])), ["odd", "axis"]),
     "axis zero": (lambda: grown(pin.JointModelPrismaticUnaligned(0 * E[0])), ["odd", "axis"]),
     "no mass": (lambda: grown(RX, mass=0.0, moments=0.0), ["odd", "no mass"]),

@@ -141,7 +141,8 @@ def test_meshes_option_names_folders(urdf_and_package: tuple[Path, Path], tmp_pa
     """The package or its parent folder, in load, in views, in scenes, in play."""
     robot, package = urdf_and_package
     without = drawn_bodies(pinred.load(robot))
-    assert "Mesh package://urdf_and_package/meshes/tip.stl could not be found" in without.note
+    missing = "mesh 'package://urdf_and_package/meshes/tip.stl' of link 'b' could not be found"
+    assert missing in without.note
     for folder in (package, str(package.parent), [tmp_path, package]):
         for drawn in (
             drawn_bodies(pinred.load(robot, meshes=folder)),

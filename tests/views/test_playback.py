@@ -250,7 +250,8 @@ def test_missing_meshes_are_reported(tmp_path: Path) -> None:
     (tmp_path / "gone").mkdir()
     (tmp_path / "gone/gone.stl").write_text("solid nonsense")
     note = drawn_bodies(pinred.load(tmp_path / "r.urdf")).note
-    assert note.startswith("bodies drawn from their inertias: Could not load resource")
+    assert note.startswith("bodies drawn from their inertias: 1 of its shapes cannot be drawn: ")
+    assert "mesh 'package://gone/gone.stl' of link 'b' cannot be read: Could not load " in note
     assert "gone.stl Mesh with invalid primitive type: nonsense" in note
     assert ".cpp" not in note
     assert "line" not in note

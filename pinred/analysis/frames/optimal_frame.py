@@ -10,36 +10,37 @@ repeatedly, with R ← R exp φ), and p is a linear least-squares solution. Sour
 Choset, "Geometric motion planning: the local connection, Stokes' theorem, and the importance of
 coordinate choice", Int. J. Robotics Research 30 (2011); for SO(3), Faraji et al.
 
-`corrected_integral` compares surface integrals of the curvature in such a frame with the phase. If
-the group were commutative, the phase would be exp(−∬B) by Stokes' theorem. For other groups, the
-error of this approximation depends on the frame.
+On a box the least norms decrease with a power of the degree, because the derivatives of φ have
+singularities at the corners. The degree is raised until the estimated rest is small.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, FrozenArrays, read_only, vectors
+from ...common.arrays import Array, as_floats, read_only, vectors
 from ...common.errors import InputError, NoConvergence
 from ...lie.group import Group
 from ...lie.rotations import hat, quaternion_exp, quaternion_product, rotation
 from ..connections.connection import Connection
 from ..gaits.gait import Gait
 from ..phases.lift import in_space
-from ..phases.phase import phase
+from .norm_distance import norm_distance
 from .patches import Basis, Disc, Patch, box_of
 
-_DEGREES = {1: 20, 2: 14, 3: 6}  # polynomial degree by number of joints
+_DEGREES = {1: (20, 40), 2: (14, 30), 3: (6, 8)}  # first and last degree by number of parameters
+# Difference of successive degrees; if it is even, symmetric patches change the norm at each step.
+_STEPS = {1: 4, 2: 4, 3: 2}
+_LEAST_NORM = 1e-2  # norms below this part of the norm of A count as this part
+_GOAL = 1e-6  # estimated distance at which the degree is not raised further
 _MORE_NODES = 6  # quadrature nodes per parameter beyond the polynomial degree
 _ITERATIONS = 60  # largest number of iterations of the attitude R
 _STILL = 1e-10  # relative change of ∫|A′_ω|² at which the iteration stops
-
-_TRUSTED = 0.05  # relative error below which the integral is trusted
 
 
 @checks_arguments
@@ -56,6 +57,10 @@ class OptimalFrame:
         angular_before: Root mean square of the rotations of A, in the same unit.
         linear_before: Root mean square of the translations of A, in the same unit.
         iterations: Number of iterations of the attitude R.
+        degree: Degree of the polynomials.
+        distance: Estimated distance of the norms `angular` and `linear` from those of the best
+            frame of any degree, relative to these norms or to a hundredth of those of A. It is
+            extrapolated from two lower degrees; inf for degrees below 3.
     """
 
     connection: Connection
@@ -65,6 +70,8 @@ class OptimalFrame:
     angular_before: float
     linear_before: float
     iterations: int
+    degree: int
+    distance: float
     _basis: Basis = field(repr=False)
     _turns: tuple[Array, ...] = field(repr=False)
     _shift: Array = field(repr=False)
@@ -145,7 +152,8 @@ def optimal_frame(
             joints.
         joints: Indices of the joints that vary; by default the first ones.
         at: Values of the other joints, (m,).
-        degree: Degree of the polynomials.
+        degree: Degree of the polynomials; by default it is raised until the estimated distance from
+            the best frame is below 1e-6, or up to 40, 30 and 8 for one, two and three parameters.
         nodes: Quadrature nodes per parameter of a box.
     Returns:
         The frame, with the remaining perturbation.
@@ -154,15 +162,54 @@ def optimal_frame(
         SingularInertiaError: A is undefined on the patch.
         NoConvergence: The iteration of the attitude does not converge.
     """
-    group = connection.group
-    patch: Patch
     if isinstance(limits, Gait):
         if joints is not None or at is not None or nodes is not None:
             raise InputError("joints, at and nodes apply to a box of joint limits, not to a gait")
-        patch, order = Disc(limits), _DEGREES[2] if degree is None else int(degree)
-    else:
-        order = _DEGREES[min(len(np.atleast_1d(limits)), 3)] if degree is None else int(degree)
+        disc = Disc(limits)
+        return _converged(lambda order: _frame_of(connection, disc, order), disc.k, degree)
+
+    def over_box(order: int) -> OptimalFrame:
         patch = box_of(connection.m, limits, joints, at, nodes or order + _MORE_NODES)
+        return _frame_of(connection, patch, order)
+
+    count = min(len(np.atleast_1d(as_floats(limits, "limits"))), 3)
+    return _converged(over_box, count, degree)
+
+
+def _converged(
+    frame_of: Callable[[int], OptimalFrame], parameters: int, degree: int | None
+) -> OptimalFrame:
+    """Return the frame of a degree, or of the first degree that converged, with its distance.
+
+    Args:
+        frame_of: Function that returns the frame of a degree.
+        parameters: Number of parameters of the patch.
+        degree: The degree; None to raise it.
+    Returns:
+        The frame.
+    """
+    step = _STEPS[parameters]
+    first, last = _DEGREES[parameters] if degree is None else (int(degree), int(degree))
+    frames = [frame_of(max(first - k * step, 1)) for k in (2, 1, 0)]
+    while True:
+        distance = max(
+            norm_distance(
+                [frame.degree for frame in frames], norms, max(norms[-1], _LEAST_NORM * before)
+            )
+            for norms, before in (
+                ([frame.angular for frame in frames], frames[0].angular_before),
+                ([frame.linear for frame in frames], frames[0].linear_before),
+            )
+        )
+        best = replace(frames[-1], distance=distance)
+        if distance <= _GOAL or best.degree + step > last:
+            return best
+        frames = [*frames[1:], frame_of(best.degree + step)]
+
+
+def _frame_of(connection: Connection, patch: Patch, order: int) -> OptimalFrame:
+    """Return the optimal frame of a degree, without its distance."""
+    group = connection.group
     basis = Basis.of(patch.k, order)
     u, w = patch.nodes, np.sqrt(patch.weights / patch.weights.sum())
     A = pulled_back(connection, patch, u)
@@ -185,6 +232,8 @@ def optimal_frame(
         angular_before=size(A[:, n:]),
         linear_before=size(A[:, :n]),
         iterations=steps,
+        degree=order,
+        distance=np.inf,
         _basis=basis,
         _turns=turns,
         _shift=shift,
@@ -337,58 +386,3 @@ def _right_slope(phi: Array) -> Array:
     b = np.where(small, series, (safe - np.sin(safe)) / safe**3)
     H = hat(phi)
     return np.asarray(np.eye(3) - a * H + b * (H @ H))
-
-
-@checks_arguments
-@dataclass(frozen=True)
-class CorrectedIntegral(FrozenArrays):
-    """The corrected body-velocity integral −∬B of a gait, and the true phase.
-
-    Attributes:
-        integral: −∬B, a twist, (r,).
-        phase: Phase of the gait in the same frame, (size,).
-        log: Logarithm of the phase, (r,).
-        error: |integral − log| / |log|, of the translations, or of the rotations if there are none.
-        trusted: Whether the error is below five per cent.
-    """
-
-    integral: Array
-    phase: Array
-    log: Array
-    error: float
-    trusted: bool
-
-
-@checks_arguments
-def corrected_integral(
-    connection: Connection, gait: Gait, frame: OptimalFrame | None = None
-) -> CorrectedIntegral:
-    """Compute −∬B over the disc spanned by a Fourier gait, and the true phase.
-
-    Args:
-        connection: Connection that lifts the gait.
-        gait: Gait that is one Fourier series.
-        frame: Frame of the curvature, B′ = Ad_{h⁻¹}B; by default the base frame.
-    Returns:
-        Integral, phase and relative error.
-    """
-    group, disc = connection.group, Disc(gait)
-    u = disc.nodes
-    x = disc.shapes(u)
-    slopes = disc.slopes(u)
-    # Pull the curvature back to the two parameters of the disc.
-    B = connection.grid(x).curvature
-    density = np.einsum("niab,na,nb->ni", B, slopes[..., 0], slopes[..., 1])
-    pose = phase(connection, gait).pose
-    if frame is not None:
-        is_disc = isinstance(frame.patch, Disc)
-        frame_poses = frame.pose_at(u) if is_disc else frame.pose(x)
-        density = (group.Ad(group.inverse(frame_poses)) @ density[..., None])[..., 0]
-        h = frame.pose_at(np.array([[1.0, 0.0]]))[0] if is_disc else frame.pose(gait.at(0.0)[0])
-        pose = group.compose(group.compose(group.inverse(h), pose), h)
-    integral = -(disc.weights @ density)
-    log = group.log(pose)
-    components = slice(0, group.linear) if group.linear else slice(0, None)
-    size = float(np.linalg.norm(log[components]))
-    error = float(np.linalg.norm((integral - log)[components])) / size if size > 0.0 else np.inf
-    return CorrectedIntegral(integral, pose, log, error, bool(error < _TRUSTED))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes.util
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from threading import Lock
@@ -103,20 +103,36 @@ def load_object(code: bytes, name: str) -> NativeCode:
     Raises:
         InputError: The bytes are not object code for this machine, or the function is missing.
     """
-    with _LOCK:
+    return load_objects({name: code})[0]
+
+
+def load_objects(codes: Mapping[str, bytes]) -> tuple[NativeCode, ...]:
+    """Load object codes into memory that they share; see `load_object`.
+
+    Args:
+        codes: Object code by the name of its function.
+    Returns:
+        The functions, in order.
+    Raises:
+        InputError: As for `load_object`.
+    """
+    for name, code in codes.items():
         if code[:_IDENTITY] != _identity():
             raise InputError(
                 f"the {len(code)} bytes for '{name}' are not object code for this machine"
             )
+    with _LOCK:
         machine = _create_machine()
         # Use the global context, because a private one would have to outlive the engine.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        for code in codes.values():
+            engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
-        address = engine.get_function_address(name)
-    if not address:
-        raise InputError(f"the object code has no function '{name}'")
-    return NativeCode(name, address, engine)
+        addresses = {name: engine.get_function_address(name) for name in codes}
+    for name, address in addresses.items():
+        if not address:
+            raise InputError(f"the object code has no function '{name}'")
+    return tuple(NativeCode(name, address, engine) for name, address in addresses.items())
 
 
 @cache

@@ -19,6 +19,7 @@ from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
 from .objective import ABOUT, DEGREES, AxisAim, TargetAim
+from .optimum_distance import OptimumDistance, distance_of
 from .transcription import Task
 
 SAME = 1e-5  # relative difference of merits below which two optima are considered equal
@@ -124,6 +125,17 @@ class BestGait(Optimum):
         if len(fall) == 3:
             end = end - np.pad(fall, (0, len(end) - 3))
         return group.error(self.phase.pose, end)
+
+    def distance(self) -> OptimumDistance:
+        """Compute the merit that the gait lacks, from the extremal or twice the harmonics.
+
+        With cost "length" and no active limit, the distance is that to the extremal nearby (see
+        `pinred.extremal`). Otherwise the gait is optimised again with twice the harmonics.
+
+        Returns:
+            The distance, and the route by which it was found.
+        """
+        return distance_of(self.task, self.gait, self.merit, self.cost)
 
     def _system(self) -> System:
         connection = self.task.connection

@@ -7,9 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...analysis.gaits.gait import Gait
+from ...analysis.phases.path_basis import path_lift
+from ...analysis.phases.phase import Phase, phase
 from ...common.arrays import Array
 from .ipopt import Minimum, kkt_residual, minimum
 from .loop_peaks import Cells, cells_of, loop_peaks
+from .objective import TargetAim, cost_of
 from .transcription import Path, Task, fourier_path, problem_of
 
 _PIECES = 2  # number of quadrature segments of order 16 per (harmonics + 3)
@@ -18,7 +21,10 @@ _NEAR = 0.7  # peaks below this part of their limit constrain the last stage onl
 RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
 # Weights of the root of the action in the length, in successive solves of the last stage.
 _WEIGHTS = (0.1, 0.05, 0.025, 0.01, 0.003, 0.001, 0.0003, 0.0)
+_QUICK = 1e-5  # residual that needs no second derivatives, if the cost is not the length
+_QUICK_STEPS = 500  # largest number of iterations without second derivatives in the last stage
 _NEWTON_STEPS = 40  # largest number of iterations with second derivatives
+_PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 _ROUNDS = 4  # largest number of last stages, each with the cells that the previous one exceeded
 
 
@@ -115,7 +121,8 @@ def fourier_path_of(
 def finish(search: Search, gait: Gait, *, newton: bool = True) -> tuple[Search, Minimum]:
     """Solve the problem with limits of the true extremes, from one with limits at sample times.
 
-    With second derivatives, the length is not replaced by the root of the action either.
+    With second derivatives, the length is not replaced by the root of the action either. Other
+    costs need them only if the optimum is not stationary without them.
 
     Args:
         search: The search of the first optimum.
@@ -128,21 +135,81 @@ def finish(search: Search, gait: Gait, *, newton: bool = True) -> tuple[Search, 
     """
     task = search.task
     every = cells_of(task.limits, len(gait.series.cos))
-    use = np.asarray(_peaks(task, gait, every) > _NEAR)
+    peaks, first = _peaks(task, gait, every), gait
+    use = np.asarray(peaks > _NEAR)
+    quick = not newton or task.cost != "length"
     for _ in range(_ROUNDS):
-        values, slopes, bends = (rows[:0] for rows in search.path.checked)
-        path = replace(
-            search.path, checked=(values, slopes, bends), cells=every.select(use),
-            action=0.0 if newton else 1.0,
-        )  # fmt: skip
+        path = replace(search.path, cells=every.select(use), action=0.0 if newton else 1.0)
         search = Search(task, path)
-        best = search.polish(gait) if newton else search.optimise_from(gait)
+        best = search.optimise_from(gait, most=_QUICK_STEPS) if quick else search.polish(gait)
+        beyond = _peaks(task, search.gait(best.z), every) > 1.0
+        if newton and quick and not beyond.any() and not best.residual <= _QUICK:
+            polished = search.polish(search.gait(best.z))
+            best = min(best, polished, key=lambda each: each.residual)
+            beyond = _peaks(task, search.gait(best.z), every) > 1.0
         gait = search.gait(best.z)
-        beyond = _peaks(task, gait, every) > 1.0
         if not beyond.any():
-            return search, best
+            return search, best if (peaks > 1.0).any() else _better(search, first, best)
         use |= beyond
     raise StartFailed("the loop still exceeds its limits")
+
+
+def _better(search: Search, first: Gait, best: Minimum) -> Minimum:
+    """Return the better of a gait within its limits and an optimum."""
+    problem, z = problem_of(search.task, search.path), search.unknowns(first)
+    if problem.evaluate(z)[0][0] >= problem.evaluate(best.z)[0][0]:
+        return best
+    return replace(best, z=z, residual=kkt_residual(problem, z))
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A loop with the numbers of its certificate, sampled independently of the optimiser.
+
+    Attributes:
+        gait: The loop.
+        phase: Geometric phase of one cycle.
+        value: Objective of one cycle [rad | m]; for a target, the deviation from the target.
+        cost: Cost of one cycle; NaN if no cost is selected.
+        merit: The maximised quantity; see `Task.merit`.
+    """
+
+    gait: Gait
+    phase: Phase
+    value: float
+    cost: float
+    merit: float
+
+
+def measure(search: Search, best: Minimum, gait: Gait) -> Measured:
+    """Compute the merit of a loop with an independently sampled phase.
+
+    Args:
+        search: The search.
+        best: Its optimum.
+        gait: The loop of the optimum.
+    Returns:
+        The loop and its merit.
+    Raises:
+        StartFailed: The nodes of the transcription do not resolve the loop.
+    """
+    task, path = search.task, search.path
+    connection, c = task.connection, search.coefficients(best.z)
+    lift = path_lift(connection, path.basis, c)
+    sampled = phase(connection, gait, tolerance=1e-11)
+    difference = connection.group.error(sampled.pose, lift.pose)
+    if not max(float(difference.rotation), float(difference.translation)) <= _PHASE_ERROR:
+        raise StartFailed("the transcription has too few nodes to resolve the loop")
+    cost = np.nan
+    if task.cost is not None:
+        cost = cost_of(task.cost, connection, path.basis, c, lift, gait.period).value
+        if task.cost == "length":  # the length does not depend on the speed
+            cost = sampled.length
+    if isinstance(task.aim, TargetAim):
+        value = float(np.linalg.norm(task.aim.error(sampled.pose)[0]))
+    else:
+        value = task.aim.value(sampled.pose)[0]
+    return Measured(gait, sampled, value, cost, task.merit(value, cost))
 
 
 def _peaks(task: Task, gait: Gait, cells: Cells) -> Array:

@@ -169,6 +169,7 @@ def find_extremes(values: Callable[[Array], Array], s: Array) -> tuple[Array, Ar
 
 _TIMES = 1024  # smallest number of torque samples in a cycle
 _PER_HARMONIC = 64  # number of torque samples per harmonic
+_ACTIVE = 1e-6  # margin below which a limit is active, relative to the smallest limit of its kind
 
 
 def margins(connection: Connection, gait: Gait, limits: Limits) -> dict[str, float]:
@@ -193,6 +194,21 @@ def margins(connection: Connection, gait: Gait, limits: Limits) -> dict[str, flo
     if np.isfinite(limits.torque).any():
         distances["torques"] = float((limits.torque - peak_torques(connection, gait)[1]).min())
     return distances
+
+
+def active_limits(limits: Limits, margins: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the kinds of limits that a gait reaches, or exceeds.
+
+    Args:
+        limits: The limits.
+        margins: Smallest distance to the limits of each kind; see `margins`.
+    Returns:
+        The kinds, of "limits", "speeds" and "torques".
+    """
+    sizes = {"limits": limits.reach, "speeds": limits.speed, "torques": limits.torque}
+    return tuple(
+        kind for kind, margin in margins.items() if not margin > _ACTIVE * sizes[kind].min()
+    )
 
 
 def peak_speeds(gait: Gait) -> Array:

@@ -10,14 +10,13 @@ from numpy.typing import ArrayLike
 from ...analysis.connections.connection import Connection
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift, polygon_basis
-from ...analysis.phases.phase import phase
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, positive, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...common.names import brief
 from ...common.progress import Progress, shown
 from .best_gait import BestGait, Optimum, group_optima
-from .gait_search import RESIDUAL, Search, StartFailed, finish, fourier_path_of
+from .gait_search import RESIDUAL, Search, StartFailed, finish, fourier_path_of, measure
 from .ipopt import Minimum, minimum
 from .limits import LimitsLike, limits_of, margins
 from .objective import (
@@ -28,7 +27,6 @@ from .objective import (
     TargetAim,
     axis_aim,
     check_cost,
-    cost_of,
     target_aim,
 )
 from .transcription import Path, Task, problem_of
@@ -74,7 +72,6 @@ def polygon_gait(path: Path, y: Array, period: float) -> Gait:
 
 
 _CONTINUED = (1, 3, 5, 9)  # numbers of harmonics in the successive optimisations of a continuation
-_PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 
 
 @checks_arguments
@@ -289,28 +286,13 @@ def _winding(gait: Gait) -> float:
 
 
 def _verify(search: Search, best: Minimum, gait: Gait, turns: float | None) -> Optimum:
-    """Verify an optimum with an independently sampled phase.  Raises StartFailed."""
+    """Return the certificate of an optimum.  Raises StartFailed."""
     if not best.residual <= RESIDUAL:
         raise StartFailed(f"no optimum was reached in {best.iterations} iterations ({best.status})")
-    task, path = search.task, search.path
-    connection, c = task.connection, search.coefficients(best.z)
-    lift = path_lift(connection, path.basis, c)
-    sampled = phase(connection, gait, tolerance=1e-11)
-    difference = connection.group.error(sampled.pose, lift.pose)
-    if not max(float(difference.rotation), float(difference.translation)) <= _PHASE_ERROR:
-        raise StartFailed("the transcription has too few nodes to resolve the loop")
-    cost = np.nan
-    if task.cost is not None:
-        cost = cost_of(task.cost, connection, path.basis, c, lift, gait.period).value
-        if task.cost == "length":  # the length does not depend on the speed
-            cost = sampled.length
-    if isinstance(task.aim, TargetAim):
-        value = float(np.linalg.norm(task.aim.error(sampled.pose)[0]))
-    else:
-        value = task.aim.value(sampled.pose)[0]
+    task = search.task
     return Optimum(
-        gait=gait, phase=sampled, value=value, cost=cost, merit=task.merit(value, cost),
-        residual=best.residual, margins=margins(connection, gait, task.limits), winding=turns,
+        **vars(measure(search, best, gait)), residual=best.residual,
+        margins=margins(task.connection, gait, task.limits), winding=turns,
     )  # fmt: skip
 
 

@@ -39,10 +39,12 @@ class SceneFile:
     Attributes:
         scene: The scene.
         engine: The engine that simulates it.
+        check: Whether to find forces that steps skip.
     """
 
     scene: Scene
     engine: Engine
+    check: bool
 
 
 @checks_arguments
@@ -62,7 +64,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def read_scene_file(path: str | Path) -> SceneFile:
-    """Read the scene in a TOML file and the engine that it requests (see load_scene)."""
+    """Read a TOML file: the scene, and how to simulate it (see load_scene)."""
     document, place = read_document(path, SCENE, "scene")
     return _Builder(Path(path).parent, place, document).build()
 
@@ -81,10 +83,10 @@ class _Builder:
         self.symbols, _ = symbols_of(self.system, None)
 
     def build(self) -> SceneFile:
-        """Return the scene and the engine."""
+        """Return the contents of the file."""
         options = options_in(self.document, FILE_OPTIONS)
         options["parameters"] = {name: each.value for name, each in self.parameters.items()}
-        engine = options.pop("engine", ENGINES[0])
+        engine, check = options.pop("engine", ENGINES[0]), options.pop("check", False)
         if "samples" in options:
             initial = self.system.initial
             end = options.get("duration", DURATION if initial is None else initial.duration)
@@ -110,7 +112,7 @@ class _Builder:
             _ = scene.start  # Evaluated here, so that errors name the file, too.
         except PinredError as error:
             self._explain(error, options)
-        return SceneFile(scene, engine)
+        return SceneFile(scene, engine, check)
 
     def _option_place(self, name: str) -> Place:
         table = FILE_OPTIONS[name].table

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...common.arrays import Array, read_only
 from ...common.errors import InputError
-from ...common.memo import once
+from ...common.memo import once, recent
 from ...forces.force_values import BaseInSpace
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
@@ -23,12 +23,14 @@ from ...scene.initial_state import GivenStates, finite_start
 from ...system.coordinates import Indices
 from ...system.state_fields import ShapeState, State
 from ...system.variants import nominal
-from ..plan import NO_DIFFERENCES, Kind, MemberParameters, Plan
+from ..plan import NO_DIFFERENCES, MemberParameters, Plan
 from ..reduced_flow import entry_name
 from ..sample import Sample
 
 # Number of members that are set up together, limited to bound the memory.
 _AT_ONCE = 512
+# Number of kernels that a System keeps.  Their machine code occupies two memory maps each.
+MOST_KERNELS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +161,7 @@ def rate_address(kernel: Kernel, method: Method) -> int:
 
 
 def kernel_of(plan: Plan, *, zero_momentum: bool, generic: bool = False) -> Kernel:
-    """Return the kernel of a plan, built at most once for a System.
+    """Return the kernel of a plan, built once while it is among the most recent of its System.
 
     Args:
         plan: The plan.
@@ -169,14 +171,12 @@ def kernel_of(plan: Plan, *, zero_momentum: bool, generic: bool = False) -> Kern
         The kernel; plans of the same structure and force expressions share it.
     """
     kind = plan.kind(zero_momentum=zero_momentum, generic=generic)
-    return once(kind, Kernel, lambda: _kernel(kind))
-
-
-def _kernel(kind: Kind) -> Kernel:
     system, structure, forces = kind.system, kind.structure, kind.forces
-    key = (Kernel, structure, None if forces is None else forces.key)
+    # Texts have cached hashes, unlike structures.
+    key = once(kind, Kernel, lambda: repr((structure, None if forces is None else forces.key)))
     # Parameters are inputs of a kernel, so robots that differ only in parameters share it.
-    return once(nominal(system), key, lambda: build_kernel(system, structure, forces))
+    owner = nominal(system)
+    return recent(owner, key, lambda: build_kernel(system, structure, forces), MOST_KERNELS, Kernel)
 
 
 def flows_of(

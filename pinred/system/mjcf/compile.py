@@ -7,8 +7,9 @@ millions of elements.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -16,7 +17,7 @@ from xml.parsers import expat
 import numpy as np
 
 from ...common.errors import LoadError, ModelError, PinredError
-from ...common.files import is_file
+from ...common.files import is_file, is_special
 from ...common.library_output import library_output
 from ...common.names import plain_path
 from ..robot_files import read_text
@@ -44,6 +45,8 @@ _CELLS = 100  # number of height-field cells that need as much memory as one ele
 _MOST_ATTRIBUTES = (
     100  # largest number of attributes per element; MuJoCo's schema allows half of it
 )
+_MOST_FOLDERS = 50  # largest number of different folders of meshes
+_READING = ("include", "model", "mesh", "flexcomp")  # elements whose files are read
 _MOST_LETTERS = 64_000_000  # largest number of characters of all files together
 
 
@@ -124,6 +127,8 @@ def _compile(spec: Any, *, shapes: bool) -> Any:
             needed.add(site.meshname)
     for mesh in [mesh for mesh in spec.meshes if mesh.name not in needed]:
         spec.delete(mesh)
+    for mesh in spec.meshes:
+        refuse_special_files([Path(spec.modelfiledir)], [mesh.compiler.meshdir], mesh.file)
     for height_field in list(spec.hfields):
         spec.delete(height_field)
     return spec.compile()
@@ -194,6 +199,8 @@ class _Measure:
         named: Number of elements in each named body or frame.
         models: Number of elements in each attached file, by its model name.
         reading: Open files; each file is included by the file before.
+        files: Folder and name of each file that MuJoCo may read.
+        mesh_folders: Folders of meshes, as written in the files.
     """
 
     top: Path
@@ -202,14 +209,34 @@ class _Measure:
     named: dict[str, int] = field(default_factory=dict)
     models: dict[str, int] = field(default_factory=dict)
     reading: list[Path] = field(default_factory=list)
+    files: set[tuple[Path, str]] = field(default_factory=set)
+    mesh_folders: set[str] = field(default_factory=set)
 
 
 def check_text(path: Path, text: str) -> None:
     """Reject an MJCF file whose text is too large or too deeply nested for a parser.
 
-    Raises LoadError, which names the file at fault.
+    Files that it names must be regular files.  Raises LoadError, which names the file at fault.
     """
-    _measure(path, text, _Measure(path.parent), 0)
+    size = _Measure(path.parent)
+    _measure(path, text, size, 0)
+    for folder, name in size.files:
+        refuse_special_files([size.top, folder], size.mesh_folders, name)
+
+
+def refuse_special_files(folders: Iterable[Path], inner: Iterable[str], name: str) -> None:
+    """Reject a pipe or a device of this name, whose reading may never end.
+
+    Args:
+        folders: Folders of MJCF files.
+        inner: Folders of meshes, relative to those.
+        name: Name of a file, which MuJoCo may reduce to its last component.
+    Raises:
+        LoadError: The file is neither regular nor missing.
+    """
+    for folder, below, end in product(folders, ("", *inner), (name, Path(name).name)):
+        if is_special(path := folder / below / end):
+            raise LoadError(f"{plain_path(path)} is a pipe or a device, not a regular file")
 
 
 def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
@@ -233,6 +260,12 @@ def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
             raise LoadError(f"{where()}: more than {_DEEPEST} nested elements")
         if len(attributes) > _MOST_ATTRIBUTES:
             raise LoadError(f"{where()}: <{tag}> has more than {_MOST_ATTRIBUTES} attributes")
+        if element.tag in _READING and "file" in attributes:
+            size.files.add((path.parent, attributes["file"]))
+        if element.tag == "compiler":
+            size.mesh_folders |= {attributes.get(key, "") for key in ("meshdir", "assetdir")}
+            if len(size.mesh_folders) > _MOST_FOLDERS:
+                raise LoadError(f"{where()}: more than {_MOST_FOLDERS} folders of meshes")
         if element.tag in ("include", "model") and "file" in attributes:
             _measure_named(path, attributes, element.tag, size, depth + len(stack))
         elif element.tag in _EXPANSIONS:

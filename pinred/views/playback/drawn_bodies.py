@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import LoadError, PinredError
-from ...common.library_output import library_output
 from ...system.catalogue import bundled_robots, example_robot
+from ...system.mesh_files import Mesh
 from ...system.mjcf.compile import compiled
 from ...system.mjcf.mujoco_joints import frame
 from ...system.mjcf.world import World, robot_in
-from ...system.read_urdf import URDFDOM, drawn_text
 from ...system.robot_files import is_mjcf, read_text
 from ...system.system import System
-from ...system.visuals import Visuals, mesh_folders
+from ...system.urdf_shapes import FARTHEST, Shapes, read_shapes
+from ...system.visuals import mesh_folders
 
 # Muted colours that colour-blind people can distinguish (after Okabe and Ito).
 PALETTE = (
@@ -43,22 +42,10 @@ _MESHES = (7, 8)  # mesh, and signed distance function, which includes a mesh
 _VISIBLE_GROUPS = (
     3  # MuJoCo's viewer shows groups below this number; higher groups are usually collision shapes
 )
+_NO_SHAPES = "there are no shapes with the model"
 _NO_COLOUR = (0.5, 0.5, 0.5, 1.0)  # default colour, replaced by the colour of the material
 
 Colour: TypeAlias = tuple[float, float, float, float]  # red, green, blue, opacity
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """A triangle mesh.
-
-    Attributes:
-        vertices: Positions, (V, 3) [m].
-        faces: Indices of vertices, (T, 3).
-    """
-
-    vertices: NDArray[np.float32]
-    faces: NDArray[np.uint32]
 
 
 @dataclass(frozen=True)
@@ -114,9 +101,8 @@ def drawn_bodies(
             bodies = _file_shapes(system, folders)
             if bodies.solids:
                 return bodies
-            reason = "there are no shapes with the model"
-            if visuals is None:
-                reason = "its file has no shapes"
+            nothing = "its file has no shapes" if visuals is None else _NO_SHAPES
+            reason = bodies.note or nothing
         except (PinredError, ValueError, RuntimeError, OSError) as error:
             reason = _message(error)
     return Bodies(_from_inertias(system), (), f"bodies drawn from their inertias: {reason}")
@@ -135,7 +121,7 @@ def extents(bodies: Bodies) -> list[tuple[int, Array, float]]:
         placement = pin.XYZQUATToSE3(solid.placement)
         centre = np.zeros(3)
         if solid.kind == "mesh":
-            vertices = bodies.meshes[int(solid.size[0])].vertices.astype(float)
+            vertices = bodies.meshes[int(solid.size[0])].vertices
             centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
             radius = float(np.linalg.norm(vertices - centre, axis=1).max())
         elif solid.kind in ("box", "cylinder", "cone"):
@@ -158,60 +144,64 @@ def _file(source: str) -> Path:
 def _file_shapes(system: System, folders: Sequence[str]) -> Bodies:
     """Return the shapes that were passed with the model, or the shapes in its file."""
     if system.contents.visuals is not None:
-        return _from_geometry(system, system.contents.visuals)
+        return _from_geometry(system, Shapes(system.contents.visuals, {}, ()))
     origin = system.origin
     assert origin is not None
     path = _file(origin.source)
     if is_mjcf(read_text(path)):
         return mjcf_shapes(system, path)
-    return _from_geometry(system, _from_urdf(path, [*folders, *origin.meshes]))
+    return _from_geometry(system, read_shapes(path, [*folders, *origin.meshes]))
 
 
-def _from_urdf(path: Path, folders: Sequence[str]) -> Visuals:
-    """Read the visual shapes of a URDF file.
-
-    Args:
-        path: The file.
-        folders: Additional search folders for meshes or packages.
-    Returns:
-        The model of the file and its shapes.
-    """
-    # Packages are searched in all parent folders of the file, in `folders`, and next to them.
-    named = [path for folder in folders for path in (folder, str(Path(folder).parent))]
-    above = [str(folder) for folder in path.resolve().parents][:-1]
-    text = drawn_text(path)
-    with library_output(URDFDOM):
-        raw = pin.buildModelFromXML(text)
-        geometry = pin.buildGeomFromUrdfString(
-            raw, text, pin.GeometryType.VISUAL, package_dirs=[*named, *above]
-        )
-    return Visuals(raw, geometry)
-
-
-def _from_geometry(system: System, visuals: Visuals) -> Bodies:
+def _from_geometry(system: System, shapes: Shapes) -> Bodies:
     """Convert Pinocchio's geometry to shapes on the joints of a system."""
-    raw, geometry = visuals.model, visuals.geometry
+    raw, geometry = shapes.visuals.model, shapes.visuals.geometry
     solids: list[Solid] = []
-    meshes: list[Mesh] = []
-    skipped = 0
-    mesh_indices: dict[tuple[str, tuple[float, ...]], int] = {}
+    meshes: dict[Hashable, int] = {}
+    drawn: list[Mesh] = []
+    skipped: list[int] = []  # joints of the shapes that cannot be drawn
     for entry in geometry.geometryObjects:
-        shape = entry.geometry
-        kind, size = _primitive(shape)
-        if kind == "mesh":
-            key = (entry.meshPath, tuple(entry.meshScale))
-            if key not in mesh_indices:
-                mesh_indices[key] = len(meshes)
-                meshes.append(_mesh(shape))
-            size = (float(mesh_indices[key]),)
-        elif not kind:
-            skipped += 1
-            continue
         joint, placement = _joint_of(system, raw, entry)
+        kind, size = _primitive(entry.geometry)
+        if entry.name in shapes.meshes or kind == "mesh":
+            found = _mesh_of(entry, shapes.meshes)
+            if found is None:
+                skipped.append(joint)
+                continue
+            key, mesh = found
+            if meshes.setdefault(key, len(drawn)) == len(drawn):
+                drawn.append(mesh())
+            kind, size = "mesh", (float(meshes[key]),)
+        place = np.array(pin.SE3ToXYZQUAT(placement))
+        if not kind or not np.abs([*size, *place]).max() <= FARTHEST:
+            skipped.append(joint)
+            continue
         colour = tuple(float(c) for c in entry.meshColor)
-        solids.append(Solid(joint, kind, size, np.array(pin.SE3ToXYZQUAT(placement)), colour))  # type: ignore[arg-type]
-    note = f"{skipped} of its shapes cannot be drawn" if skipped else ""
-    return Bodies(tuple(solids), tuple(meshes), note)
+        solids.append(Solid(joint, kind, size, place, colour))  # type: ignore[arg-type]
+    # Bodies of which no shape can be drawn are ellipsoids.
+    empty = {*skipped} - {solid.joint for solid in solids}
+    if solids and empty:
+        solids += [solid for solid in _from_inertias(system) if solid.joint in empty]
+    return Bodies(tuple(solids), tuple(drawn), _remark(len(skipped), shapes.unreadable))
+
+
+def _mesh_of(
+    entry: Any, meshes: Mapping[str, Mesh | None]
+) -> tuple[Hashable, Callable[[], Mesh]] | None:
+    """Return a key of a shape's mesh, and a function that returns the mesh; None without mesh."""
+    if entry.name not in meshes:
+        same = (entry.meshPath, tuple(entry.meshScale)) if entry.meshPath else entry.name
+        return same, lambda: _mesh(entry.geometry)
+    mesh = meshes[entry.name]
+    return None if mesh is None else (id(mesh), lambda: mesh)
+
+
+def _remark(skipped: int, reasons: Sequence[str]) -> str:
+    """Return a remark on shapes that are not drawn, or ""."""
+    if not skipped:
+        return ""
+    first = f": {reasons[0]}" if reasons else ""
+    return f"{skipped} of its shapes cannot be drawn{first}"
 
 
 def _joint_of(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]:
@@ -237,6 +227,9 @@ def _on_joint(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]
     name = str(raw.names[entry.parentJoint])
     if entry.parentJoint == 0:
         return int(not raw.existJointName(system.root_name)), entry.placement
+    if system.model.existFrame(name, pin.FrameType.JOINT):  # also of a joint that was split
+        frame = system.model.frames[system.model.getFrameId(name, pin.FrameType.JOINT)]
+        return frame.parentJoint, frame.placement * entry.placement
     if not system.model.existJointName(name):
         raise LoadError(f"shape '{entry.name}' is attached to joint '{name}', which is locked")
     return system.model.getJointId(name), entry.placement
@@ -261,7 +254,7 @@ def _mesh(shape: Any) -> Mesh:
     for k in range(shape.num_tris):
         triangle = shape.tri_indices(k)
         faces[k] = triangle[0], triangle[1], triangle[2]
-    return Mesh(np.array(shape.vertices(), dtype=np.float32), faces)
+    return Mesh(np.array(shape.vertices(), dtype=float), faces)
 
 
 def _from_inertias(system: System) -> tuple[Solid, ...]:
@@ -346,6 +339,6 @@ def _mjcf_mesh(model: Any, mesh: int) -> Mesh:
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     return Mesh(
-        np.array(model.mesh_vert[first : first + count], dtype=np.float32),
+        np.array(model.mesh_vert[first : first + count], dtype=float),
         np.array(model.mesh_face[face : face + faces], dtype=np.uint32),
     )
