@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import gettempdir
+
+# Threads of BLAS wait for each other on machines whose cores run test processes.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is imported
 
 import pytest
 from compile_ahead import compile_ahead
