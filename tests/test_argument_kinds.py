@@ -38,8 +38,9 @@ ODD: list[tuple[Any, str]] = [
     ({}, rf"{_ANY}|Mapping|dict|PerJoint|Reference|LimitsLike|Springs"),
     ({1: object()}, r"^Any$|dict"),
     ([object()], r"^Any$|Numbers"),
-    # The callables themselves check the entries of arrays.
-    (np.array(["a"]), rf"^Any$|{_NUMBERS}|(Sequence|tuple|Iterable)\[(str|Outcome)"),
+    (np.array(["a"]), r"^Any$|Numbers|(Sequence|tuple|Iterable)\[(str|Outcome)"),
+    (np.array([1.0, None], dtype=object), r"^Any$|Numbers"),
+    (np.array([object()]), r"^Any$|Numbers"),
 ]
 
 
@@ -49,11 +50,22 @@ def functions() -> Iterator[tuple[str, Callable[..., Any], type | None]]:
         if inspect.isfunction(value):
             yield name, value, None
         elif inspect.isclass(value) and not issubclass(value, Exception):
-            for attribute, member in inspect.getmembers_static(value):
-                function = getattr(member, "__func__", member)
-                is_public = not attribute.startswith("_") or attribute in ("__init__", "__call__")
-                if is_public and inspect.isfunction(function) and _is_ours(function):
-                    yield f"{name}.{attribute}", function, value
+            yield from methods(name, value, dir(value))
+
+
+def methods(
+    name: str, kind: type, known: Sequence[str]
+) -> Iterator[tuple[str, Callable[..., Any], type | None]]:
+    """Yield the public methods of a class, and those with which other classes override them."""
+    for attribute, member in inspect.getmembers_static(kind):
+        function = getattr(member, "__func__", member)
+        is_public = not attribute.startswith("_") or attribute in ("__init__", "__call__")
+        is_function = inspect.isfunction(function) and _is_ours(function)
+        if is_public and is_function and attribute in known:
+            yield f"{name}.{attribute}", function, kind
+    for derived in kind.__subclasses__():
+        if derived.__name__.startswith("_"):
+            yield from methods(derived.__name__, derived, known)
 
 
 def _is_ours(function: Callable[..., Any]) -> bool:
@@ -164,6 +176,19 @@ def test_calls_that_were_tracebacks_are_rejected() -> None:
             attempt()
 
 
+ENTRIES = [["a"], [None], [object()], [1.0, "a"]]
+
+
+@pytest.mark.parametrize("entries", ENTRIES)
+def test_arrays_are_checked_after_arrays_of_numbers(entries: list[Any]) -> None:
+    """The type of an array says nothing about its entries."""
+    for numbers in (np.zeros(2), np.zeros(2, dtype=int), np.array([1.0, 2], dtype=object)):
+        assert example(numbers)
+        for dtype in (None, object):
+            with pytest.raises(ShapeError, match="numbers: expected numbers or None, got array"):
+                example(np.array(entries, dtype=dtype))
+
+
 class Sized:
     """A class with a method of each form."""
 
@@ -246,6 +271,20 @@ def test_message_states_the_kind_and_the_value(options: dict[str, Any], message:
     )
     with pytest.raises(ShapeError if "numbers" in options else InputError, match=message):
         example(**options)
+
+
+def test_default_without_entries_is_not_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other tuples are checked at each call, because their entries vary."""
+    checked: list[Any] = []
+    check = example.__globals__["_check_"]
+    monkeypatch.setitem(
+        example.__globals__, "_check_", lambda k, value: checked.append(value) or check(k, value)
+    )
+    example(names=("a",))
+    checked.clear()
+    example()
+    example(names=("a",))
+    assert checked == [(0, 0.0), ("a",), (0, 0.0)]
 
 
 def test_check_of_known_types_costs_less_than_a_microsecond() -> None:

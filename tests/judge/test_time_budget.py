@@ -96,3 +96,15 @@ def test_invalid_budget_is_rejected(traj: pinred.Trajectory, budget: float) -> N
     """A budget is a positive number of seconds."""
     with pytest.raises(pinred.InputError, match="budget"):
         pinred.compare(traj, budget=budget)
+
+
+@pytest.mark.parametrize(("damping", "duration"), [(-1e3, 6e-5), (1e6, 0.02)])
+def test_stiff_and_unstable_scenes_end_with_a_verdict(damping: float, duration: float) -> None:
+    """Neither scene can be followed within the budget; the judge raises nothing."""
+    force = pinred.forces.Damper("bend", damping)
+    traj = pinred.simulate(pinred.load("falling_cat"), seed=1, duration=duration, forces=[force])
+    report = pinred.compare(traj, budget=0.02)
+    # Defects of stiff steps are large, so the verdict on them may be FAILED.
+    expected = {Verdict.CANNOT_TELL} if damping < 0.0 else {Verdict.CANNOT_TELL, Verdict.FAILED}
+    assert report.verdict in expected
+    assert "it reached t = " in report.reasons[-1]
