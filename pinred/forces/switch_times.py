@@ -23,6 +23,7 @@ from .vector_program import VectorProgram
 
 _FRACTION = 0.3819660112501051  # golden section of a span
 _REMEMBERED = 16  # number of runs whose times are cached
+_NEAR = 1e-9  # distance of g from a root that is round-off, relative to the terms of g
 ROUND_OFF = 1e-12  # times closer than this fraction of the duration are merged
 
 
@@ -176,35 +177,49 @@ class SwitchTimes:
         for time, switch in zip(times.time.tolist(), times.switch.tolist(), strict=True):
             # A stop is the last of the times that differ by round-off.
             k = min(int(np.searchsorted(stops, time)), len(stops) - 1)
-            within = time_within(float(starts[k]), float(stops[k]))
-            is_table = switch < 0
-            rows[k].append(
-                np.zeros(len(numbers)) if is_table else self._slope(switch, time, within, numbers)
+            if switch < 0:
+                rows[k].append(np.zeros(len(numbers)))
+                continue
+            spans = [
+                (starts[k], stops[k]),
+                *zip(stops[k : k + 1], stops[k + 1 : k + 2], strict=False),
+            ]
+            rows[k] += self._slopes_at(
+                switch, time, [time_within(*span) for span in spans], numbers
             )
         return [np.array(own).reshape(-1, len(numbers)) for own in rows]
 
-    def _slope(self, switch: int, time: float, within: float, numbers: Array) -> Array:
-        """Return the derivative of a time with respect to the numbers, (p,).
+    def _slopes_at(
+        self, switch: int, time: float, within: Sequence[float], numbers: Array
+    ) -> list[Array]:
+        """Return the derivatives of a time with respect to the numbers, (p,) each.
+
+        Where an inner switch changes at the same time, g can have its root on one side only: in
+        `floor(a*fmod(t, c))`, g jumps to zero at t = c.
 
         Args:
             switch: Index of the switch.
             time: Time at which it changes [s].
-            within: A time in the span before it [s].
+            within: A time in the span before it, and one in the span after it [s].
             numbers: Numbers of the run, (p,).
         Returns:
-            The derivative; not finite where g only touches zero.
+            One derivative for each side on which g has the root, or that of the side before; not
+            finite where g only touches zero.
         """
         if switch not in self._slopes:
-            column = ca.vertcat(self._time, *self._numbers)
-            row = ca.jacobian(self._arguments[switch], column)
-            self._slopes[switch] = VectorProgram(self._inputs, ca.horzsplit(row))
-        own = numbers[self.used]
-        states = self._states(within, *own)
-        rate, *rest = (float(v) for v in self._slopes[switch](time, within, *states, *own))
-        slopes = np.zeros(len(numbers))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slopes[self.used] = -np.array(rest) / rate
-        return slopes
+            argument, column = self._arguments[switch], ca.vertcat(self._time, *self._numbers)
+            outputs = [argument, *ca.horzsplit(ca.jacobian(argument, column))]
+            self._slopes[switch] = VectorProgram(self._inputs, outputs)
+        own, whole, sides = numbers[self.used], self._located[switch].whole, []
+        for side in within:
+            states = self._states(side, *own)
+            g, rate, *rest = (float(v) for v in self._slopes[switch](time, side, *states, *own))
+            slopes = np.zeros(len(numbers))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                slopes[self.used] = -np.array(rest) / rate
+            distance = abs(g - round(g)) if whole and np.isfinite(g) else abs(g)
+            sides.append((distance <= _NEAR * (abs(g) + abs(rate) * time), slopes))
+        return [slopes for is_root, slopes in sides if is_root] or [sides[0][1]]
 
     def _columns(self, spans: Spans, own: Array) -> list[Array]:
         """Return all inputs of the arguments except time, (P,) each."""

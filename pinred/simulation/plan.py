@@ -211,7 +211,7 @@ class Plan:
         has_controllers = self.forces is not None and bool(self.forces.held)
         return len(self.stops) > 1 and not has_controllers and not self.scene.events_given
 
-    @property
+    @cached_property
     def has_time_functions(self) -> bool:
         """Whether forces contain functions of time, and step control decides where to see them."""
         forces = self.forces

@@ -9,61 +9,37 @@ time cost nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
 
 import numpy as np
 
 from ..common.arrays import Array, read_only
-from ..common.memo import once
 from ..forces.force_model import ForceModel
 from ..forces.switch_times import ROUND_OFF, time_within
 from ..integrators.methods import DOP853, Method
-from ..integrators.stepping.compiling import compiled
-from ..system.coordinates import Indices
 from .compiled.integrator import divisions_of
 from .motion import Motion
 from .plan import Plan
+from .time_table import (
+    MISSED,
+    SPARSE,
+    TIMES,
+    fit_of,
+    resolved_limit,
+    stops_at,
+    time_table,
+    worst_indices,
+)
 from .trajectory import Cost, Trajectory
 
-_TIMES = 8000  # number of times in the table of a run
-_FEWEST = 16  # least number of times in a span of the table
-_DEGREE = 7  # largest degree of the polynomials
-# Largest difference that counts as resolved, as a fraction of the function's range, at rtol 1e-6.
-# It is proportional to the third root of rtol, up to the largest value.
-_MISSED, _MOST_MISSED = 0.02, 0.2
-_ROUND_OFF = 1e-9  # the same as a fraction of the function's largest absolute value
 _SHOWN = 5  # largest number of times in a notice
-_RERUNS = 2  # largest number of further runs
+RERUNS = 2  # largest number of further runs
 # Change of states between two runs that is an error, in tolerances.
 _CHANGED = 100.0
 _COMPARED = 16  # number of times at which two runs are compared
-_SPARSE = 32  # largest distance of grid times at which functions are compared, in grid times
-_LINEAR = 1e-3  # largest deviation from linear interpolation between them, relative to the range
-_RUNS = 16  # number of runs whose grid values are cached
-
-
-@dataclass(frozen=True)
-class _Table:
-    """The functions of time of one run in spans between breaks, with equal distances in a span.
-
-    Attributes:
-        ends: End of each span, (S,) [s].
-        starts: Start of each span, (S,) [s].
-        gaps: Distance of the times of each span, (S,) [s].
-        first: Index of the first time of each span, (S + 1,).
-        values: Values of the functions divided by their ranges, (F, G).
-        chosen: Indices of the times at which functions are compared, (C,).
-        times: These times, (C,) [s].
-    """
-
-    ends: Array
-    starts: Array
-    gaps: Array
-    first: Indices
-    values: Array
-    chosen: Indices
-    times: Array
+_COUNTS = 2 ** np.arange(11)  # numbers of equal steps on which functions are compared
+_PER_STEP = 4  # distances of grid times in the shortest of these steps, at least
+_SMOOTH = 0.1  # largest difference of smooth functions, relative to the largest that is resolved
 
 
 def resolve(plan: Plan, trajectory: Trajectory, run: Callable[[Plan], Trajectory]) -> Trajectory:
@@ -78,21 +54,26 @@ def resolve(plan: Plan, trajectory: Trajectory, run: Callable[[Plan], Trajectory
         has changed the motion, a notice states it.
     """
     runs = [trajectory]
-    while (missed := _unresolved(plan, runs[-1])).size and len(runs) <= _RERUNS:
+    while (missed := _unresolved(plan, runs[-1])).size and len(runs) <= RERUNS:
         plan = with_stops(plan, missed)
         runs.append(run(plan))
     if len(runs) == 1:
         return trajectory
     last, notices = runs[-1], runs[-1].run.notices
     if missed.size and differ(runs[-2], last):
-        times = ", ".join(f"{t:g}" for t in missed[:_SHOWN].tolist())
-        notices += (
-            f"forces: a function of time of '{plan.system.name}' changes faster than the steps "
-            f"near t = {times} s, so the motion may be wrong. Limit the steps with max_step, or "
-            "state the times as breaks of a table",
-        )
+        notices += (describe_unresolved(plan, missed),)
     last.run = replace(cost_of_all([r.run for r in runs]), notices=notices)
     return last
+
+
+def describe_unresolved(plan: Plan, times: Array) -> str:
+    """Return a sentence on functions of time that are not resolved at times (U,) [s]."""
+    shown = ", ".join(f"{t:g}" for t in times[:_SHOWN].tolist())
+    return (
+        f"forces: a function of time of '{plan.system.name}' changes faster than the steps "
+        f"near t = {shown} s, so the motion may be wrong. Limit the steps with max_step, or "
+        "state the times as breaks of a table"
+    )
 
 
 def cost_of_all(runs: Sequence[Cost]) -> Cost:
@@ -117,7 +98,12 @@ def differ(first: Trajectory, second: Trajectory) -> bool:
     end = min(first.scene.end, second.scene.end)
     times = np.linspace(0.0, end, _COMPARED + 1)[1:]
     y, other = first.motion.reduced(times), second.motion.reduced(times)
-    rtol, atol = first.scene.rtol, first.scene.atol
+    return states_differ(first.plan, y, other)
+
+
+def states_differ(plan: Plan, y: Array, other: Array) -> bool:
+    """Return whether reduced states (T, k) differ by more than the tolerance of a plan explains."""
+    rtol, atol = plan.scene.rtol, plan.scene.atol
     scale = atol + rtol * np.maximum(1.0, np.abs(y).max(axis=1, initial=0.0))
     return not (np.abs(y - other).max(axis=1, initial=0.0) <= _CHANGED * scale).all()
 
@@ -133,28 +119,93 @@ def find_unresolved(plan: Plan, motion: Motion, method: type[Method], divisions:
     Returns:
         The time of the largest difference in each step with a difference, (U,) [s].
     """
-    forces, (nodes, fit) = plan.forces, _fit(method)
-    if forces is None or not nodes.size:
+    if plan.forces is None:
         return np.empty(0)
-    table = _table(forces, plan.scene.end)
     knots = _step_ends(motion, divisions)
-    # Steps of collocation are long at any tolerance: their order is twice the number of stages.
-    rtol = plan.scene.rtol if nodes[0] == 0.0 else max(plan.scene.rtol, 1e-6)
-    missed = min(_MISSED * (rtol / 1e-6) ** (1.0 / 3.0), _MOST_MISSED)
-    worst = np.empty(len(knots) - 1, dtype=np.int64)
-    work = np.empty((len(table.values), fit.shape[1]))
-    _find_worst(
-        knots, nodes, fit, table.ends, table.starts, table.gaps, table.first, table.values,
-        table.chosen, table.times, missed, work, worst,
-    )  # fmt: skip
-    return table.times[worst[worst >= 0]]
+    return unresolved_times(plan, plan.forces, plan.forces.numbers, knots, method)
+
+
+def unresolved_times(
+    plan: Plan, forces: ForceModel, numbers: Array, knots: Array, method: type[Method]
+) -> Array:
+    """Return the times at which functions of time are not resolved by steps.
+
+    Args:
+        plan: The plan of the scene.
+        forces: Its forces.
+        numbers: Force parameters of the run, (p,).
+        knots: Ends of the steps, with the start of the run, (K + 1,) [s].
+        method: Method of the steps.
+    Returns:
+        The time of the largest difference in each step with a difference, (U,) [s].
+    """
+    nodes, fit = fit_of(method)
+    if not nodes.size:
+        return np.empty(0)
+    table = time_table(forces, plan.scene.end, numbers)
+    worst = worst_indices(table, knots, nodes, fit, resolved_limit(plan, nodes))
+    return stops_at(table, worst[worst >= 0], nodes)
+
+
+def stops_for_any_steps(
+    plan: Plan, forces: ForceModel, numbers: Array, method: type[Method]
+) -> Array:
+    """Return stops with which steps of any length see all short changes of functions of time.
+
+    The functions are compared on equal steps of many lengths. Steps of a length can skip a change
+    only if the functions are smooth before it on this length. A stop is placed in each such change.
+
+    Args:
+        plan: The plan of the scene.
+        forces: Its forces.
+        numbers: Force parameters of the run, (p,).
+        method: Method of the steps.
+    Returns:
+        Stops, (U,) sorted [s]. They depend on the functions only, not on the motion.
+    """
+    nodes, fit = fit_of(method)
+    if not nodes.size or _is_smooth(forces, plan.scene.end, numbers):
+        return np.empty(0)
+    table, limit = time_table(forces, plan.scene.end, numbers), resolved_limit(plan, nodes)
+    found = [np.empty(0, dtype=np.int64)]
+    finest = len(table.chosen) and int(np.diff(table.chosen).clip(1).min())
+    for count in _COUNTS[TIMES / (_PER_STEP * max(finest, 1)) >= _COUNTS]:
+        for offset in (0.0, 0.5):  # a change can lie across the end of a step
+            grid = plan.scene.end / count * (np.arange(count) + offset)
+            knots = np.union1d(grid, np.append(table.starts, table.ends))
+            worst = worst_indices(table, knots, nodes, fit, limit)
+            if (worst >= 0).any():
+                smooth = worst_indices(table, knots, nodes, fit, _SMOOTH * limit) < 0
+                # No step precedes the first one, so there the change has to end again.
+                begins = np.append(smooth[1:2], smooth[:-1]) if count > 1 else np.array([True])
+                found.append(worst[(worst >= 0) & begins[: len(worst)]])
+    return stops_at(table, np.unique(np.concatenate(found)), nodes)
+
+
+def _is_smooth(forces: ForceModel, end: float, numbers: Array) -> bool:
+    """Return whether functions of time are almost linear between distant times, (p,) numbers."""
+    if forces.switching.breaks(end, numbers).size:
+        return False
+    times = np.linspace(0.0, end, TIMES + 1)
+    within = float(time_within(0.0, end))
+    values = forces.time_functions(times, numbers, forces.within, within)
+    ends, parts = values[:, ::SPARSE], np.arange(SPARSE) / SPARSE
+    inside = values[:, :-1].reshape(len(values), -1, SPARSE)
+    linear = ends[:, :-1, None] + np.diff(ends)[:, :, None] * parts
+    off = np.abs(inside - linear).max(axis=(1, 2))
+    return bool((off <= MISSED * np.ptp(values, axis=1)).all())
 
 
 def with_stops(plan: Plan, times: Array) -> Plan:
     """Return a plan that also stops at given times, (U,) [s]."""
-    stops = np.union1d(plan.stops, times)
-    distinct = np.append(np.diff(stops) > ROUND_OFF * plan.scene.end, True)
-    return replace(plan, stops=read_only(stops[distinct]))
+    return replace(plan, stops=joined_stops(plan.stops, times))
+
+
+def joined_stops(stops: Array, times: Array) -> Array:
+    """Return the union of stops, (S,) with the end as last, and times, (U,); read-only [s]."""
+    union = np.union1d(stops, times)
+    distinct = np.append(np.diff(union) > ROUND_OFF * stops[-1], True)
+    return read_only(union[distinct])
 
 
 def _step_ends(motion: Motion, divisions: int) -> Array:
@@ -163,144 +214,3 @@ def _step_ends(motion: Motion, divisions: int) -> Array:
     knots = segments[0].knots if len(segments) == 1 else motion.knots
     ends = np.array(knots[::divisions])
     return ends if ends[-1] == knots[-1] else np.append(ends, knots[-1])
-
-
-@cache
-def _fit(method: type[Method]) -> tuple[Array, Array]:
-    """Return distinct stage times, (s,), and the matrix from values there to coefficients.
-
-    The matrix (s, d) fits polynomials of u = 2 c − 1 to values in the sense of least squares.
-    """
-    nodes = np.unique(method.stage_times())
-    if not nodes.size:
-        return nodes, np.empty((0, 0))
-    degree = min(_DEGREE, len(nodes) - 1)
-    powers = np.vander(2.0 * nodes - 1.0, degree + 1, increasing=True)
-    return nodes, np.ascontiguousarray(np.linalg.pinv(powers).T)
-
-
-def _table(forces: ForceModel, end: float) -> _Table:
-    """Return the table of the functions of time, cached."""
-    functions = forces.time_functions
-    known: dict[tuple[float, bytes], _Table] = once(functions, _Table, dict)
-    key = end, forces.numbers.tobytes()
-    table = known.get(key)
-    if table is None:
-        while len(known) >= _RUNS:
-            known.pop(next(iter(known)), None)
-        table = known[key] = _tabulate(forces, end)
-    return table
-
-
-def _tabulate(forces: ForceModel, end: float) -> _Table:
-    breaks = forces.breaks(end)
-    starts, ends = np.append(0.0, breaks), np.append(breaks, end)
-    counts = np.maximum(np.ceil(_TIMES * (ends - starts) / end).astype(int) + 1, _FEWEST)
-    gaps, first = (ends - starts) / (counts - 1), np.append(0, np.cumsum(counts))
-    span = np.repeat(np.arange(len(counts)), counts)
-    times = starts[span] + gaps[span] * (np.arange(len(span)) - first[span])
-    within = time_within(starts, ends)[span]
-    values = forces.time_functions(times, forces.numbers, forces.within, within)
-    finite = np.where(np.isfinite(values), values, 0.0)
-    sizes = np.maximum(np.ptp(finite, axis=1), _ROUND_OFF * np.abs(finite).max(axis=1))
-    values /= (sizes + np.finfo(float).tiny)[:, None]
-    chosen = _needed(values, first)
-    return _Table(ends, starts, gaps, first, values, chosen, times[chosen])
-
-
-def _needed(values: Array, first: Indices) -> Indices:
-    """Return the indices of times between which all functions are almost linear.
-
-    Args:
-        values: Values of the functions divided by their ranges, (F, G).
-        first: Index of the first time of each span, (S + 1,).
-    Returns:
-        Sorted indices. Other values differ by less than _LINEAR from linear interpolation.
-    """
-    everywhere = np.arange(values.shape[1])
-    chosen = np.unique(np.concatenate([everywhere[::_SPARSE], first[:-1], first[1:] - 1]))
-    while True:
-        off = np.zeros(len(everywhere))
-        for row in values:
-            off = np.maximum(off, np.abs(row - np.interp(everywhere, chosen, row[chosen])))
-        # Where a value is not a number, every time is kept.
-        bad = np.maximum.reduceat(np.where(off <= _LINEAR, 0.0, 1.0), chosen[:-1]) > 0.0
-        bad &= np.diff(chosen) > 1
-        if not bad.any():
-            return chosen
-        chosen = np.union1d(chosen, ((chosen[:-1] + chosen[1:]) // 2)[bad])
-
-
-@compiled
-def _interpolate(row: Array, first: int, last: int, u: float) -> float:
-    """Interpolate a row between indices first and last at index first + u, by a cubic."""
-    i = min(max(int(u) - 1, 0), last - first - 3)
-    s, i = u - i, first + i
-    a, b, c = s - 1.0, s - 2.0, s - 3.0
-    outer = s * a * b * row[i + 3] - a * b * c * row[i]
-    inner = s * b * c * row[i + 1] - s * a * c * row[i + 2]
-    value: float = outer / 6.0 + 0.5 * inner
-    return value
-
-
-@compiled
-def _find_worst(
-    knots: Array,
-    nodes: Array,
-    fit: Array,
-    ends: Array,
-    starts: Array,
-    gaps: Array,
-    first: Indices,
-    values: Array,
-    chosen: Indices,
-    times: Array,
-    missed: float,
-    work: Array,
-    worst: Indices,
-) -> None:
-    """Find the time in each step at which a function differs most from its polynomial.
-
-    Args:
-        knots: Ends of steps, with the start of the run, (K + 1,) [s].
-        nodes: Distinct times of stages as fractions of a step, (s,).
-        fit: Matrix from values at the nodes to coefficients of the polynomial, (s, d).
-        ends: Field of the table, like the following ones up to `times`.
-        starts: See _Table.
-        gaps: See _Table.
-        first: See _Table.
-        values: See _Table.
-        chosen: See _Table.
-        times: See _Table.
-        missed: Largest difference that counts as resolved, relative to the range.
-        work: Coefficients of all functions in one step, (F, d); changed.
-        worst: Index among `times`, (K,), −1 if the step resolves all functions; output.
-    """
-    j, span = 0, 0
-    for k in range(worst.shape[0]):
-        start, length = knots[k], knots[k + 1] - knots[k]
-        while span + 1 < ends.shape[0] and ends[span] < start + 0.5 * length:
-            span += 1
-        for f in range(values.shape[0]):
-            for i in range(fit.shape[1]):
-                work[f, i] = 0.0
-            for n in range(nodes.shape[0]):
-                u = (start + nodes[n] * length - starts[span]) / gaps[span]
-                value = _interpolate(values[f], first[span], first[span + 1] - 1, u)
-                for i in range(fit.shape[1]):
-                    work[f, i] += value * fit[n, i]
-        worst[k] = -1
-        most = missed
-        while j < times.shape[0] and chosen[j] < first[span]:
-            j += 1
-        while j < times.shape[0] and chosen[j] < first[span + 1] and times[j] <= knots[k + 1]:
-            u = 2.0 * (times[j] - start) / length - 1.0
-            for f in range(values.shape[0]):
-                polynomial = 0.0
-                for i in range(fit.shape[1] - 1, -1, -1):
-                    polynomial = polynomial * u + work[f, i]
-                difference = abs(values[f, chosen[j]] - polynomial)
-                if difference > most:
-                    most = difference
-                    worst[k] = j
-            j += 1

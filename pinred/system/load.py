@@ -139,7 +139,6 @@ def load(
                 "meshes= applies to URDF only; an MJCF file contains the paths of its meshes"
             )
         system = _load_mujoco(source, mjcf_kind, requested, locked, new_gravity, root)
-        doubts: tuple[str, ...] = ()
     else:
         visuals = with_visuals(source)
         if visuals is not None:
@@ -160,14 +159,13 @@ def load(
             )
         robot = _read(source, requested, locked, folders)
         system = _load_model(robot, locked, new_gravity, visuals)
-        doubts = system.doubts
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
         warnings.warn(message, LeftOutWarning, stacklevel=_CALLER)
     for warning in system.contents.warnings:
         warnings.warn(f"{quoted(system.name)}: {warning}", ModelWarning, stacklevel=_CALLER)
-    for doubt in doubts:
+    for doubt in system.doubts:
         if strict:
             raise ModelError(f"{quoted(system.name)} is refused because of strict=True: {doubt}")
         warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=_CALLER)

@@ -138,12 +138,12 @@ def _placed(raw: pin.Model, i: int, parts: Sequence[Part]) -> list[_SplitPart]:
 
 def _parts_of(joint: pin.JointModel) -> tuple[Part, ...] | None:
     """Return the hinges and slides of a joint; None if its motion is not a product of them."""
-    kind = str(joint.shortname()).removeprefix("JointModel")
-    if kind in TYPES:
-        return TYPES[kind].parts(joint)
+    name = str(joint.shortname()).removeprefix("JointModel")
+    if name in TYPES:
+        return TYPES[name].parts(joint)
     if is_shape_joint(joint):
         return (Part("", joint, pin.SE3.Identity()),)
-    if kind != "Composite":
+    if name != "Composite":
         return None
     composite, parts = joint.extract(), list[Part]()
     places = composite.jointPlacements

@@ -18,7 +18,7 @@ from pinred.analysis.phases.path_basis import fourier_rows
 from pinred.common.arrays import Array
 from pinred.planning.optimisation import gait_search, optimise
 from pinred.planning.optimisation.gait_search import fourier_path_of
-from pinred.planning.optimisation.ipopt import Problem, kkt_residual, minimum
+from pinred.planning.optimisation.ipopt import Minimum, Problem, kkt_residual, minimum
 from pinred.planning.optimisation.limits import limits_of
 from pinred.planning.optimisation.loop_peaks import cells_of, loop_peaks
 from pinred.planning.optimisation.objective import COSTS, axis_aim, target_aim
@@ -145,6 +145,54 @@ def test_cells_that_the_last_stage_exceeds_are_added(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(gait_search, "_ROUNDS", 1)
     with pytest.raises(pinred.NoOptimum, match="exceeds its limits"):
         pinred.optimise_gait(rods(), harmonics=1, limits=1.0, starts=1)
+
+
+def test_last_stage_returns_no_worse_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If the last stage ends at a worse loop, the optimum of the search is returned."""
+    A = rods()
+    task = Task(
+        A, axis_aim(A.group, "rotation", None), "torque", None, limits_of(A, 9.0, None, None), 1.0
+    )
+    search = gait_search.Search(task, fourier_path_of(task, 1))
+    start = pinred.Gait.fourier([0.3, -0.2], [[1.0, 0.2]], [[0.1, 0.9]])
+    gait = search.gait(search.optimise_from(start).z)
+    stuck = gait_search.Search.optimise_from
+
+    def worse(self: gait_search.Search, loop: pinred.Gait, *, most: int) -> Minimum:
+        best = stuck(self, loop, most=most)
+        return replace(best, z=1.1 * best.z, residual=0.0)
+
+    monkeypatch.setattr(gait_search.Search, "optimise_from", worse)
+    finished, best = gait_search.finish(search, gait)
+    close(best.z, search.unknowns(gait), 1e-12)
+    assert best.residual == kkt_residual(problem_of(task, finished.path), best.z) < 1e-5
+
+
+def test_loops_stay_near_their_limits_between_limited_cells() -> None:
+    """With no cells, the sample times limit the loop to 1.001 of its limits."""
+    A = rods()
+    limits = limits_of(A, 1.0, 3.0, None)
+    task = Task(A, axis_aim(A.group, "rotation", None), "length", None, limits, 1.0)
+    path = fourier_path_of(task, 1)
+    none = cells_of(limits, 1).select(np.zeros(len(cells_of(limits, 1).joint), dtype=bool))
+    z = minimum(problem_of(task, replace(path, cells=none)), np.full(path.size, 0.1)).z
+    values, slopes, _ = path.checked
+    c = path.coefficients(z)
+    assert 1.0 < np.abs(values @ c).max() <= 1.001 + 1e-7
+    assert np.abs(slopes @ c).max() <= 3.003 + 1e-6
+
+
+@pytest.mark.by_hand
+def test_shortest_turn_of_falling_cat_by_180_degrees() -> None:
+    """The length without limits at 16 harmonics: at most 0.5773."""
+    A = pinred.Connection.mechanical(pinred.load("falling_cat"))
+    best = pinred.optimise_gait(
+        A, objective="target", target=[np.pi, 0.0, 0.0], limits=10.0, harmonics=16, starts=1, seed=1
+    )
+    assert best.cost <= 0.5773
+    assert best.value < 1e-6
+    turned = by_pinocchio(pinred.load("falling_cat"), best.gait, np.zeros(6))
+    close(np.abs(turned[3:]), [1.0, 0.0, 0.0, 0.0], 1e-6)
 
 
 def test_peaks_of_loop_equal_those_of_fine_grid() -> None:

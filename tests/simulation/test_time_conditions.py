@@ -178,15 +178,56 @@ def test_flow_by_switch_times_equals_differences(method: Any) -> None:
         return np.concatenate([state.x, state.xdot]).ravel()
 
     for name in names:
-        rows = [(end(name, h) - end(name, -h)) / (2.0 * h) for h in 8e-3 / 2.0 ** np.arange(4)]
-        for k in range(1, 4):
-            rows = [(4**k * b - a) / (4**k - 1) for a, b in pairwise(rows)]
-        assert np.abs(rows[0]).max() > 1e-2
-        assert np.abs(jacobian[name].ravel() - rows[0]).max() < 1e-8 * np.abs(rows[0]).max()
+        expected = richardson(lambda change, name=name: end(name, change), 0.0, 8e-3)
+        assert np.abs(expected).max() > 1e-2
+        assert np.abs(jacobian[name].ravel() - expected).max() < 1e-8 * np.abs(expected).max()
     covector = np.random.default_rng(0).normal(size=jacobian["start"].shape)
     pulled = flow.vjp(covector)
     for name in names:
         assert pulled[name] == pytest.approx(np.vdot(covector, jacobian[name]), rel=1e-10)
+
+
+def richardson(function: Any, value: float, change: float) -> Any:
+    """Return the derivative of a function from differences at four changes, extrapolated."""
+    changes = change / 2.0 ** np.arange(4)
+    rows = [(function(value + h) - function(value - h)) / (2.0 * h) for h in changes]
+    for k in range(1, 4):
+        rows = [(4**k * b - a) / (4**k - 1) for a, b in pairwise(rows)]
+    return rows[0]
+
+
+@pytest.mark.parametrize(
+    ("values", "function"),
+    [
+        ({"a": 7.3, "b": 3.1}, lambda t, a, b: 0.02 * ca.floor(a * ca.fabs(ca.sin(b * t)))),
+        # The floor jumps where fmod does, and moves with it.
+        ({"a": 6.2, "b": 0.39}, lambda t, a, b: 0.05 * ca.floor(a * ca.fmod(t, b))),
+        (
+            {"a": 0.31, "b": 0.13},
+            lambda t, a, b: 0.2 * ca.if_else(ca.fmod(t, a) < b, 1, -1),
+        ),
+        ({"a": 3.4, "b": 2.7}, lambda t, a, b: 0.03 * ca.floor(a * ca.floor(b * t) * t)),
+    ],
+)
+def test_flow_by_nested_switch_times_equals_differences(values: Any, function: Any) -> None:
+    """The changes are so small that no switch meets another; longer ones are off by up to 0.1."""
+    a, b = Parameter("a", 1.0), Parameter("b", 1.0)
+    torque = Torque(lambda s: {"bend": function(s.t, a, b)})
+    options = scene(torque, rtol=1e-12, atol=1e-13, times=[1.0], parameters=values, method="DOP853")
+    flow = pinred.flow(options, wrt=("a", "b"), of=("x", "xdot"))
+    jacobian = flow.jacobian()
+    for name, value in values.items():
+
+        def end(x: float, name: str = name) -> Any:
+            state = flow(**{name: x})
+            return np.concatenate([state.x, state.xdot]).ravel()
+
+        expected = richardson(end, value, 5e-4)
+        assert np.abs(expected).max() > 1e-2
+        assert np.abs(jacobian[name].ravel() - expected).max() < 2e-9 * np.abs(expected).max()
+    covector = np.random.default_rng(0).normal(size=jacobian["a"].shape)
+    for name, pulled in flow.vjp(covector).items():
+        assert pulled == pytest.approx(np.vdot(covector, jacobian[name]), rel=1e-10)
 
 
 def test_flow_by_coinciding_switches_is_refused() -> None:

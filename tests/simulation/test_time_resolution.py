@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,6 +17,8 @@ from pinred.forces import Torque
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold
 from pinred.simulation import time_resolution
+from pinred.simulation.flow_map import resolved_run
+from pinred.simulation.members import integrate_members
 from pinred.simulation.plan import plan_of
 
 CAT = pinred.load("falling_cat")
@@ -140,3 +143,73 @@ def test_one_step_resolves_half_a_period(rate: float, missed: int) -> None:
     plan = plan_of(scene(Torque(lambda s: {"bend": ca.sin(RATE * s.t)}), parameters={"rate": rate}))
     motion: Any = SimpleNamespace(segments=[SimpleNamespace(knots=np.array([0.0, 2.0]))])
     assert time_resolution.find_unresolved(plan, motion, pinred.DOP853).size == missed
+
+
+BUMPS = [(3e-4, 1.2465), (1.1e-3, 1.1919), (2.5e-3, 1.5686), (2e-2, 0.7)]  # widths and times [s]
+
+
+def end_of(width: float, centre: float) -> Array:
+    """Return the final shape of a run with steps shorter than a bump."""
+    values = {"centre": centre, "width": width}
+    fine = scene(Torque(bump), parameters=values, method=f"DOP853(max_step={width / 3.0})")
+    return np.asarray(pinred.simulate(fine, rtol=1e-11, atol=1e-12).x[-1])
+
+
+@pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
+def test_flows_and_implicit_methods_skip_no_bumps(method: str) -> None:
+    """Each call of a flow is checked; Gauss methods stop at several times around a bump."""
+    options = scene(Torque(bump), parameters={"centre": 1.0, "width": 0.01}, method=method)
+    flow = pinred.flow(options, wrt=("centre", "width"), of=("x",))
+    for width, centre in BUMPS:
+        values = {"centre": centre, "width": width}
+        expected = end_of(width, centre)
+        assert np.abs(flow(**values).x.ravel() - expected).max() < 2e-4
+        checked = pinred.simulate(options, parameters=values).x[-1]
+        assert np.abs(checked - expected).max() < 2e-4
+
+
+def test_flow_of_a_bump_has_its_derivatives() -> None:
+    """Stops at a bump do not change the derivatives by its time."""
+    values = {"centre": 1.2465, "width": 1e-3}
+    options = scene(Torque(bump), parameters=values, rtol=1e-10, atol=1e-11)
+    flow = pinred.flow(options, wrt=("centre",), of=("x",))
+    ends = [flow(centre=1.2465 + h).x.ravel() for h in (1e-4, -1e-4)]
+    slope = flow.jacobian()["centre"].ravel()
+    assert slope == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=1e-4 * np.abs(slope).max())
+
+
+def test_flow_with_unresolved_functions_warns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The warning is that of `simulate`."""
+    flow = pinred.flow(scene(Torque(bump)), wrt=("centre",), of=("x",))
+    stops = iter([0.5, 1.0, 1.5])
+    monkeypatch.setattr(resolved_run, "unresolved_times", lambda *_: np.array([next(stops)]))
+    monkeypatch.setattr(time_resolution, "_CHANGED", 0.0)
+    with pytest.warns(pinred.AccuracyWarning, match=r"changes faster than the steps near t = 1.5"):
+        flow(centre=1.0)
+
+
+def test_members_skip_no_bumps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Members stop in short changes, each as without the others; sines need no stop."""
+    widths, centres = np.array(BUMPS).T
+    options = scene(Torque(bump))
+    batch = pinred.simulate_many(options, members={"width": widths, "centre": centres})
+    for k, (width, centre) in enumerate(BUMPS):
+        assert np.abs(batch.x[k, -1] - end_of(width, centre)).max() < 1e-4
+    alone = pinred.simulate_many(options, members={"width": widths[:1], "centre": centres[:1]})
+    np.testing.assert_array_equal(alone.x[0], batch.x[0])
+    shared = replace(options, parameters={"width": widths[0], "centre": centres[0]})
+    np.testing.assert_array_equal(pinred.simulate_many([shared, shared]).x[1], batch.x[0])
+    monkeypatch.setattr(integrate_members, "stops_for_any_steps", lambda *_: np.empty(0))
+    bare = pinred.simulate_many(options, members={"width": widths, "centre": centres})
+    assert np.abs(bare.x[:3] - batch.x[:3]).max() > 1e-2
+
+
+@pytest.mark.parametrize("rate", [1.0, 10.0, 30.0, 300.0])
+def test_ordinary_functions_need_few_stops(rate: float) -> None:
+    """They change everywhere, so that no step is long before a change."""
+    sine = Torque(lambda s: {"bend": ca.sin(RATE * s.t)})
+    plan = plan_of(scene(sine, parameters={"rate": rate}))
+    assert plan.forces is not None
+    numbers = plan.forces.numbers
+    stops = time_resolution.stops_for_any_steps(plan, plan.forces, numbers, pinred.DOP853)
+    assert len(stops) <= rate / 30.0

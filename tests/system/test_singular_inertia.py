@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from odd_trees import mass_matrix, odd_model
 from point_pendulum import GRAVITY, URDF, Lagrangian
-from robot_texts import joint, link, robot, write
+from robot_texts import body, joint, link, mjcf, robot, write
 from strategies import groups, seeds
 from trees import random_model
 
@@ -262,6 +262,18 @@ def test_strict_refuses_isolated_singular_shapes() -> None:
     """strict=True turns the warning into an error."""
     with pytest.raises(ModelError, match="j1"):
         pinred.load(pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)]), strict=True)
+
+
+def test_singular_shapes_of_mjcf_are_reported(tmp_path: Path) -> None:
+    """A point mass on two hinges of one body, as in a URDF file."""
+    hinges = '<joint name="swing" axis="1 0 0"/><joint name="lift" axis="0 1 0"/>'
+    point = '<inertial pos="0 0 1" mass="1" diaginertia="1e-15 1e-15 1e-15"/>'
+    arm = f'<freejoint/><body name="arm">{hinges}{point}</body>'
+    path = write(tmp_path, mjcf(body(arm)))
+    with pytest.warns(pinred.ModelWarning, match="'swing' moves no mass at 'lift'"):
+        pinred.load(path)
+    with pytest.raises(pinred.ModelError, match=r"refused because of strict=True.*'swing'"):
+        pinred.load(path, strict=True)
 
 
 def pointed(tmp_path: Path) -> pinred.System:

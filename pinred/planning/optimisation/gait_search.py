@@ -21,6 +21,8 @@ _NEAR = 0.7  # peaks below this part of their limit constrain the last stage onl
 RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
 # Weights of the root of the action in the length, in successive solves of the last stage.
 _WEIGHTS = (0.1, 0.05, 0.025, 0.01, 0.003, 0.001, 0.0003, 0.0)
+_QUICK = 1e-5  # residual that needs no second derivatives, if the cost is not the length
+_QUICK_STEPS = 500  # largest number of iterations without second derivatives in the last stage
 _NEWTON_STEPS = 40  # largest number of iterations with second derivatives
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 _ROUNDS = 4  # largest number of last stages, each with the cells that the previous one exceeded
@@ -119,7 +121,8 @@ def fourier_path_of(
 def finish(search: Search, gait: Gait, *, newton: bool = True) -> tuple[Search, Minimum]:
     """Solve the problem with limits of the true extremes, from one with limits at sample times.
 
-    With second derivatives, the length is not replaced by the root of the action either.
+    With second derivatives, the length is not replaced by the root of the action either. Other
+    costs need them only if the optimum is not stationary without them.
 
     Args:
         search: The search of the first optimum.
@@ -132,21 +135,31 @@ def finish(search: Search, gait: Gait, *, newton: bool = True) -> tuple[Search, 
     """
     task = search.task
     every = cells_of(task.limits, len(gait.series.cos))
-    use = np.asarray(_peaks(task, gait, every) > _NEAR)
+    peaks, first = _peaks(task, gait, every), gait
+    use = np.asarray(peaks > _NEAR)
+    quick = not newton or task.cost != "length"
     for _ in range(_ROUNDS):
-        values, slopes, bends = (rows[:0] for rows in search.path.checked)
-        path = replace(
-            search.path, checked=(values, slopes, bends), cells=every.select(use),
-            action=0.0 if newton else 1.0,
-        )  # fmt: skip
+        path = replace(search.path, cells=every.select(use), action=0.0 if newton else 1.0)
         search = Search(task, path)
-        best = search.polish(gait) if newton else search.optimise_from(gait)
+        best = search.optimise_from(gait, most=_QUICK_STEPS) if quick else search.polish(gait)
+        beyond = _peaks(task, search.gait(best.z), every) > 1.0
+        if newton and quick and not beyond.any() and not best.residual <= _QUICK:
+            polished = search.polish(search.gait(best.z))
+            best = min(best, polished, key=lambda each: each.residual)
+            beyond = _peaks(task, search.gait(best.z), every) > 1.0
         gait = search.gait(best.z)
-        beyond = _peaks(task, gait, every) > 1.0
         if not beyond.any():
-            return search, best
+            return search, best if (peaks > 1.0).any() else _better(search, first, best)
         use |= beyond
     raise StartFailed("the loop still exceeds its limits")
+
+
+def _better(search: Search, first: Gait, best: Minimum) -> Minimum:
+    """Return the better of a gait within its limits and an optimum."""
+    problem, z = problem_of(search.task, search.path), search.unknowns(first)
+    if problem.evaluate(z)[0][0] >= problem.evaluate(best.z)[0][0]:
+        return best
+    return replace(best, z=z, residual=kkt_residual(problem, z))
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,6 +37,9 @@ from .objective import (
 )
 
 _INSIDE = 1e-6  # relative margin inside the limits, for round-off and small overshoot
+# Relative margin outside the limits at sample times, if the peaks are limited: no such limit is
+# active, but between cells without a limit of the peak, a loop cannot leave the limits far.
+_OUTSIDE = 1e-3
 _ROUND_OFF = 1e-8  # relative margin of the peaks inside the limits: the tolerance of IPOPT
 
 
@@ -313,7 +316,8 @@ def _linear_constraints(task: Task, path: Path) -> tuple[Array, Array, Array]:
     rows, lower, upper = [], [], []
     by_y = np.tensordot(values, L, 1).reshape(-1, n)  # (C m, n)
     shift = (values @ path.shift).ravel()
-    edge = _INSIDE * limits.reach
+    inside = _INSIDE if path.cells is None else -_OUTSIDE
+    edge = inside * limits.reach
     rows.append(np.hstack([by_y, np.zeros((len(by_y), free))]))
     lower.append(np.tile(limits.shape[:, 0] + edge, len(values)) - shift)
     upper.append(np.tile(limits.shape[:, 1] - edge, len(values)) - shift)
@@ -321,7 +325,7 @@ def _linear_constraints(task: Task, path: Path) -> tuple[Array, Array, Array]:
     if len(fast):
         by_y = np.tensordot(slopes, L[:, fast], 1).reshape(-1, n)
         shift = (slopes @ path.shift[:, fast]).ravel()
-        most = np.tile(limits.speed[fast] * (1.0 - _INSIDE), len(slopes))
+        most = np.tile(limits.speed[fast] * (1.0 - inside), len(slopes))
         if free:
             for sign in (1.0, -1.0):
                 rows.append(np.hstack([sign * by_y, -most[:, None]]))

@@ -23,7 +23,8 @@ from ...system.system import System
 from ..plan import plan_of
 from ..simulate import as_scene
 from .inputs import Inputs, motion_of, with_varied
-from .propagator import Propagator, Run
+from .propagator import Propagator
+from .resolved_run import Run
 
 if TYPE_CHECKING:
     from .casadi_adapter import FlowCallback

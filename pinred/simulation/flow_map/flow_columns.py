@@ -17,7 +17,8 @@ from ...common.errors import InputError, ShapeError
 from ...common.names import brief, listed, nearest
 from ...kernels.flow_functions import Row, sizes_of
 from .inputs import Inputs
-from .propagator import Propagator, Run
+from .propagator import Propagator
+from .resolved_run import Run
 
 # Up to this number of runs, one thread finishes before a second thread has started.
 _RUNS_OF_ONE_THREAD = 32

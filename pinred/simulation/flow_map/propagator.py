@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,24 +31,8 @@ from .initial_map import InitialMap
 from .inputs import Given, motion_of
 from .lazy_state import lazy_state
 from .outcome_adjoint import OutcomeAdjoint
+from .resolved_run import Run, resolve_run
 from .switch_jumps import jumps_of
-
-
-@dataclass
-class Run:
-    """One evaluation of a flow map.
-
-    Attributes:
-        given: The inputs.
-        flow: The compiled flow that starts from these inputs.
-        spans: Time spans between the stops of the run.
-        solutions: Solution over each span.
-    """
-
-    given: Given
-    flow: CompiledFlow
-    spans: list[Span]
-    solutions: list[Solution]
 
 
 class Propagator:
@@ -118,11 +101,31 @@ class Propagator:
         Raises:
             InputError: The initial momentum or twist overflows.
             IntegrationError: The integrator cannot continue.
-        """  # noqa: DOC501, the exception is built by a function
-        flow = self._initial(given)
+        """
+        flow, reports = self._initial(given), self.plan.scene.report_times
+        spans, integrations = self._spans_of(flow)
+        solutions = self._solve(flow, spans, integrations, stages=stages)
+        if not self.plan.has_time_functions:
+            return Run(given, flow, spans, solutions)
+
+        def solve(stops: Array) -> tuple[list[Span], list[Solution]]:
+            spans = spans_between(stops, reports)
+            integrations = [self._integration(span) for span in spans]
+            return spans, self._solve(flow, spans, integrations, stages=stages)
+
+        return Run(given, flow, *resolve_run(self.plan, flow.numbers, spans, solutions, solve))
+
+    def _solve(
+        self,
+        flow: CompiledFlow,
+        spans: list[Span],
+        integrations: list[Integration],
+        *,
+        stages: bool,
+    ) -> list[Solution]:
+        """Return the solution over each span."""
         y, layout = flow.y0, self.kernel.layout
         solutions: list[Solution] = []
-        spans, integrations = self._spans_of(flow)
         for span, integrate in zip(spans, integrations, strict=True):
             if solutions:
                 y = solutions[-1].states[-1].copy()
@@ -139,7 +142,7 @@ class Propagator:
                 if wild:
                     raise IntegrationError(wild)
             solutions.append(solution)
-        return Run(given, flow, spans, solutions)
+        return solutions
 
     def end(self, run: Run) -> State | ShapeState:
         """Return the final full state of a run; its fields are computed at first access."""

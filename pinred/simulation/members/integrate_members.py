@@ -19,6 +19,8 @@ from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import wild_steps
 from ..plan import Plan
+from ..time_resolution import joined_stops, stops_for_any_steps
+from ..time_table import functions_depend_on
 from .trajectories import Batch, Failure
 
 # Largest number of kernel instructions for which the state of sixteen lanes fits in registers.
@@ -44,7 +46,7 @@ def integrate_members(
         The solutions of all members.
     """
     began, reports, count = perf_counter(), plan.scene.report_times, len(members)
-    stops = plan.stops_of_runs(flow.numbers)
+    stops, vary = _stops_of_members(plan, flow.numbers)
     # A single body that only translates has no state; integrate one zero instead.
     states = flow.y0.copy() if flow.y0.shape[1] else np.zeros((count, 1))
     y = np.full((count, len(reports), states.shape[1]), np.nan)
@@ -52,8 +54,8 @@ def integrate_members(
     end, last = np.zeros(count), max(map(len, stops))
     for k in range(last):
         done = None if progress is None else _scaled(progress, k, last)
-        for runs in _together(plan, stops, status, k):
-            own = [stops[i] for i in runs] if plan.stops_vary else stops[:1]
+        for runs in _together(plan, stops, status, k, vary=vary):
+            own = [stops[i] for i in runs] if vary else stops[:1]
             piece, y0 = _piece(own, k, reports), states[runs]
             solutions = _integrate_piece(flow[runs], plan.method, piece, y0, threads, done)
             _store(y, runs, piece, solutions)
@@ -127,16 +129,38 @@ def _store(y: Array, runs: Indices, piece: _Piece, solutions: Solutions) -> None
     y[runs[row], piece.first[row] + column] = solutions.y[row, column]
 
 
-def _together(plan: Plan, stops: list[Array], status: NDArray[np.int64], k: int) -> list[Indices]:
+def _stops_of_members(plan: Plan, numbers: Array) -> tuple[list[Array], bool]:
+    """Return the stops of each member, and whether they differ.
+
+    Lanes do not record steps, so stops are placed in all short changes of functions of time.
+    """
+    stops, vary, forces = plan.stops_of_runs(numbers), plan.stops_vary, plan.forces
+    if forces is None or not plan.has_time_functions:
+        return stops, vary
+    used = numbers[:, functions_depend_on(forces)]
+    _, first, which = np.unique(used, axis=0, return_index=True, return_inverse=True)
+    method = type(plan.method)
+    times = [stops_for_any_steps(plan, forces, numbers[k], method) for k in first]
+    if not any(each.size for each in times):
+        return stops, vary
+    if len(first) == 1 and not vary:
+        return [joined_stops(stops[0], times[0])] * len(stops), False
+    members = zip(stops, which.ravel().tolist(), strict=True)
+    return [joined_stops(own, times[k]) for own, k in members], True
+
+
+def _together(
+    plan: Plan, stops: list[Array], status: NDArray[np.int64], k: int, *, vary: bool
+) -> list[Indices]:
     """Return the runs that have a span k, in groups that are integrated together.
 
     Methods with steps of equal length divide each span differently, so that their runs are
     integrated together only if their spans have the same length.
     """
     runs = np.flatnonzero(status == 0)
-    if plan.stops_vary:
+    if vary:
         runs = runs[np.array([len(stops[i]) > k for i in runs], bool)]
-    if plan.method.adaptive or not plan.stops_vary or not runs.size:
+    if plan.method.adaptive or not vary or not runs.size:
         return [runs] if runs.size else []
     lengths = np.array([stops[i][k] - (stops[i][k - 1] if k else 0.0) for i in runs])
     return [runs[lengths == length] for length in np.unique(lengths)]

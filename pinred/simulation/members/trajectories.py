@@ -172,7 +172,8 @@ class Trajectories(OverTime):
 
         The states at the report times are taken from the arrays.  For other times and for balances
         the member is simulated again at first use.  The repeated motion agrees with the arrays
-        within round-off times the growth along the motion.
+        within round-off times the growth along the motion, or within the tolerance if functions of
+        time in forces change within less than a step.
 
         Args:
             member: Index of the member.
