@@ -162,7 +162,13 @@ def test_calls_that_were_tracebacks_are_rejected() -> None:
     gait = pinred.Gait.fourier([0.0, 0.0], [[1.0, 0.0]], [[0.0, 1.0]])
     connection = pinred.Connection.mechanical(cat)
     odd: Any = 5
+    rows = np.zeros((2, 3))
     calls: dict[str, Callable[[], Any]] = {
+        "x": lambda: connection.horizontal(np.zeros(3), rows),
+        "xdot": lambda: connection.horizontal_slopes(rows, rows.astype(complex)),
+        "shapes": lambda: connection.locals_at([[1.0], [1.0, 2.0]]),  # type: ignore[arg-type]
+        "rows|shapes": lambda: connection.curvatures_at(np.zeros((2, 4))),
+        "parameters": lambda: pinred.Scene(system=cat, parameters=np.zeros(3)),  # type: ignore[arg-type]
         "of": lambda: pinred.flow(cat, of=odd),
         "along": lambda: flow.jvp("x0"),  # type: ignore[arg-type]
         "h": lambda: pinred.Reduction(cat).change_section("x"),  # type: ignore[arg-type]
@@ -257,6 +263,8 @@ def test_values_of_related_types_are_admitted(options: dict[str, Any]) -> None:
         ({"numbers": [1, "2"]}, r"numbers: expected numbers or None, got \[1, '2'\]"),
         ({"whole": 2.0}, "whole: expected a whole number, got 2.0"),
         ({"names": "ab"}, "names: expected a sequence of text, got 'ab'"),
+        ({"names": np.array("a")}, "names: expected a sequence of text, got array"),
+        ({"table": {"a": [10**400, 1]}}, "table: expected a mapping from text to a sequence"),
         ({"names": ["a", 1]}, "names: expected a sequence of text, got"),
         ({"pair": (1, 2.0, 3)}, r"pair: expected \(a whole number, a number\), got"),
         ({"table": {"a": [1, None]}}, "table: expected a mapping from text to a sequence of"),
@@ -271,6 +279,14 @@ def test_message_states_the_kind_and_the_value(options: dict[str, Any], message:
     )
     with pytest.raises(ShapeError if "numbers" in options else InputError, match=message):
         example(**options)
+
+
+def test_classes_known_by_name_admit_derived_classes() -> None:
+    """Decimal is imported for type checkers only, so that the gate knows its name alone."""
+    kind = type("Decimal", (), {})
+    derived = type("Exact", (kind,), {})
+    for value in (kind(), derived()):
+        assert example(later=value)[-1] is value
 
 
 def test_default_without_entries_is_not_checked(monkeypatch: pytest.MonkeyPatch) -> None:

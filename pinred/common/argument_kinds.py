@@ -385,7 +385,7 @@ def _is_entry(value: Any) -> bool:
 def _has_fixed_entries(value: Any) -> bool:
     """Return whether the type of numbers, or the dtype of an array, decides that it is admitted."""
     if isinstance(value, np.ndarray):
-        return value.dtype.kind != "O"
+        return bool(value.dtype.kind != "O")
     return not isinstance(value, (list, tuple, int))
 
 

@@ -35,20 +35,20 @@ def convert_arguments(group: type) -> None:
 
 
 def _on_arrays(method: Callable[..., Any], names: list[str]) -> Callable[..., Any]:
-    lengths = [_LENGTHS.get(name, "") for name in names]
-
     @wraps(method)
     def call(group: Any, *values: Any) -> Any:
-        arrays = map(_array, values, names, (getattr(group, n) if n else 0 for n in lengths))
-        return method(group, *arrays)
+        return method(group, *(_array(group, *pair) for pair in zip(names, values, strict=True)))
 
     return call
 
 
-def _array(value: Any, name: str, length: int) -> Any:
-    """Return an argument as an array of floats whose last axis has a length; 0 for any length."""
-    if isinstance(value, (list, tuple)) or getattr(value, "dtype", _FLOAT) != _FLOAT:
+def _array(group: Any, name: str, value: Any) -> Any:
+    """Return an argument as an array of floats, and check the length of its last axes."""
+    if not isinstance(value, np.ndarray) or value.dtype != _FLOAT:
         value = as_floats(value, name)
-    if length and np.shape(value)[-1:] != (length,):
-        raise ShapeError(f"{name} must have shape (..., {length}), got {np.shape(value)}")
+    length = _LENGTHS.get(name)
+    shape = group.matrix(group.identity()).shape if length is None else (getattr(group, length),)
+    if value.shape[-len(shape) :] != shape:
+        expected = ", ".join(map(str, ("...", *shape)))
+        raise ShapeError(f"{name} must have shape ({expected}), got {value.shape}")
     return value

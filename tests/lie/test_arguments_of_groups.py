@@ -55,3 +55,13 @@ def test_other_arguments_are_named(group: Group) -> None:
                 given: dict[str, Any] = {name: numbers(group, name) for name in names}
                 with pytest.raises(pinred.InputError, match=rf"^{wrong}\b"):
                     getattr(group, operation)(**given | {wrong: value})
+
+
+@pytest.mark.parametrize("group", GROUPS.values(), ids=str)
+@pytest.mark.parametrize("value", [*WRONG, np.zeros((2, 3)), range(3)], ids=repr)
+def test_matrix_of_another_kind_or_shape_is_named(group: Group, value: Any) -> None:
+    """A list of rows is converted."""
+    matrix = group.matrix(group.identity())
+    np.testing.assert_array_equal(group.from_matrix(matrix.tolist()), group.identity())
+    with pytest.raises(pinred.InputError, match=r"^matrix\b"):
+        group.from_matrix(value)
