@@ -200,8 +200,8 @@ def begun_by(
     """
     pairs, spin = canonical
     registers = method.registers(end)
-    if keep != NOTHING_KEPT:
-        refuse_beyond_memory(registers.get("total", 0.0), 1 + method.stepper().kept * n)
+    if keep != NOTHING_KEPT and "total" in registers:  # the number of steps is known in advance
+        refuse_beyond_memory(registers["total"], 1 + method.stepper().kept * n)
     return new_run(
         address=address,
         n=n,

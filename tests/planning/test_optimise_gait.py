@@ -195,6 +195,29 @@ def test_shortest_turn_of_falling_cat_by_180_degrees() -> None:
     close(np.abs(turned[3:]), [1.0, 0.0, 0.0, 0.0], 1e-6)
 
 
+@pytest.mark.by_hand
+def test_least_torque_that_pitches_solo12_by_30_degrees() -> None:
+    """√∫Σ τ² dt is at most 0.153, with torques by RNEA and the attitude by Pinocchio."""
+    system = pinred.load("solo12")
+    pitch = np.radians(30.0)
+    best = pinred.optimise_gait(
+        pinred.Connection.mechanical(system), objective="target", target=[0.0, pitch, 0.0],
+        cost="torque", limits=1.0, harmonics=5, starts=1,
+    )  # fmt: skip
+    assert np.sqrt(best.cost) <= 0.153
+    assert np.abs(best.gait.limits).max() <= 1.0
+    arc = best.gait.series
+    rate = 2.0 * np.pi * np.arange(1, 6)
+    t = np.arange(50) / 50.0
+    bend = -(rate**2 * np.cos(np.outer(t, rate))) @ arc.cos
+    bend -= (rate**2 * np.sin(np.outer(t, rate))) @ arc.sin
+    states = zip(*best.gait.at(t), bend, strict=True)
+    tau = np.array([joint_torques(system, *state) for state in states])
+    assert np.mean((tau**2).sum(axis=1)) == pytest.approx(best.cost, rel=1e-6)
+    turned = by_pinocchio(system, best.gait, np.zeros(6))
+    close(turned[3:], [0.0, np.sin(0.5 * pitch), 0.0, np.cos(0.5 * pitch)], 1e-8)
+
+
 def test_peaks_of_loop_equal_those_of_fine_grid() -> None:
     """Maxima of shapes, speeds and torques in every cell, torques by RNEA."""
     A, T, system = rods(), 1.3, pinred.load("three_rods")
