@@ -166,8 +166,8 @@ def test_calls_that_were_tracebacks_are_rejected() -> None:
     calls: dict[str, Callable[[], Any]] = {
         "x": lambda: connection.horizontal(np.zeros(3), rows),
         "xdot": lambda: connection.horizontal_slopes(rows, rows.astype(complex)),
-        "shapes": lambda: connection.locals_at([[1.0], [1.0, 2.0]]),  # type: ignore[arg-type]
-        "rows|shapes": lambda: connection.curvatures_at(np.zeros((2, 4))),
+        "x|locals": lambda: connection.locals_at([[1.0], [1.0, 2.0]]),  # type: ignore[arg-type]
+        "x|shapes": lambda: connection.curvatures_at(np.zeros((2, 4))),
         "parameters": lambda: pinred.Scene(system=cat, parameters=np.zeros(3)),  # type: ignore[arg-type]
         "of": lambda: pinred.flow(cat, of=odd),
         "along": lambda: flow.jvp("x0"),  # type: ignore[arg-type]

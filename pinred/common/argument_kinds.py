@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
-from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ForwardRef, Literal, TypeVar, Union, get_args, get_origin
@@ -26,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from .errors import InputError, PinredError, ShapeError
 from .names import brief
+from .number_kinds import are_numbers, has_fixed_entries, is_number, is_whole
 
 T = TypeVar("T")
 _SOURCE = "<checks"  # start of the file name of generated code
@@ -343,57 +343,9 @@ def _never(_: object) -> bool:
     return False
 
 
-def _is_number(value: Any) -> bool:
-    if type(value) is int:
-        return -_LARGEST < value < _LARGEST
-    if isinstance(value, np.ndarray):
-        return value.ndim == 0 and value.dtype.kind in "fiu"
-    if not isinstance(value, Real) or isinstance(value, bool):
-        return False
-    try:
-        float(value)
-    except (OverflowError, TypeError):  # np.timedelta64 counts as a whole number
-        return False
-    return True
-
-
-def _is_whole(value: Any) -> bool:
-    if isinstance(value, np.ndarray):
-        return value.ndim == 0 and value.dtype.kind in "iu"
-    return isinstance(value, Integral) and not isinstance(value, (bool, np.timedelta64))
-
-
-def _are_numbers(value: Any) -> bool:
-    """Return whether a value is an array, a number, or a nested list of arrays and numbers."""
-    if isinstance(value, (list, tuple)):
-        return _COMMON.issuperset(map(type, value)) or all(map(_are_numbers, value))
-    if isinstance(value, np.ndarray):
-        if value.dtype.kind == "O":
-            return all(map(_is_entry, value.flat))
-        return value.dtype.kind not in "mMSUV"
-    if isinstance(value, np.generic):
-        return _is_number(value)
-    return _is_number(value) or isinstance(value, range) or hasattr(type(value), "__array__")
-
-
-def _is_entry(value: Any) -> bool:
-    """Return whether an entry of an array of objects is a number or an expression."""
-    is_expression = hasattr(type(value), "__array__") and not isinstance(value, np.generic)
-    return is_expression or _is_number(value)
-
-
-def _has_fixed_entries(value: Any) -> bool:
-    """Return whether the type of numbers, or the dtype of an array, decides that it is admitted."""
-    if isinstance(value, np.ndarray):
-        return bool(value.dtype.kind != "O")
-    return not isinstance(value, (list, tuple, int))
-
-
-_LARGEST = int(np.finfo(float).max)
 _TEXT = (str, bytes, bytearray, memoryview)
 _STORED = (list, tuple, np.ndarray)
-_COMMON = frozenset({int, float, np.float64, np.int64})  # frequent types of entries of lists
-_NUMBERS = Kind("numbers", _are_numbers, _has_fixed_entries, ShapeError)
+_NUMBERS = Kind("numbers", are_numbers, has_fixed_entries, ShapeError)
 _SIMPLE: dict[Any, Kind | None] = {
     Any: None,
     object: None,
@@ -401,8 +353,8 @@ _SIMPLE: dict[Any, Kind | None] = {
     NoneType: Kind("None", lambda value: value is None),
     str: Kind("text", lambda value: isinstance(value, str)),
     bool: Kind("True or False", lambda value: isinstance(value, (bool, np.bool_))),
-    int: Kind("a whole number", _is_whole),
-    float: Kind("a number", _is_number, lambda value: not isinstance(value, (int, np.ndarray))),
+    int: Kind("a whole number", is_whole),
+    float: Kind("a number", is_number, lambda value: not isinstance(value, (int, np.ndarray))),
     Path: Kind("a path", lambda value: isinstance(value, os.PathLike)),
     _Numbers: _NUMBERS,
 }

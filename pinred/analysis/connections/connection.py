@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector, vectors
-from ...common.errors import InputError, ShapeError, SingularInertiaError, SymmetryError
+from ...common.errors import InputError, SingularInertiaError, SymmetryError
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures
 from ...kernels.connection.connection_form import ConnectionForm
 from ...lie.group import Group
@@ -311,7 +311,6 @@ class Connection:
         Returns:
             ξ (N, r) and ẋᵀ M ẋ (N,), which is NaN without a metric.
         """
-        x, xdot = self._many(x, "shapes x"), self._many(xdot, "rates xdot")
         values = self.code.velocities(x, xdot)
         self.refuse_singular(x, values.health)
         return values.xi, values.square
@@ -325,7 +324,7 @@ class Connection:
         Returns:
             (N, r + 1, 2m), or (N, r, 2m) without a metric.
         """
-        return self.code.velocity_slopes(self._many(x, "shapes x"), self._many(xdot, "rates xdot"))
+        return self.code.velocity_slopes(x, xdot)
 
     def locals_at(self, x: Array) -> tuple[Array, Array | None, Array]:
         """Compute A, M and P_b; errors as in `local`.
@@ -335,7 +334,6 @@ class Connection:
         Returns:
             A (N, r, m), M (N, m, m) or None, and P_b (N, r, r).
         """
-        x = self._many(x, "shapes x")
         terms = self.code.locals(x)
         self.refuse_singular(x, terms.health)
         return terms.A, terms.M, terms.P
@@ -348,7 +346,6 @@ class Connection:
         Returns:
             The terms, (N, r, m, m) each.
         """
-        x = self._many(x, "shapes x")
         terms = self.code.curvatures(x)
         self.refuse_singular(x, terms.health)
         return terms
@@ -392,15 +389,6 @@ class Connection:
 
     def _moved(self, form: ConnectionForm) -> Connection:
         return replace(Connection.of(form), turned_by_gravity=self.turned_by_gravity)
-
-    def _many(self, rows: ArrayLike, what: str) -> Array:
-        """Return finite rows of m numbers, (N, m)."""
-        array = vectors(rows, self.m, f"{what} of {self.form.what}", self.joints)
-        if array.ndim != 2:
-            raise ShapeError(
-                f"{what} of {self.form.what} must have shape (N, {self.m}), got {array.shape}"
-            )
-        return array
 
     def _one(self, x: ArrayLike) -> Array:
         return vector(x, self.m, f"shape x of {self.form.what}", self.joints)[None]
