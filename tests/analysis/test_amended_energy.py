@@ -175,3 +175,20 @@ def test_scale_is_sum_of_magnitudes_of_terms() -> None:
         terms += system.mass * np.linalg.norm(system.gravity) * np.linalg.norm(com)
         terms += 0.5 * SPRING[0] * (shape[system.shape_names.index("one")] - SPRING[1]) ** 2
         assert found.scale[k] == pytest.approx(terms, rel=1e-12)
+
+
+@pytest.mark.parametrize(("least", "regular"), [(2e-13, True), (5e-14, False)])
+def test_mass_matrix_beyond_condition_1e13_has_no_amended_potential(
+    least: float, regular: bool
+) -> None:
+    """A rod that turns about its second axis: U = J²/2, whatever the moment about its line."""
+    model = pin.Model()
+    model.gravity.setZero()
+    root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(root, body(1.0, (0.0,) * 3, (least, 1.0, 1.0)), pin.SE3.Identity())
+    made = problem_of(
+        pinred.load(model), cyclic=None, springs=None, forces=(), prescribed=None, passive=False
+    )
+    (U,) = AmendedEnergy(made)(Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]])), 0.6).U
+    assert np.isnan(U) != regular
+    assert not regular or pytest.approx(0.18, rel=1e-14) == U

@@ -200,6 +200,20 @@ def test_null_space_leaves_base_at_rest() -> None:
     assert planar().null_space([0.3, 0.2], of="attitude").shape == (2, 1)
 
 
+@pytest.mark.parametrize(("factor", "free"), [(3.0, 0), (0.3, 1)])
+def test_reactions_below_1e_10_of_the_largest_count_as_none(
+    monkeypatch: pytest.MonkeyPatch, factor: float, free: int
+) -> None:
+    """A joint that moves the base 1e-10 times as far as another is in the null space."""
+    A = np.zeros((3, 2))
+    A[0, 0], A[2, 1] = 7.0, 7.0 * factor * 1e-10
+    arm = planar()
+    monkeypatch.setattr(type(arm._reduction), "local_connection", lambda *_: A)
+    null = arm.null_space([0.1, 0.2])
+    assert null.shape == (2, free)
+    close(np.abs(null), np.array([[0.0], [1.0]])[:, :free], 1e-9)
+
+
 def test_singular_shapes_are_in_dependent_ranges() -> None:
     """Separately computed singular shapes have path-dependent distances."""
     arm = planar()

@@ -85,6 +85,16 @@ def test_unfinished_iteration_is_refused() -> None:
             lift(SE3, spin(angle), np.zeros(6))
 
 
+def test_round_off_of_iteration_scales_with_position() -> None:
+    """A base that moves by 100 km while it turns by 9 to 12 rad is lifted, too."""
+    for angle in np.linspace(9.0, 12.0, 16):
+        twist = np.array([1e5, 0.0, 0.0, 0.0, 0.0, angle])
+        (end,) = lift(SE3, constant(twist, np.ones(1)), np.zeros(6))[1:]
+        expected = SE3.exp(twist)
+        assert np.linalg.norm(end[:3] - expected[:3]) < 1e-3 * 1e5  # the step is inaccurate
+        np.testing.assert_array_equal(end[2:5], 0.0)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
 @pytest.mark.parametrize("entry", [0, 5])
 def test_twists_that_are_not_finite_are_refused(bad: float, entry: int) -> None:

@@ -131,7 +131,9 @@ class MutantSession:
         """Return the tests to run on a mutant, those most likely to kill it first."""
         covering = self.covering
         candidates = covering.tests(module, mutant.line, mutant.end) if mutant.inside else []
-        if not mutant.inside or (not candidates and module.startswith("integrators")):
+        # Compiled code is not traced, so any test of the module may run the line.
+        is_compiled = module.startswith("integrators") or self._woven(module)
+        if not mutant.inside or (not candidates and is_compiled):
             candidates = covering.of_module(module)
         candidates = [test for test in candidates if covering.seconds[test] < LONG]
         killers = [name for name, _ in self._killers[module].most_common(3) if name in candidates]

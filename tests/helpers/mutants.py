@@ -77,10 +77,12 @@ TESTS: dict[str, list[str]] = {
         "views/test_notebook_cards.py",
     ],
     "integrators/explicit/forward_sensitivities": [
-        "simulation/test_step_map.py", "simulation/test_flow_map.py",
+        "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
+        "simulation/test_flow_map.py",
     ],
     "integrators/explicit/adjoint_sweep": [
-        "simulation/test_flow_map.py", "simulation/test_adapters.py",
+        "integrators/test_run_derivatives.py", "simulation/test_flow_map.py",
+        "simulation/test_adapters.py",
     ],
     "integrators/explicit": [
         "integrators/test_steppers.py", "integrators/test_measured_orders.py",
@@ -88,13 +90,16 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_step_control.py",
     ],
     "integrators/gauss/fixed_points": [
-        "simulation/test_step_map.py", "simulation/test_flow_map.py",
+        "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
+        "simulation/test_flow_map.py",
     ],
     "integrators/gauss/stage_sensitivities": [
-        "simulation/test_step_map.py", "simulation/test_flow_map.py",
+        "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
+        "simulation/test_flow_map.py",
     ],
     "integrators/gauss/adjoint_steps": [
-        "simulation/test_flow_map.py", "simulation/test_adapters.py",
+        "integrators/test_run_derivatives.py", "simulation/test_flow_map.py",
+        "simulation/test_adapters.py",
     ],
     "integrators/gauss": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
@@ -113,8 +118,16 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_tableaux.py", "integrators/test_steppers.py",
         "integrators/test_batches.py",
     ],
-    "integrators/stepping/replay": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
-    "integrators/run_derivatives": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
+    "integrators/stepping/run_state": ["integrators/test_run_record.py"],
+    "integrators/stepping/replay": [
+        "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
+        "simulation/test_flow_map.py",
+    ],
+    "integrators/run_derivatives": [
+        "integrators/test_run_derivatives.py", "simulation/test_step_map.py",
+        "simulation/test_flow_map.py",
+    ],
+    "kernels/adjoint_lanes": ["kernels/test_identical_branches.py"],
     "integrators": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_steppers.py", "integrators/test_batches.py",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -261,5 +262,16 @@ def test_steps_without_a_solution_are_refused_with_their_time() -> None:
             method, field, PARAMS, Y0, knots, np.empty(0), np.eye(N), np.zeros((P, N)),
         )  # fmt: skip
     assert failure.value.time == 0.6
+    with pytest.raises(NoConvergence, match=r"at t = 0\.6 s did not converge") as failure:
+        run_back(
+            method,
+            field,
+            replace(solution, _knots=knots),
+            np.empty(0),
+            np.ones(N),
+            np.empty((0, N)),
+        )
+    assert failure.value.time == 0.6
+    np.testing.assert_array_equal(failure.value.state, solution.states[-2])
     with pytest.raises(InputError, match="the steps of RKMK4 have no derivatives"):
         refuse_without_derivatives(RKMK4(0.1))

@@ -16,6 +16,7 @@ from trees import limbed_model, mirrored_model
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.kernels.adjoint_lanes import adjoint_in_lanes
 from pinred.kernels.kernel import Structure
 from pinred.kernels.machine.native import compile_object, load_object
 from pinred.kernels.reduced_graph import ReducedGraph
@@ -159,6 +160,73 @@ def test_rotations_of_mirrored_branches_equal_pinocchio() -> None:
             found = build(lanes, x, out)(np.array(v))
             expected = [pin.utils.rotate("z", a)[:2] @ v for a in (first, second)]
             np.testing.assert_allclose(found, np.ravel(expected), rtol=0, atol=1e-15)
+
+
+def call_adjoint(adjoint: ca.Function, lanes: Lanes, columns: list[Array]) -> Array:
+    """Compile and call an adjoint (y, parameters, covector)."""
+    code = load_object(compile_object(adjoint, "adjoint", lanes.marks["adjoint"]), "adjoint")
+    found = np.full(len(columns[0]) + len(columns[1]), np.nan)
+    pointers = [column.ctypes.data_as(POINTER) for column in (*columns, found)]
+    ctypes.CFUNCTYPE(None, *[POINTER] * 4)(code.address)(*pointers)
+    assert code.address
+    return found
+
+
+@pytest.mark.parametrize("width", [2, 4])
+def test_adjoint_of_lane_operations_equals_casadi(width: int) -> None:
+    """Scalars used in several lanes, lanes extracted twice, sums, constants and unused inputs."""
+    y, p = ca.SX.sym("y", width + 3), ca.SX.sym("p", 3)
+    lanes, weights = Lanes(), np.linspace(0.5, 1.5, width)
+    a = lanes.pack([y[k] for k in range(width)])
+    b = lanes.pack([ca.cos(y[width]) * float(w) for w in weights])
+    c = lanes.pack([y[width + 1], *(float(w) for w in weights[1:])])
+    d = ca.sin(a * y[width]) * p[0] - b / (2.0 + c * c) + p[1] * p[1] * a
+    total, first = lanes.sum(d * d, width), lanes.lane(d, 0, width)
+    e = d * total + y[width] * a
+    parts = [lanes.lane(e, k, width) for k in range(width)]
+    out = [total * y[width], first * parts[0], *parts, parts[-1] * p[0], y[1], ca.SX(0.7)]
+    rate = lanes.function("rate", [y, p], ca.vertcat(*out))
+    # The same without lanes.
+    C = [y[width + 1], *weights[1:].tolist()]
+    D = [
+        ca.sin(y[k] * y[width]) * p[0] - weights[k] * ca.cos(y[width]) / (2.0 + C[k] * C[k])
+        + p[1] * p[1] * y[k]
+        for k in range(width)
+    ]  # fmt: skip
+    whole = sum(entry * entry for entry in D)
+    E = [D[k] * whole + y[width] * y[k] for k in range(width)]
+    plain = ca.vertcat(whole * y[width], D[0] * E[0], *E, E[-1] * p[0], y[1], 0.7)
+    covector = ca.SX.sym("l", plain.numel())
+    slope = ca.jtimes(plain, ca.vertcat(y, p), covector, True)
+    rng = np.random.default_rng(width)
+    columns = [rng.normal(size=size) for size in (width + 3, 3, plain.numel())]
+    expected = np.array(ca.Function("slope", [y, p, covector], [slope])(*columns))[:, 0]
+    others = Lanes()
+    adjoint = adjoint_in_lanes(rate, lanes.marks["rate"], others, "adjoint")
+    found = call_adjoint(adjoint, others, columns)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+    assert found[width + 2] == found[-1] == 0.0  # inputs that are not used
+
+
+@pytest.mark.parametrize(("group", "limbs"), [("SE3", 2), ("SO3", 3), ("SE2", 4)])
+def test_adjoint_with_identical_branches_equals_casadi(group: str, limbs: int) -> None:
+    """CasADi's reverse mode on the equations without lanes gives the same derivatives."""
+    system, structure = (
+        pinred.load(limbed_model(group, limbs, 2, 1)),
+        Structure(zero_momentum=False),
+    )
+    plain, lanes, others = ReducedGraph(system, structure).rate(), Lanes(), Lanes()
+    rate = ReducedGraph(system, structure, lanes=lanes).rate()
+    assert lanes.marks[rate.name()]
+    adjoint = adjoint_in_lanes(rate, lanes.marks[rate.name()], others, "adjoint")
+    sizes = [plain.numel_in(0), plain.numel_in(1), plain.numel_out(0)]
+    y, p, covector = (ca.SX.sym("v", size) for size in sizes)
+    slope = ca.jtimes(plain(y, p), ca.vertcat(y, p), covector, True)
+    rng = np.random.default_rng(limbs)
+    columns = [0.7 * rng.normal(size=size) for size in sizes]
+    expected = np.array(ca.Function("slope", [y, p, covector], [slope])(*columns))[:, 0]
+    found = call_adjoint(adjoint, others, columns)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
 def test_graph_size_hardly_grows_with_identical_branches() -> None:

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from strategies import Case, cases, make_case, seeds
-from trees import inertia, random_model
+from trees import inertia, placement, random_model
 
 import pinred
 from pinred import poisson
@@ -265,21 +265,24 @@ PIVOTS = {
 
 
 @pytest.mark.parametrize("form", ["connection", "canonical"])
-@pytest.mark.parametrize("pivot", [*PIVOTS, "SE3"])
-def test_hamiltonian_is_total_energy_by_pinocchio(pivot: str, form: Any) -> None:
+@pytest.mark.parametrize(
+    ("pivot", "joints"), [*((pivot, 1) for pivot in (*PIVOTS, "SE3")), ("heavy", 0), ("SE3", 0)]
+)
+def test_hamiltonian_is_total_energy_by_pinocchio(pivot: str, joints: int, form: Any) -> None:
     """Including the height of the root joint, which is away from the world's origin."""
     kind, gravity = PIVOTS.get(pivot, (pin.JointModelFreeFlyer(), (0.0, 0.0, 0.0)))
     model = pin.Model()
     model.gravity.linear = np.array(gravity)
     joint, rng = model.addJoint(0, kind, ROOT_PLACE, "root"), np.random.default_rng(5)
     model.appendBodyToJoint(joint, inertia(rng), pin.SE3.Identity())
-    joint = model.addJoint(joint, pin.JointModelRY(), pin.SE3.Random(), "one")
-    model.appendBodyToJoint(joint, inertia(rng), pin.SE3.Identity())
+    for _ in range(joints):
+        joint = model.addJoint(joint, pin.JointModelRY(), placement(rng), "one")
+        model.appendBodyToJoint(joint, inertia(rng), pin.SE3.Identity())
     system = pinred.load(model)
     pose = system.group.exp(rng.normal(size=system.r))
     if system.group.linear:
         pose[: system.group.linear] = 0.0  # the energy does not depend on it
-    x, xdot, xi = rng.normal(size=1), rng.normal(size=1), rng.normal(size=system.r)
+    x, xdot, xi = (rng.normal(size=size) for size in (joints, joints, system.r))
     q, v = system.model_q(pose, x), system.model_v(xi, xdot)
     data = system.model.createData()
     H = np.triu(pin.crba(system.model, data, q))
