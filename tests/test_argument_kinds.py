@@ -262,6 +262,11 @@ def test_values_of_related_types_are_admitted(options: dict[str, Any]) -> None:
     [
         ({"numbers": [1, "2"]}, r"numbers: expected numbers or None, got \[1, '2'\]"),
         ({"whole": 2.0}, "whole: expected a whole number, got 2.0"),
+        ({"whole": np.array([2])}, "whole: expected a whole number, got array"),
+        ({"whole": np.timedelta64(1)}, "whole: expected a whole number, got np.timedelta64"),
+        ({"real": np.array([2.0])}, "real: expected a number, got array"),
+        ({"real": np.array(True)}, "real: expected a number, got array"),
+        ({"real": np.timedelta64(1)}, "real: expected a number, got np.timedelta64"),
         ({"names": "ab"}, "names: expected a sequence of text, got 'ab'"),
         ({"names": np.array("a")}, "names: expected a sequence of text, got array"),
         ({"table": {"a": [10**400, 1]}}, "table: expected a mapping from text to a sequence"),
