@@ -17,11 +17,12 @@ def is_number(value: Any) -> bool:
         return -_LARGEST < value < _LARGEST
     if isinstance(value, np.ndarray):
         return value.ndim == 0 and value.dtype.kind in "fiu"
-    if not isinstance(value, Real) or isinstance(value, bool):
+    # np.timedelta64 counts as a whole number, and without a unit it converts to a float.
+    if not isinstance(value, Real) or isinstance(value, (bool, np.timedelta64)):
         return False
     try:
         float(value)
-    except (OverflowError, TypeError):  # np.timedelta64 counts as a whole number
+    except OverflowError:
         return False
     return True
 
