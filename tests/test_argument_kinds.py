@@ -195,6 +195,17 @@ def test_arrays_are_checked_after_arrays_of_numbers(entries: list[Any]) -> None:
                 example(np.array(entries, dtype=dtype))
 
 
+ODD_NUMBERS = [np.array(["2020"], "M8[D]"), np.zeros(2, "m8[s]"), np.zeros(2, "V8"), 10**400]
+
+
+@pytest.mark.parametrize("value", ODD_NUMBERS, ids=str)
+def test_dates_durations_bytes_and_huge_numbers_are_rejected(value: Any) -> None:
+    """Also after a number of the same type."""
+    assert example(3)
+    with pytest.raises(ShapeError, match="numbers: expected numbers or None, got"):
+        example(value)
+
+
 class Sized:
     """A class with a method of each form."""
 

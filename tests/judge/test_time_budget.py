@@ -69,6 +69,13 @@ def test_motion_that_aba_cannot_follow_gives_no_verdict(
     assert "it reached t = 0 s" in report.reasons[-1]
 
 
+def test_budget_counts_from_its_creation() -> None:
+    """Processor time that was spent before does not matter."""
+    clock, wall = count(100), count(1000)
+    budget = TimeBudget(2.5, lambda: float(next(clock)), lambda: float(next(wall)))
+    assert [budget.is_exceeded() for _ in range(6)] == [False] * 5 + [True]
+
+
 @pytest.mark.parametrize(("wall", "seconds"), [(0.0, 30.0), (0.06, 30.0), (0.2, 100.0)])
 def test_default_budget_is_the_longer_one(wall: float, seconds: float) -> None:
     """Thirty seconds, or 500 times the wall time of the simulation."""
