@@ -38,8 +38,9 @@ ODD: list[tuple[Any, str]] = [
     ({}, rf"{_ANY}|Mapping|dict|PerJoint|Reference|LimitsLike|Springs"),
     ({1: object()}, r"^Any$|dict"),
     ([object()], r"^Any$|Numbers"),
-    # The callables themselves check the entries of arrays.
-    (np.array(["a"]), rf"^Any$|{_NUMBERS}|(Sequence|tuple|Iterable)\[(str|Outcome)"),
+    (np.array(["a"]), r"^Any$|Numbers|(Sequence|tuple|Iterable)\[(str|Outcome)"),
+    (np.array([1.0, None], dtype=object), r"^Any$|Numbers"),
+    (np.array([object()]), r"^Any$|Numbers"),
 ]
 
 
@@ -49,11 +50,22 @@ def functions() -> Iterator[tuple[str, Callable[..., Any], type | None]]:
         if inspect.isfunction(value):
             yield name, value, None
         elif inspect.isclass(value) and not issubclass(value, Exception):
-            for attribute, member in inspect.getmembers_static(value):
-                function = getattr(member, "__func__", member)
-                is_public = not attribute.startswith("_") or attribute in ("__init__", "__call__")
-                if is_public and inspect.isfunction(function) and _is_ours(function):
-                    yield f"{name}.{attribute}", function, value
+            yield from methods(name, value, dir(value))
+
+
+def methods(
+    name: str, kind: type, known: Sequence[str]
+) -> Iterator[tuple[str, Callable[..., Any], type | None]]:
+    """Yield the public methods of a class, and those with which other classes override them."""
+    for attribute, member in inspect.getmembers_static(kind):
+        function = getattr(member, "__func__", member)
+        is_public = not attribute.startswith("_") or attribute in ("__init__", "__call__")
+        is_function = inspect.isfunction(function) and _is_ours(function)
+        if is_public and is_function and attribute in known:
+            yield f"{name}.{attribute}", function, kind
+    for derived in kind.__subclasses__():
+        if derived.__name__.startswith("_"):
+            yield from methods(derived.__name__, derived, known)
 
 
 def _is_ours(function: Callable[..., Any]) -> bool:
@@ -150,7 +162,13 @@ def test_calls_that_were_tracebacks_are_rejected() -> None:
     gait = pinred.Gait.fourier([0.0, 0.0], [[1.0, 0.0]], [[0.0, 1.0]])
     connection = pinred.Connection.mechanical(cat)
     odd: Any = 5
+    rows = np.zeros((2, 3))
     calls: dict[str, Callable[[], Any]] = {
+        "x": lambda: connection.horizontal(np.zeros(3), rows),
+        "xdot": lambda: connection.horizontal_slopes(rows, rows.astype(complex)),
+        "x|locals": lambda: connection.locals_at([[1.0], [1.0, 2.0]]),  # type: ignore[arg-type]
+        "x|shapes": lambda: connection.curvatures_at(np.zeros((2, 4))),
+        "parameters": lambda: pinred.Scene(system=cat, parameters=np.zeros(3)),  # type: ignore[arg-type]
         "of": lambda: pinred.flow(cat, of=odd),
         "along": lambda: flow.jvp("x0"),  # type: ignore[arg-type]
         "h": lambda: pinred.Reduction(cat).change_section("x"),  # type: ignore[arg-type]
@@ -162,6 +180,30 @@ def test_calls_that_were_tracebacks_are_rejected() -> None:
     for name, attempt in calls.items():
         with pytest.raises(InputError, match=rf"\b{name}\b"):
             attempt()
+
+
+ENTRIES = [["a"], [None], [object()], [1.0, "a"]]
+
+
+@pytest.mark.parametrize("entries", ENTRIES)
+def test_arrays_are_checked_after_arrays_of_numbers(entries: list[Any]) -> None:
+    """The type of an array says nothing about its entries."""
+    for numbers in (np.zeros(2), np.zeros(2, dtype=int), np.array([1.0, 2], dtype=object)):
+        assert example(numbers)
+        for dtype in (None, object):
+            with pytest.raises(ShapeError, match="numbers: expected numbers or None, got array"):
+                example(np.array(entries, dtype=dtype))
+
+
+ODD_NUMBERS = [np.array(["2020"], "M8[D]"), np.zeros(2, "m8[s]"), np.zeros(2, "V8"), 10**400]
+
+
+@pytest.mark.parametrize("value", ODD_NUMBERS, ids=str)
+def test_dates_durations_bytes_and_huge_numbers_are_rejected(value: Any) -> None:
+    """Also after a number of the same type."""
+    assert example(3)
+    with pytest.raises(ShapeError, match="numbers: expected numbers or None, got"):
+        example(value)
 
 
 class Sized:
@@ -231,7 +273,14 @@ def test_values_of_related_types_are_admitted(options: dict[str, Any]) -> None:
     [
         ({"numbers": [1, "2"]}, r"numbers: expected numbers or None, got \[1, '2'\]"),
         ({"whole": 2.0}, "whole: expected a whole number, got 2.0"),
+        ({"whole": np.array([2])}, "whole: expected a whole number, got array"),
+        ({"whole": np.timedelta64(1)}, "whole: expected a whole number, got np.timedelta64"),
+        ({"real": np.array([2.0])}, "real: expected a number, got array"),
+        ({"real": np.array(True)}, "real: expected a number, got array"),
+        ({"real": np.timedelta64(1)}, "real: expected a number, got np.timedelta64"),
         ({"names": "ab"}, "names: expected a sequence of text, got 'ab'"),
+        ({"names": np.array("a")}, "names: expected a sequence of text, got array"),
+        ({"table": {"a": [10**400, 1]}}, "table: expected a mapping from text to a sequence"),
         ({"names": ["a", 1]}, "names: expected a sequence of text, got"),
         ({"pair": (1, 2.0, 3)}, r"pair: expected \(a whole number, a number\), got"),
         ({"table": {"a": [1, None]}}, "table: expected a mapping from text to a sequence of"),
@@ -246,6 +295,28 @@ def test_message_states_the_kind_and_the_value(options: dict[str, Any], message:
     )
     with pytest.raises(ShapeError if "numbers" in options else InputError, match=message):
         example(**options)
+
+
+def test_classes_known_by_name_admit_derived_classes() -> None:
+    """Decimal is imported for type checkers only, so that the gate knows its name alone."""
+    kind = type("Decimal", (), {})
+    derived = type("Exact", (kind,), {})
+    for value in (kind(), derived()):
+        assert example(later=value)[-1] is value
+
+
+def test_default_without_entries_is_not_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other tuples are checked at each call, because their entries vary."""
+    checked: list[Any] = []
+    check = example.__globals__["_check_"]
+    monkeypatch.setitem(
+        example.__globals__, "_check_", lambda k, value: checked.append(value) or check(k, value)
+    )
+    example(names=("a",))
+    checked.clear()
+    example()
+    example(names=("a",))
+    assert checked == [(0, 0.0), ("a",), (0, 0.0)]
 
 
 def test_check_of_known_types_costs_less_than_a_microsecond() -> None:

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
-from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ForwardRef, Literal, TypeVar, Union, get_args, get_origin
@@ -26,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from .errors import InputError, PinredError, ShapeError
 from .names import brief
+from .number_kinds import are_numbers, has_fixed_entries, is_number, is_whole
 
 T = TypeVar("T")
 _SOURCE = "<checks"  # start of the file name of generated code
@@ -38,7 +38,8 @@ class Kind:
     Attributes:
         expected: Description for messages.
         admits: Predicate of values.
-        settled: Predicate of admitted values: whether all values of the same type are admitted.
+        settled: Predicate of admitted values: whether all values of the same type are admitted;
+            for arrays, all arrays of the same dtype.
         error: Type of the error for a rejected value.
     """
 
@@ -77,15 +78,18 @@ def _checked(function: Callable[..., Any], owner: type | None) -> Callable[..., 
         return function
     plain = inspect.unwrap(function)
     declared, passed = _signature(plain)
+    # A default that is an empty tuple needs no check, but tuples in general need one at each call.
+    skip = {name: f"{name} is not _empty_ and " for name in checks.names if name in checks.empty}
     tests = [
-        f"    if type({name}) not in _types_[{k}]: wrong_ = wrong_ or _check_({k}, {name})"
+        f"    if {skip.get(name, '')}({name}.dtype if type({name}) is _array_ else type({name})) "
+        f"not in _types_[{k}]: wrong_ = wrong_ or _check_({k}, {name})"
         for k, name in enumerate(checks.names)
     ]
     body = f"_function_({passed})"
     reject = f"    if wrong_ is not None:\n        with _rejected_(wrong_): {body}"
     lines = [f"def call({declared}):", "    wrong_ = None", *tests, reject, f"    return {body}"]
-    values: dict[str, Any] = {"_types_": checks.types, "_check_": checks.check}
-    values |= {"_rejected_": _rejected, "_function_": function}
+    values: dict[str, Any] = {"_types_": checks.types, "_check_": checks.check, "_empty_": ()}
+    values |= {"_array_": np.ndarray, "_rejected_": _rejected, "_function_": function}
     exec(compile("\n".join(lines), f"{_SOURCE} of {function.__qualname__}>", "exec"), values)
     call: Callable[..., Any] = wraps(function)(values["call"])
     call.__defaults__, call.__kwdefaults__ = plain.__defaults__, plain.__kwdefaults__
@@ -135,7 +139,8 @@ class _Checks:
 
     Attributes:
         names: Names of the checked parameters.
-        types: Types of each parameter whose values are all admitted.
+        types: Types of each parameter whose values are all admitted; for arrays their dtypes.
+        empty: Names of the parameters whose default is an empty tuple.
     """
 
     def __init__(self, function: Callable[..., Any], owner: type | None) -> None:
@@ -146,10 +151,15 @@ class _Checks:
         defaults = inspect.signature(inspect.unwrap(function)).parameters
         # A marker, such as that of a default factory, is admitted independent of the annotation.
         markers = [type(defaults[name].default) for name in self.names]
-        self.types = [{kind} if kind.__name__.startswith("_") else set() for kind in markers]
+        self.types: list[set[Any]] = [
+            {kind} if kind.__name__.startswith("_") else set() for kind in markers
+        ]
+        # An array has no truth value, so the type is compared first.
+        empty = [type(defaults[n].default) is tuple and not defaults[n].default for n in self.names]
+        self.empty = {name for name, is_empty in zip(self.names, empty, strict=True) if is_empty}
         self._function, self._owner = function, owner
         self._kinds: list[Kind | None] = []
-        self._open: set[tuple[int, type]] = set()  # types whose values are checked at each call
+        self._open: set[tuple[int, Any]] = set()  # types whose values are checked at each call
 
     def check(self, number: int, value: Any) -> InputError | None:
         """Return an error that names the parameter if the value is of a wrong kind."""
@@ -161,10 +171,11 @@ class _Checks:
                 f"{self.names[number]}: expected {kind.expected}, got {brief(value)}. "
                 f"See help({self._function.__qualname__})."
             )
-        if kind is None or ((number, type(value)) not in self._open and kind.settled(value)):
-            self.types[number].add(type(value))
+        same = value.dtype if type(value) is np.ndarray else type(value)
+        if kind is None or ((number, same) not in self._open and kind.settled(value)):
+            self.types[number].add(same)
         else:
-            self._open.add((number, type(value)))
+            self._open.add((number, same))
         return None
 
 
@@ -332,44 +343,9 @@ def _never(_: object) -> bool:
     return False
 
 
-def _is_number(value: Any) -> bool:
-    if type(value) is int:
-        return -_LARGEST < value < _LARGEST
-    if isinstance(value, np.ndarray):
-        return value.ndim == 0 and value.dtype.kind in "fiu"
-    if not isinstance(value, Real) or isinstance(value, bool):
-        return False
-    try:
-        float(value)
-    except (OverflowError, TypeError):  # np.timedelta64 counts as a whole number
-        return False
-    return True
-
-
-def _is_whole(value: Any) -> bool:
-    if isinstance(value, np.ndarray):
-        return value.ndim == 0 and value.dtype.kind in "iu"
-    return isinstance(value, Integral) and not isinstance(value, (bool, np.timedelta64))
-
-
-def _are_numbers(value: Any) -> bool:
-    """Return whether a value is an array, a number, or a nested list of arrays and numbers."""
-    if isinstance(value, (list, tuple)):
-        return _COMMON.issuperset(map(type, value)) or all(map(_are_numbers, value))
-    if isinstance(value, np.ndarray):
-        return value.dtype.kind not in "mMSUV"
-    if isinstance(value, np.generic):
-        return _is_number(value)
-    return _is_number(value) or isinstance(value, range) or hasattr(type(value), "__array__")
-
-
-_LARGEST = int(np.finfo(float).max)
 _TEXT = (str, bytes, bytearray, memoryview)
 _STORED = (list, tuple, np.ndarray)
-_COMMON = frozenset({int, float, np.float64, np.int64})  # frequent types of entries of lists
-_NUMBERS = Kind(
-    "numbers", _are_numbers, lambda value: not isinstance(value, (list, tuple, int)), ShapeError
-)
+_NUMBERS = Kind("numbers", are_numbers, has_fixed_entries, ShapeError)
 _SIMPLE: dict[Any, Kind | None] = {
     Any: None,
     object: None,
@@ -377,8 +353,8 @@ _SIMPLE: dict[Any, Kind | None] = {
     NoneType: Kind("None", lambda value: value is None),
     str: Kind("text", lambda value: isinstance(value, str)),
     bool: Kind("True or False", lambda value: isinstance(value, (bool, np.bool_))),
-    int: Kind("a whole number", _is_whole),
-    float: Kind("a number", _is_number, lambda value: not isinstance(value, (int, np.ndarray))),
+    int: Kind("a whole number", is_whole),
+    float: Kind("a number", is_number, lambda value: not isinstance(value, (int, np.ndarray))),
     Path: Kind("a path", lambda value: isinstance(value, os.PathLike)),
     _Numbers: _NUMBERS,
 }

@@ -115,6 +115,24 @@ def vectors(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) 
     return _finite(array, what, labels)
 
 
+def rows(value: ArrayLike, size: int, what: str) -> Array:
+    """Convert a value to rows of numbers, which need not be finite.
+
+    Args:
+        value: Numbers, (N, size).
+        size: Required length of a row.
+        what: Name of the argument, for messages.
+    Returns:
+        (N, size): the rows.
+    Raises:
+        ShapeError: The value has another shape, or is not an array of numbers.
+    """
+    array = as_floats(value, what)
+    if array.ndim != 2 or array.shape[1] != size:
+        raise ShapeError(f"{what} must have shape (N, {size}), got {array.shape}")
+    return array
+
+
 def _hint(labels: Sequence[str]) -> str:
     return f" ({', '.join(labels)})" if 0 < len(labels) <= 12 else ""
 

@@ -11,6 +11,7 @@ import numpy as np
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ShapeError
+from .array_arguments import convert_arguments
 from .rotations import apply, hat, plane_rotation, rotation
 
 # Allowed deviation of a quaternion's norm from 1, so that quaternions with few decimals pass.
@@ -33,7 +34,6 @@ class PoseError:
     translation: Array
 
 
-@checks_arguments
 @dataclass(frozen=True, eq=False, repr=False)
 class Group(ABC):
     """A Lie group of base motions: a subgroup of SE(3), in the frame of the root joint.
@@ -75,6 +75,11 @@ class Group(ABC):
     size: int = field(init=False)
     plane: tuple[int, ...] = field(init=False)
     turns_about_com: bool = field(init=False)
+
+    def __init_subclass__(cls) -> None:
+        """Convert and check the arguments of all operations, also in groups of users."""
+        super().__init_subclass__()
+        convert_arguments(cls)
 
     def __post_init__(self) -> None:
         linear = sum(axis < 3 for axis in self.axes)
@@ -357,3 +362,6 @@ class Group(ABC):
                 f"the quaternion of a pose of {self.name} must have norm 1, got {norm:g}"
             )
         return self.normalize(pose)
+
+
+convert_arguments(Group)

@@ -115,7 +115,8 @@ def requested(system: System, parameters: Any) -> tuple[dict[str, Any], list[str
     """
     if isinstance(parameters, Mapping):
         return dict(parameters), []
-    names = all_names(system) if parameters == "all" else entries_of(parameters)
+    every = isinstance(parameters, str) and parameters == "all"
+    names = all_names(system) if every else entries_of(parameters)
     if names is None or (isinstance(parameters, str) and parameters != "all"):
         raise InputError(
             "parameters must be {name: value}, a list of names, or 'all' for the robot's inertias "

@@ -69,6 +69,13 @@ def test_motion_that_aba_cannot_follow_gives_no_verdict(
     assert "it reached t = 0 s" in report.reasons[-1]
 
 
+def test_budget_counts_from_its_creation() -> None:
+    """Processor time that was spent before does not matter."""
+    clock, wall = count(100), count(1000)
+    budget = TimeBudget(2.5, lambda: float(next(clock)), lambda: float(next(wall)))
+    assert [budget.is_exceeded() for _ in range(6)] == [False] * 5 + [True]
+
+
 @pytest.mark.parametrize(("wall", "seconds"), [(0.0, 30.0), (0.06, 30.0), (0.2, 100.0)])
 def test_default_budget_is_the_longer_one(wall: float, seconds: float) -> None:
     """Thirty seconds, or 500 times the wall time of the simulation."""
@@ -96,3 +103,15 @@ def test_invalid_budget_is_rejected(traj: pinred.Trajectory, budget: float) -> N
     """A budget is a positive number of seconds."""
     with pytest.raises(pinred.InputError, match="budget"):
         pinred.compare(traj, budget=budget)
+
+
+@pytest.mark.parametrize(("damping", "duration"), [(-1e3, 6e-5), (1e6, 0.02)])
+def test_stiff_and_unstable_scenes_end_with_a_verdict(damping: float, duration: float) -> None:
+    """Neither scene can be followed within the budget; the judge raises nothing."""
+    force = pinred.forces.Damper("bend", damping)
+    traj = pinred.simulate(pinred.load("falling_cat"), seed=1, duration=duration, forces=[force])
+    report = pinred.compare(traj, budget=0.02)
+    # Defects of stiff steps are large, so the verdict on them may be FAILED.
+    expected = {Verdict.CANNOT_TELL} if damping < 0.0 else {Verdict.CANNOT_TELL, Verdict.FAILED}
+    assert report.verdict in expected
+    assert "it reached t = " in report.reasons[-1]

@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import Array
+from ...common.arrays import Array, rows
+from ...common.errors import ShapeError
 from ...common.memo import once
 from ...integrators.stepping.compiling import compiled
 from ..evaluate import WIDTH, columns_at, evaluate
@@ -101,8 +102,8 @@ class ConnectionCode:
     def velocities(self, x: Array, xdot: Array) -> Velocities:
         """Compute the horizontal motions."""
         form, code = self.form, self._code("velocity", velocity_graph, validate_velocity)
-        r = form.r
-        values = evaluate(code.address, _NONE, np.hstack([x, xdot]), r + 1 + form.symmetric)
+        r, states = form.r, self._states(x, xdot)
+        values = evaluate(code.address, _NONE, states, r + 1 + form.symmetric)
         square = values[:, r + 1] if form.symmetric else np.full(len(x), np.nan)
         return Velocities(values[:, :r], values[:, r], square)
 
@@ -112,9 +113,9 @@ class ConnectionCode:
         Without a metric, the derivative is that of ξ, (N, r, 2m).
         """
         form, code = self.form, self._code("slope", velocity_slope_graph, validate_slope)
-        rows, columns = form.r + form.symmetric, 2 * form.m
-        values = evaluate(code.address, _NONE, np.hstack([x, xdot]), rows * columns)
-        return _matrices(values, rows, columns)
+        size, columns = form.r + form.symmetric, 2 * form.m
+        values = evaluate(code.address, _NONE, self._states(x, xdot), size * columns)
+        return _matrices(values, size, columns)
 
     def covariant_forces(
         self, x: Array, xdot: Array, xddot: Array, along: Array
@@ -138,16 +139,18 @@ class ConnectionCode:
     def locals(self, x: Array) -> Locals:
         """Compute the matrix of the form, the local connection A, and the metric M."""
         r, m, symmetric = self.form.r, self.form.m, self.form.symmetric
-        rows, metric = (r + m, m) if symmetric else (r, 0)
-        matrix, A = np.empty((len(x), rows, r + m)), np.empty((len(x), r, m))
+        x = rows(x, m, "x")
+        size, metric = (r + m, m) if symmetric else (r, 0)
+        matrix, A = np.empty((len(x), size, r + m)), np.empty((len(x), r, m))
         health, M = np.empty(len(x)), np.empty((len(x), metric, metric))
         code = self._code("columns", column_graph, validate_columns, wide=True)
-        for chunk, columns in columns_at(code.address, x, rows + r + r * r + 1 + metric):
+        for chunk, columns in columns_at(code.address, x, size + r + r * r + 1 + metric):
             _unpack(columns, matrix[chunk], A[chunk], health[chunk], M[chunk])
         return Locals(matrix, A, health, M if symmetric else None)
 
     def curvatures(self, x: Array) -> Curvatures:
         """Compute the two terms of the curvature separately."""
+        x = rows(x, self.form.m, "x")
         exterior, bracket = np.zeros((2, len(x), self.form.r, self.form.m, self.form.m))
         health = self._add_curvature(x, exterior, bracket, 1.0)
         return Curvatures(exterior, bracket, health)
@@ -175,6 +178,14 @@ class ConnectionCode:
             _antisymmetrise(columns, entries, factors, exterior[chunk], bracket[chunk])
             health[chunk] = columns[:, 0, r]
         return health
+
+    def _states(self, x: Array, xdot: Array) -> Array:
+        """Return shapes and their rates side by side, (N, 2m)."""
+        m = self.form.m
+        x, xdot = rows(x, m, "x"), rows(xdot, m, "xdot")
+        if len(x) != len(xdot):
+            raise ShapeError(f"x and xdot differ in length, {len(x)} and {len(xdot)}")
+        return np.hstack([x, xdot])
 
     def _code(
         self,
