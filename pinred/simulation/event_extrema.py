@@ -58,11 +58,11 @@ def _times_near(times: Array, values: Array, event: Indices, at: Indices) -> Arr
     sign = np.sign(values[event, at])
     product = np.abs(shift * (shift - left) * (shift - right))
     error = size * np.minimum(_CLOSE, _CUBIC * product / (right - left) ** 3)
-    wanted = inside & (a * b > 0.0) & (b * c > 0.0) & (curvature * sign > 0.0)
+    is_needed = inside & (a * b > 0.0) & (b * c > 0.0) & (curvature * sign > 0.0)
     with np.errstate(invalid="ignore"):  # infinite without curvature
-        wanted &= extremum * sign < error
-    found: Array = np.unique(t[wanted] + shift[wanted])
-    return found
+        is_needed &= extremum * sign < error
+    times_of_extrema: Array = np.unique(t[is_needed] + shift[is_needed])
+    return times_of_extrema
 
 
 def _apart(shift: Array, left: Array, right: Array) -> Array:

@@ -106,19 +106,19 @@ def find_defects(plan: Plan, trajectory: Trajectory) -> _Worst:
     samples = _sample_times(trajectory.scene.end)
     ends = np.append(0.0, motion.segments.ends)
     first = np.searchsorted(samples, ends)
-    found = [
+    samples_of_segments = [
         _worst_of(trajectory, segment, samples[first[k] : first[k + 1]], tolerance)
         for k, segment in enumerate(motion.segments)
         if first[k] < first[k + 1]
     ]
-    times, defects = (np.concatenate(rows) for rows in zip(*found, strict=True))
+    times, defects = (np.concatenate(rows) for rows in zip(*samples_of_segments, strict=True))
     return _Worst(times, defects)
 
 
 def _sample_times(end: float) -> Array:
     """Return a random time in each of equal spans, (_SAMPLES,) sorted [s]."""
-    parts = np.random.default_rng(_SEED).random(_SAMPLES)
-    return np.asarray((np.arange(_SAMPLES) + parts) * (end / _SAMPLES))
+    fractions = np.random.default_rng(_SEED).random(_SAMPLES)
+    return np.asarray((np.arange(_SAMPLES) + fractions) * (end / _SAMPLES))
 
 
 def _tolerance(plan: Plan, trajectory: Trajectory) -> tuple[float, float]:

@@ -101,13 +101,13 @@ def fit_of(method: type[Method]) -> tuple[Array, Array]:
 def time_table(forces: ForceModel, end: float, numbers: Array) -> TimeTable:
     """Return the table of the functions of time with force parameters (p,), cached."""
     functions = forces.time_functions
-    known: dict[tuple[float, bytes], TimeTable] = once(functions, TimeTable, dict)
+    tables: dict[tuple[float, bytes], TimeTable] = once(functions, TimeTable, dict)
     key = end, numbers[functions_depend_on(forces)].tobytes()
-    table = known.get(key)
+    table = tables.get(key)
     if table is None:
-        while len(known) >= _RUNS:
-            known.pop(next(iter(known)), None)
-        table = known[key] = _tabulate(forces, end, numbers)
+        while len(tables) >= _RUNS:
+            tables.pop(next(iter(tables)), None)
+        table = tables[key] = _tabulate(forces, end, numbers)
     return table
 
 

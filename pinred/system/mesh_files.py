@@ -95,14 +95,14 @@ def read_meshes(paths: Sequence[Path]) -> dict[Path, Mesh | Unreadable]:
     meshes: dict[Path, Mesh | Unreadable] = {}
     remaining: dict[Path, _Identity] = {}
     for path in dict.fromkeys(paths):
-        known: Mesh | Unreadable | None = unreadable(path)
-        if known is None:
+        result: Mesh | Unreadable | None = unreadable(path)
+        if result is None:
             identity = _identity(path)
-            known = _CACHE.get(identity)
-            if known is None:
+            result = _CACHE.get(identity)
+            if result is None:
                 remaining[path] = identity
                 continue
-        meshes[path] = known
+        meshes[path] = result
     deadline = monotonic() + _SECONDS_TOGETHER
     while remaining:
         for path, mesh in _read_in_child(list(remaining), deadline):

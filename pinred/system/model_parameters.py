@@ -54,14 +54,14 @@ def kinds_near(system: System, name: object, known: Sequence[str] = ()) -> str:
         name: Unknown name.
         known: Additional valid names.
     """
-    names = [f"{body}.{kind}" for body in body_names(system) for kind in BODY_SIZES]
-    names += [f"{joint}.{kind}" for joint in list(system.model.names)[2:] for kind in PLACED]
+    names = [f"{body}.{size}" for body in body_names(system) for size in BODY_SIZES]
+    names += [f"{joint}.{place}" for joint in list(system.model.names)[2:] for place in PLACED]
     locked = system.contents.locked
     names += [] if locked is None else [f"{joint}.lock" for joint in locked.names]
     hint = nearest(str(name), [*known, *GRAVITY, *names]) if isinstance(name, str) else ""
     return (
-        f"{hint}the robot's parameters are {', '.join(f'LINK.{kind}' for kind in BODY_SIZES)}, "
-        f"{', '.join(f'JOINT.{kind}' for kind in (*PLACED, 'lock'))}, {', '.join(GRAVITY)}"
+        f"{hint}the robot's parameters are {', '.join(f'LINK.{size}' for size in BODY_SIZES)}, "
+        f"{', '.join(f'JOINT.{name}' for name in (*PLACED, 'lock'))}, {', '.join(GRAVITY)}"
     )
 
 

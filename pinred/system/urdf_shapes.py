@@ -147,14 +147,14 @@ def _read(
 
 def _find(name: str, folders: Sequence[str]) -> Path | None:
     """Return the path of a mesh file; None if there is none."""
-    scheme, mark, rest = name.partition("://")
+    scheme, mark, location = name.partition("://")
     if not mark or scheme == "file":
-        folders, rest = ([*folders, ""] if not mark else [""]), rest if mark else name
+        folders, location = ([*folders, ""] if not mark else [""]), location if mark else name
     elif scheme not in ("package", "model"):
         return None
     for folder in folders:
-        path = Path(folder, rest)
-        if rest and _exists(path):
+        path = Path(folder, location)
+        if location and _exists(path):
             return path
     return None
 

@@ -145,15 +145,15 @@ def polish(task: Task, gait: Gait, merit: float) -> Extremal:
             "corner at its start needs many"
         )
     z = root.z * start.scale
-    found = _extremal(problem, z, gait.period, root.residual, root.iterations)
-    if not found.merit >= merit - _WORSE * abs(merit):
+    result = _extremal(problem, z, gait.period, root.residual, root.iterations)
+    if not result.merit >= merit - _WORSE * abs(merit):
         raise NoOptimum(
-            f"the extremal near the optimum has merit {found.merit:.9g}, below {merit:.9g}; "
+            f"the extremal near the optimum has merit {result.merit:.9g}, below {merit:.9g}; "
             "increase the harmonics of the optimum"
         )
-    if min(margins(task.connection, found.gait, task.limits).values()) < 0.0:
+    if min(margins(task.connection, result.gait, task.limits).values()) < 0.0:
         raise NoOptimum("the extremal near the optimum exceeds the limits; widen them")
-    return found
+    return result
 
 
 def _extremal(
@@ -163,9 +163,9 @@ def _extremal(
     task, (states, _) = problem.task, problem.split(z)
     _, poses = problem.advance(states, 1.0 / SEGMENTS)
     pose, length = problem.pose(poses), float(problem.lengths(states[:1])[0])
-    moved = Displacement.of(task.aim, pose)
-    deviation = float(np.linalg.norm(moved.errors))
-    value = deviation if isinstance(task.aim, TargetAim) else moved.value
+    displacement = Displacement.of(task.aim, pose)
+    deviation = float(np.linalg.norm(displacement.errors))
+    value = deviation if isinstance(task.aim, TargetAim) else displacement.value
     corner = _corner(problem, states)
     gait, error = (_with_corner if corner else _smooth)(problem, states, period)
     charge = states[0, -problem.group.dim :] / length

@@ -141,9 +141,9 @@ class ExtremalProblem:
         width, r = self.width, self.group.dim
         steps = _STEP * scale[:width]
         signs = np.array([0.0, 1.0, -1.0])
-        moved = states + np.einsum("s,jw->sjw", signs, np.diag(steps))[:, :, None]
-        ends, poses = self.advance(moved.reshape(-1, width), 1.0 / SEGMENTS)
-        ends, poses = ends.reshape(moved.shape), poses.reshape(*moved.shape[:3], -1)
+        shifted = states + np.einsum("s,jw->sjw", signs, np.diag(steps))[:, :, None]
+        ends, poses = self.advance(shifted.reshape(-1, width), 1.0 / SEGMENTS)
+        ends, poses = ends.reshape(shifted.shape), poses.reshape(*shifted.shape[:3], -1)
         jacobian = np.zeros((len(z), len(z)))
         rates = (ends[1] - ends[2]) / (2.0 * steps[:, None, None])  # (width, segments, width)
         for k in range(SEGMENTS):
@@ -153,14 +153,14 @@ class ExtremalProblem:
         tail = slice(SEGMENTS * width - r, None)
         jacobian[tail] = 0.0
         # The end depends on the pose of each segment, on the last charge and on the first speed.
-        mu = np.tile(ends[0, 0, -1, -r:], (*moved.shape[:3], 1))
+        mu = np.tile(ends[0, 0, -1, -r:], (*shifted.shape[:3], 1))
         mu[:, :, -1] = ends[:, :, -1, -r:]
-        lengths = np.full(moved.shape[:3], self.lengths(states[:1])[0])
-        lengths[:, :, 0] = self.lengths(moved[:, :, 0].reshape(-1, width)).reshape(3, width)
+        lengths = np.full(shifted.shape[:3], self.lengths(states[:1])[0])
+        lengths[:, :, 0] = self.lengths(shifted[:, :, 0].reshape(-1, width)).reshape(3, width)
         end_poses = self._around(poses[0, 0], poses).reshape(-1, self.group.size)
         many = np.tile(multipliers, (len(end_poses), 1))
         last = self._terminal(mu.reshape(-1, r), end_poses, many, lengths.ravel())
-        last = last.reshape(*moved.shape[:3], -1)
+        last = last.reshape(*shifted.shape[:3], -1)
         by_states = (last[1] - last[2]) / (2.0 * steps[:, None, None])
         jacobian[tail, : SEGMENTS * width] = by_states.transpose(2, 1, 0).reshape(last.shape[3], -1)
         units = np.vstack([np.zeros(len(multipliers)), np.eye(len(multipliers))])
@@ -179,13 +179,14 @@ class ExtremalProblem:
         """Return transversality, deviations and the equation of the scale, (N, r + multipliers)."""
         rows = []
         for charge, pose, factors, length in zip(mu, poses, multipliers, lengths, strict=True):
-            moved = Displacement.of(self.task.aim, pose)
-            parts = [charge - factors @ moved.allowed, moved.errors]
-            if len(moved.gradient):
+            displacement = Displacement.of(self.task.aim, pose)
+            blocks = [charge - factors @ displacement.allowed, displacement.errors]
+            if len(displacement.gradient):
                 most = self.task.most
-                scale = factors[0] * moved.value - length**2 if most is None else length - most
-                parts.append(np.array([scale]))
-            rows.append(np.concatenate(parts))
+                merit = factors[0] * displacement.value
+                scale = merit - length**2 if most is None else length - most
+                blocks.append(np.array([scale]))
+            rows.append(np.concatenate(blocks))
         return np.array(rows)
 
     def _before(self, poses: Array) -> Array:

@@ -43,8 +43,8 @@ def start_of(problem: ExtremalProblem, gait: Gait) -> Start:
     """
     connection, group = problem.task.connection, problem.group
     slopes = phase_slopes(connection, gait)
-    moved, L = Displacement.of(problem.task.aim, slopes.pose), slopes.length
-    allowed = moved.allowed
+    displacement, L = Displacement.of(problem.task.aim, slopes.pose), slopes.length
+    allowed = displacement.allowed
     by_c = np.tensordot(allowed, slopes.twist, 1).reshape(len(allowed), -1)
     multipliers = L * np.linalg.lstsq(by_c.T, slopes.length_slope.ravel(), rcond=None)[0]
     J = group.spatial_momentum(slopes.pose, multipliers @ allowed)
@@ -57,7 +57,7 @@ def start_of(problem: ExtremalProblem, gait: Gait) -> Start:
     base = np.tile(group.identity(), (SEGMENTS, 1))
     p = problem.equations.momenta(x, u, base, mu)
     z = np.concatenate([np.hstack([x, p, mu]).ravel(), multipliers])
-    return Start(z, *_scales(problem, even, L, moved))
+    return Start(z, *_scales(problem, even, L, displacement))
 
 
 def at_constant_speed(problem: ExtremalProblem, gait: Gait) -> Gait:

@@ -55,16 +55,16 @@ def levenberg_marquardt(
         size = float(np.linalg.norm(value))
         U, s, V = np.linalg.svd(jacobian(z), full_matrices=False)
         along = U.T @ value
-        trial, found = z, value
+        trial, trial_value = z, value
         while damping <= _LARGEST:
             trial = z - V.T @ (s / (s**2 + (damping * s[0]) ** 2) * along)
-            found = _value(residuals, trial)
-            if float(np.linalg.norm(found)) < size or size <= tolerance:
+            trial_value = _value(residuals, trial)
+            if float(np.linalg.norm(trial_value)) < size or size <= tolerance:
                 break
             damping *= 10.0
-        if not float(np.linalg.norm(found)) < size:
+        if not float(np.linalg.norm(trial_value)) < size:
             return Root(z, size, done)
-        z, value, damping = trial, found, max(0.1 * damping, _LEAST)
+        z, value, damping = trial, trial_value, max(0.1 * damping, _LEAST)
     return Root(z, float(np.linalg.norm(value)), most)
 
 
