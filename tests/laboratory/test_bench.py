@@ -169,6 +169,7 @@ def test_bench_commands_reject_bad_input(
     assert capsys.readouterr().err.startswith("pinred: error: ")
 
 
+@pytest.mark.by_hand
 def test_floquet_routes_agree_with_closed_form(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

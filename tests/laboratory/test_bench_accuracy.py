@@ -279,6 +279,7 @@ def test_record_round_trip(tmp_path: Path) -> None:
         read_record(path, "quick")
 
 
+@pytest.mark.by_hand
 def test_interrupted_bench_resumes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -379,6 +380,7 @@ def test_scenes_have_names_and_states(name: str) -> None:
         assert problem.system.m == int(name.split("-")[1])
 
 
+@pytest.mark.by_hand
 def test_satellite_is_chaotic() -> None:
     """By ABA, neighbours separate e-fold every 2 to 3 s, unlike in a regular motion."""
     (satellite,), _ = problems_named(["satellite"])
