@@ -85,6 +85,7 @@ def test_equal_links_have_two_degenerate_equilibria() -> None:
     assert sorted(flat) == [[0, 1, 1, 1, 1], [1, 1, 1, 1, 0]]
 
 
+@pytest.mark.by_hand
 def test_spatial_chain_has_morse_sum_zero() -> None:
     """coupled_spatial has 60 equilibria; a search with another seed finds as many."""
     system = pinred.load("coupled_spatial")

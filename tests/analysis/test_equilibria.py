@@ -255,6 +255,7 @@ def test_cart_pole_hangs_or_stands_at_any_momentum() -> None:
         assert equilibria[0].xi[0] == pytest.approx(momentum / 3.0, abs=1e-14)
 
 
+@pytest.mark.by_hand
 def test_spring_equals_custom_potential() -> None:
     """A spring changes the equilibria of the cat exactly as the same custom potential does."""
     cat = pinred.load("falling_cat")
@@ -335,6 +336,7 @@ def test_heavy_gyrostat_with_free_and_driven_rotor() -> None:
     assert all(each.xdot[0] == 20.0 for each in driven)
 
 
+@pytest.mark.by_hand
 def test_coupled_joints_are_steady() -> None:
     """A tree with coupled joints has no acceleration by ABA with multipliers."""
     case = make_case("SE2", 3, 4)

@@ -94,6 +94,7 @@ def test_write_atomic_failure_keeps_old_file(tmp_path: Path) -> None:
     assert files_in(tmp_path) == ["a.npz"]
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_check_path_rejects_protected_targets(tmp_path: Path) -> None:
     """`--out` rejects a read-only file, a FIFO and a folder before the simulation."""

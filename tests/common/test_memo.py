@@ -77,9 +77,13 @@ def test_recent_in_parallel_threads_returns_one_value() -> None:
     """All threads get the value that was stored first."""
     owner, start, results = Owner(), Barrier(4), []
 
+    def make() -> object:
+        time.sleep(0.02)
+        return object()
+
     def ask() -> None:
         start.wait()
-        results.append(recent(owner, 1, lambda: (time.sleep(0.02), object())[1], 2, "a"))
+        results.append(recent(owner, 1, make, 2, "a"))
 
     threads = [Thread(target=ask) for _ in range(4)]
     for thread in threads:

@@ -134,6 +134,7 @@ def test_progress_bar_in_notebook_updates_one_output(outputs: dict[str, list[Any
     assert "falling &lt;b&gt;" in html
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_progress_bar_in_notebook_is_emptied_at_the_end(outputs: dict[str, list[Any]]) -> None:
     """The bar's output becomes empty, and the cell's other outputs stay."""

@@ -108,6 +108,7 @@ print(compiling.compiled(chosen)(3.0))
 """
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 @pytest.mark.parametrize("named", [True, False])
 def test_compiled_copies_need_distinct_names(named: bool, tmp_path: Path) -> None:

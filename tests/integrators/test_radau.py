@@ -302,6 +302,7 @@ def test_hard_springs_need_few_steps() -> None:
         pinred.simulate(replace(scene, method=explicit))
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_van_der_pol_equals_scipy() -> None:
     """The stiff oscillator of the book over its jump."""

@@ -204,16 +204,11 @@ def expected_of(method: Any, solution: Solution) -> tuple[Array, Array, Array]:
     return gauss_derivatives(solution, method.stages)
 
 
+@pytest.mark.by_hand
 @pytest.mark.parametrize(
     ("method", "stages"),
-    # Gauss's methods with equal steps store no stages. Their compilation takes long.
-    [
-        (METHODS[0], False),
-        (METHODS[0], True),
-        pytest.param(METHODS[1], False, marks=pytest.mark.by_hand),
-        pytest.param(METHODS[2], False, marks=pytest.mark.by_hand),
-        pytest.param(METHODS[2], True, marks=pytest.mark.by_hand),
-    ],
+    # Gauss's methods with equal steps store no stages.
+    [*((method, False) for method in METHODS), (METHODS[0], True), (METHODS[2], True)],
 )
 def test_forward_and_backward_derivatives_are_exact(method: Any, stages: bool) -> None:
     """Those of all states, by initial state and parameters, with stored stages or without."""
@@ -240,11 +235,8 @@ def test_forward_and_backward_derivatives_are_exact(method: Any, stages: bool) -
         np.testing.assert_allclose(value, expected, rtol=0, atol=2e-12)
 
 
-@pytest.mark.parametrize(
-    "method",
-    [METHODS[0], *(pytest.param(method, marks=pytest.mark.by_hand) for method in METHODS[1:])],
-    ids=str,
-)
+@pytest.mark.by_hand
+@pytest.mark.parametrize("method", METHODS, ids=str)
 def test_runs_without_directions_or_inner_reports(method: Any) -> None:
     """States need no tangent kernel; reports at step ends only; covectors of the end only."""
     solution, field = run_of(method, stages=False, inner=False), field_of(method)

@@ -233,6 +233,7 @@ def test_casadi_functions_equal_reduction(group: str) -> None:
     np.testing.assert_allclose(jacobian, np.stack(columns, axis=1), atol=1e-7)
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_kernels_of_extreme_robots_pass_validation() -> None:
     """Sixty joints, a mass ratio of a million, a spin of 1000 rad/s."""

@@ -133,6 +133,7 @@ def test_distance_of_optimum_is_difference_to_extremal(
     assert "to the extremal nearby" in str(distance)
 
 
+@pytest.mark.by_hand
 def test_distance_without_extremal_is_that_to_twice_the_harmonics() -> None:
     """Torque per rotation with one harmonic and with two."""
     coarse, fine = (

@@ -218,6 +218,7 @@ def test_least_torque_that_pitches_solo12_by_30_degrees() -> None:
     close(turned[3:], [0.0, np.sin(0.5 * pitch), 0.0, np.cos(0.5 * pitch)], 1e-8)
 
 
+@pytest.mark.by_hand
 def test_peaks_of_loop_equal_those_of_fine_grid() -> None:
     """Maxima of shapes, speeds and torques in every cell, torques by RNEA."""
     A, T, system = rods(), 1.3, pinred.load("three_rods")

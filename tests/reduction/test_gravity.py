@@ -185,6 +185,7 @@ def test_cartpole_frequency_follows_from_reduced_metric() -> None:
     np.testing.assert_allclose(traj.x[:, 0], 1e-6 * np.cos(w * traj.t), atol=1e-15)
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 @settings(max_examples=6)
 @given(seeds, st.integers(1, 3))

@@ -138,6 +138,7 @@ def test_invalid_passive_option_is_refused_by_name(options: dict[str, Any], said
         pinred.Scene(system=pinred.load("falling_cat"), **options)
 
 
+@pytest.mark.by_hand
 def test_batch_with_passive_forces_matches_single_runs(robot: Path) -> None:
     """A batch gives the states of single runs."""
     system = pinred.load(robot)

@@ -21,6 +21,7 @@ TIMES = np.linspace(0.0, 0.5, 4)
 NEAR: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-11}
 
 
+@pytest.mark.by_hand
 def test_members_with_parameters_and_gravity_agree_with_scenes() -> None:
     """ABA validates them, and a single member has the same bits."""
     gain = pinred.Parameter("gain", 0.3)

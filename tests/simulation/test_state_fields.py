@@ -43,6 +43,7 @@ def test_state_shapes_agree_with_the_table(robot: str, engine: Any) -> None:
         traj.pose = np.zeros(7)
 
 
+@pytest.mark.by_hand
 def test_new_field_needs_edits_in_at_most_four_files(tmp_path: Path) -> None:
     """After these edits the field is an attribute, a file column, a label and a flow output."""
     assert len(NEW_FIELD) <= 4

@@ -117,6 +117,7 @@ HELD = ComputedTorque({"bend": 0.1, "twist": Fourier(0.0, [0.2], [], 2.0)}, 9.0,
 NUMBERS: dict[str, Any] = {"back.mass": 2.0, "bend.placement": TURNED, "sway.lock": 0.7}
 
 
+@pytest.mark.by_hand
 @pytest.mark.parametrize("method", [
     pytest.param("DOP853", marks=pytest.mark.slow),
     pytest.param("AdaptiveGauss", marks=pytest.mark.by_hand),

@@ -82,7 +82,7 @@ def children(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen[bytes]]:
         processes.append(start(*args, **options))  # type: ignore[call-overload]
         return processes[-1]
 
-    monkeypatch.setattr(mesh_files.subprocess, "Popen", record)
+    monkeypatch.setattr(subprocess, "Popen", record)
     return processes
 
 

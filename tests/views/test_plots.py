@@ -258,6 +258,7 @@ def test_plots_reject_unknown_kinds_options_joints(cat: pinred.Trajectory) -> No
         plots.shape(3)  # type: ignore[arg-type]
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_plots_do_not_touch_pyplot_or_settings() -> None:
     """Neither pyplot nor a GUI is imported; user settings have no effect and stay."""
@@ -276,6 +277,7 @@ def test_plots_do_not_touch_pyplot_or_settings() -> None:
     assert python(code) == "False True True ['matplotlib.backends.backend_agg']\n"
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_missing_matplotlib_is_reported() -> None:
     """The message says how to install it; the rest of pinred works."""

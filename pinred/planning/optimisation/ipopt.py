@@ -159,8 +159,10 @@ def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
     if use.any():
         bounds = np.where(low[use], -np.inf, 0.0), np.where(high[use], np.inf, 0.0)
         normals = (gradients[use] / norms[use, None]).T
-        residual = lsq_linear(normals, -residual, bounds, tol=1e-14).fun
-    return float(np.linalg.norm(residual))
+        with np.errstate(invalid="ignore"):  # SciPy tries steps of infinite length
+            residual = lsq_linear(normals, -residual, bounds, tol=1e-14).fun
+    size = float(np.linalg.norm(residual))
+    return size if np.isfinite(size) else np.inf
 
 
 class _Function(ArrayCallback):
