@@ -25,7 +25,7 @@ _QUICK = 1e-5  # residual that needs no second derivatives, if the cost is not t
 _QUICK_STEPS = 500  # largest number of iterations without second derivatives in the last stage
 _NEWTON_STEPS = 40  # largest number of iterations with second derivatives
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
-_ROUNDS = 4  # largest number of last stages, each with the cells that the previous one exceeded
+_ROUNDS = 8  # largest number of last stages, each with the cells that the previous one exceeded
 
 
 class StartFailed(Exception):  # noqa: N818
