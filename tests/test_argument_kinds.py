@@ -63,7 +63,8 @@ def methods(
         is_function = inspect.isfunction(function) and _is_ours(function)
         if is_public and is_function and attribute in known:
             yield f"{name}.{attribute}", function, kind
-    for derived in kind.__subclasses__():
+    subclasses: list[type] = kind.__subclasses__()
+    for derived in subclasses:
         if derived.__name__.startswith("_"):
             yield from methods(derived.__name__, derived, known)
 
@@ -168,7 +169,7 @@ def test_calls_that_were_tracebacks_are_rejected() -> None:
         "xdot": lambda: connection.horizontal_slopes(rows, rows.astype(complex)),
         "x|locals": lambda: connection.locals_at([[1.0], [1.0, 2.0]]),  # type: ignore[arg-type]
         "x|shapes": lambda: connection.curvatures_at(np.zeros((2, 4))),
-        "parameters": lambda: pinred.Scene(system=cat, parameters=np.zeros(3)),  # type: ignore[arg-type]
+        "parameters": lambda: pinred.Scene(system=cat, parameters=np.zeros(3)),
         "of": lambda: pinred.flow(cat, of=odd),
         "along": lambda: flow.jvp("x0"),  # type: ignore[arg-type]
         "h": lambda: pinred.Reduction(cat).change_section("x"),  # type: ignore[arg-type]
@@ -309,9 +310,12 @@ def test_default_without_entries_is_not_checked(monkeypatch: pytest.MonkeyPatch)
     """Other tuples are checked at each call, because their entries vary."""
     checked: list[Any] = []
     check = example.__globals__["_check_"]
-    monkeypatch.setitem(
-        example.__globals__, "_check_", lambda k, value: checked.append(value) or check(k, value)
-    )
+
+    def record(k: int, value: Any) -> Any:
+        checked.append(value)
+        return check(k, value)
+
+    monkeypatch.setitem(example.__globals__, "_check_", record)
     example(names=("a",))
     checked.clear()
     example()
