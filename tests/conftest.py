@@ -22,7 +22,7 @@ from pinred.views.playback.headless_browser import Browser, browser, find_browse
 _MANY = 1000  # number of tests of a run that needs most integrators
 # The default run uses the same examples every time, so that no test fails by chance.
 settings.register_profile(
-    "repeatable", deadline=None, print_blob=True, max_examples=8, derandomize=True, database=None
+    "repeatable", deadline=None, print_blob=True, max_examples=5, derandomize=True, database=None
 )
 settings.register_profile(
     "random", deadline=None, print_blob=True, max_examples=200, derandomize=False

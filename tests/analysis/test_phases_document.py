@@ -11,6 +11,7 @@ import pytest
 TEXT = (Path(__file__).parents[2] / "docs/phases.md").read_text("utf-8")
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_examples_of_phases_page_run(capsys: pytest.CaptureFixture[str]) -> None:
     """The examples run in the order of the page."""

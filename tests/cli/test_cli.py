@@ -27,6 +27,7 @@ def test_compare_prints_verdict_and_exits_with_zero(capsys: pytest.CaptureFixtur
     assert "verdict: PASSED" in out
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 def test_compare_accepts_prescribed_joint_and_method(capsys: pytest.CaptureFixture[str]) -> None:
     """Values by joint, a formula and a method with options pass the comparison."""

@@ -400,6 +400,7 @@ def mutated(draw: st.DrawFn) -> str:
     return text
 
 
+@pytest.mark.by_hand
 @pytest.mark.slow
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=mutated())
