@@ -212,21 +212,6 @@ def test_locks_apply_to_a_joint_or_to_its_parts(tmp_path: Path) -> None:
     assert locked.model.inertias[1].isApprox(whole, 1e-12)
 
 
-def test_types_without_parts_are_refused() -> None:
-    """A ball is not a product of hinges that is regular everywhere."""
-    for kind in (
-        pin.JointModelSpherical(),
-        composite(pin.JointModelRX(), pin.JointModelSpherical()),
-    ):
-        model = pin.Model()
-        root = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-        i = model.addJoint(root, kind, pin.SE3.Identity(), "neck")
-        for k in (root, i):
-            model.appendBodyToJoint(k, inertia(np.random.default_rng(k)), pin.SE3.Identity())
-        with pytest.raises(pinred.ModelError, match=r"'neck' is of kind .*Spherical"):
-            pinred.load(model)
-
-
 def test_pinocchio_derivatives_are_wrong_for_universal_joints() -> None:
     """The reason for splitting: if this test fails, Pinocchio is mended."""
     model = pin.Model()

@@ -49,6 +49,7 @@ class Propagator:
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
         """Prepare the kernels.  Raises InputError if the scene or its method has no derivatives."""
         self.plan, self.method, self.zero_momentum = plan, plan.method, zero_momentum
+        plan.system.space.refuse_balls("flows and their derivatives")
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             raise InputError(
