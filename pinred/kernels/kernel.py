@@ -108,9 +108,9 @@ class Layout:
         return self.bodies_at + self.freed.size
 
     @property
-    def quaternion(self) -> int:
-        """Index in y of the first quaternion entry, or −1 without a quaternion."""
-        return self.base_at if self.base.attitude == 4 else -1
+    def quaternions(self) -> tuple[int, int]:
+        """Index in y of the first quaternion entry, and number of quaternions; (0, 0) for none."""
+        return (self.base_at, 1) if self.base.attitude == 4 else (0, 0)
 
     @property
     def canonical(self) -> tuple[int, int]:

@@ -76,7 +76,7 @@ def integrator(
             return Segment(knots, at, parameters, solution.steps, solution.evaluations)
 
         integrate = Integration(
-            method, address, len(y0), end - start, times, layout.quaternion, layout.canonical,
+            method, address, len(y0), end - start, times, layout.quaternions, layout.canonical,
             flow.tangent,
         )  # fmt: skip
         try:
