@@ -154,7 +154,7 @@ class _Lowering:
             Name of the value.
         """
         self.used.add(op)
-        width = max([self.width.get(v, 1) for v in operands]) if self.width else 1
+        width = max(self.width.get(v, 1) for v in operands) if self.width else 1
         if width == 1:
             return self.put(new, 1, template.format(*operands, T="double", one=_ONE), *operands)
         operands = [self.in_lanes(v, width) for v in operands]
