@@ -6,8 +6,11 @@ and 1 of a robot, and the zeros of a planar robot, cost no operations.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
+
+import casadi as ca
 
 Scalar: TypeAlias = Any  # float or casadi.SX
 Vec: TypeAlias = list[Scalar]  # vector, (3,)
@@ -15,6 +18,10 @@ Sym: TypeAlias = list[Scalar]  # symmetric 3 × 3 matrix: xx, xy, xz, yy, yz, zz
 Mat: TypeAlias = list[list[Scalar]]  # 3 × 3 matrix, by rows
 
 INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # index of entry (i, j) in Sym
+
+_OPERATORS: dict[int, Callable[[Any, Any], Any]] = {
+    ca.OP_ADD: operator.add, ca.OP_SUB: operator.sub, ca.OP_MUL: operator.mul,
+}  # fmt: skip
 
 
 def mul(a: Scalar, b: Scalar) -> Scalar:
@@ -29,7 +36,7 @@ def mul(a: Scalar, b: Scalar) -> Scalar:
                 return y
             if x == -1.0:
                 return -y
-    return a * b
+    return _operate(ca.OP_MUL, a, b)
 
 
 def add(a: Scalar, b: Scalar) -> Scalar:
@@ -38,7 +45,7 @@ def add(a: Scalar, b: Scalar) -> Scalar:
         return b
     if isinstance(b, float) and b == 0.0:
         return a
-    return a + b
+    return _operate(ca.OP_ADD, a, b)
 
 
 def sub(a: Scalar, b: Scalar) -> Scalar:
@@ -47,7 +54,14 @@ def sub(a: Scalar, b: Scalar) -> Scalar:
         return a
     if isinstance(a, float) and a == 0.0:
         return -b
-    return a - b
+    return _operate(ca.OP_SUB, a, b)
+
+
+def _operate(operation: int, a: Scalar, b: Scalar) -> Scalar:
+    """Apply a CasADi operation; this takes 3 µs, but CasADi's own +, − and * take 20 µs."""
+    if isinstance(a, ca.SX) or isinstance(b, ca.SX):
+        return ca.SX.binary(operation, a, b)
+    return _OPERATORS[operation](a, b)
 
 
 def total(terms: list[Scalar]) -> Scalar:
