@@ -110,10 +110,11 @@ class CouplingConstraints:
             return self._solve_with_multipliers(q, v, tau, constraints, values)
         if not self._uses_aba:
             return self._solve_with_multipliers(q, v, tau, self.J, np.zeros(len(self.J)))
-        model, data, zero = self._model, self._data, np.zeros(len(v))
-        free = pin.aba(model, data, q, v, tau, axes).copy()
+        model, data = self._model, self._data
+        free: Array = pin.aba(model, data, q, v, tau, axes).copy()
         if not self._couplings:
-            return np.asarray(free)
+            return free
+        zero = np.zeros(len(v))
         responses = np.array(
             [pin.aba(self._weightless, data, q, zero, row, axes).copy() for row in self.J]
         )

@@ -74,6 +74,7 @@ class FullState:
         self._r, self._m = system.r, system.model.njoints - 2
         unused = np.full(system.r, np.nan)  # NaN would reveal a force that depends on it
         self._unused = unused, unused
+        self._no_torque = np.zeros(system.model.nv)
         self.couplings = CouplingConstraints(system)
         self.root = root_motion(system.model)
         self.totals = SystemTotals(system.model, self.root)
@@ -247,8 +248,8 @@ class FullState:
         size, m, r = self._size, self._m, self._r
         if self._forces is None:
             v, q = y[size + m :], self._q_for(self.q(y), axes)
-            a = self.couplings.acceleration(q, v, np.zeros(len(v)), axes=axes)
-            return np.concatenate([self.root.rate(y[:size], v[:r]), v[r:], a])
+            a = self.couplings.acceleration(q, v, self._no_torque, axes=axes)
+            return self._derivative(y, a)
         y, t = y.copy(), self._beside_switches(t)
         accelerations = np.empty(0)
         if self._driven:
@@ -271,7 +272,13 @@ class FullState:
             tau += self._loads.generalised(q, loads)
         q = self._q_for(q, axes)
         a = self.couplings.acceleration(q, v, tau, self._driven, accelerations, axes)
-        return np.concatenate([self.root.rate(y[:size], v[:r]), v[r:], a])
+        return self._derivative(y, a)
+
+    def _derivative(self, y: Array, a: Array) -> Array:
+        """Return dy/dt (n,) at an acceleration a (nv,)."""
+        numbers, r = y.tolist(), self._r
+        root, v = numbers[: self._size], numbers[self._size + self._m :]
+        return np.array([*self.root.rate(root, v[:r]), *v[r:], *a.tolist()])
 
     def _beside_switches(self, t: float) -> float:
         """Return the time; if it is too close to a switch, move it to the side of `within`.
