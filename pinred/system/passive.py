@@ -19,6 +19,7 @@ from .robot_file_contents import Contents, LeftOut
 
 # Kinds of actions that pinred does not simulate (LeftOut.what).
 BASE = "springs, damping and friction of the base"
+BALLS = "springs, damping and friction of ball joints"
 SLIDING = "dry friction against sliding in a plane"
 UNEVEN = "dry friction that is not the same in both directions"
 
@@ -239,6 +240,7 @@ def passive_contents(
     forces: list[Force] = []
     base: list[str] = []
     uneven: list[str] = []
+    balls: list[str] = []
     for i in range(1, raw.njoints):
         name, joint = str(raw.names[i]), raw.joints[i]
         entries = slice(joint.idx_v, joint.idx_v + joint.nv)
@@ -254,12 +256,15 @@ def passive_contents(
         if name not in shape:
             base.append(name)
             continue
+        if joint.nv > 1:
+            balls.append(name)
+            continue
         if damping[0]:
             forces.append(Damper(name, float(damping[0])))
         if most[0] != -least[0]:
             uneven.append(name)
         elif most[0]:
             forces.append(Friction(name, float(most[0])))
-    names = {BASE: base, UNEVEN: uneven, SLIDING: sliding}
+    names = {BASE: base, BALLS: balls, UNEVEN: uneven, SLIDING: sliding}
     left_out = [LeftOut(kind, tuple(joints)) for kind, joints in names.items() if joints]
     return Contents(left_out=tuple(left_out), passive=tuple(forces))

@@ -134,9 +134,9 @@ def keyframes_of(
         qpos, qvel = np.array(model.key_qpos[k]), np.array(model.key_qvel[k])
         keyframes[tree.world.name("KEY", k).replace("key ", "key")] = Keyframe(
             pose=group.identity() if root is None else root.pose(qpos),
-            x=np.array([qpos[joint.q_at] for joint in joints]),
+            x=np.concatenate([np.empty(0), *(joint.coordinates(qpos) for joint in joints)]),
             xi=np.zeros(group.dim) if root is None else root.twist(qpos, qvel),
-            xdot=np.array([qvel[joint.v_at] for joint in joints]),
+            xdot=np.concatenate([np.empty(0), *(joint.rates(qvel) for joint in joints)]),
             time=float(model.key_time[k]),
         )
     return keyframes
