@@ -20,6 +20,7 @@ from .robot_file_contents import Contents, LeftOut
 # Kinds of actions that pinred does not simulate (LeftOut.what).
 BASE = "springs, damping and friction of the base"
 BALLS = "springs, damping and friction of ball joints"
+MERGED = "springs, damping and friction of merged hinges"
 SLIDING = "dry friction against sliding in a plane"
 UNEVEN = "dry friction that is not the same in both directions"
 

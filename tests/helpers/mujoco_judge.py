@@ -73,7 +73,9 @@ class Judge:
         root = [] if self.tree.root is None else [ids[j.name] for j in self.tree.root.joints]
         self.shape_joints = [ids[str(n)] for n in list(self.model.names)[1 + bool(root) :]]
         joints = root + self.shape_joints
-        return [int(m.jnt_dofadr[j]) + k for j in joints for k in range((6, 3, 1, 1)[m.jnt_type[j]])]
+        return [
+            int(m.jnt_dofadr[j]) + k for j in joints for k in range((6, 3, 1, 1)[m.jnt_type[j]])
+        ]
 
     def _root(self, qvel: Array) -> tuple[Array, Array, Array]:
         """Return q of the root, and the map from MuJoCo's velocities to those of the root.

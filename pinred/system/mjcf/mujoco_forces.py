@@ -1,8 +1,8 @@
 """Forces in a MuJoCo model: passive ones at shape joints, and actions that are not simulated.
 
 MuJoCo's force at a hinge or slide is −(k₁ y + k₂ y² + k₃ y³) − v (d₁ + d₂ |v| + d₃ v²), with y
-measured from springref, and v the rate.  Dry friction adds at most `frictionloss`.  At a ball with rotation
-vector r the spring's moment is −(k₁ + k₂ |r| + k₃ |r|²) r, and each axis has a damper and friction.
+measured from springref, and v the rate.  Dry friction adds at most `frictionloss`.  At a ball with
+rotation vector r, the spring's moment is −(k₁ + k₂ |r| + k₃ |r|²) r, and each axis has a damper.
 """
 
 from __future__ import annotations
