@@ -253,10 +253,12 @@ def ball_name(hinges: Sequence[str], links: Sequence[str] = ()) -> str:
         links: Names of the links that the last hinge moves.
     """
     letters = takewhile(lambda column: len(set(column)) == 1, zip(*hinges, strict=False))
-    common = "".join(column[0] for column in letters).rstrip(_SEPARATORS)
+    beginning = "".join(column[0] for column in letters)
+    common = beginning.rstrip(_SEPARATORS)
     if common.endswith("r") and common[:-1].rstrip(_SEPARATORS) in links:
         return common[:-1].rstrip(_SEPARATORS)
-    return common if len(common) > 1 else hinges[0]
+    is_word = len(common) > 1 or (common and common != beginning)
+    return common if is_word else hinges[0]
 
 
 def _with_unique_names(model: pin.Model, triples: Sequence[HingeTriple]) -> list[HingeTriple]:
