@@ -232,7 +232,7 @@ def merge_of(
     if balls is True:
         used = {name for triple in free for name in triple.hinges}
         alike = [t for t in triples if t.difference and not t.obstacle]
-        skipped = [t for t in alike if used.isdisjoint(t.hinges)]
+        skipped = [t for t in alike if used.union(kept).isdisjoint(t.hinges)]
         return Merge(tuple(free), tuple(skipped))
     chosen = {_named(raw, triples, name).hinges for name in balls if not _is_ball(raw, name)}
     return Merge(tuple(triple for triple in free if triple.hinges in chosen))

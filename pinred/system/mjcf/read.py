@@ -68,7 +68,9 @@ def read_mujoco(
     file_gravity = gravity_of(world)
     effective = file_gravity.effective if gravity is None else gravity
     if balls and lock:
-        lock = locked_hinges(tree_of(world, {}, effective).model, balls, lock)
+        whole = tree_of(world, {}, effective).model
+        lock = locked_hinges(whole, balls, lock)
+        merge_of(whole, balls, kept=lock)  # Refuse balls of locked hinges.
     lock, ties, shared = locked_with_followers(world, lock)
     tree = tree_of(world, lock, effective)
     constraints = constraints_of(tree)
