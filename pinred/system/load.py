@@ -37,11 +37,12 @@ from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_bal
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
-from .passive import passive_contents
+from .passive import Spring, passive_contents
+from .read_sdf import read_sdf
 from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_file_contents import Contents, Coupling, Origin
-from .robot_files import is_mjcf, read_text, read_xml
+from .robot_files import is_mjcf, outermost, read_text, read_xml
 from .split_joints import split_joints
 from .system import System
 from .urdf_elements import mimic_couplings
@@ -68,6 +69,7 @@ class _Robot:
         group: Requested or catalogued symmetry group, if any.
         initial: Generic initial state, if any.
         warning: Warning about the text of the file, or "".
+        springs: Springs at joints.
     """
 
     raw: pin.Model
@@ -77,6 +79,7 @@ class _Robot:
     group: Group | None
     initial: InitialState | None = None
     warning: str = ""
+    springs: tuple[Spring, ...] = ()
 
 
 @checks_arguments
@@ -232,6 +235,11 @@ def _read(
             x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
             initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
         return _Robot(raw, couplings, name, origin, group, initial, warning)
+    if is_path(name) and outermost(read_text(Path(source))) == "sdf":
+        origin = replace(origin, source=str(Path(source).absolute()))
+        sdf = read_sdf(Path(source))
+        name = Path(source).stem
+        return _Robot(sdf.model, (), name, origin, group, warning=sdf.warning, springs=sdf.springs)
     if is_path(name):
         raw, couplings, warning = read_urdf(Path(source))
         origin = replace(origin, source=str(Path(source).absolute()))
@@ -252,7 +260,7 @@ def _load_model(
     all_couplings = (*robot.couplings, *split.couplings)
     lock = locked_hinges(split.model, balls, split.locked(lock))
     locked, couplings = with_followers(lock, all_couplings, names)
-    forces = passive_contents(split.model, names[1:], locked).passive if balls else ()
+    forces = passive_contents(split.model, names[1:], locked, (), robot.springs).passive
     kept = {*locked, *coupled_joints(couplings)}
     merge = merge_of(split.model, balls, passive=forces, kept=kept)
     raw = merge.model(split.model)
@@ -268,7 +276,7 @@ def _load_model(
             raw, locked, ties, places, str(model.names[1]), several, shared
         )
     shape = merge.with_hinges(list(model.names)[2:])
-    passive = passive_contents(split.model, shape, locked, split.sliding)
+    passive = passive_contents(split.model, shape, locked, split.sliding, robot.springs)
     contents = replace(
         passive,
         left_out=(*passive.left_out, *merge.left_out(forces), *merge.limits(split.model)),

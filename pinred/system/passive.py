@@ -224,7 +224,11 @@ def _settle_polynomial(force: Any) -> None:
 
 
 def passive_contents(
-    raw: pin.Model, shape: Sequence[str], locked: Collection[str], sliding: Sequence[str] = ()
+    raw: pin.Model,
+    shape: Sequence[str],
+    locked: Collection[str],
+    sliding: Sequence[str] = (),
+    springs: Sequence[Spring] = (),
 ) -> Contents:
     """Return the dampers and dry friction of a model, and the actions that are not simulated.
 
@@ -233,6 +237,7 @@ def passive_contents(
         shape: Names of the shape joints.
         locked: Names of frozen joints.  All remaining joints belong to the base.
         sliding: Names of joints whose dry friction acts against sliding in a plane.
+        springs: Springs at joints.
     Returns:
         Contents with `passive` and `left_out`.
     Raises:
@@ -248,7 +253,8 @@ def passive_contents(
         damping, most = raw.damping[entries], raw.upperDryFrictionLimit[entries]
         least = raw.lowerDryFrictionLimit[entries]
         numbers = np.concatenate([damping, most, least])
-        if name in locked or not numbers.any():
+        own = [spring for spring in springs if spring.joint == name]
+        if name in locked or not (own or numbers.any()):
             continue
         if not np.isfinite(numbers).all():
             raise ModelError(
@@ -260,6 +266,7 @@ def passive_contents(
         if joint.nv > 1:
             balls.append(name)
             continue
+        forces += own
         if damping[0]:
             forces.append(Damper(name, float(damping[0])))
         if most[0] != -least[0]:
