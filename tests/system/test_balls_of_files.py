@@ -94,6 +94,17 @@ def test_ball_takes_no_more_evaluations_near_the_gimbal_lock() -> None:
     assert evaluations[-1, 0] > 3.0 * evaluations[-1, 1]
 
 
+def test_human_has_six_balls_and_no_singular_shapes() -> None:
+    """The gimbal locks of its hinges are singular shapes, which the balls do not have."""
+    pytest.importorskip("example_robot_data")
+    hinges, balls = pinred.load("human"), pinred.load("human", balls=True)
+    assert len(balls.contents.merged) == 6
+    assert (hinges.m, balls.m, balls.nx) == (36, 36, 42)
+    assert "'left_hip_Z' moves no mass at 'left_hip_X'" in hinges.doubts[0]
+    assert balls.doubts == ()
+    assert [str(left.what) for left in balls.left_out] == ["limits of merged hinges"]
+
+
 def test_option_of_commands_and_scene_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
