@@ -27,6 +27,7 @@ from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
 from .robot_files import read_text, read_xml
 
 INSTALL = 'pip install "pinred[sdf]"'
+_JOINTS = "revolute, continuous, prismatic, universal, screw, ball or fixed joints"
 _ALIGNED = 1e-12  # largest deviation of an axis from x, y or z that counts as round-off
 
 
@@ -84,9 +85,9 @@ def _plant(path: Path) -> tuple[Any, list[str]]:
             models = parsing.Parser(plant).AddModels(str(path))
         except Exception as error:  # Drake raises RuntimeError and other types.
             reason = str(error).strip().splitlines()[0].partition("error: ")
-            raise LoadError(
-                f"Drake cannot read {plain_path(path)}: {reason[2] or reason[0]}"
-            ) from None
+            words = f"Drake cannot read {plain_path(path)}: {reason[2] or reason[0]}"
+            remedy = f"; use {_JOINTS}" if "Joint type" in words else ""
+            raise LoadError(f"{words.removesuffix('.')}{remedy}") from None
     if not models:
         raise LoadError(f"{plain_path(path)} contains no model")
     if plant.num_constraints():
@@ -250,7 +251,7 @@ def _pinocchio_joint(joint: Any) -> pin.JointModel:
         return pin.JointModelHelicalUnaligned(_screw_axis(joint), pitch)
     raise ModelError(
         f"joint {quoted(joint.name())} is of type {kind}, which pinred does not read from SDF; "
-        "use revolute, continuous, prismatic, universal, screw, ball or fixed joints"
+        f"use {_JOINTS}"
     )
 
 

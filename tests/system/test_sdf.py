@@ -161,7 +161,7 @@ REFUSED = {
     "revolute2": (
         sdf(*LINKS[:2], joint("one", "revolute2", "a", "b", axis("1 0 0"))),
         pinred.LoadError,
-        r"Drake cannot read .*revolute2",
+        r"Drake cannot read .*\(revolute2\) not supported for joint 'one'; use revolute, ",
     ),
     "no model": ('<sdf version="1.9"/>', pinred.LoadError, "Drake cannot read|no model"),
     "a follower": (
