@@ -282,6 +282,7 @@ class Reduction(PointwiseReduction):
         """
         from .connections.shape_field import ShapeField
 
+        self.system.space.refuse_balls("fields over many shapes")
         label, names = f"shapes of {self.system.name!r}", self.system.shape_names
         x = vectors(shapes, self.system.m, label, names).copy()
         flat = x.reshape(math.prod(x.shape[:-1]), self.system.m)

@@ -60,13 +60,11 @@ class Inspection:
 
     def __str__(self) -> str:
         system, at, left_out = self.system, self.at, _left_out(self.system)
-        kinds = [
-            f"{name} ({'prismatic' if unit == 'm' else 'revolute'})"
-            for name, unit in zip(system.shape_names, system.units, strict=True)
-        ]
+        words = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
+        kinds = [f"{joint.name} ({words[joint.kind.name]})" for joint in system.space.joints]
         size = "" if self.reduced_size is None else f" → {self.reduced_size} numbers"
         lines = [
-            f"{system.name}: {_group(system)}, shape of {system.m} joints, {system.mass:g} kg",
+            f"{system.name}: {_group(system)}, shape of {_shape(system)}, {system.mass:g} kg",
             *_wrapped("joints", kinds),
             *(_wrapped("followers", [*map(str, system.couplings)]) if system.couplings else []),
             f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
@@ -105,7 +103,7 @@ class Inspection:
         ]
         return card(
             system.name,
-            f"{_group(system)}, shape of {system.m} joints, {system.mass:g} kg, "
+            f"{_group(system)}, shape of {_shape(system)}, {system.mass:g} kg, "
             f"gravity {numbers(system.gravity)} m/s²",
             table("", ["", ""], facts),
             line(f"at x = {numbers(at.x)}:"),
@@ -122,14 +120,14 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
 
     Args:
         system: The system.
-        x: Shape, (m,) [rad | m]; None: zero.
+        x: Shape, (nx,) [rad | m | 1]; None: the shape at rest.
     Returns:
         The inspection; print it for a summary.
     Raises:
         ShapeError: x has the wrong length or is not finite.
     """
     red = PointwiseReduction(checked_system(system, "inspect"))
-    at = red.at(np.zeros(system.m) if x is None else x)
+    at = red.at(system.space.neutral if x is None else x)
     names = system.shape_names
     cyclic = tuple(names[k] for k in cyclic_joints(red))
     size: int | None
@@ -158,8 +156,10 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
 def _is_flat(red: PointwiseReduction) -> bool:
     """Return whether the curvature vanishes at random shapes, relative to its terms."""
     rng = np.random.default_rng(0)
-    for x in rng.uniform(-np.pi, np.pi, (_SHAPES if red.system.m > 1 else 0, red.system.m)):
-        reduced = red.at(x)
+    space = red.system.space
+    count = _SHAPES if space.m > 1 else 0
+    for displacement in rng.uniform(-np.pi, np.pi, (count, space.m)):
+        reduced = red.at(space.integrate(space.neutral, displacement))
         A = reduced.local_connection
         # For a prismatic joint dA scales with A per metre, so A itself counts as a term.
         terms = max(
@@ -168,6 +168,12 @@ def _is_flat(red: PointwiseReduction) -> bool:
         if float(np.abs(reduced.curvature).max()) > _ZERO_CURVATURE * terms:
             return False
     return True
+
+
+def _shape(system: System) -> str:
+    """Return the number of shape joints, and the shape's dimension if it differs."""
+    joints = len(system.space.joints)
+    return f"{joints} joints" if joints == system.m else f"{joints} joints (m = {system.m})"
 
 
 def _left_out(system: System) -> list[str]:

@@ -165,7 +165,7 @@ class _Tracking(Named):
         kp = per_joint(self.kp, references, s, f"kp of {self.name}")
         kd = per_joint(self.kd, references, s, f"kd of {self.name}")
         return {
-            k: number(kp[k]) * (x - s.x[k]) + number(kd[k]) * (xdot - s.xdot[k])
+            k: number(kp[k]) * (x - s.position(k, self.name)) + number(kd[k]) * (xdot - s.xdot[k])
             for k, (x, xdot, _) in references.items()
         }
 

@@ -22,7 +22,7 @@ from .methods.method import Method
 from .solution import Solution, checked_times
 from .stepping.codes import AUTO, DIVERGED, DONE, FIXED_POINT, FULL, NOT_FINITE, UNDERFLOW, WANTED
 from .stepping.run_state import ENDS_KEPT, LAYOUT, NOTHING_KEPT, STAGES_KEPT, Runs, new_run
-from .stepping.state_rows import Y
+from .stepping.state_rows import Quaternions, Y
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]
@@ -40,7 +40,7 @@ def integrate(
     y0: ArrayLike,
     t_end: float,
     times: ArrayLike,
-    quaternion: int = -1,
+    quaternions: Quaternions = (0, 0),
     progress: Progress | None = None,
     tangent: Tangent | None = None,
     canonical: Canonical = (0, 0),
@@ -55,8 +55,9 @@ def integrate(
         y0: Initial state, (n,).
         t_end: End time [s].
         times: Sorted report times within [0, t_end], (T,) [s].
-        quaternion: Index in y of the first entry of a quaternion (x, y, z, w), −1 without a
-            quaternion. Its rate is ½ q ω with the body angular velocity ω.
+        quaternions: Index in y of the first entry of the first quaternion, and number of
+            consecutive quaternions (x, y, z, w); (0, 0) for none. The rate of each quaternion q is
+            ½ q ω, with its body angular velocity ω.
         progress: Called repeatedly with the finished fraction of the time, 0 to 1.
         tangent: Function that returns the address of the kernel of ∂f/∂y (see call_tangent). It is
             called at most once, when the method needs it.
@@ -75,11 +76,11 @@ def integrate(
     end = positive(t_end, "t_end")
     check_kernel(address)
     state = as_floats(y0, "y0")
-    check_state(state, quaternion, "y0", 1)
+    check_state(state, quaternions, "y0", 1)
     checked = checked_times(times, end, ordered=True)
     copied_params = read_only(np.array(as_floats(params, "params")))
     integration = Integration(
-        method, address, len(state), end, checked, quaternion, canonical, tangent
+        method, address, len(state), end, checked, quaternions, canonical, tangent
     )
     return integration(copied_params, state, progress=progress)
 
@@ -94,7 +95,7 @@ class Integration:
         n: int,
         end: float,
         times: Array,
-        quaternion: int = -1,
+        quaternions: Quaternions = (0, 0),
         canonical: Canonical = (0, 0),
         tangent: Tangent | None = None,
     ) -> None:
@@ -106,16 +107,17 @@ class Integration:
             n: Length of the state.
             end: End time [s].
             times: Report times, (T,) sorted and read-only [s].
-            quaternion: As for `integrate`.
+            quaternions: As for `integrate`.
             canonical: As for `integrate`.
             tangent: As for `integrate`.
         Raises:
-            InputError: The method needs a derivative, and `tangent` is None.
+            InputError: The method needs a derivative, and `tangent` is None; or the state contains
+                several quaternions, and the method supports only one.
         """
         self.times = times
         self._method, self._n, self._end, self._tangent = method, n, end, tangent
         self._stepper = stepper = method.stepper()
-        run = begun_by(method, address, n, end, quaternion, canonical, keep=ENDS_KEPT)
+        run = begun_by(method, address, n, end, quaternions, canonical, keep=ENDS_KEPT)
         if stepper.needs_tangent:
             give_tangent(tangent, method, run)
         self._registers, self._work, self._capacity = run.tobytes(), stepper.work(n), _FIRST_KNOTS
@@ -190,15 +192,31 @@ def begun_by(
     address: int,
     n: int,
     end: float,
-    quaternion: int,
+    quaternions: Quaternions,
     canonical: Canonical,
     keep: int = NOTHING_KEPT,
 ) -> Runs:
     """Return the registers of a run before its first step.
 
-    The run ends at `end` [s]; `keep` is the code of the data that it stores at step ends.
+    Args:
+        method: Method with its options.
+        address: Address of the kernel.
+        n: Number of entries of the state.
+        end: End time [s].
+        quaternions: As for `integrate`.
+        canonical: As for `integrate`.
+        keep: Code of the data stored at step ends.
+    Returns:
+        The registers.
+    Raises:
+        InputError: The state contains several quaternions, and the method supports only one.
     """
-    pairs, spin = canonical
+    (first, count), (pairs, spin) = quaternions, canonical
+    if count > 1 and method.one_quaternion:
+        raise InputError(
+            f"quaternions: expected at most one quaternion for {method.name}, got {count}. Use "
+            "another method, for example Gauss."
+        )
     registers = method.registers(end)
     if keep != NOTHING_KEPT and "total" in registers:  # the number of steps is known in advance
         refuse_beyond_memory(registers["total"], 1 + method.stepper().kept * n)
@@ -206,7 +224,8 @@ def begun_by(
         address=address,
         n=n,
         t_end=end,
-        quaternion=quaternion,
+        quaternions_at=first,
+        quaternion_count=count,
         pairs=pairs,
         spin=spin,
         keep=keep,
@@ -299,17 +318,17 @@ def give_tangent(tangent: Tangent | None, method: Method, run: Runs) -> None:
         raise InputError(f"{method.name} needs the derivative of the kernel; give tangent=")
 
 
-def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
-    """Check initial states and the position of the quaternion.
+def check_state(y0: Array, quaternions: Quaternions, what: str, ndim: int) -> None:
+    """Check initial states and the position of their quaternions.
 
     Args:
         y0: Initial states, (…, n).
-        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
+        quaternions: Quaternions of the states, see `integrate`.
         what: Name of the argument in messages.
         ndim: Expected number of axes.
     Raises:
         ShapeError: The shape is wrong or a number is not finite.
-        InputError: The quaternion is outside of the state or zero.
+        InputError: A quaternion is outside of the state or zero.
     """
     if y0.ndim != ndim or y0.shape[-1] == 0:
         shape = "(n,)" if ndim == 1 else "(N, n)"
@@ -317,13 +336,27 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
     if not np.isfinite(y0).all():
         raise ShapeError(f"{what} must be finite, got {y0}")
     n = y0.shape[-1]
-    if quaternion != -1 and not 0 <= quaternion <= n - 4:
+    if not _are_within(quaternions, n):
         raise InputError(
-            f"quaternion must be −1 or the index of the first of its four entries among {n}, "
-            f"got {quaternion}"
+            "quaternions: expected the index of the first entry and the number of quaternions in "
+            f"a state with {n} entries, got {quaternions!r}. Use (0, 0) for none."
         )
-    if quaternion >= 0 and not y0[..., quaternion : quaternion + 4].any(axis=-1).all():
-        raise InputError(f"the quaternion in {what} is zero")
+    first, count = quaternions
+    for k in range(first, first + 4 * count, 4):
+        if not y0[..., k : k + 4].any(axis=-1).all():
+            raise InputError(
+                f"{what}: expected quaternions of nonzero length, got zero for quaternion "
+                f"{(k - first) // 4 + 1} of {count}, in entries {k} to {k + 3}."
+            )
+
+
+def _are_within(quaternions: object, n: int) -> bool:
+    """Return whether a value is a tuple Quaternions for states with n entries."""
+    if not isinstance(quaternions, tuple) or len(quaternions) != 2:
+        return False
+    first, count = quaternions  # a match statement would take ten times as long
+    is_pair = isinstance(first, int) and isinstance(count, int)
+    return is_pair and first >= 0 and count >= 0 and first + 4 * count <= n
 
 
 def doubled(array: Array) -> Array:

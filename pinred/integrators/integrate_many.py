@@ -27,6 +27,7 @@ from .methods.method import Method
 from .solution import checked_times
 from .stepping.codes import DIVERGED, DONE, NOT_FINITE, PAUSED, TOO_MANY, UNDERFLOW
 from .stepping.run_state import copied
+from .stepping.state_rows import Quaternions
 from .stepping.step_loop import OUTCOME, Batch
 
 STATUS = {
@@ -80,7 +81,7 @@ def integrate_many(
     y0: ArrayLike,
     t_end: ArrayLike,
     times: ArrayLike,
-    quaternion: int = -1,
+    quaternions: Quaternions = (0, 0),
     threads: int | None = None,
     tangent: Tangent | None = None,
     canonical: Canonical = (0, 0),
@@ -99,7 +100,7 @@ def integrate_many(
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times within [0, t_end], (T,), or a row for each member, (N, T); rows
             with fewer times end with infinity [s].
-        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
+        quaternions: As for `integrate`.
         threads: Number of threads, None for all processors. Results do not depend on this number.
         tangent: As for `integrate`.
         canonical: As for `integrate`.
@@ -109,11 +110,11 @@ def integrate_many(
     Raises:
         InputError: An argument is invalid.
     """
-    asked = checked_batch(address, params, y0, t_end, times, quaternion, threads)
+    asked = checked_batch(address, params, y0, t_end, times, quaternions, threads)
     batch, size = asked.batch, len(asked.batch.y0)
     n = asked.batch.y0.shape[1]
     stepper = method.stepper()
-    unbegun = begun_by(method, address, n, asked.end, quaternion, canonical)
+    unbegun = begun_by(method, address, n, asked.end, quaternions, canonical)
     if stepper.needs_tangent:
         give_tangent(tangent, method, unbegun)
     lock = Lock()
@@ -152,7 +153,7 @@ def checked_batch(
     y0: ArrayLike,
     t_end: ArrayLike,
     times: ArrayLike,
-    quaternion: int,
+    quaternions: Quaternions,
     threads: int | None,
 ) -> Asked:
     """Validate the arguments of `integrate_many`, and allocate the results.
@@ -164,7 +165,7 @@ def checked_batch(
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times within [0, t_end], (T,), or a row for each member, (N, T); rows
             with fewer times end with infinity [s].
-        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
+        quaternions: As for `integrate`.
         threads: Number of threads, None for all processors.
     Returns:
         The request.
@@ -174,7 +175,7 @@ def checked_batch(
     """
     check_kernel(address)
     states = read_only(np.ascontiguousarray(as_floats(y0, "y0")).view())
-    check_state(states, quaternion, "y0", 2)
+    check_state(states, quaternions, "y0", 2)
     size, n = states.shape
     checked_params = read_only(np.ascontiguousarray(as_floats(params, "params")).view())
     if checked_params.ndim != 2 or checked_params.shape[0] != size:

@@ -18,7 +18,7 @@ from .methods.method import ErrorControl
 from .solution import Solution
 from .stepping.codes import DONE, FULL, UNDERFLOW, WANTED
 from .stepping.run_state import ENDS_KEPT, LAYOUT, Runs
-from .stepping.state_rows import Y
+from .stepping.state_rows import Quaternions, Y
 
 _NO_TIMES = read_only(np.empty(0))
 _FIRST_KNOTS = 8  # initial number of step ends per part
@@ -71,7 +71,7 @@ def integrate_parts(
     params: Array,
     y0: Array,
     lengths: Array,
-    quaternion: int = -1,
+    quaternions: Quaternions = (0, 0),
     canonical: Canonical = (0, 0),
     tangent: Tangent | None = None,
     progress: Progress | None = None,
@@ -85,7 +85,7 @@ def integrate_parts(
         params: Parameters of the S parts, (S, p), read-only.
         y0: Initial state, (n,).
         lengths: Lengths of the parts, (S,), read-only [s].
-        quaternion: As for `integrate`. It is normalised between parts.
+        quaternions: As for `integrate`. They are normalised between parts.
         canonical: As for `integrate`.
         tangent: As for `integrate`.
         progress: Called repeatedly with the finished fraction of the parts.
@@ -96,7 +96,7 @@ def integrate_parts(
         IntegrationError: The integration failed; see `integrate`.
     """
     n, count, stepper = len(y0), len(lengths), method.stepper()
-    first_run = begun_by(method, address, n, float(lengths[0]), quaternion, canonical, ENDS_KEPT)
+    first_run = begun_by(method, address, n, float(lengths[0]), quaternions, canonical, ENDS_KEPT)
     if stepper.needs_tangent:
         give_tangent(tangent, method, first_run)
     runs, first = np.zeros(count, LAYOUT), np.zeros(count + 1, np.int64)

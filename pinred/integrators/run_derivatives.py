@@ -23,7 +23,8 @@ from .gauss.fixed_points import sensitivity_rows
 from .methods import AdaptiveGauss, Explicit, Gauss, Method
 from .solution import Solution
 from .stepping.kernel_call import SEEDS, from_lanes, to_lanes
-from .stepping.replay import Replay, back_to_given
+from .stepping.replay import Replay, across
+from .stepping.state_rows import Quaternions
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class SmoothField:
 
     Attributes:
         address: Address of the kernel.
-        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
+        quaternions: Quaternions of the state, see `integrate`.
         tangent: Address of the kernel of (y, params, δy, δparams), with SEEDS directions at once.
         adjoint: Address of the kernel of (y, params, λ).
         tangents: Function of the number of lanes that returns the address of the tangent kernel for
@@ -42,7 +43,7 @@ class SmoothField:
     """
 
     address: int
-    quaternion: int
+    quaternions: Quaternions
     tangent: Callable[[], int]
     adjoint: Callable[[], int]
     tangents: Callable[[int], int]
@@ -128,7 +129,7 @@ def run_along(
         NoConvergence: The equations of an implicit step did not converge.
     """
     params, knots, times = (read_only(array.view()) for array in (params, knots, times))
-    replay = (field.address, field.quaternion, params, knots, times)
+    replay = (field.address, field.quaternions, params, knots, times)
     if isinstance(method, Explicit):
         return _explicit_along(method, field, replay, y0, along, along_params)
     (n, count), (stages, lanes) = along.shape, _stages_of(method)
@@ -166,7 +167,7 @@ def run_back(
         NoConvergence: The adjoint equations of an implicit step did not converge.
     """
     knots, stored = run.knots, run.stored
-    replay = (field.address, field.quaternion, run.params, knots, times)
+    replay = (field.address, field.quaternions, run.params, knots, times)
     n, p = len(covector), len(run.params)
     covector, by_params, lanes = covector.copy(), np.zeros(p), method.lanes
     back = (stored, covector, at_times.copy(), by_params, np.empty((n + p) * lanes))
@@ -180,7 +181,7 @@ def run_back(
         rows = sensitivity_rows(stages, n)
         failed = gauss_reverse.reverse(replay, field.adjoints(lanes), stages, lanes, back, rows)
         _refuse_failed(failed, knots, stored[max(failed - 1, 0), :n])
-    back_to_given(stored[0, :n], field.quaternion, covector, np.empty(n))
+    across(stored[0, :n], field.quaternions, covector, 1)  # the initial state is normalised
     return Back(covector, by_params)
 
 

@@ -60,7 +60,7 @@ class Solution:
     def states(self) -> Array:
         """States at the step ends, (K, n).
 
-        A quaternion in these states is not normalised after the step; `at` returns unit
+        Quaternions in these states are not normalised after the step; `at` returns unit
         quaternions.
         """
         return read_only(self._rows[: self.steps + 1, : self.y.shape[1]])

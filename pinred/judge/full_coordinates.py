@@ -108,24 +108,66 @@ def _mixed_translations(axes: Array, linear: int) -> tuple[int, int] | None:
 
 
 class Configuration:
-    """Map from root coordinates and unwrapped joint values to Pinocchio's configuration q."""
+    """Coordinates of all joints except the root, and their map to Pinocchio's configuration q.
+
+    A joint has one unwrapped value; a ball has a quaternion (x, y, z, w) of any length.
+
+    Attributes:
+        size: Number of coordinates.
+        rates: Number of rates.
+        balls: First coordinate and first rate of each ball.
+    """
 
     def __init__(self, model: pin.Model, root: RootMotion) -> None:
-        """Split the joints by whether Pinocchio stores their angle as cosine and sine."""
-        joints = list(model.joints[2:])
-        circles = np.array([joint.nq == 2 for joint in joints], dtype=bool)
-        offsets = np.array([joint.idx_q for joint in joints], dtype=np.intp)
-        self._root, self._nq, self._has_circles = root, model.nq, bool(circles.any())
-        self._circles, self._cosines = np.flatnonzero(circles), offsets[circles]
-        self._scalars, self._values = np.flatnonzero(~circles), offsets[~circles]
+        """Derive the coordinates from the numbers nq and nv of Pinocchio's joints."""
+        plain: list[tuple[int, int]] = []  # pairs of indices in the coordinates and in q
+        circles: list[tuple[int, int]] = []
+        self.balls: list[tuple[int, int]] = []
+        self.size = self.rates = 0
+        for joint in list(model.joints)[2:]:
+            if joint.nq == 2:
+                circles.append((self.size, joint.idx_q))
+                self.size += 1
+            else:
+                if joint.nv == 3:
+                    self.balls.append((self.size, self.rates))
+                plain += [(self.size + k, joint.idx_q + k) for k in range(joint.nq)]
+                self.size += joint.nq
+            self.rates += joint.nv
+        self._root, self._nq, self._is_copied = root, model.nq, not (circles or self.balls)
+        self._circles, self._cosines = np.array(circles, dtype=np.intp).reshape(-1, 2).T
+        self._scalars, self._values = np.array(plain, dtype=np.intp).reshape(-1, 2).T
 
     def __call__(self, root: Array, joints: Array) -> Array:
-        """Return q (nq,) for root coordinates (size,) and the values of all joints (M,)."""
+        """Return q (nq,) for root coordinates (size,) and the coordinates of all joints."""
         root_q = self._root.q(root)
-        if not self._has_circles:
+        if self._is_copied:
             return np.concatenate([root_q, joints])
+        for first, _ in self.balls:
+            joints = joints.copy()
+            quaternion = joints[first : first + 4]
+            quaternion /= sqrt(quaternion @ quaternion)
         q, angles = np.empty(self._nq), joints[self._circles]
         q[: len(root_q)] = root_q
         q[self._values] = joints[self._scalars]
         q[self._cosines], q[self._cosines + 1] = np.cos(angles), np.sin(angles)
         return q
+
+    def derivative(self, joints: Array, v: Array) -> Array:
+        """Return the time derivative of the coordinates at rates v."""
+        if not self.balls:
+            return v
+        derivative, first_x, first_v = np.empty(self.size), 0, 0
+        for x, rate in self.balls:  # hinges and slides between balls have one of both
+            derivative[first_x:x] = v[first_v:rate]
+            i, j, k, w = joints[x : x + 4].tolist()
+            a, b, c = v[rate : rate + 3].tolist()
+            derivative[x : x + 4] = (
+                0.5 * (w * a + j * c - k * b),
+                0.5 * (w * b + k * a - i * c),
+                0.5 * (w * c + i * b - j * a),
+                -0.5 * (i * a + j * b + k * c),
+            )
+            first_x, first_v = x + 4, rate + 3
+        derivative[first_x:] = v[first_v:]
+        return derivative

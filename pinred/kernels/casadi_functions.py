@@ -9,8 +9,8 @@ import casadi as ca
 from ..common.argument_kinds import checks_arguments
 from ..reduction.tree.casadi_reduction import casadi_reduction
 from ..system.system import System
-from .kernel import Layout, Structure
 from .reduced_graph import ReducedGraph
+from .state_layout import Layout, Structure
 
 
 @dataclass(frozen=True)

@@ -158,6 +158,7 @@ def phase_space(system: System, *, form: Form = "connection") -> PhaseSpace:
         The phase space; the same object at every call.
     """
     system = checked_system(system, "phase_space")
+    system.space.refuse_balls("Poisson brackets")
     return once(system, (phase_space, _form(form)), lambda: _space(system, form))
 
 

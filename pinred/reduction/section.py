@@ -72,6 +72,7 @@ class MovedFrame:
 
     def __init__(self, system: System, h: Section) -> None:
         """Check and store the section.  Raises InputError if its derivative is wrong."""
+        system.space.refuse_balls("change_section")
         self._system, self._group, self.section = system, system.group, h
         rng = np.random.default_rng(0)
         for x in rng.uniform(-1.0, 1.0, (2, system.m)):

@@ -190,6 +190,7 @@ def lagrange_poincare(
     Returns:
         The terms and the accelerations.  Raises SymmetryError if gravity breaks the symmetry.
     """
+    red.system.space.refuse_balls("lagrange_poincare")
     at, F = red.at(x), _weight(red, gamma, pose)
     xdot = vector(xdot, red.system.m, "xdot")
     omega = vector(omega, red.system.r, "omega")
@@ -230,6 +231,7 @@ def hamilton_poincare(
     Returns:
         The terms and the energy.  Raises SymmetryError if gravity breaks the symmetry.
     """
+    red.system.space.refuse_balls("hamilton_poincare")
     at, F = red.at(x), _weight(red, gamma, pose)
     p, mu = vector(p, red.system.m, "p"), vector(mu, red.system.r, "mu")
     xdot = _solve(at.reduced_metric, p)

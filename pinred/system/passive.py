@@ -78,7 +78,9 @@ class Spring(JointForce):
             InputError: The force connects a joint with itself.
         """
         k, j = _ends(self, s)
-        length = s.x[k] if j is None else s.x[k] - s.x[j]
+        length = s.position(k, self.label)
+        if j is not None:
+            length = length - s.position(j, self.label)
         stretch = length - number(self.rest)
         potential = 0.5 * number(self.stiffness) * stretch * stretch
         power = stretch * stretch

@@ -18,7 +18,7 @@ from ..common.errors import InputError, ModelError
 from ..common.names import listed, quoted
 from . import joint_types
 from .joint_types.joint_type import JointType, Part
-from .joints import is_shape_joint, joint_kind, motion_group, root_chain
+from .joints import is_shape_joint, motion_group, root_chain
 from .rebuild import NewJoint, rebuild
 from .robot_file_contents import Coupling
 
@@ -92,7 +92,7 @@ def split_joints(raw: pin.Model) -> SplitModel:
     joints: dict[int, list[_SplitPart]] = {}
     for i in range(first, raw.njoints):
         joint = raw.joints[i]
-        if not _is_simple(joint) and (i > 1 or motion_group(joint) is None):
+        if not is_shape_joint(joint) and (i > 1 or motion_group(joint) is None):
             parts = _parts_of(joint)
             if parts is not None:
                 joints[i] = _placed(raw, i, parts)
@@ -144,17 +144,12 @@ def _placed(raw: pin.Model, i: int, parts: Sequence[Part]) -> list[_SplitPart]:
     return placed
 
 
-def _is_simple(joint: pin.JointModel) -> bool:
-    """Return whether a joint is a hinge, a slide or a ball."""
-    return is_shape_joint(joint) or joint_kind(joint) == "Spherical"
-
-
 def _parts_of(joint: pin.JointModel) -> tuple[Part, ...] | None:
     """Return the simple joints of a joint; None if its motion is not a product of them."""
     name = str(joint.shortname()).removeprefix("JointModel")
     if name in TYPES:
         return TYPES[name].parts(joint)
-    if _is_simple(joint):
+    if is_shape_joint(joint):
         return (Part("", joint, pin.SE3.Identity()),)
     if name != "Composite":
         return None

@@ -24,13 +24,13 @@ from ..common.errors import InputError
 if TYPE_CHECKING:
     from .system import System
 
-Axis = Literal["joint", "twist", "coordinate", "nq", "nv"]
+Axis = Literal["shape", "joint", "twist", "coordinate", "nq", "nv"]
 Outcome = Literal["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
 _Kind = TypeVar("_Kind", bound="type[State | ShapeState]")
 
 # The symbol of each axis length in documented array shapes.
 _SYMBOLS: dict[Axis, str] = {
-    "joint": "m", "twist": "r", "coordinate": "size", "nq": "nq", "nv": "nv",
+    "shape": "nx", "joint": "m", "twist": "r", "coordinate": "size", "nq": "nq", "nv": "nv",
 }  # fmt: skip
 
 
@@ -64,7 +64,7 @@ class StateField:
 
 _TABLE = (
     StateField("t", "s", None, "none", "Time", needs_base=False),
-    StateField("x", "rad | m", "joint", "entries", "Shape", needs_base=False),
+    StateField("x", "rad | m | 1", "shape", "entries", "Shape", needs_base=False),
     StateField("xdot", "rad/s | m/s", "joint", "entries", "Shape rate", needs_base=False),
     StateField("xi", "m/s | rad/s", "twist", "entries", "Body twist [linear; angular] of the base"),
     StateField("pose", "m | rad | 1", "coordinate", "twist", "Pose of the base"),
@@ -206,12 +206,18 @@ def map_arrays(
 def axis_labels(system: System) -> dict[Axis, Sequence[Any]]:
     """Return the labels of the entries along each axis of a system's states."""
     return {
+        "shape": system.x_names,
         "joint": system.shape_names,
         "twist": system.group.twist_names,
         "coordinate": system.group.pose_names,
         "nq": range(system.model.nq),
         "nv": range(system.model.nv),
     }
+
+
+def dimension(system: System, axis: Axis) -> str:
+    """Return the name of an axis in labelled arrays; without balls, x and xdot share one."""
+    return "joint" if axis == "shape" and not system.space.balls else axis
 
 
 def axis_lengths(system: System) -> dict[Axis | None, int]:

@@ -39,10 +39,10 @@ def test_reused_work_rows_do_not_affect_next_member(robot: str, method: Method) 
     y0[list(BROKEN)] *= 1e200  # the squares of such momenta are beyond all numbers
     kernel_arguments = (method, flow.address(method))
     more: dict[str, Any] = {"tangent": flow.tangent, "canonical": layout.canonical}
-    batch = integrate_many(*kernel_arguments, params, y0, 0.3, TIMES, layout.quaternion, 1, **more)
+    batch = integrate_many(*kernel_arguments, params, y0, 0.3, TIMES, layout.quaternions, 1, **more)
     assert np.flatnonzero(~batch.ok).tolist() == [*BROKEN]
     for k in set(range(MEMBERS)) - set(BROKEN):
-        one = integrate(*kernel_arguments, params[k], y0[k], 0.3, TIMES, layout.quaternion, **more)
+        one = integrate(*kernel_arguments, params[k], y0[k], 0.3, TIMES, layout.quaternions, **more)
         assert np.array_equal(batch.y[k], one.y)
         assert (batch.steps[k], batch.rejected[k]) == (one.steps, one.rejected)
         assert batch.evaluations[k] == one.evaluations

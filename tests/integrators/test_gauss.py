@@ -154,8 +154,8 @@ def flow_of(robot: str, method: Any, **options: Any) -> CompiledFlow:
 
 def integrate_state(flow: CompiledFlow, method: Any, y0: Array, end: float) -> Array:
     """Integrate a reduced state with a method."""
-    quaternion, address = flow.kernel.layout.quaternion, flow.address(method)
-    solution = integrate(method, address, flow.parameters, y0, end, [end], quaternion)
+    quaternions, address = flow.kernel.layout.quaternions, flow.address(method)
+    solution = integrate(method, address, flow.parameters, y0, end, [end], quaternions)
     return np.asarray(solution.y[0])
 
 
@@ -204,7 +204,7 @@ def test_gauss_map_is_poisson_with_momentum() -> None:
     flow = flow_of("coupled_spatial", method, seed=4)
     layout = flow.kernel.layout
     assert flow.kernel.structure.lifted
-    m, at = len(layout.active), layout.quaternion
+    m, (at, _) = len(layout.active), layout.quaternions
     spin = flow.parameters[:3]
 
     def momentum(q: Array) -> Array:
@@ -249,7 +249,7 @@ def test_lifted_field_scales_with_quaternion_length() -> None:
     lifted, plain = (
         flow_of("satellite_two_arms", m, seed=1, momentum=None) for m in (method, "auto")
     )
-    at = lifted.kernel.layout.quaternion
+    at, _ = lifted.kernel.layout.quaternions
     for s in (0.7, 1.0, 1.6):
         y = lifted.y0.copy()
         y[at : at + 4] *= s

@@ -52,7 +52,7 @@ def members(count: int) -> tuple[Array, Array]:
 def run(method: Explicit, params: Array, y0: Array, threads: int = 1, lanes: int = 8) -> Solutions:
     """Run the members in SIMD lanes."""
     address = kernel(lanes).address
-    return integrate_in_lanes(method, address, lanes, params, y0, END, TIMES, 3, threads)
+    return integrate_in_lanes(method, address, lanes, params, y0, END, TIMES, (3, 1), threads)
 
 
 def assert_same(a: Solutions, rows: Any, b: Solutions) -> None:
@@ -88,7 +88,7 @@ def test_lanes_equal_scalar_runs(method: Explicit, lanes: int) -> None:
     params, y0 = members(21)
     in_lanes = run(method, params, y0, lanes=lanes)
     for k in set(range(21)) - {2}:
-        one = integrate(method, kernel(1).address, params[k], y0[k], END, TIMES, 3)
+        one = integrate(method, kernel(1).address, params[k], y0[k], END, TIMES, (3, 1))
         np.testing.assert_allclose(in_lanes.y[k], one.y, rtol=0.0, atol=1e-12 * abs(y0[k]).max())
         counts = (in_lanes.steps[k], in_lanes.rejected[k], in_lanes.evaluations[k])
         assert counts == (one.steps, one.rejected, one.evaluations)
@@ -105,7 +105,7 @@ def test_lanes_handle_limits_and_edge_cases() -> None:
     method = METHODS[0]
     params, y0 = members(9)
     params[4] = np.nan
-    few = integrate_in_lanes(DOP853(max_steps=3), kernel(8).address, 8, params, y0, END, [], 3)
+    few = integrate_in_lanes(DOP853(max_steps=3), kernel(8).address, 8, params, y0, END, [], (3, 1))
     assert [STATUS[k] for k in few.status.tolist()] == [
         "not finite" if k == 4 else "too many steps" for k in range(9)
     ]
@@ -183,8 +183,10 @@ QUICK = Kutta(1e-5, 1e-7)
 def test_lanes_equal_scalar_batch_with_separate_ends_and_failures(method: Kutta) -> None:
     """States, outcomes and counts of all members, of which three fail, each in another way."""
     params, y0, ends, times = mixed_members(19)
-    expected = integrate_many(method, jump_kernel(1).address, params, y0, ends, times, 3, 1)
-    found = integrate_in_lanes(method, jump_kernel(8).address, 8, params, y0, ends, times, 3, 1)
+    expected = integrate_many(method, jump_kernel(1).address, params, y0, ends, times, (3, 1), 1)
+    found = integrate_in_lanes(
+        method, jump_kernel(8).address, 8, params, y0, ends, times, (3, 1), 1
+    )
     words = [STATUS[k] for k in expected.status.tolist()]
     assert words[5] == "not finite"
     if method.max_steps > 60:
@@ -213,7 +215,7 @@ def test_lanes_follow_constant_rotation_at_all_report_times() -> None:
     params[:, 1] = np.linspace(-2.0, 2.0, count)
     times = np.linspace(0.0, 1.0, 23)[None] * ends[:, None]
     found = integrate_in_lanes(
-        Kutta(1e-9, 1e-11), jump_kernel(8).address, 8, params, y0, ends, times, 3, 2
+        Kutta(1e-9, 1e-11), jump_kernel(8).address, 8, params, y0, ends, times, (3, 1), 2
     )
     np.testing.assert_allclose(found.y[..., 2], times, atol=1e-13)
     for member in range(count):

@@ -27,7 +27,8 @@ from pinred.integrators.solution import Solution
 from pinred.integrators.stepping.kernel_call import SEEDS
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object
 
-N, P, QUATERNION = 7, 3, 1  # entries of the state, parameters, and index of the quaternion
+N, P = 7, 3  # entries of the state, and parameters
+QUATERNIONS = (1, 1)  # index of the first entry, and number
 END = 0.9
 Y0 = np.array([0.4, 0.3, -0.5, 0.2, 0.9, -0.8, 1.1])
 PARAMS = np.array([0.7, -0.4, 1.3])
@@ -68,7 +69,7 @@ def field_of(method: Any) -> SmoothField:
     """Return the vector field with its derivatives, as a method takes them."""
     return SmoothField(
         address=code("rate", method.lanes).address,
-        quaternion=QUATERNION,
+        quaternions=QUATERNIONS,
         tangent=lambda: code("tangent", SEEDS).address,
         adjoint=lambda: code("adjoint", 1).address,
         tangents=lambda lanes: code("tangents", lanes).address,
@@ -88,9 +89,9 @@ FRACTIONS = [0.0, 0.0, 0.07, 0.4, 0.4, 0.55, 1.0, 1.0]
 def run_of(method: Any, *, stages: bool, inner: bool = True) -> Solution:
     """Return a run of some steps whose report times include step ends."""
     address = code("rate", method.lanes).address
-    knots = integrate(method, address, PARAMS, Y0, END, [], QUATERNION).knots
+    knots = integrate(method, address, PARAMS, Y0, END, [], QUATERNIONS).knots
     times = np.sort(np.concatenate([END * np.array(FRACTIONS), knots[1:3]])) if inner else knots
-    solution = Integration(method, address, N, END, times, QUATERNION)(PARAMS, Y0, stages=stages)
+    solution = Integration(method, address, N, END, times, QUATERNIONS)(PARAMS, Y0, stages=stages)
     np.testing.assert_array_equal(solution.knots, knots)
     assert len(knots) >= 4
     assert (solution.stored.shape[1] > N) == stages

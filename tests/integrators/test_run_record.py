@@ -50,7 +50,7 @@ def assert_exact(states: Array, times: Array) -> None:
 def test_record_holds_all_step_ends_and_reproduces_reports() -> None:
     """Some 300 steps, of which the arrays first hold 127; all states, against the closed form."""
     times = np.sort(np.append(np.random.default_rng(0).uniform(0.0, END, 40), [0.0, 0.0, END]))
-    run = integrate(Tsit5(1e-10, 1e-11), kernel().address, OMEGA, Y0, END, times, 1)
+    run = integrate(Tsit5(1e-10, 1e-11), kernel().address, OMEGA, Y0, END, times, (1, 1))
     knots = run.knots
     assert run.steps == len(knots) - 1 > 256
     assert (knots[0], knots[-1]) == (0.0, END)
@@ -69,12 +69,12 @@ def test_record_holds_all_step_ends_and_reproduces_reports() -> None:
     assert_exact(run.at(middles), middles)
     # A run that reports at these times writes the same bits, with the same steps.
     both = np.sort(np.concatenate([knots, middles]))
-    again = integrate(Tsit5(1e-10, 1e-11), kernel().address, OMEGA, Y0, END, both, 1)
+    again = integrate(Tsit5(1e-10, 1e-11), kernel().address, OMEGA, Y0, END, both, (1, 1))
     np.testing.assert_array_equal(again.knots, knots)
     np.testing.assert_array_equal(again.y, run.at(both))
     # A batch keeps no record.
     many = integrate_many(
-        Tsit5(1e-10, 1e-11), kernel().address, OMEGA[None], Y0[None], END, both, 1, 1
+        Tsit5(1e-10, 1e-11), kernel().address, OMEGA[None], Y0[None], END, both, (1, 1), 1
     )
     np.testing.assert_array_equal(many.y[0], again.y)
     assert (many.steps[0], many.rejected[0], many.evaluations[0]) == (
@@ -84,28 +84,32 @@ def test_record_holds_all_step_ends_and_reproduces_reports() -> None:
 
 def test_trials_are_counted_up_to_the_limit() -> None:
     """A run may take as many trials as it needs, and not one more."""
-    run = integrate(Tsit5(1e-8, 1e-9), kernel().address, OMEGA, Y0, END, [], 1)
+    run = integrate(Tsit5(1e-8, 1e-9), kernel().address, OMEGA, Y0, END, [], (1, 1))
     most = run.steps + run.rejected
-    fine = integrate(Tsit5(1e-8, 1e-9, max_steps=most), kernel().address, OMEGA, Y0, END, [], 1)
+    fine = integrate(
+        Tsit5(1e-8, 1e-9, max_steps=most), kernel().address, OMEGA, Y0, END, [], (1, 1)
+    )
     np.testing.assert_array_equal(fine.knots, run.knots)
     with pytest.raises(TooManySteps, match=f"its limit of {most - 1} steps") as failure:
-        integrate(Tsit5(1e-8, 1e-9, max_steps=most - 1), kernel().address, OMEGA, Y0, END, [], 1)
+        integrate(
+            Tsit5(1e-8, 1e-9, max_steps=most - 1), kernel().address, OMEGA, Y0, END, [], (1, 1)
+        )
     assert failure.value.time == run.knots[-2]
 
 
-@pytest.mark.parametrize(("lanes", "quaternion"), [(1, -1), (4, 1)])
-def test_first_step_changes_state_by_fraction_of_its_size(lanes: int, quaternion: int) -> None:
+@pytest.mark.parametrize(("lanes", "count"), [(1, 0), (4, 1)])
+def test_first_step_changes_state_by_fraction_of_its_size(lanes: int, count: int) -> None:
     """The RMS of rates over atol/rtol + |y|, with a quaternion's entries of one common size."""
     rng = np.random.default_rng(2)
     rate = rng.normal(size=6 * lanes)
     numbers = {"n": 6, "rtol": 1e-4, "atol": 3e-5, "t_end": 50.0, "max_step": 40.0}
     sizes = 0.3 + np.abs(Y0)
-    if quaternion >= 0:
+    if count:
         sizes[1:5] = 0.3 + TURN
     expected = 0.01 / np.sqrt(np.mean((rate[::lanes] / sizes) ** 2))
 
     def step(rates: Array, **more: float) -> float:
-        run = new_run(**(numbers | {"quaternion": quaternion} | more))
+        run = new_run(**(numbers | {"quaternions_at": 1, "quaternion_count": count} | more))
         return float(first_step_by_rate(run[0], Y0, rates, lanes, 0.01))
 
     assert step(rate) == pytest.approx(expected, rel=1e-14)

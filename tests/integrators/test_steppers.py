@@ -165,7 +165,7 @@ def test_dense_output_has_its_order(kind: type[Explicit] | type[RKMK4]) -> None:
     for h in (steps * min(1.0, 2.0 ** (claimed - 6))).tolist():
         times = h * np.array([0.2, 0.4, 0.6, 0.8])
         method = fixed(kind, h) if issubclass(kind, Explicit) else kind(h)
-        run = integrate(method, top, HEAVY, TOP0, h, times, 3)
+        run = integrate(method, top, HEAVY, TOP0, h, times, (3, 1))
         assert run.steps == 1
         exact = top_by_scipy(HEAVY, TOP0, np.append(times, h))[:-1]
         errors.append(float(np.linalg.norm(run.y - exact)))
@@ -178,7 +178,7 @@ def test_rkmk4_has_order_4() -> None:
     times = np.linspace(0.0, t_end, 38)
     exact = top_by_scipy(HEAVY, TOP0, times)
     steps = [t_end / count for count in (80, 120, 180, 270, 400)]
-    runs = [integrate(RKMK4(step), top, HEAVY, TOP0, t_end, times, 3) for step in steps]
+    runs = [integrate(RKMK4(step), top, HEAVY, TOP0, t_end, times, (3, 1)) for step in steps]
     for entries in (slice(0, 3), slice(3, 7)):
         for when in (slice(-1, None), slice(1, -1)):
             errors = [float(abs(run.y - exact)[when, entries].max()) for run in runs]
@@ -211,7 +211,7 @@ def test_rkmk4_momentum_has_order_4_by_correction() -> None:
 
     counts, start = (40, 60, 90, 135), momentum(TOP0[None])
     steps = [t_end / count for count in counts]
-    ours = [integrate(RKMK4(h), top, FREE, TOP0, t_end, [t_end], 3).y for h in steps]
+    ours = [integrate(RKMK4(h), top, FREE, TOP0, t_end, [t_end], (3, 1)).y for h in steps]
     drift = [float(np.linalg.norm(momentum(y) - start)) for y in ours]
     naive = [float(np.linalg.norm(momentum(plain(count)) - start)) for count in counts]
     assert order_of(steps, drift) == pytest.approx(4.0, abs=0.2)
@@ -233,7 +233,7 @@ def test_free_top_equals_closed_form(method: Method, bound: float) -> None:
     sn, cn, dn, _ = ellipj(nu * t, k2)
     b = np.sqrt((E2 * I3 - L2) / (I2 * (I3 - I2)))
     exact = np.stack([a[0] * cn, b * sn, a[2] * dn], axis=1)
-    run = integrate(method, top, FREE, np.append(a, TOP0[3:]), 20.0, t, 3)
+    run = integrate(method, top, FREE, np.append(a, TOP0[3:]), 20.0, t, (3, 1))
     assert abs(run.y[:, :3] - exact).max() < bound
     assert abs(momentum(run.y) - momentum(run.y[:1])).max() < bound
     assert abs(np.linalg.norm(run.y[:, 3:], axis=1) - 1.0).max() < 5e-16
@@ -244,7 +244,7 @@ def test_free_top_equals_closed_form(method: Method, bound: float) -> None:
 def test_heavy_top_error_follows_tolerance(kind: type[Explicit], tolerance: float) -> None:
     """Against SciPy."""
     t = np.linspace(0.0, 10.0, 57)
-    run = integrate(kind(tolerance, tolerance), top, HEAVY, TOP0, 10.0, t, 3)
+    run = integrate(kind(tolerance, tolerance), top, HEAVY, TOP0, 10.0, t, (3, 1))
     assert abs(run.y - top_by_scipy(HEAVY, TOP0, t)).max() < 200 * tolerance
 
 
@@ -283,9 +283,9 @@ def test_steps_do_not_depend_on_unit_of_time(omega: float) -> None:
 def test_error_of_attitude_is_measured_as_angle(kind: type[Explicit], second: float) -> None:
     """A free top in other units of time has other rates and bitwise equal attitudes."""
     t, method = np.linspace(0.0, 5.0, 7), kind(1e-9, 1e-300)
-    one = integrate(method, top, FREE, TOP0, t[-1], t, 3)
+    one = integrate(method, top, FREE, TOP0, t[-1], t, (3, 1))
     y0 = np.append(TOP0[:3] / second, TOP0[3:])
-    other = integrate(method, top, FREE, y0, second * t[-1], second * t, 3)
+    other = integrate(method, top, FREE, y0, second * t[-1], second * t, (3, 1))
     assert np.array_equal(other.knots, second * one.knots)
     assert np.array_equal(other.y[:, :3], one.y[:, :3] / second)
     assert np.array_equal(other.y[:, 3:], one.y[:, 3:])
@@ -320,7 +320,7 @@ def test_steps_do_not_depend_on_attitude_or_quaternion_length() -> None:
     """A rotated initial attitude, and a scaled quaternion."""
     rotated = TOP0.copy()
     rotated[3:] = [0.0, 0.0, 0.0, -3.0]
-    one, other = (integrate(DOP853(), top, FREE, y, 20.0, [20.0], 3) for y in (TOP0, rotated))
+    one, other = (integrate(DOP853(), top, FREE, y, 20.0, [20.0], (3, 1)) for y in (TOP0, rotated))
     assert abs(one.steps - other.steps) <= 1
     assert abs(one.y - other.y)[:, :3].max() < 1e-8
     turn = Rotation.from_quat(TOP0[3:]) * Rotation.from_quat(-other.y[0, 3:])
@@ -330,7 +330,8 @@ def test_steps_do_not_depend_on_attitude_or_quaternion_length() -> None:
 # --- bits ----------------------------------------------------------------------------------
 
 METHODS: list[Method] = [DOP853(), Tsit5(), RKMK4(0.013)]
-PROBLEMS = [(top, HEAVY, TOP0, 3), (top, HEAVY, TOP0, -1), (power, [-1.0, 2.0], [1.0], -1)]
+ONE, NONE = (3, 1), (0, 0)  # quaternions
+PROBLEMS = [(top, HEAVY, TOP0, ONE), (top, HEAVY, TOP0, NONE), (power, [-1.0, 2.0], [1.0], NONE)]
 TIMES = np.array([0.0, 0.0, 0.3, 0.301, 1.0, 2.5, 2.5, 4.0])
 
 
@@ -346,12 +347,12 @@ def test_pauses_do_not_change_results(
     method: Method, problem: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither pauses nor larger arrays change a number."""
-    address, params, y0, quaternion = problem
-    uninterrupted = integrate(method, address, params, y0, 4.0, TIMES, quaternion)
+    address, params, y0, quaternions = problem
+    uninterrupted = integrate(method, address, params, y0, 4.0, TIMES, quaternions)
     monkeypatch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
     monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
     fractions: list[float] = []
-    paused = integrate(method, address, params, y0, 4.0, TIMES, quaternion, fractions.append)
+    paused = integrate(method, address, params, y0, 4.0, TIMES, quaternions, fractions.append)
     assert len(fractions) > uninterrupted.steps
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1.0
@@ -363,11 +364,11 @@ def test_pauses_do_not_change_results(
 @pytest.mark.parametrize("problem", PROBLEMS)
 def test_dense_output_equals_reported_states(method: Method, problem: Any) -> None:
     """States recomputed from stored steps equal those reported by a run."""
-    address, params, y0, quaternion = problem
-    later = integrate(method, address, params, y0, 4.0, [], quaternion)
+    address, params, y0, quaternions = problem
+    later = integrate(method, address, params, y0, 4.0, [], quaternions)
     assert later.y.shape == (0, len(y0))
     times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 501), later.knots]))
-    once = integrate(method, address, params, y0, 4.0, times, quaternion)
+    once = integrate(method, address, params, y0, 4.0, times, quaternions)
     shuffled = np.random.default_rng(0).permutation(len(times))
     assert np.array_equal(later.at(times), once.y)
     assert np.array_equal(once.at(times[shuffled]), once.y[shuffled])
@@ -380,9 +381,11 @@ def test_batch_members_equal_single_runs(method: Method) -> None:
     """For any number of threads."""
     rng = np.random.default_rng(1)
     y0, params = rng.normal(size=(23, 7)), np.abs(rng.normal(size=(23, 4))) + 1.0
-    runs = [integrate(method, top, p, y, 4.0, TIMES, 3) for p, y in zip(params, y0, strict=True)]
+    runs = [
+        integrate(method, top, p, y, 4.0, TIMES, (3, 1)) for p, y in zip(params, y0, strict=True)
+    ]
     for threads in (None, 1, 3):
-        many = integrate_many(method, top, params, y0, 4.0, TIMES, 3, threads)
+        many = integrate_many(method, top, params, y0, 4.0, TIMES, (3, 1), threads)
         assert np.array_equal(many.y, np.stack([run.y for run in runs]))
         assert many.steps.tolist() == [run.steps for run in runs]
         assert many.evaluations.tolist() == [run.evaluations for run in runs]
@@ -478,7 +481,7 @@ def test_non_finite_entry_is_named() -> None:
         integrate(RKMK4(0.1), edge, [], [0.0, 0.0, 0.0], 3.0, [])
     assert caught.value.time == pytest.approx(0.5, abs=0.11)
     with pytest.raises(NonFiniteState) as caught:
-        integrate(RKMK4(0.1), top, np.full(4, np.nan), TOP0, 3.0, [], 3)
+        integrate(RKMK4(0.1), top, np.full(4, np.nan), TOP0, 3.0, [], (3, 1))
     assert caught.value.entry == 0
 
 
@@ -535,9 +538,9 @@ def test_ctrl_c_interrupts_soon() -> None:
         (ShapeError, "y0 must have shape", {"y0": []}),
         (ShapeError, "y0 must have shape", {"y0": [[1.0]]}),
         (ShapeError, "y0 must be finite", {"y0": [1.0, np.nan]}),
-        (InputError, "quaternion must be", {"quaternion": 0}),
-        (InputError, "quaternion must be", {"quaternion": -2}),
-        (InputError, "is zero", {"quaternion": 0, "y0": [0.0] * 4}),
+        (InputError, "quaternions: expected", {"quaternions": (0, 1)}),
+        (InputError, "quaternions: expected", {"quaternions": (-2, 1)}),
+        (InputError, "got zero", {"quaternions": (0, 1), "y0": [0.0] * 4}),
         (InputError, "address", {"address": 0}),
     ],
 )

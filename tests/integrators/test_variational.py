@@ -197,7 +197,7 @@ def test_pauses_reports_and_storage_do_not_change_results(monkeypatch: pytest.Mo
     def run(times: Any) -> Solution:
         return integrate(
             Variational(0.02), flow.kernel.rate.address, flow.parameters, flow.y0, 2.0, times,
-            layout.quaternion, canonical=layout.canonical,
+            layout.quaternions, canonical=layout.canonical,
         )  # fmt: skip
 
     uninterrupted = run([0.0, 0.3, 2.0])

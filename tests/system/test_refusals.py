@@ -442,7 +442,7 @@ MODELS: dict[str, tuple[Callable[[], pin.Model], list[str]]] = {
         ["mimic", "odd", "scaling 0"],
     ),
     "beside the root": (lambda: grown(RX, parent=0), ["odd", "fixed world"]),
-    "spherical": (lambda: grown(pin.JointModelSpherical()), ["odd", "Spherical"]),
+    "free inside": (lambda: grown(pin.JointModelFreeFlyer()), ["odd", "FreeFlyer"]),
     "axis too long": (lambda: grown(pin.JointModelRevoluteUnaligned(2 * E[0])), ["odd", "axis"]),
     "axis zero": (lambda: grown(pin.JointModelPrismaticUnaligned(0 * E[0])), ["odd", "axis"]),
     "no mass": (lambda: grown(RX, mass=0.0, moments=0.0), ["odd", "no mass"]),

@@ -20,7 +20,7 @@ from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import Bindings, compiled, unbound
 from ..stepping.replay import Cotangents, Replay, across
-from ..stepping.state_rows import add_row, padded_rows, unit_alone
+from ..stepping.state_rows import Quaternions, add_row, padded_rows, unit_alone
 from .forward_sensitivities import fill_weights, weights_of
 from .row_programs import Pullback, Rate, Sum, Terms, pullback_program, row_program
 from .runge_kutta import digest
@@ -61,7 +61,7 @@ def sweep_back(
         work: Work rows, see AdjointSweep.
         w: Workspace (S,) for weights.
     """
-    address, quaternion, params, knots, times = replay
+    address, quaternions, params, knots, times = replay
     stored, covector, at_times, by_params, both = back
     n, first = covector.shape[0], times.shape[0]
     for step in range(knots.shape[0] - 2, -1, -1):
@@ -76,8 +76,8 @@ def sweep_back(
         for k in range(n):
             work[STAGE, k] = stored[step + 1, k]
             work[BEGIN, k] = stored[step, k]
-        across(work[STAGE], unit_alone(work[STAGE], quaternion), quaternion, covector, 1)
-        unit_alone(work[BEGIN], quaternion)
+        across(work[STAGE], quaternions, covector, 1)
+        unit_alone(work[BEGIN], quaternions)
         for k in range(n):
             work[COVECTOR, k] = covector[k]
         if stored.shape[1] > n:
@@ -94,7 +94,7 @@ def sweep_back(
             for r in range(first, last):
                 if times[r] < knots[step + 1]:
                     fill_weights(dense, (times[r] - knots[step]) / h, w)
-                    pull_back_report(work, w, h, quaternion, at_times[r], covector)
+                    pull_back_report(work, w, h, quaternions, at_times[r], covector)
             pull_back_inside(adjoint, params, work, both, by_params, h)
         else:
             pull_back(adjoint, params, work, both, by_params, h)
@@ -106,7 +106,7 @@ def sweep_back(
 
 
 def pull_back_report(
-    work: Array, w: Array, h: float, quaternion: int, at_time: Array, covector: Array
+    work: Array, w: Array, h: float, quaternions: Quaternions, at_time: Array, covector: Array
 ) -> None:
     """Propagate the covector of a state inside a step to the step's start and stage rates.
 
@@ -114,7 +114,7 @@ def pull_back_report(
         work: Work rows.
         w: Weights of the stage rates in that state, (S,).
         h: Length of the step [s].
-        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
+        quaternions: Quaternions of the state.
         at_time: Covector of the state, (n,); overwritten.
         covector: Covector of the state at the start of the step, (n,); the result is added to it.
     """
@@ -124,7 +124,7 @@ def pull_back_report(
     for i in range(SIZE):
         for k in range(n):
             work[STAGE, k] += h * w[i] * work[RATES + i, k]
-    across(work[STAGE], unit_alone(work[STAGE], quaternion), quaternion, at_time, 1)
+    across(work[STAGE], quaternions, at_time, 1)
     add_row(at_time, covector)
     for i in range(SIZE):
         for k in range(n):

@@ -98,13 +98,13 @@ def forward(
         tangents: The state and its tangents, SEEDS directions per row.
         work: Workspace.
     """
-    address, quaternion, params, knots, times = replay
+    address, quaternions, params, knots, times = replay
     (A, dense, stages), (Y, K, V, L, w) = weights, work
     y, along, along_params, out, out_along = tangents
-    normalise_with(y, quaternion, along, SEEDS)
+    normalise_with(y, quaternions, along, SEEDS)
     first = 0
     while first < times.shape[0] and times[first] <= knots[0]:
-        report(tangents, first, quaternion, SEEDS)
+        report(tangents, first, quaternions, SEEDS)
         first += 1
     for step in range(knots.shape[0] - 1):
         h = knots[step + 1] - knots[step]
@@ -132,12 +132,12 @@ def forward(
             if times[r] < knots[step + 1]:
                 fill_weights(dense, (times[r] - knots[step]) / h, w)
                 _add_up(out[r], y, w, K, end, h)
-                normalise_with(out[r], quaternion, out_along[r], SEEDS)
+                normalise_with(out[r], quaternions, out_along[r], SEEDS)
         copy_row(Y[stages], y)
-        normalise_with(y, quaternion, along, SEEDS)
+        normalise_with(y, quaternions, along, SEEDS)
         while first < last:
             if times[first] >= knots[step + 1]:
-                report(tangents, first, quaternion, SEEDS)
+                report(tangents, first, quaternions, SEEDS)
             first += 1
 
 

@@ -17,8 +17,16 @@ from ...common.arrays import Array
 from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_state import Run, copy_an_end, keep_state
-from ..stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit_alone
+from ..stepping.run_state import Run, copy_an_end, keep_state, quaternions_of
+from ..stepping.state_rows import (
+    NEW,
+    Quaternions,
+    Y,
+    first_entries,
+    first_not_finite,
+    padded_rows,
+    unit_alone,
+)
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .row_programs import row_sum
 
@@ -39,9 +47,9 @@ _mean = row_sum(MEAN, None, _WEIGHTS)
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
     """Evaluate the initial rates (hook of the step loop)."""
-    unit_alone(work[Y], run.quaternion)
+    unit_alone(work[Y], quaternions_of(run))
     keep_state(run, work, 0.0, end_times, end_states)
-    _rate(run.address, params, work, work[Y], RATE, run.quaternion)
+    _rate(run.address, params, work, work[Y], RATE, quaternions_of(run))
     run.evaluations += 1
     run.entry = first_not_finite(work[RATE], run.n)
     return NOT_FINITE if run.entry >= 0 else DONE
@@ -50,7 +58,7 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 @inlined
 def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
     """Compute a step of fixed length (hook)."""
-    _step(run.address, params, work, run.quaternion, t_new - run.t)
+    _step(run.address, params, work, quaternions_of(run), t_new - run.t)
     run.evaluations += 4
     run.entry = first_not_finite(work[NEW], run.n)
     if run.entry < 0:
@@ -69,47 +77,49 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
 @inlined
 def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
     """Recompute a stored step, so that states inside it can be written (hook)."""
-    _rate(run.address, params, work, work[Y], RATE, run.quaternion)
-    _step(run.address, params, work, run.quaternion, t_new - run.t)
+    _rate(run.address, params, work, work[Y], RATE, quaternions_of(run))
+    _step(run.address, params, work, quaternions_of(run), t_new - run.t)
 
 
 @inlined
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:  # noqa: ARG001
     """Write a state inside the step, computed with cubic Hermite polynomials (hook)."""
     if not copy_an_end(run, work, time, t_new, out):
-        _within(run.n, work, run.quaternion, time - run.t, t_new - run.t, out)
+        _within(run.n, work, quaternions_of(run), time - run.t, t_new - run.t, out)
     return DONE
 
 
 @compiled
-def _step(address: int, params: Array, work: Array, quaternion: int, h: float) -> None:
+def _step(address: int, params: Array, work: Array, quaternions: Quaternions, h: float) -> None:
     """Compute rows NEW, LAST and MEAN with a step of length h from row Y with rates in row RATE."""
     stage = work[STAGE]
     _to_1(work, h)
-    _turn(work[Y], work[RATE], 0.5 * h, stage, quaternion)
-    _rate(address, params, work, stage, RATE + 1, quaternion)
-    _straighten(work[RATE], 0.5 * h, work[RATE + 1], quaternion)
+    _turn(work[Y], work[RATE], 0.5 * h, stage, quaternions)
+    _rate(address, params, work, stage, RATE + 1, quaternions)
+    _straighten(work[RATE], 0.5 * h, work[RATE + 1], quaternions)
     _to_2(work, h)
-    _turn(work[Y], work[RATE + 1], 0.5 * h, stage, quaternion)
-    _rate(address, params, work, stage, RATE + 2, quaternion)
-    _straighten(work[RATE + 1], 0.5 * h, work[RATE + 2], quaternion)
+    _turn(work[Y], work[RATE + 1], 0.5 * h, stage, quaternions)
+    _rate(address, params, work, stage, RATE + 2, quaternions)
+    _straighten(work[RATE + 1], 0.5 * h, work[RATE + 2], quaternions)
     _to_3(work, h)
-    _turn(work[Y], work[RATE + 2], h, stage, quaternion)
-    _rate(address, params, work, stage, RATE + 3, quaternion)
-    _straighten(work[RATE + 2], h, work[RATE + 3], quaternion)
+    _turn(work[Y], work[RATE + 2], h, stage, quaternions)
+    _rate(address, params, work, stage, RATE + 3, quaternions)
+    _straighten(work[RATE + 2], h, work[RATE + 3], quaternions)
     _to_end(work, h)
     _mean(work, 1.0)
-    _turn(work[Y], work[MEAN], h, work[NEW], quaternion)
-    unit_alone(work[NEW], quaternion)
-    _rate(address, params, work, work[NEW], LAST, quaternion)
+    _turn(work[Y], work[MEAN], h, work[NEW], quaternions)
+    unit_alone(work[NEW], quaternions)
+    _rate(address, params, work, work[NEW], LAST, quaternions)
 
 
 @compiled
-def _rate(address: int, params: Array, work: Array, y: Array, row: int, quaternion: int) -> None:
+def _rate(
+    address: int, params: Array, work: Array, y: Array, row: int, quaternions: Quaternions
+) -> None:
     """Compute the rates at y in a row, with the body rate ω = 2 q⁻¹ q̇ in place of q̇."""
     call(address, y, params, work[row])
-    if quaternion >= 0:
-        q, d = y[quaternion : quaternion + 4], work[row, quaternion : quaternion + 4]
+    for first in first_entries(quaternions):
+        q, d = y[first : first + 4], work[row, first : first + 4]
         a = q[3] * d[0] - q[0] * d[3] - (q[1] * d[2] - q[2] * d[1])
         b = q[3] * d[1] - q[1] * d[3] - (q[2] * d[0] - q[0] * d[2])
         c = q[3] * d[2] - q[2] * d[3] - (q[0] * d[1] - q[1] * d[0])
@@ -118,17 +128,17 @@ def _rate(address: int, params: Array, work: Array, y: Array, row: int, quaterni
 
 
 @compiled
-def _turn(start: Array, rate: Array, h: float, end: Array, quaternion: int) -> None:
+def _turn(start: Array, rate: Array, h: float, end: Array, quaternions: Quaternions) -> None:
     """Set the quaternion of `end` to the quaternion of `start` times exp(h rate)."""
-    if quaternion >= 0:
-        q, u = start[quaternion : quaternion + 4], rate[quaternion : quaternion + 3]
+    for first in first_entries(quaternions):
+        q, u = start[first : first + 4], rate[first : first + 3]
         a, b, c = h * u[0], h * u[1], h * u[2]
         half = 0.5 * sqrt(a * a + b * b + c * c)
         # Below 1e-4 the third term of the series of sin(half)/half is less than round-off.
         factor = 0.5 * (sin(half) / half if half > 1e-4 else 1.0 - half * half / 6.0)
         w = cos(half)
         a, b, c = factor * a, factor * b, factor * c
-        p = end[quaternion : quaternion + 4]
+        p = end[first : first + 4]
         p[0] = q[3] * a + w * q[0] + (q[1] * c - q[2] * b)
         p[1] = q[3] * b + w * q[1] + (q[2] * a - q[0] * c)
         p[2] = q[3] * c + w * q[2] + (q[0] * b - q[1] * a)
@@ -136,13 +146,13 @@ def _turn(start: Array, rate: Array, h: float, end: Array, quaternion: int) -> N
 
 
 @compiled
-def _straighten(rate: Array, h: float, row: Array, quaternion: int) -> None:
+def _straighten(rate: Array, h: float, row: Array, quaternions: Quaternions) -> None:
     """Replace the body rate ω in a row by u̇ = dexp⁻¹₋ᵤ ω with u = h rate.
 
     dexp⁻¹₋ᵤ ω = ω + ½ u × ω + c u × (u × ω),  c = (1 − (θ/2) cot(θ/2)) / θ²,  θ = |u|.
     """
-    if quaternion >= 0:
-        k, w = rate[quaternion : quaternion + 3], row[quaternion : quaternion + 3]
+    for first in first_entries(quaternions):
+        k, w = rate[first : first + 3], row[first : first + 3]
         a, b, c = h * k[0], h * k[1], h * k[2]
         x, y, z = b * w[2] - c * w[1], c * w[0] - a * w[2], a * w[1] - b * w[0]
         square = a * a + b * b + c * c
@@ -156,7 +166,9 @@ def _straighten(rate: Array, h: float, row: Array, quaternion: int) -> None:
 
 
 @compiled
-def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Array) -> None:
+def _within(
+    n: int, work: Array, quaternions: Quaternions, time: float, h: float, out: Array
+) -> None:
     """Write the state (n,) at `time` within a step of length h, by cubic interpolation."""
     x = time / h
     y = 1.0 - x
@@ -166,15 +178,17 @@ def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Ar
         out[i] = work[Y, i] + (
             by_difference * difference + by_start * work[RATE, i] + by_end * work[LAST, i]
         )
-    if quaternion >= 0:
-        u = work[STAGE]  # a row that is not in use between steps
-        for i in range(quaternion, quaternion + 4):
-            u[i] = work[LAST, i]
-        _straighten(work[MEAN], h, u, quaternion)
-        for i in range(quaternion, quaternion + 3):
-            u[i] = by_difference * h * work[MEAN, i] + by_start * work[RATE, i] + by_end * u[i]
-        _turn(work[Y], u, 1.0, out, quaternion)
-        unit_alone(out, quaternion)
+    rates = work[STAGE]  # a row that is not in use between steps
+    for first in first_entries(quaternions):
+        for i in range(first, first + 4):
+            rates[i] = work[LAST, i]
+    _straighten(work[MEAN], h, rates, quaternions)
+    for first in first_entries(quaternions):
+        for i in range(first, first + 3):
+            u = by_difference * h * work[MEAN, i] + by_start * work[RATE, i]
+            rates[i] = u + by_end * rates[i]
+    _turn(work[Y], rates, 1.0, out, quaternions)
+    unit_alone(out, quaternions)
 
 
 STEPPER = Stepper(

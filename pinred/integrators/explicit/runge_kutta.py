@@ -4,7 +4,7 @@ E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I,
 Springer 1993, sections II.4 (step control, first step), II.5 and II.6 (dense output), and
 Hairer's code dop853.f, whose constants all methods of this module use.
 
-The state stored at a step end is the result of the step before its quaternion is normalised,
+The state stored at a step end is the result of the step before its quaternions are normalised,
 so that repeating a step from this state reproduces it bit for bit.
 """
 
@@ -21,7 +21,14 @@ from ...common.memo import once_for_all
 from ..stepping.codes import DENSE, DONE, ENDS, NOT_FINITE, STEP
 from ..stepping.compiling import Bindings, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_state import STAGES_KEPT, Run, copy_an_end, keep_state, reject_step
+from ..stepping.run_state import (
+    STAGES_KEPT,
+    Run,
+    copy_an_end,
+    keep_state,
+    quaternions_of,
+    reject_step,
+)
 from ..stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
 from .row_programs import Rate, Sum, Terms, row_program
@@ -49,7 +56,7 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
     keep_state(run, work, 0.0, end_times, end_states)
     call(run.address, work[Y], params, work[BEGIN_RATE])
     run.evaluations += 1
-    unit(work[Y], work[BEGIN_RATE], run.quaternion)
+    unit(work[Y], work[BEGIN_RATE], quaternions_of(run))
     run.entry = first_not_finite(work[BEGIN_RATE], run.n)
     if run.entry >= 0:
         return NOT_FINITE
@@ -83,7 +90,7 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[BEGIN_RATE, i] = work[END_RATE, i]
-    unit(work[Y], work[BEGIN_RATE], run.quaternion)
+    unit(work[Y], work[BEGIN_RATE], quaternions_of(run))
     run.h = next_step(run.error, t_new - run.t, True, run.again != 0, run.max_step)
     if not run.again:
         run.entry = -1  # the accepted step is finite, so an earlier non-finite entry is obsolete
@@ -105,7 +112,7 @@ def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Arr
 def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
     """Evaluate the rate at the start of a stored step; other rates follow when needed (hook)."""
     call(run.address, work[Y], params, work[BEGIN_RATE])
-    unit(work[Y], work[BEGIN_RATE], run.quaternion)
+    unit(work[Y], work[BEGIN_RATE], quaternions_of(run))
 
 
 def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
@@ -122,7 +129,7 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
         x = (time - run.t) / h
         for i in range(run.n):
             out[i] = dense_value(work, i, x)
-    unit_alone(out, run.quaternion)
+    unit_alone(out, quaternions_of(run))
     return DONE
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from ...common.arrays import Array
 from ..stepping.compiling import Bindings, inlined, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_state import Run
+from ..stepping.run_state import Run, quaternions_of
 from ..stepping.state_rows import NEW, TURN, Y, in_quaternion
 from .step_rows import BEGIN_RATE, END_RATE, ERROR, ERROR3, RATES, STAGE
 
@@ -88,7 +88,7 @@ def root(value: Any) -> Any:
 def entry_tolerance(run: Run, work: Array, i: int) -> Any:
     """Return the tolerated error of entry i, atol + rtol |y|."""
     size = larger(abs(get(work, Y, i)), abs(get(work, NEW, i)))
-    if in_quaternion(i, run.quaternion):
+    if in_quaternion(i, quaternions_of(run)):
         size = same(TURN)
     return run.atol + run.rtol * size
 
@@ -126,7 +126,7 @@ def first_step(run: Run, params: Array, work: Array) -> Any:
     for i in range(run.n):
         y, slope = get(work, Y, i), get(work, BEGIN_RATE, i)
         scale = run.atol + run.rtol * abs(y)
-        if in_quaternion(i, run.quaternion):
+        if in_quaternion(i, quaternions_of(run)):
             scale = same(run.atol + run.rtol * TURN)
         put(work, ERROR, i, scale)
         y, slope = y / scale, slope / scale

@@ -18,7 +18,14 @@ from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
-from ..stepping.run_state import STAGES_KEPT, Run, first_step_by_rate, keep_state, reject_step
+from ..stepping.run_state import (
+    STAGES_KEPT,
+    Run,
+    first_step_by_rate,
+    keep_state,
+    quaternions_of,
+    reject_step,
+)
 from ..stepping.state_rows import Y, entry_size, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, loops
 from .fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
@@ -42,7 +49,7 @@ _FASTEST = 0.15
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
     """Evaluate the initial rates and choose the first step (hook of the step loop)."""
     keep_state(run, work, 0.0, end_times, end_states)
-    unit_alone(work[Y], run.quaternion)
+    unit_alone(work[Y], quaternions_of(run))
     for i in range(run.n):
         work[CARRY, i] = 0.0
     guess_evenly(run, params, work, L, 1.0)
@@ -129,7 +136,7 @@ def _measure_by_tolerance(run: Run, work: Array) -> None:
     """Fill SCALE so that the norm of a change is its root mean square in units of the tolerance."""
     rtol, atol, mean = run.rtol, run.atol, 1.0 / sqrt(run.n * run.stages)
     for i in range(run.n):
-        work[SCALE, i] = mean / (atol + rtol * entry_size(work[Y], i, run.quaternion))
+        work[SCALE, i] = mean / (atol + rtol * entry_size(work[Y], i, quaternions_of(run)))
     work[INFO, 0] = max(1.0, 1e-9 / rtol)
     work[INFO, 1] = 0.0
 

@@ -41,21 +41,20 @@ def reverse(
     Returns:
         0, or 1 plus the index of the first step whose equations did not converge.
     """
-    address, quaternion, params, knots, times = replay
+    address, quaternions, params, knots, times = replay
     stored, covector, at_times, _, both = back
     n, first, last_h = covector.shape[0], times.shape[0], 0.0
     for step in range(knots.shape[0] - 2, -1, -1):
         for i in range(n):
             work[Y, i] = stored[step + 1, i]
-        factor = unit_alone(work[Y], quaternion)
         while first > 0 and times[first - 1] >= knots[step + 1]:
             first -= 1
-            across(work[Y], factor, quaternion, at_times[first], 1)
+            across(work[Y], quaternions, at_times[first], 1)
             add_row(at_times[first], covector)
         for i in range(n):
             work[Y, i] = stored[step, i]
         if step == 0:
-            unit_alone(work[Y], quaternion)
+            unit_alone(work[Y], quaternions)
         h = knots[step + 1] - knots[step]
         near = 0.0 < h <= _FURTHEST * last_h
         if near:
@@ -90,8 +89,7 @@ def reverse(
             inside = both[:n]
             copy_row(work[Y], inside)
             add_increments(work, SUB, lanes, inside)
-            factor = unit_alone(inside, quaternion)
-            across(inside, factor, quaternion, at_times[first], 1)
+            across(inside, quaternions, at_times[first], 1)
             work[SUB_Z] = 0.0
             if not step_back(adjoint, params, work, lanes, SUB_Z, elapsed, at_times[first], back):
                 return step + 1

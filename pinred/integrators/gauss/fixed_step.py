@@ -23,7 +23,7 @@ from ..stepping.codes import (
     WANTED,
 )
 from ..stepping.compiling import compiled, inlined
-from ..stepping.run_state import Run, copy_an_end, keep_state
+from ..stepping.run_state import Run, copy_an_end, keep_state, quaternions_of
 from ..stepping.state_rows import NEW, Y, copy_row, first_not_finite, unit_alone
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 from .newton import MAIN, prepare, refine, rows_of_stages
@@ -50,9 +50,9 @@ _SLACK = 1e-6
 
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:  # noqa: ARG001
-    """Store the initial state and normalise its quaternion (hook of the step loop)."""
+    """Store the initial state and normalise its quaternions (hook of the step loop)."""
     keep_state(run, work, 0.0, end_times, end_states)
-    unit_alone(work[Y], run.quaternion)
+    unit_alone(work[Y], quaternions_of(run))
     for i in range(run.n):
         work[CARRY, i] = 0.0
     return DONE
@@ -60,9 +60,9 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
 
 @inlined
 def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array) -> None:  # noqa: ARG001
-    """Normalise the quaternion of the initial state, which is stored as given (hook)."""
+    """Normalise the quaternions of the initial state, which is stored as given (hook)."""
     if run.t == 0.0:
-        unit_alone(work[Y], run.quaternion)
+        unit_alone(work[Y], quaternions_of(run))
 
 
 @inlined
@@ -225,7 +225,7 @@ def write_inside_state(
             add_increments(work, SUB, lanes, out)
         else:
             solved = _write_by_segments(run, params, work, h, out)
-    unit_alone(out, run.quaternion)
+    unit_alone(out, quaternions_of(run))
     return solved
 
 

@@ -39,12 +39,12 @@ def forward(
     Returns:
         0, or 1 plus the index of the first step whose equations did not converge.
     """
-    _, quaternion, _, knots, times = replay
+    _, quaternions, _, knots, times = replay
     y, along, along_params, out, out_along = tangents
-    normalise_with(y, quaternion, along, 1)
+    normalise_with(y, quaternions, along, 1)
     first = 0
     while first < times.shape[0] and times[first] <= knots[0]:
-        report(tangents, first, quaternion, 1)
+        report(tangents, first, quaternions, 1)
         first += 1
     for step in range(knots.shape[0] - 1):
         if step > 0 and states.shape[0] > 0:
@@ -58,13 +58,13 @@ def forward(
                 replay, slopes, lanes, h, out[first], out_along[first], along_params, work
             ):
                 return step + 1
-            normalise_with(out[first], quaternion, out_along[first], 1)
+            normalise_with(out[first], quaternions, out_along[first], 1)
             first += 1
         h = knots[step + 1] - knots[step]
         if not _step(replay, slopes, lanes, h, y, along, along_params, work):
             return step + 1
         while first < times.shape[0] and times[first] <= knots[step + 1]:
-            report(tangents, first, quaternion, 1)
+            report(tangents, first, quaternions, 1)
             first += 1
     return 0
 

@@ -20,6 +20,7 @@ from ..integrate import begun_by
 from ..integrate_many import Solutions, checked_batch, over_threads, solutions
 from ..methods.method import Explicit
 from ..stepping.compiling import compiled
+from ..stepping.state_rows import Quaternions
 from . import members_in_lanes
 from .members_in_lanes import READY_REGISTERS, READY_ROWS, REGISTERS, Workspace
 from .vectors import FUSED, Vector, functions_of_width
@@ -36,7 +37,7 @@ def integrate_in_lanes(
     y0: ArrayLike,
     t_end: ArrayLike,
     times: ArrayLike,
-    quaternion: int = -1,
+    quaternions: Quaternions = (0, 0),
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Solutions:
@@ -55,7 +56,7 @@ def integrate_in_lanes(
         y0: Initial states, (N, n).
         t_end: End time, or one for each member, (N,) [s].
         times: Sorted report times, (T,) or (N, T), as for `integrate_many` [s].
-        quaternion: Index of the quaternion's first entry, −1 without a quaternion.
+        quaternions: As for `integrate`.
         threads: Number of threads, None for all processors.
         progress: Called with the finished fraction of the members.
     Returns:
@@ -65,11 +66,11 @@ def integrate_in_lanes(
     """
     if width not in WIDTHS:
         raise InputError(f"width must be one of {WIDTHS}, got {width!r}")
-    asked = checked_batch(address, params, y0, t_end, times, quaternion, threads)
+    asked = checked_batch(address, params, y0, t_end, times, quaternions, threads)
     batch = asked.batch
     (size, n), parameters = batch.y0.shape, batch.params.shape[1]
     loop = _lane_loop(type(method).__name__, method.order, method.tableau(), width)
-    initial_run = begun_by(method, address, n, asked.end, quaternion, (0, 0))
+    initial_run = begun_by(method, address, n, asked.end, quaternions, (0, 0))
     queue = np.zeros(1, dtype=np.int64)
     most = min(width, max(1, ceil(size / asked.threads)))
 

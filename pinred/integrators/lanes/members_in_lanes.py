@@ -27,8 +27,8 @@ from ..explicit.step_rows import BEGIN_RATE, END_RATE, RATES
 from ..stepping.codes import DONE, NOT_FINITE, TOO_MANY, UNDERFLOW
 from ..stepping.compiling import compiled, unbound
 from ..stepping.kernel_call import call
-from ..stepping.run_state import Run, Runs
-from ..stepping.state_rows import NEW, Y, unit_alone
+from ..stepping.run_state import Run, Runs, quaternions_of
+from ..stepping.state_rows import NEW, Y, first_entries, unit_alone
 from ..stepping.step_loop import Batch
 from .vectors import bits, choose, fetch_and_add
 
@@ -82,7 +82,7 @@ fill_step = fill_end = fill_errors = fill_dense = estimate = unbound
 
 
 def normalise(run: Run, rows: Array, y: int, rate: int, lanes: Any) -> None:
-    """Normalise the quaternion in row y in some lanes, and scale its rate.
+    """Normalise the quaternions in row y in some lanes, and scale their rates.
 
     Args:
         run: Registers of the run.
@@ -91,12 +91,12 @@ def normalise(run: Run, rows: Array, y: int, rate: int, lanes: Any) -> None:
         rate: Row of the rates.
         lanes: Mask of the lanes.
     """
-    if run.quaternion >= 0:
+    for first in first_entries(quaternions_of(run)):
         square = same(0.0)
-        for i in range(run.quaternion, run.quaternion + 4):
+        for i in range(first, first + 4):
             square = square + get(rows, y, i) * get(rows, y, i)
         factor = choose(lanes, 1.0 / sqrt(square), 1.0)
-        for i in range(run.quaternion, run.quaternion + 4):
+        for i in range(first, first + 4):
             put(rows, y, i, get(rows, y, i) * factor)
             put(rows, rate, i, get(rows, rate, i) * factor)
 
@@ -214,7 +214,7 @@ def report_state(run: Run, batch: Batch, space: Workspace, lane: int, row: int) 
     out = batch.y[member, j]
     for i in range(run.n):
         out[i] = space.work[row, i * WIDTH + lane]
-    unit_alone(out, run.quaternion)
+    unit_alone(out, quaternions_of(run))
     registers[NEXT, lane] = j + 1
     registers[NEXT_TIME, lane] = report_time(batch, member, j + 1)
 

@@ -24,7 +24,7 @@ class DOP853(Explicit):
     """Dormand and Prince's Runge–Kutta method of order 8(5,3), in Hairer's form.
 
     State:
-        y, (n,), in any order. The quaternion's four entries are consecutive.
+        y, (n,), in any order. All entries of its quaternions are consecutive.
     Attributes:
         rtol: Relative tolerance of a step.
         atol: Absolute tolerance of a step. The root mean square of the estimated errors, each
@@ -52,7 +52,7 @@ class Tsit5(Explicit):
     errors of about 1e-4.
 
     State:
-        y, (n,), in any order. The quaternion's four entries are consecutive.
+        y, (n,), in any order. All entries of its quaternions are consecutive.
     Attributes:
         rtol: Relative tolerance of a step.
         atol: Absolute tolerance of a step.
@@ -79,7 +79,7 @@ class RKMK4(EqualSteps):
     """Munthe-Kaas's form of the classical method RK4, with fixed steps that stay on the Lie group.
 
     State:
-        y, (n,), in any order. The quaternion's four entries are consecutive.
+        y, (n,), in any order. All entries of its quaternions are consecutive.
     Attributes:
         step: Longest step [s]. All steps are equal, and the last one ends at the end time.
     """

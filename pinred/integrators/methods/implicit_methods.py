@@ -110,7 +110,7 @@ class AdaptiveGauss(ErrorControl):
     larger than its estimate.
 
     State:
-        y, (n,), in any order. The quaternion's four entries are consecutive.
+        y, (n,), in any order. All entries of its quaternions are consecutive.
     Attributes:
         rtol: Relative tolerance of a step.
         atol: Absolute tolerance of a step.
@@ -156,7 +156,7 @@ class Radau(ErrorControl):
     DOP853. Newton's method uses the exact Jacobian.
 
     State:
-        y, (n,), in any order. The quaternion's four entries are consecutive.
+        y, (n,), in any order. All entries of its quaternions are consecutive.
     Attributes:
         rtol: Relative tolerance of a step.
         atol: Absolute tolerance of a step.
@@ -198,7 +198,7 @@ class Variational(EqualSteps):
     cat and a satellite with arms. Gauss of order 4 or higher is faster than both.
 
     State:
-        y, (n,): m positions, m momenta, then other entries. The quaternion, if any, is the
+        y, (n,): m positions, m momenta, then other entries. At most one quaternion, which is the
         Cayley–Klein lift of the constant momentum, which is the first three parameters.
     Attributes:
         step: Longest step [s]. All steps are equal, and the last one ends at the end time.
@@ -209,6 +209,7 @@ class Variational(EqualSteps):
     dense_order: ClassVar[int] = 2
     symplectic: ClassVar[bool] = True
     steady_momentum: ClassVar[bool] = True
+    one_quaternion: ClassVar[bool] = True
 
     def stepper(self) -> Stepper:
         """Return the compiled stepper."""

@@ -45,6 +45,7 @@ class Method(ABC):
         symplectic: Whether the map of a step is symplectic for systems in canonical form.
         steady_momentum: Whether the method requires an angular momentum that is constant in space.
         needs_smooth: Whether kinks of the vector field cause errors that no estimate shows.
+        one_quaternion: Whether the state must not contain more than one quaternion.
     """
 
     about: ClassVar[str]
@@ -52,6 +53,7 @@ class Method(ABC):
     symplectic: ClassVar[bool] = False
     steady_momentum: ClassVar[bool] = False
     needs_smooth: ClassVar[bool] = False
+    one_quaternion: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -192,7 +194,7 @@ class Explicit(ErrorControl):
     """An explicit Runge–Kutta method with step control, defined by its tableau.
 
     State:
-        y, (n,), in any order. The quaternion's four entries are consecutive.
+        y, (n,), in any order. All entries of its quaternions are consecutive.
     """
 
     @classmethod

@@ -1,6 +1,6 @@
 """Stored steps and dense output of Radau IIA.
 
-A step end is stored as the state before its quaternion is normalised, followed by the stages of
+A step end is stored as the state before its quaternions are normalised, followed by the stages of
 the step. Dense output from stored steps thus equals the dense output during the run bit for bit.
 
 The polynomial through the stages has order 3 only. Corrections from ẏ and ÿ at the ends, computed
@@ -19,7 +19,7 @@ from ..stepping.codes import DENSE, DONE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, jacobian, solve
-from ..stepping.run_state import Run, copy_an_end
+from ..stepping.run_state import Run, copy_an_end, quaternions_of
 from ..stepping.state_rows import NEW, Y, unit, unit_alone
 from .radau_rows import ALONG, CORRECTION, END_RATE, FREE, MATRIX, PIVOTS, RATE, SLOPES, Z
 
@@ -51,7 +51,7 @@ def load_step(run: Run, params: Array, work: Array, t_new: float, stored: Array)
             work[Z + row, i] = stored[(row + 1) * run.n + i]
     call(run.address, work[Y], params, work[RATE])
     call(run.address, work[NEW], params, work[END_RATE])
-    unit(work[Y], work[RATE], run.quaternion)
+    unit(work[Y], work[RATE], quaternions_of(run))
 
 
 @inlined
@@ -76,7 +76,7 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
             )
             polynomial = stage_polynomial(work[Z, i], work[Z + 1, i], work[Z + 2, i], x)
             out[i] = work[Y, i] + (polynomial + correction)
-    unit_alone(out, run.quaternion)
+    unit_alone(out, quaternions_of(run))
     return DONE
 
 

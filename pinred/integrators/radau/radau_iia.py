@@ -18,7 +18,7 @@ from ..stepping.codes import DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..stepping.run_state import Run, first_step_by_rate, reject_step
+from ..stepping.run_state import Run, first_step_by_rate, quaternions_of, reject_step
 from ..stepping.state_rows import NEW, Y, entry_size, first_not_finite, unit
 from ..stepping.step_loop import Hooks, Stepper, loops
 from .dense import GAMMA, load_step, stage_polynomial, store_end, write_state
@@ -47,7 +47,7 @@ def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states
     store_end(run, work, 0.0, end_times, end_states)
     call(run.address, work[Y], params, work[RATE])
     run.evaluations += 1
-    unit(work[Y], work[RATE], run.quaternion)
+    unit(work[Y], work[RATE], quaternions_of(run))
     run.entry = first_not_finite(work[RATE], run.n)
     if run.entry >= 0:
         return NOT_FINITE
@@ -98,7 +98,7 @@ def accept_step(run: Run, work: Array, t_new: float) -> None:
         work[RATE, i] = work[STAGE, i]
         for k in range(3):
             work[OLD + k, i] = work[Z + k, i]
-    unit(work[Y], work[RATE], run.quaternion)
+    unit(work[Y], work[RATE], quaternions_of(run))
     if run.before > 0.0:  # Gustafsson's predictive control
         root = sqrt(sqrt(run.error * run.error / run.error_before))
         predicted = h / run.before * root / _SAFETY
@@ -154,10 +154,10 @@ def _tolerances(run: Run) -> tuple[float, float]:
 @compiled
 def _measure(run: Run, work: Array) -> None:
     """Set row SCALE to the reciprocal of each entry's tolerance."""
-    n, quaternion = run.n, run.quaternion
+    n, quaternions = run.n, quaternions_of(run)
     rtol, atol = _tolerances(run)
     for i in range(n):
-        work[SCALE, i] = 1.0 / (atol + rtol * entry_size(work[Y], i, quaternion))
+        work[SCALE, i] = 1.0 / (atol + rtol * entry_size(work[Y], i, quaternions))
 
 
 @compiled

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from .codes import AGAIN
 from .compiling import compiled, inlined
-from .state_rows import NEW, Y, entry_size
+from .state_rows import NEW, Quaternions, Y, entry_size
 
 # Stored data of steps: nothing, the states at step ends, or also the stage rates.
 NOTHING_KEPT, ENDS_KEPT, STAGES_KEPT = range(3)
@@ -48,7 +48,8 @@ class Run:
     address: int  # address of the kernel
     tangent: int  # address of the tangent kernel, or 0
     n: int  # number of entries of the state
-    quaternion: int  # index of the quaternion's first entry, −1 without a quaternion
+    quaternions_at: int  # index of the first entry of the first quaternion
+    quaternion_count: int  # number of consecutive quaternions
     pairs: int  # number of positions in y, followed by as many momenta
     spin: int  # number of parameters that are components of a constant momentum
     stages: int  # number of stages per evaluation
@@ -80,7 +81,6 @@ _PACKED = Struct("".join(_KINDS[kind] for kind in Run.__annotations__.values()))
 LAYOUT = np.dtype([(name, _KINDS[kind]) for name, kind in Run.__annotations__.items()], align=True)
 _FIRST: dict[str, Any] = {
     **dict.fromkeys(Run.__annotations__, 0),
-    "quaternion": -1,
     "entry": -1,
     "member": -1,
 }
@@ -96,6 +96,12 @@ def new_run(**numbers: float) -> Runs:
 def copied(runs: Runs) -> Runs:
     """Return an independent copy of the registers."""
     return np.frombuffer(bytearray(runs.tobytes()), LAYOUT)
+
+
+@inlined
+def quaternions_of(run: Run) -> Quaternions:
+    """Return the quaternions of the state, see Quaternions."""
+    return run.quaternions_at, run.quaternion_count
 
 
 @inlined
@@ -161,7 +167,7 @@ def first_step_by_rate(run: Run, y: Array, rate: Array, lanes: int, fraction: fl
     """
     square = 0.0
     for i in range(run.n):
-        scale = run.atol / run.rtol + entry_size(y, i, run.quaternion)
+        scale = run.atol / run.rtol + entry_size(y, i, quaternions_of(run))
         square += (rate[i * lanes] / scale) ** 2
     longest: float = min(run.t_end, run.max_step)
     return min(longest, fraction * sqrt(run.n / square)) if square > 0.0 else longest

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import TypeAlias
 
 import numpy as np
 
@@ -11,6 +12,11 @@ from .compiling import compiled, inlined
 
 Y, NEW = 0, 1  # rows of `work`: the state at the start of a step, and at its end
 WIDTH = 4  # number of floats in a vector; rows are padded with zeros to a multiple of it
+
+# The quaternions (x, y, z, w) of a state: index in y of the first entry of the first quaternion,
+# and number of consecutive quaternions; (0, 0) for none. This is a plain tuple, because numba takes
+# microseconds to find the type of a named tuple.
+Quaternions: TypeAlias = tuple[int, int]
 
 # Scale of the errors of a quaternion's entries. A rotation by an angle changes the quaternion by
 # half the angle, and the root mean square over four entries halves it again. With this scale, the
@@ -24,46 +30,57 @@ def padded_rows(count: int, n: int) -> Array:
 
 
 @inlined
-def in_quaternion(i: int, quaternion: int) -> bool:
-    """Return whether entry i is one of the quaternion's four entries."""
-    return 0 <= i - quaternion < 4 and quaternion >= 0
+def in_quaternion(i: int, quaternions: Quaternions) -> bool:
+    """Return whether entry i is an entry of a quaternion."""
+    first, count = quaternions
+    return first <= i < first + 4 * count
 
 
 @inlined
-def entry_size(y: Array, i: int, quaternion: int) -> float:
+def first_entries(quaternions: Quaternions) -> range:
+    """Return the index of the first entry of each quaternion."""
+    first, count = quaternions
+    return range(first, first + 4 * count, 4)
+
+
+@inlined
+def entry_size(y: Array, i: int, quaternions: Quaternions) -> float:
     """Return the scale of entry i with which its error is compared."""
     size: float = abs(y[i])
-    if in_quaternion(i, quaternion):
+    if in_quaternion(i, quaternions):
         size = TURN
     return size
 
 
-@compiled
-def unit_alone(y: Array, quaternion: int) -> float:
-    """Normalise the quaternion of y; return the factor. quaternion: first index, −1 for none."""
-    if quaternion < 0:
-        return 1.0
+@inlined
+def inverse_length(y: Array, first: int) -> float:
+    """Return the reciprocal of the length of the quaternion whose first entry is y[first]."""
     square = 0.0
-    for i in range(quaternion, quaternion + 4):
+    for i in range(first, first + 4):
         square += y[i] * y[i]
-    factor = 1.0 / sqrt(square)
-    for i in range(quaternion, quaternion + 4):
-        y[i] *= factor
-    return factor
+    return 1.0 / sqrt(square)
 
 
 @compiled
-def unit(y: Array, rate: Array, quaternion: int) -> None:
-    """Normalise the quaternion of y, and scale its rate by the same factor.
+def unit_alone(y: Array, quaternions: Quaternions) -> None:
+    """Normalise the quaternions of y."""
+    for first in first_entries(quaternions):
+        factor = inverse_length(y, first)
+        for i in range(first, first + 4):
+            y[i] *= factor
 
-    `quaternion` is the index of its first entry, −1 for none.
 
-    A kernel uses only the direction of the quaternion. Therefore the quaternion's rate is
+@compiled
+def unit(y: Array, rate: Array, quaternions: Quaternions) -> None:
+    """Normalise the quaternions of y, and scale the rate of each by the same factor.
+
+    A kernel uses only the directions of the quaternions. Therefore the rate of a quaternion is
     proportional to its length, and the other rates do not change.
     """
-    if quaternion >= 0:
-        factor = unit_alone(y, quaternion)
-        for i in range(quaternion, quaternion + 4):
+    for first in first_entries(quaternions):
+        factor = inverse_length(y, first)
+        for i in range(first, first + 4):
+            y[i] *= factor
             rate[i] *= factor
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from .codes import AGAIN, DONE, ENDS, FULL, NOT_FINITE, PAUSED, STEP, TOO_MANY, UNDERFLOW, WANTED
 from .compiling import bind_globals, compiled, inlined, unbound
-from .run_state import Run, Runs, keep_state
+from .run_state import Run, Runs, keep_state, quaternions_of
 from .state_rows import NEW, Y, unit_alone
 
 _EPS = float(np.finfo(float).eps)
@@ -55,7 +55,7 @@ class Hooks:
         accept_step: (run, work, t_new): continue from the end of the step, and choose the length of
             the next step.
         write_state: (run, params, work, time, t_new, out): write the state (n,) at a time from
-            run.t to t_new, NaN if it is not computed, with a normalised quaternion. run.known
+            run.t to t_new, NaN if it is not computed, with normalised quaternions. run.known
             states the contents of the work rows. Returns DONE, AGAIN, WANTED, or the reason of a
             failure.
         load_step: (run, params, work, t_new, stored): restore the work rows of a step whose ends
@@ -316,7 +316,7 @@ def through(
         last = start + run.steps
         for i in range(run.n):
             work[Y, i] = end_states[last, i]
-        unit_alone(work[Y], run.quaternion)
+        unit_alone(work[Y], quaternions_of(run))
         first[k + 1] = last + 1
         place[0] = k + 1
         spent += run.evaluations

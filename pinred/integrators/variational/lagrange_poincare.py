@@ -31,8 +31,15 @@ from ...common.arrays import Array
 from ..stepping.codes import DIVERGED, DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
-from ..stepping.run_state import Run, copy_an_end, keep_state
-from ..stepping.state_rows import NEW, Y, first_not_finite, padded_rows, unit_alone
+from ..stepping.run_state import Run, copy_an_end, keep_state, quaternions_of
+from ..stepping.state_rows import (
+    NEW,
+    Y,
+    first_not_finite,
+    in_quaternion,
+    padded_rows,
+    unit_alone,
+)
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 
 # Rows of `work` after the state: six rows for the step (MAIN), and six for a shorter step to a
@@ -55,7 +62,7 @@ _NOTHING = 1e-17
 @inlined
 def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
     """Normalise the quaternion and evaluate the initial rates (hook of the step loop)."""
-    unit_alone(work[Y], run.quaternion)
+    unit_alone(work[Y], quaternions_of(run))
     keep_state(run, work, 0.0, end_times, end_states)
     _begin(run, params, work, MAIN, run.h)
     run.entry = first_not_finite(work[MAIN + BEGIN_RATE], run.n)
@@ -95,19 +102,20 @@ def write_state(run: Run, params: Array, work: Array, time: float, t_new: float,
 @compiled
 def _begin(run: Run, params: Array, work: Array, first: int, h: float) -> None:
     """Set stage rates and rotation of a step to the values at its start, as a first guess."""
-    n, quaternion, address = run.n, run.quaternion, run.address
+    n, address = run.n, run.address
     call(address, work[Y], params, work[first + BEGIN_RATE])
     run.evaluations += 1
     for i in range(n):
         work[first + STOP_RATE, i] = work[first + BEGIN_RATE, i]
-    if quaternion >= 0:
-        _body_rate(work[Y], work[first + BEGIN_RATE], quaternion, h, work[first + TURN])
+    if run.quaternion_count:
+        _body_rate(work[Y], work[first + BEGIN_RATE], run.quaternions_at, h, work[first + TURN])
 
 
 @compiled
 def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
     """Compute a step from row Y to row END; return DONE or the reason of a failure."""
-    n, pairs, quaternion, half = run.n, run.pairs, run.quaternion, 0.5 * h
+    n, pairs, half = run.n, run.pairs, 0.5 * h
+    quaternion, has_quaternion = run.quaternions_at, run.quaternion_count > 0
     address, spin = run.address, run.spin
     y, end, u = work[Y], work[first + END], work[first + TURN]
     begin, stop = work[first + BEGIN], work[first + STOP]
@@ -120,7 +128,7 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
     previous, stalls = np.inf, 0
     for iteration in range(_MOST):
         largest = size = 0.0
-        if quaternion >= 0 and spin:
+        if has_quaternion and spin:
             _write_stage_quaternion(y, u, params, begin, quaternion)
         call(address, begin, params, rate)
         for i in range(pairs, 2 * pairs):
@@ -131,8 +139,8 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
         for i in range(2 * pairs, n):
             # An entry that only counts time is exact at the end of the step. The rates depend on no
             # other entry except the quaternion.
-            is_quaternion = quaternion >= 0 and 0 <= i - quaternion < 4
-            stop[i] = begin[i] if is_quaternion else y[i] + h * rate[i]
+            is_rotated = in_quaternion(i, quaternions_of(run))
+            stop[i] = begin[i] if is_rotated else y[i] + h * rate[i]
         call(address, stop, params, last)
         run.evaluations += 2
         for i in range(pairs):
@@ -140,7 +148,7 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
             size = max(size, abs(new - stop[i]))
             largest = max(largest, abs(new))
             stop[i] = new
-        if quaternion >= 0:
+        if has_quaternion:
             _body_rate(begin, rate, quaternion, half, end)
             _body_rate(stop, last, quaternion, half, u[3:])
             for i in range(3):
@@ -167,9 +175,9 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
         end[i], end[pairs + i] = stop[i], begin[pairs + i] + half * last[pairs + i]
     for i in range(2 * pairs, n):
         end[i] = y[i] + half * (rate[i] + last[i])
-    if quaternion >= 0:
+    if has_quaternion:
         _multiply(y, 0.5 * u[0], 0.5 * u[1], 0.5 * u[2], 1.0, end, quaternion)
-        unit_alone(end, quaternion)
+        unit_alone(end, quaternions_of(run))
         for i in range(3):
             u[i] = 4.0 * u[3 + i] - u[i]  # first guess of the next step
     return DONE

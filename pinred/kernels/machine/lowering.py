@@ -23,6 +23,7 @@ from .operations import BODIES, CALLS, FLAGS, LINES, NAMES, PURE, declaration, h
 from .sincos import LANES, constant, sincos_ir, vector
 
 _LIBM_SINCOS = [f"declare double @{name}(double) {PURE}" for name in ("sin", "cos")]
+_ONE = constant(1.0)
 _UNLIKELY = '!0 = !{!"branch_weights", i32 100000, i32 1}'
 
 
@@ -135,7 +136,9 @@ class _Lowering:
         Returns:
             Name of the value.
         """
-        at = max([self.stage.get(v, 0) for v in operands], default=0)
+        at = 0
+        for value in operands:  # a kernel has thousands of lines
+            at = max(at, self.stage.get(value, 0))
         self.writer.stages[at].append(f"{new} = {text}")
         return self._register(new, width, at)
 
@@ -151,14 +154,14 @@ class _Lowering:
             Name of the value.
         """
         self.used.add(op)
-        width = max(self.width.get(v, 1) for v in operands)
-        one = constant(1.0)
-        if width > 1:
-            operands = [self.in_lanes(v, width) for v in operands]
-            if op not in LINES:
-                return self._operate_per_lane(new, template, operands, width)
-            one = f"splat (double {one})"
-        return self.put(new, width, template.format(*operands, T=vector(width), one=one), *operands)
+        width = max(self.width.get(v, 1) for v in operands) if self.width else 1
+        if width == 1:
+            return self.put(new, 1, template.format(*operands, T="double", one=_ONE), *operands)
+        operands = [self.in_lanes(v, width) for v in operands]
+        if op not in LINES:
+            return self._operate_per_lane(new, template, operands, width)
+        text = template.format(*operands, T=vector(width), one=f"splat (double {_ONE})")
+        return self.put(new, width, text, *operands)
 
     def _operate_per_lane(self, new: str, template: str, operands: list[str], width: int) -> str:
         """Emit an operation without a vector form in LLVM, one lane after another."""

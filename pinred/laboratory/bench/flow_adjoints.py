@@ -43,8 +43,8 @@ class Adjoints:
 def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoints:
     """Compute the gradient of a flow with the adjoints of pinred and of CVODES.
 
-    The flow must use an explicit method over a single segment. The component along a quaternion's
-    length is excluded: the flow normalises quaternions, CVODES does not.
+    The flow must use an explicit method over a single segment. The component along each
+    quaternion's length is excluded: the flow normalises quaternions, CVODES does not.
 
     Args:
         made: The flow.
@@ -59,7 +59,7 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
     y0, parameters, times = solution.states[0].copy(), solution.params, solution.times
     covector = np.random.default_rng(0).normal(size=len(y0))
     none = np.zeros((len(times), len(y0)))
-    quaternion = kernel.layout.quaternion
+    first, count = kernel.layout.quaternions
     adjoint = _cvodes(made, tolerance)
     by_cvodes = partial(adjoint, y0, parameters, covector)
 
@@ -69,8 +69,8 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
 
     theirs = [np.array(each).ravel() for each in by_cvodes()]
     mine = own()
-    if quaternion >= 0:
-        place = slice(quaternion, quaternion + 4)
+    for k in range(first, first + 4 * count, 4):
+        place = slice(k, k + 4)
         q = y0[place] / np.linalg.norm(y0[place])
         for slopes in (theirs[0], mine.by_state):
             slopes[place] -= q * (q @ slopes[place])

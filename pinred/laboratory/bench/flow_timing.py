@@ -141,7 +141,7 @@ def _bench_flow(name: str) -> FlowTiming:
         len(y),
         _SPAN,
         times,
-        propagator.field.quaternion,
+        propagator.field.quaternions,
     )
     step = by_motion.step(solution.knots[1])
     one = np.ones(sum(place.stop - place.start for place in by_motion.outputs.values()))

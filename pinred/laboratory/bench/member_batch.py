@@ -96,17 +96,17 @@ def final_states(members: Sequence[Problem], flows: CompiledFlow, y: Any, count:
 def _prepare(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> PreparedBatch:
     flows, method = compile_members(members), DOP853(rtol, 1e-2 * rtol)
     kernel, end, times = flows.kernel, members[0].start.duration, members[0].times
-    y0, params, quaternion = flows.y0, flows.parameters, kernel.layout.quaternion
+    y0, params, quaternions = flows.y0, flows.parameters, kernel.layout.quaternions
     run: Callable[[], Solutions]
     if in_lanes:
         lanes = lanes_of(method, kernel)
         address = wide_rate(kernel, lanes, own_parameters=True).address
         run = partial(
-            integrate_in_lanes, method, address, lanes, params, y0, end, times, quaternion, 1
+            integrate_in_lanes, method, address, lanes, params, y0, end, times, quaternions, 1
         )
     else:
         address = kernel.rate.address
-        run = partial(integrate_many, method, address, params, y0, end, times, quaternion, 1)
+        run = partial(integrate_many, method, address, params, y0, end, times, quaternions, 1)
 
     def ends(solutions: Solutions, count: int) -> list[End]:
         if not solutions.ok.all():

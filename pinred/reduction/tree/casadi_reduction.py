@@ -33,6 +33,7 @@ class CasadiReduction:
 
 def casadi_reduction(system: System, x: ca.SX | None = None) -> CasadiReduction:
     """Return the expressions of a system at shape symbols x (m, 1); None: new symbols."""
+    system.space.refuse_balls("CasADi expressions of the reduction")
     r, m = system.r, system.m
     x, v = ca.SX.sym("x", m) if x is None else x, ca.SX.sym("v", system.n)
     H = ca.jacobian(momenta(system, x, v), v)

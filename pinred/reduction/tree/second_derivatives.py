@@ -61,6 +61,7 @@ def inertia_derivatives(
     Returns:
         The values and derivatives.
     """
+    system.space.refuse_balls("second derivatives of the mass matrix")
     tree = system.workspace(_Tree, lambda: _Tree(system))
     return tree.derivatives(x, None if system.coupled is not None else of)
 

@@ -48,7 +48,7 @@ def through_stops(
         layout = flow.kernel.layout
         parts = integrate_parts(
             method, flow.address(method), params, flow.y0 if flow.y0.size else np.zeros(1),
-            read_only(stops - starts), layout.quaternion, layout.canonical, flow.tangent, progress,
+            read_only(stops - starts), layout.quaternions, layout.canonical, flow.tangent, progress,
             explain,
         )  # fmt: skip
         return PartSegments(parts, starts, stops, divisions_of(plan))

@@ -18,7 +18,7 @@ from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.kernel import Kernel
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
-from ...scene import input_formats
+from ...scene.joint_values import order_by_joint
 from ...scene.scene import Scene
 from ..robot_columns import RobotColumns, with_own
 
@@ -141,7 +141,7 @@ class Inputs:
             elif name == "pose0":
                 state[place] = self._system.group.pose(value)
             elif isinstance(value, Mapping):
-                state[place] = input_formats.order_by_joint(value, self._system, name)
+                state[place] = order_by_joint(value, self._system, name)
             elif type(value) is np.ndarray and value.shape == (place.stop - place.start,):
                 state[place] = value
             else:

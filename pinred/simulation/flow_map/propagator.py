@@ -49,6 +49,7 @@ class Propagator:
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
         """Prepare the kernels.  Raises InputError if the scene or its method has no derivatives."""
         self.plan, self.method, self.zero_momentum = plan, plan.method, zero_momentum
+        plan.system.space.refuse_balls("flows and their derivatives")
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             raise InputError(
@@ -63,7 +64,7 @@ class Propagator:
         rate, layout = rate_of(kernel), kernel.layout
         self.field = SmoothField(
             address=rate_address(kernel, self.method),
-            quaternion=layout.quaternion,
+            quaternions=layout.quaternions,
             tangent=lambda: rate.tangent.address,
             adjoint=lambda: rate.adjoint.address,
             tangents=lambda count: rate.wide_tangent(count).address,
@@ -78,7 +79,7 @@ class Propagator:
         kernel, layout = self.kernel, self.kernel.layout
         return Integration(
             self.method, self.field.address, self._n, span.stop - span.start, span.times,
-            layout.quaternion, layout.canonical, lambda: tangent_of(kernel).address,
+            layout.quaternions, layout.canonical, lambda: tangent_of(kernel).address,
         )  # fmt: skip
 
     def _spans_of(self, flow: CompiledFlow) -> tuple[list[Span], list[Integration]]:
@@ -129,9 +130,9 @@ class Propagator:
         for span, integrate in zip(spans, integrations, strict=True):
             if solutions:
                 y = solutions[-1].states[-1].copy()
-                if layout.quaternion >= 0 and self.method.lanes == 1:
-                    q = slice(layout.quaternion, layout.quaternion + 4)
-                    y[q] /= np.linalg.norm(y[q])
+                first, count = layout.quaternions if self.method.lanes == 1 else (0, 0)
+                for k in range(first, first + 4 * count, 4):
+                    y[k : k + 4] /= np.linalg.norm(y[k : k + 4])
             parameters = read_only(flow.parameters_between(span.start, span.stop))
             try:
                 solution = integrate(parameters, y, stages=stages)

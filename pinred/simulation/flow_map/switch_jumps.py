@@ -81,7 +81,7 @@ def jumps_of(
     for k in range(len(spans) - 1):
         before, after = solutions[k], solutions[k + 1]
         y = after.states[0].copy()
-        unit_alone(y, kernel.layout.quaternion)
+        unit_alone(y, kernel.layout.quaternions)
         rates = [
             evaluate(kernel.rate.address, params, y[None], len(y))[0]
             for params in (before.params, after.params)

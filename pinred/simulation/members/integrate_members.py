@@ -180,14 +180,14 @@ def _integrate_piece(
     if len(times) == 1:
         lengths, times = float(piece.stop[0] - piece.start[0]), times[0]
     parameters = flow.parameters_between(piece.start[:, None], piece.stop[:, None])
-    lanes, quaternion = lanes_of(method, kernel), kernel.layout.quaternion
+    lanes, quaternions = lanes_of(method, kernel), kernel.layout.quaternions
     if lanes and isinstance(method, Explicit):
         address = wide_rate(kernel, lanes, own_parameters=True).address
         return integrate_in_lanes(
-            method, address, lanes, parameters, y0, lengths, times, quaternion, threads, progress
+            method, address, lanes, parameters, y0, lengths, times, quaternions, threads, progress
         )
     return integrate_many(
-        method, flow.address(method), parameters, y0, lengths, times, quaternion, threads,
+        method, flow.address(method), parameters, y0, lengths, times, quaternions, threads,
         flow.tangent, kernel.layout.canonical, progress,
     )  # fmt: skip
 
