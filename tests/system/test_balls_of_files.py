@@ -119,7 +119,9 @@ def test_option_of_commands_and_scene_files(
         assert out.count("(merged)") == 2, names
     for value, size in (("true", 9), ("['head']", 8), ("false", 7)):
         scene = tmp_path / "scene.toml"
-        scene.write_text(f"robot = 'robot.xml'\nload = {{ balls = {value} }}\n")
+        scene.write_text(
+            f"robot = 'robot.xml'\nstart = {{ seed = 1 }}\nload = {{ balls = {value} }}\n"
+        )
         assert pinred.load_scene(scene).system.nx == size
 
 
