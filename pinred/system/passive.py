@@ -19,6 +19,8 @@ from .robot_file_contents import Contents, LeftOut
 
 # Kinds of actions that pinred does not simulate (LeftOut.what).
 BASE = "springs, damping and friction of the base"
+BALLS = "springs, damping and friction of ball joints"
+MERGED = "springs, damping and friction of merged hinges"
 SLIDING = "dry friction against sliding in a plane"
 UNEVEN = "dry friction that is not the same in both directions"
 
@@ -224,7 +226,11 @@ def _settle_polynomial(force: Any) -> None:
 
 
 def passive_contents(
-    raw: pin.Model, shape: Sequence[str], locked: Collection[str], sliding: Sequence[str] = ()
+    raw: pin.Model,
+    shape: Sequence[str],
+    locked: Collection[str],
+    sliding: Sequence[str] = (),
+    springs: Sequence[Spring] = (),
 ) -> Contents:
     """Return the dampers and dry friction of a model, and the actions that are not simulated.
 
@@ -233,6 +239,7 @@ def passive_contents(
         shape: Names of the shape joints.
         locked: Names of frozen joints.  All remaining joints belong to the base.
         sliding: Names of joints whose dry friction acts against sliding in a plane.
+        springs: Springs at joints.
     Returns:
         Contents with `passive` and `left_out`.
     Raises:
@@ -241,13 +248,15 @@ def passive_contents(
     forces: list[Force] = []
     base: list[str] = []
     uneven: list[str] = []
+    balls: list[str] = []
     for i in range(1, raw.njoints):
         name, joint = str(raw.names[i]), raw.joints[i]
         entries = slice(joint.idx_v, joint.idx_v + joint.nv)
         damping, most = raw.damping[entries], raw.upperDryFrictionLimit[entries]
         least = raw.lowerDryFrictionLimit[entries]
         numbers = np.concatenate([damping, most, least])
-        if name in locked or not numbers.any():
+        own = [spring for spring in springs if spring.joint == name]
+        if name in locked or not (own or numbers.any()):
             continue
         if not np.isfinite(numbers).all():
             raise ModelError(
@@ -256,12 +265,16 @@ def passive_contents(
         if name not in shape:
             base.append(name)
             continue
+        if joint.nv > 1:
+            balls.append(name)
+            continue
+        forces += own
         if damping[0]:
             forces.append(Damper(name, float(damping[0])))
         if most[0] != -least[0]:
             uneven.append(name)
         elif most[0]:
             forces.append(Friction(name, float(most[0])))
-    names = {BASE: base, UNEVEN: uneven, SLIDING: sliding}
+    names = {BASE: base, BALLS: balls, UNEVEN: uneven, SLIDING: sliding}
     left_out = [LeftOut(kind, tuple(joints)) for kind, joints in names.items() if joints]
     return Contents(left_out=tuple(left_out), passive=tuple(forces))

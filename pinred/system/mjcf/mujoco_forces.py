@@ -1,7 +1,8 @@
 """Forces in a MuJoCo model: passive ones at shape joints, and actions that are not simulated.
 
 MuJoCo's force at a hinge or slide is −(k₁ y + k₂ y² + k₃ y³) − v (d₁ + d₂ |v| + d₃ v²), with y
-measured from springref, and v the rate.  Dry friction adds at most `frictionloss`.
+measured from springref, and v the rate.  Dry friction adds at most `frictionloss`.  At a ball with
+rotation vector r, the spring's moment is −(k₁ + k₂ |r| + k₃ |r|²) r, and each axis has a damper.
 """
 
 from __future__ import annotations
@@ -10,17 +11,25 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from ..force_interface import Force
-from ..passive import BASE, Damper, Friction, Spring
+from ..passive import BALLS, BASE, Damper, Friction, Spring
 from ..robot_file_contents import LeftOut
 from .mujoco_joints import acts_on_joint
 from .package import mujoco_package
 from .tree import Tree
 from .world import World
 
+# Names of passive forces in a file, by the flag that disables them.
+_WORDS = {"SPRING": "stiffness", "DAMPER": "damping", "FRICTIONLOSS": "frictionloss"}
+
 
 def passive_forces(tree: Tree) -> tuple[Force, ...]:
-    """Return the springs, dampers and dry friction at shape joints, joint by joint."""
-    return tuple(force for joint in _shape_joints(tree) for force in _forces_at(tree.world, joint))
+    """Return the springs, dampers and dry friction at hinges and slides, joint by joint."""
+    return tuple(
+        force
+        for joint in _shape_joints(tree)
+        if not _is_ball(tree.world, joint)
+        for force in _forces_at(tree.world, joint)
+    )
 
 
 def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> Iterator[LeftOut]:
@@ -52,6 +61,11 @@ def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> I
             world.joint_names[joint]
             for joint in joints
             if joint not in shape and _is_active(world, _joint_numbers(model, joint))
+        ],
+        BALLS: [
+            _ball_words(world, joint)
+            for joint in shape
+            if _is_ball(world, joint) and _is_active(world, _joint_numbers(model, joint))
         ],
         "plastic springs": [world.joint_names[j] for j in shape if _is_plastic(world, j)],
         "joint limits": [
@@ -104,6 +118,21 @@ def moving_tendons(tree: Tree) -> list[int]:
 def _shape_joints(tree: Tree) -> list[int]:
     ids = {name: joint for joint, name in enumerate(tree.world.joint_names)}
     return [ids[joint.name] for joint in tree.shape]
+
+
+def _is_ball(world: World, joint: int) -> bool:
+    return world.kind(joint) == "ball"
+
+
+def _ball_words(world: World, joint: int) -> str:
+    """Return the name of a ball joint with the coefficients of its passive forces."""
+    numbers = _joint_numbers(world.model, joint)
+    words = [
+        f"{what} {' '.join(f'{value:g}' for value in _without_zeros(numbers[kind]))}"
+        for kind, what in _WORDS.items()
+        if _is_active(world, {kind: numbers[kind]})
+    ]
+    return f"{world.joint_names[joint]} ({', '.join(words)})"
 
 
 def _forces_at(world: World, joint: int) -> Iterator[Force]:
