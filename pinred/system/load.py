@@ -260,7 +260,8 @@ def _load_model(
     all_couplings = (*robot.couplings, *split.couplings)
     lock = locked_hinges(split.model, balls, split.locked(lock))
     locked, couplings = with_followers(lock, all_couplings, names)
-    forces = passive_contents(split.model, names[1:], locked, (), robot.springs).passive
+    hinges = [n for n in names[1:] if split.model.joints[split.model.getJointId(n)].nv == 1]
+    forces = passive_contents(split.model, hinges, locked, (), robot.springs).passive
     kept = {*locked, *coupled_joints(couplings)}
     merge = merge_of(split.model, balls, passive=forces, kept=kept)
     raw = merge.model(split.model)

@@ -19,7 +19,6 @@ from .robot_file_contents import Contents, LeftOut
 
 # Kinds of actions that pinred does not simulate (LeftOut.what).
 BASE = "springs, damping and friction of the base"
-BALLS = "springs, damping and friction of ball joints"
 MERGED = "springs, damping and friction of merged hinges"
 SLIDING = "dry friction against sliding in a plane"
 UNEVEN = "dry friction that is not the same in both directions"
@@ -225,6 +224,11 @@ def _settle_polynomial(force: Any) -> None:
     object.__setattr__(force, "polynomial", tuple(finite(value, what) for value in coefficients))
 
 
+def rate_labels(name: str, nv: int) -> tuple[str, ...]:
+    """Return the labels of the rates of a hinge or slide (nv = 1), or of the axes of a ball."""
+    return (name,) if nv == 1 else tuple(f"{name}.{axis}" for axis in "xyz")
+
+
 def passive_contents(
     raw: pin.Model,
     shape: Sequence[str],
@@ -248,7 +252,6 @@ def passive_contents(
     forces: list[Force] = []
     base: list[str] = []
     uneven: list[str] = []
-    balls: list[str] = []
     for i in range(1, raw.njoints):
         name, joint = str(raw.names[i]), raw.joints[i]
         entries = slice(joint.idx_v, joint.idx_v + joint.nv)
@@ -265,16 +268,16 @@ def passive_contents(
         if name not in shape:
             base.append(name)
             continue
-        if joint.nv > 1:
-            balls.append(name)
-            continue
         forces += own
-        if damping[0]:
-            forces.append(Damper(name, float(damping[0])))
-        if most[0] != -least[0]:
-            uneven.append(name)
-        elif most[0]:
-            forces.append(Friction(name, float(most[0])))
-    names = {BASE: base, BALLS: balls, UNEVEN: uneven, SLIDING: sliding}
+        for label, d, upper, lower in zip(
+            rate_labels(name, joint.nv), damping, most, least, strict=True
+        ):
+            if d:
+                forces.append(Damper(label, float(d)))
+            if upper != -lower:
+                uneven.append(label)
+            elif upper:
+                forces.append(Friction(label, float(upper)))
+    names = {BASE: base, UNEVEN: uneven, SLIDING: sliding}
     left_out = [LeftOut(kind, tuple(joints)) for kind, joints in names.items() if joints]
     return Contents(left_out=tuple(left_out), passive=tuple(forces))

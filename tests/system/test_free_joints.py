@@ -12,7 +12,7 @@ from trees import JOINTS, ROOTS, Rng, inertia, placement
 
 from pinred.common.arrays import Array
 from pinred.common.errors import ModelError
-from pinred.system.passive import SLIDING, passive_contents
+from pinred.system.passive import SLIDING, Damper, Friction, passive_contents
 from pinred.system.read_urdf import read_urdf
 from pinred.system.split_joints import split_joints
 
@@ -120,13 +120,13 @@ def test_floating_joint_of_urdf_is_read(tmp_path: Path) -> None:
 
 
 def test_friction_and_damping_of_a_free_joint_are_reported() -> None:
-    """Friction against sliding, and all actions on the ball, are left out by name."""
+    """Friction against sliding is left out; damping of the ball acts along its axes."""
     model = tree(0)
     at = model.joints[model.getJointId("joint3")].idx_v
     model.upperDryFrictionLimit[at] = model.damping[at + 3] = 0.7
+    model.upperDryFrictionLimit[at + 4], model.lowerDryFrictionLimit[at + 4] = 0.4, -0.4
     split = split_joints(model)
     assert split.sliding == ("joint3",)
     contents = passive_contents(split.model, list(split.model.names)[2:], (), split.sliding)
-    left_out = {left.what: left.names for left in contents.left_out}
-    assert left_out[SLIDING] == ("joint3",)
-    assert left_out["springs, damping and friction of ball joints"] == ("joint3.ball",)
+    assert contents.passive == (Damper("joint3.ball.x", 0.7), Friction("joint3.ball.y", 0.4))
+    assert [(left.what, left.names) for left in contents.left_out] == [(SLIDING, ("joint3",))]

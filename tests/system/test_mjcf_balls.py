@@ -10,12 +10,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, ModelError
+from pinred.forces.force_model import ForceModel
+from pinred.forces.force_values import ForceInputs
 from pinred.lie.spatial_groups import SE3
+from pinred.system.ball_forces import BallSpring
 from pinred.system.merge_hinges import LIMITS
 from pinred.system.mjcf.read import MujocoRobot, read_mujoco
-from pinred.system.passive import BALLS, MERGED, Damper, Spring
+from pinred.system.passive import MERGED, Damper, Friction, Spring
 
 MASS = '<geom type="box" size=".1 .2 .05" pos=".1 .02 .2"/>'
 # The joint names and classes of dm_control's CMU humanoid, and a pelvis on a slide.
@@ -42,7 +46,7 @@ DIVER = f"""
     <body name="hand" pos="0 0 .4" quat="1 2 3 4">
       <joint name="wrist" type="ball" pos="0 .05 0" limited="true" range="0 40"/>{MASS}
   </body></body>
-  <body name="head" pos="0 0 .5"><joint name="neck" type="ball" stiffness="3 1" damping=".7"
+  <body name="head" pos="0 0 .5"><joint name="neck" type="ball" stiffness="3 1" damping=".7 .2"
     frictionloss=".4" armature=".2"/>{MASS}</body></body></worldbody>
 <actuator><motor joint="neck" gear="1 0 0"/></actuator>
 <keyframe><key name="tuck" qpos=".1 .2 .3 .5 .5 -.5 .5 .7 2 4 -2 6 0 0 0 0"
@@ -122,14 +126,42 @@ def test_ball_has_armature_and_no_limits(tmp_path: Path) -> None:
     assert np.isinf(model.upperPositionLimit[wrist.idx_q : wrist.idx_q + 4]).all()
 
 
-def test_actions_on_balls_are_left_out_with_their_values(tmp_path: Path) -> None:
-    """By name; hinges keep their forces."""
+def test_forces_on_balls_are_read(tmp_path: Path) -> None:
+    """Limits are left out by name."""
     contents = read(tmp_path, DIVER).contents(SE3)
     left_out = {left.what: left.names for left in contents.left_out}
-    assert left_out[BALLS] == ("neck (stiffness 3 1, damping 0.7, frictionloss 0.4)",)
     assert left_out["joint limits"] == ("wrist",)
-    assert "neck" not in left_out["contact"]
-    assert contents.passive == ()
+    spring, *others = contents.passive
+    assert isinstance(spring, BallSpring)
+    assert (spring.joint, spring.stiffness, spring.polynomial) == ("neck", 3.0, (1.0,))
+    assert others == [
+        force
+        for axis in "xyz"
+        for force in (
+            Damper(f"neck.{axis}", 0.7, polynomial=(0.2,)), Friction(f"neck.{axis}", 0.4),
+        )
+    ]  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore:.*not simulated")
+@pytest.mark.parametrize("seed", range(4))
+def test_springs_and_dampers_of_balls_equal_mujoco(tmp_path: Path, seed: int) -> None:
+    """With higher powers of the angle and of the rates, at random states."""
+    path = tmp_path / "robot.xml"
+    path.write_text(DIVER, encoding="utf-8")
+    system, rng = pinred.load(path), np.random.default_rng(seed)
+    model: Any = mujoco.MjModel.from_xml_string(DIVER)
+    data: Any = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = rng.normal(size=model.nq), rng.normal(size=model.nv)
+    mujoco.mj_normalizeQuat(model, data.qpos)
+    mujoco.mj_forward(model, data)
+    x = np.concatenate([data.qpos[7:8], np.roll(data.qpos[8:12], -1), np.roll(data.qpos[12:], -1)])
+    forces = tuple(force for force in system.passive if not isinstance(force, Friction))
+    acting, zero = ForceModel(system, forces, {}), np.zeros(system.r)
+    inputs = ForceInputs(0.0, x, np.array(data.qvel[6:]), zero, zero, acting.numbers)
+    expected = (data.qfrc_spring + data.qfrc_damper)[6:]
+    difference = acting.acting(inputs).torque - expected
+    assert np.abs(difference).max() <= 1e-12 * np.abs(expected).max()
 
 
 def test_locked_ball_is_fixed_at_the_identity(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 MuJoCo's force at a hinge or slide is −(k₁ y + k₂ y² + k₃ y³) − v (d₁ + d₂ |v| + d₃ v²), with y
 measured from springref, and v the rate.  Dry friction adds at most `frictionloss`.  At a ball with
-rotation vector r, the spring's moment is −(k₁ + k₂ |r| + k₃ |r|²) r, and each axis has a damper.
+rotation vector r, the spring's moment is −(k₁ + k₂ |r| + k₃ |r|²) r.  Its axes have equal
+dampers and friction.
 """
 
 from __future__ import annotations
@@ -10,26 +11,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from ..ball_forces import BallSpring
 from ..force_interface import Force
-from ..passive import BALLS, BASE, Damper, Friction, Spring
+from ..passive import BASE, Damper, Friction, Spring, rate_labels
 from ..robot_file_contents import LeftOut
-from .mujoco_joints import acts_on_joint
+from .mujoco_joints import acts_on_joint, quaternion
 from .package import mujoco_package
 from .tree import Tree
 from .world import World
 
-# Names of passive forces in a file, by the flag that disables them.
-_WORDS = {"SPRING": "stiffness", "DAMPER": "damping", "FRICTIONLOSS": "frictionloss"}
-
 
 def passive_forces(tree: Tree) -> tuple[Force, ...]:
-    """Return the springs, dampers and dry friction at hinges and slides, joint by joint."""
-    return tuple(
-        force
-        for joint in _shape_joints(tree)
-        if not _is_ball(tree.world, joint)
-        for force in _forces_at(tree.world, joint)
-    )
+    """Return the springs, dampers and dry friction at shape joints, joint by joint."""
+    return tuple(force for joint in _shape_joints(tree) for force in _forces_at(tree.world, joint))
 
 
 def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> Iterator[LeftOut]:
@@ -61,11 +55,6 @@ def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> I
             world.joint_names[joint]
             for joint in joints
             if joint not in shape and _is_active(world, _joint_numbers(model, joint))
-        ],
-        BALLS: [
-            _ball_words(world, joint)
-            for joint in shape
-            if _is_ball(world, joint) and _is_active(world, _joint_numbers(model, joint))
         ],
         "plastic springs": [world.joint_names[j] for j in shape if _is_plastic(world, j)],
         "joint limits": [
@@ -120,32 +109,23 @@ def _shape_joints(tree: Tree) -> list[int]:
     return [ids[joint.name] for joint in tree.shape]
 
 
-def _is_ball(world: World, joint: int) -> bool:
-    return world.kind(joint) == "ball"
-
-
-def _ball_words(world: World, joint: int) -> str:
-    """Return the name of a ball joint with the coefficients of its passive forces."""
-    numbers = _joint_numbers(world.model, joint)
-    words = [
-        f"{what} {' '.join(f'{value:g}' for value in _without_zeros(numbers[kind]))}"
-        for kind, what in _WORDS.items()
-        if _is_active(world, {kind: numbers[kind]})
-    ]
-    return f"{world.joint_names[joint]} ({', '.join(words)})"
-
-
 def _forces_at(world: World, joint: int) -> Iterator[Force]:
     name, numbers = world.joint_names[joint], _joint_numbers(world.model, joint)
     (k, *stiffer), (d, *thicker) = numbers["SPRING"], numbers["DAMPER"]
     (most,) = numbers["FRICTIONLOSS"]
+    is_ball = world.kind(joint) == "ball"
     if _is_active(world, {"SPRING": numbers["SPRING"]}) and not _is_plastic(world, joint):
-        rest = float(world.model.qpos_spring[world.model.jnt_qposadr[joint]])
-        yield Spring(name, k, rest, polynomial=_without_zeros(stiffer))
-    if _is_active(world, {"DAMPER": numbers["DAMPER"]}):
-        yield Damper(name, d, polynomial=_without_zeros(thicker))
-    if most > 0.0 and not world.disabled("FRICTIONLOSS"):
-        yield Friction(name, most)
+        rest = world.model.qpos_spring[world.model.jnt_qposadr[joint] :]
+        higher = _without_zeros(stiffer)
+        if is_ball:
+            yield BallSpring(name, k, quaternion(rest), polynomial=higher)
+        else:
+            yield Spring(name, k, float(rest[0]), polynomial=higher)
+    for label in rate_labels(name, 3 if is_ball else 1):
+        if _is_active(world, {"DAMPER": numbers["DAMPER"]}):
+            yield Damper(label, d, polynomial=_without_zeros(thicker))
+        if most > 0.0 and not world.disabled("FRICTIONLOSS"):
+            yield Friction(label, most)
 
 
 def _is_active(world: World, numbers: Mapping[str, Iterable[float]]) -> bool:
