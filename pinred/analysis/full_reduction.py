@@ -194,7 +194,7 @@ class Reduction(PointwiseReduction):
             x: Shape, (nx,) [rad | m | 1].
         Returns:
             (m, m, m), c first. Geodesics obey ẍ^c = −Γ^c_ab ẋ^a ẋ^b. With balls, the symbols refer
-            to the frame of the shape, and Γ^c_ab − Γ^c_ba = c^c_ab are its structure constants.
+            to the frame of the shape, and Γ^d_ab − Γ^d_ba = c^d_ab are its structure constants.
         """
         M, dM, _ = self._metric_derivatives(x)
         return christoffel_symbols(M, dM, self._structure)

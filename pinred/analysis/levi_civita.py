@@ -18,7 +18,7 @@ Koszul's formula (Γ_{c,ab} = M_cd Γ^d_ab, ∇_a e_b = Γ^c_ab e_c),
     2 Γ_{c,ab} = e_a M_bc + e_b M_ac − e_c M_ab + c^d_ab M_dc − c^d_ac M_db − c^d_bc M_da,
     R_abcd = e_c Γ_{a,db} − e_d Γ_{a,cb} − Γ_{f,ca} Γ^f_db + Γ_{f,da} Γ^f_cb − c^e_cd Γ_{a,eb},
 
-so that Γ^c_ab − Γ^c_ba = c^c_ab, and geodesics obey σ̇^c = −Γ^c_ab σ^a σ^b in the rates σ.
+so that Γ^d_ab − Γ^d_ba = c^d_ab, and geodesics obey σ̇^c = −Γ^c_ab σ^a σ^b in the rates σ.
 
 For the left-invariant metric I on a group, in body twists:
 
@@ -140,8 +140,8 @@ def _riemann_in_frame(M: Array, dM: Array, d2M: Array, c: Array) -> Array:
         [_lowered(dM[..., k], d2M[..., k, :], c) for k in range(len(M))], axis=-1
     )
     product = np.einsum("fca,fdb->abcd", lowered, _raised(M, lowered))
-    half = np.einsum("adbc->abcd", slopes) - product
-    return half - np.swapaxes(half, 2, 3) - np.einsum("ecd,aeb->abcd", c, lowered)
+    half: Array = np.einsum("adbc->abcd", slopes) - product
+    return np.asarray(half - np.swapaxes(half, 2, 3) - np.einsum("ecd,aeb->abcd", c, lowered))
 
 
 def _lowered(M: Array, dM: Array, c: Array | None) -> Array:

@@ -59,7 +59,7 @@ def test_change_section_with_balls_equals_transformed_mass_matrix(group: str) ->
     T = np.eye(system.n)
     T[:r, :r], T[:r, r:] = G.Ad(pose), -G.Ad(pose) @ theta
     H = T.T @ red.mass_matrix(x) @ T
-    A: Array = np.linalg.solve(H[:r, :r], H[:r, r:])
+    A = np.asarray(np.linalg.solve(H[:r, :r], H[:r, r:]), dtype=float)
     at, size = moved.at(x), np.abs(H).max()
     np.testing.assert_allclose(at.mass_matrix, H, atol=1e-13 * size)
     np.testing.assert_allclose(at.local_connection, A, atol=1e-12 * np.abs(A).max())
