@@ -89,7 +89,7 @@ def example_robot(name: str) -> ExampleRobot:
     loader = _loaders()[name]
     if not loader.urdf_filename:
         raise LoadError(
-            f"'{name}' is only available as {loader.sdf_filename}, but pinred reads URDF and MJCF"
+            f"'{name}' is only available as {loader.sdf_filename}; load this file by its path"
         )
 
     def path(folder: str, file: str) -> Path:
