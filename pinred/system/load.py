@@ -31,7 +31,7 @@ from ..lie.spatial_groups import SE3
 from . import catalogue
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
-from .joints import RootChain, motion_group, places_on_root, root_chain, root_joint
+from .joints import RootChain, is_shape_joint, motion_group, places_on_root, root_chain, root_joint
 from .locked_joints import LockedJoints, frozen_configurations, lock_values
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls
 from .mjcf.package import is_mujoco
@@ -125,6 +125,7 @@ def load(
         balls: Three consecutive hinges to merge into a ball joint, by the name of the ball or of a
             hinge; True: all that meet at one point at right angles, without bodies between them,
             and whose armature, springs, damping and friction are equal.  `inspect` lists them.
+            Bundled robots with balls merge theirs by default; an empty list keeps the hinges.
     Returns:
         System of the robot.
     Raises:
@@ -168,6 +169,8 @@ def load(
                 "carries the robot"
             )
         robot = _read(source, requested, locked, folders)
+        bundled = catalogue.bundled_robots().get(str(source))
+        merged = merged or (merged is False and bundled is not None and bundled.balls)
         system = _load_model(robot, locked, new_gravity, visuals, merged)
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
@@ -385,7 +388,7 @@ def _root_group(raw: pin.Model) -> Group | None:
     if raw.njoints < 2:
         return None
     group = motion_group(raw.joints[1])
-    if raw.joints[1].nv > 1:
+    if not is_shape_joint(raw.joints[1]):
         return group
     anchored = raw.inertias[0].mass == 0.0
     carries_all = all(raw.parents[i] != 0 for i in range(2, raw.njoints))
