@@ -95,6 +95,7 @@ class FloatingArm:
         if not set(task) <= set(range(6)) or len(set(task)) != len(task):
             raise InputError(f"task must be distinct rows of a twist, from 0 to 5, got {self.task}")
         object.__setattr__(self, "task", tuple(int(row) for row in task))
+        system.space.refuse_balls("floating arms")
         object.__setattr__(self, "_reduction", Reduction(system))
         object.__setattr__(self, "_id", system.model.getFrameId(self.frame))
 

@@ -19,6 +19,8 @@ from ..scene.passive_forces import passive_left_out
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
 from ..simulation.plan import plan_of
+from ..system.hinge_triples import hinge_triples
+from ..system.merge_hinges import actions_of, coupled_joints
 from ..system.system import System, checked_system
 
 _SHAPES = 3  # number of random shapes at which the curvature is tested
@@ -58,13 +60,11 @@ class Inspection:
 
     def __str__(self) -> str:
         system, at, left_out = self.system, self.at, _left_out(self.system)
-        kinds = [
-            f"{name} ({'prismatic' if unit == 'm' else 'revolute'})"
-            for name, unit in zip(system.shape_names, system.units, strict=True)
-        ]
+        words = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
+        kinds = [f"{joint.name} ({words[joint.kind.name]})" for joint in system.space.joints]
         size = "" if self.reduced_size is None else f" → {self.reduced_size} numbers"
         lines = [
-            f"{system.name}: {_group(system)}, shape of {system.m} joints, {system.mass:g} kg",
+            f"{system.name}: {_group(system)}, shape of {_shape(system)}, {system.mass:g} kg",
             *_wrapped("joints", kinds),
             *(_wrapped("followers", [*map(str, system.couplings)]) if system.couplings else []),
             f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
@@ -73,6 +73,7 @@ class Inspection:
             f"connection  {'flat' if self.flat else 'curved'}",
             *_wrapped("skipped", self.skipped),
             *(_wrapped("left out", left_out) if left_out else []),
+            *(_wrapped("balls", balls) if (balls := _balls(system)) else []),
             *(_wrapped("keyframes", [", ".join(system.keyframes)]) if system.keyframes else []),
             f"integrated  {self.full_size}{size}",
             f"at x =      {_numbers(at.x)}",
@@ -96,12 +97,13 @@ class Inspection:
             *(("skipped", text) for text in self.skipped),
             *(("follower", str(coupling)) for coupling in system.couplings),
             *(("left out", text) for text in _left_out(system)),
+            *(("balls", text) for text in _balls(system)),
             *(("keyframe", name) for name in system.keyframes),
             ("integrated", f"{self.full_size}{size} numbers"),
         ]
         return card(
             system.name,
-            f"{_group(system)}, shape of {system.m} joints, {system.mass:g} kg, "
+            f"{_group(system)}, shape of {_shape(system)}, {system.mass:g} kg, "
             f"gravity {numbers(system.gravity)} m/s²",
             table("", ["", ""], facts),
             line(f"at x = {numbers(at.x)}:"),
@@ -118,14 +120,14 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
 
     Args:
         system: The system.
-        x: Shape, (m,) [rad | m]; None: zero.
+        x: Shape, (nx,) [rad | m | 1]; None: the shape at rest.
     Returns:
         The inspection; print it for a summary.
     Raises:
         ShapeError: x has the wrong length or is not finite.
     """
     red = PointwiseReduction(checked_system(system, "inspect"))
-    at = red.at(np.zeros(system.m) if x is None else x)
+    at = red.at(system.space.neutral if x is None else x)
     names = system.shape_names
     cyclic = tuple(names[k] for k in cyclic_joints(red))
     size: int | None
@@ -154,8 +156,10 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
 def _is_flat(red: PointwiseReduction) -> bool:
     """Return whether the curvature vanishes at random shapes, relative to its terms."""
     rng = np.random.default_rng(0)
-    for x in rng.uniform(-np.pi, np.pi, (_SHAPES if red.system.m > 1 else 0, red.system.m)):
-        reduced = red.at(x)
+    space = red.system.space
+    count = _SHAPES if space.m > 1 else 0
+    for displacement in rng.uniform(-np.pi, np.pi, (count, space.m)):
+        reduced = red.at(space.integrate(space.neutral, displacement))
         A = reduced.local_connection
         # For a prismatic joint dA scales with A per metre, so A itself counts as a term.
         terms = max(
@@ -166,10 +170,32 @@ def _is_flat(red: PointwiseReduction) -> bool:
     return True
 
 
+def _shape(system: System) -> str:
+    """Return the number of shape joints, and the shape's dimension if it differs."""
+    joints = len(system.space.joints)
+    return f"{joints} joints" if joints == system.m else f"{joints} joints (m = {system.m})"
+
+
 def _left_out(system: System) -> list[str]:
     """Return one line for each item of the robot file that a run ignores."""
     passive = passive_left_out(system, who="a run")
     return [*map(str, system.left_out), *([passive] if passive else [])]
+
+
+def _balls(system: System) -> list[str]:
+    """Return one line for each three hinges that are, or could be, merged into a ball."""
+    merged = [f"{triple} (merged)" for triple in system.contents.merged]
+    triples = hinge_triples(
+        system.model, coupled_joints(system.couplings), actions_of(system.passive)
+    )
+    for triple in triples:
+        if not triple.why_not:
+            merged.append(
+                f"{triple}, which has no gimbal lock, with load(…, balls=['{triple.name}'])"
+            )
+        elif not triple.obstacle:
+            merged.append(f"{triple} is not possible: {triple.difference}")
+    return merged
 
 
 def _group(system: System) -> str:

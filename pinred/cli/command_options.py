@@ -275,6 +275,7 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "V1,V2,…": numbers_in,
     "V1,V2,… or J1=V1,…": by_joint_in,
     "J1,J2=VALUE,…": _lock_in,
+    "all or B1,B2,…": lambda text, _: True if text == "all" else text.split(",") if text else [],
     "J=K,REST": lambda entries, _: assigned_in(
         entries, "spring", _spring, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
     ),

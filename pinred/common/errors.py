@@ -81,7 +81,7 @@ class NoOptimum(PinredError, ArithmeticError):  # noqa: N818
 
 
 class UnsupportedOperationError(PinredError, NotImplementedError):
-    """An expression contains an operation that cannot be compiled."""
+    """An operation of an expression, or a kind of joint, is not supported."""
 
 
 class NotCopyable(PinredError, TypeError):  # noqa: N818

@@ -33,7 +33,9 @@ def symbols_of(system: System, within: ca.SX | None) -> tuple[Symbols, tuple[ca.
     """
     r, group = system.r, system.group
     t, xi, mu = ca.SX.sym("t"), ca.SX.sym("xi", r), ca.SX.sym("mu", r)
-    x, xdot = _column(system, "x", joint_values), _column(system, "xdot", joint_rates)
+    space = system.space
+    x = _column(system, "x", space.x_names, system.tree.x_names, joint_values)
+    xdot = _column(system, "xdot", space.names, system.tree.names, joint_rates)
     pose, twist = ca.SX.sym("pose", group.size), ca.SX.sym("twist", r)
     momentum, J = ca.SX.sym("momentum", r), ca.SX.sym("J", r)
     k = group.linear
@@ -48,8 +50,8 @@ def symbols_of(system: System, within: ca.SX | None) -> tuple[Symbols, tuple[ca.
     )
     followers = {name: following(name, system.couplings) for name in system.followers}
     symbols = Symbols(
-        names=system.shape_names, followers=followers, t=t, x=x, xdot=xdot, xi=xi, mu=mu,
-        seen=seen, within=within,
+        names=system.shape_names, x_names=system.x_names, followers=followers,
+        t=t, x=x, xdot=xdot, xi=xi, mu=mu, seen=seen, within=within,
     )  # fmt: skip
     return symbols, (pose, twist, momentum, J)
 
@@ -75,14 +77,30 @@ def seen_of_base(system: System, everything: ca.SX, base: tuple[ca.SX, ...]) -> 
     return ca.depends_on(everything, attitude_column), ca.depends_on(everything, place_column)
 
 
-def _column(system: System, what: str, on_joints: Callable[..., list[Any]]) -> Column:
-    """Return the shape or its rate as symbols, with expressions for follower joints."""
-    symbols = ca.SX.sym(what, system.m)
+def _column(
+    system: System,
+    what: str,
+    names: tuple[str, ...],
+    tree_names: tuple[str, ...],
+    on_joints: Callable[..., list[Any]],
+) -> Column:
+    """Return the shape or its rate as symbols, with expressions for follower joints.
+
+    Args:
+        system: The robot.
+        what: Name of the symbols.
+        names: Labels of the entries.
+        tree_names: Labels of the entries of all joints.
+        on_joints: Function that extends entries of the shape to all joints.
+    Returns:
+        The symbols.
+    """
+    symbols = ca.SX.sym(what, len(names))
     if system.coupled is None:
-        return Column(symbols, system.shape_names, what)
-    joint_expressions = on_joints(system, ca.vertsplit(symbols))
-    followers = [ca.SX(joint_expressions[system.joint_number(name)]) for name in system.followers]
-    return Column(symbols, (*system.shape_names, *system.followers), what, followers)
+        return Column(symbols, names, what)
+    expressions = dict(zip(tree_names, on_joints(system, ca.vertsplit(symbols)), strict=True))
+    followers = [ca.SX(expressions[name]) for name in system.followers]
+    return Column(symbols, (*names, *system.followers), what, followers)
 
 
 def torque_column(terms: Terms, system: System) -> ca.SX:
@@ -105,7 +123,7 @@ def through(system: System, k: int) -> list[tuple[int, float]]:
     """
     if k < system.m or system.coupled is None:
         return [(k, 1.0)]
-    return system.coupled.terms(system.joint_number(system.followers[k - system.m]))
+    return system.coupled.terms(system.tree.names.index(system.followers[k - system.m]))
 
 
 def wrench_column(terms: Terms, r: int) -> ca.SX:

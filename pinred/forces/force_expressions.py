@@ -9,6 +9,7 @@ import casadi as ca
 
 from ..common.errors import InputError
 from ..common.parameter import parameter_of
+from ..reduction.tree.all_joints import shape_gradient
 from ..system.force_interface import Load
 from ..system.system import System
 from .columns import symbols_of, terms_of, through, torque_column, wrench_column
@@ -103,7 +104,7 @@ class ForceExpressions:
         accelerations = zip(self.joints, ca.vertsplit(self.motion[2]), strict=True)
         self.symbols = replace(
             s,
-            others=ca.sum2(self.torques) - ca.gradient(self.potential, s.x),
+            others=ca.sum2(self.torques) - shape_gradient(self._system, self.potential, s.x),
             accelerations=dict(accelerations),
             required_torque=self._required_torque,
         )

@@ -15,6 +15,7 @@ import numpy as np
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..common.memo import once
+from ..reduction.tree.all_joints import shape_gradient
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..system.system import System
 from .columns import load_column, seen_of_base
@@ -136,7 +137,7 @@ class ForceModel:
         self.freed, self.weighed = robot.freed, robot.weighed
         s, state, potential = terms.symbols, terms.variables, terms.potential
         p = ca.vertcat(*numbers.symbols)
-        forward: ca.SX = -ca.gradient(potential, s.x)
+        forward: ca.SX = -shape_gradient(system, potential, s.x)
         torque, wrench = ca.sum2(terms.torques) + forward, ca.sum2(terms.wrenches)
         self.prescribed_function = _function("prescribed", [s.t, p], [*terms.motion])
         self.acting_function = _function("acting", state, [torque, wrench])
@@ -162,7 +163,8 @@ class ForceModel:
         self._potential = Numeric(self.potential_function)
         total = ca.vertcat(torque, wrench)
         depends = ca.which_depends(ca.vertcat(total, potential), s.x, 1) if m else []
-        self.touched = terms.acted | set(self.joints) | {k for k in range(m) if depends[k]}
+        seen = {system.space.rates_of(k) for k in range(system.nx) if depends[k]} if m else set()
+        self.touched = terms.acted | set(self.joints) | {k for rates in seen for k in rates}
         self.sees_attitude, self.sees_place = seen_of_base(system, total, terms.base)
         self.sees_base_momenta = ca.depends_on(total, ca.vertcat(*terms.base[2:]))
         timed = self.sees_place or ca.depends_on(total, s.t)

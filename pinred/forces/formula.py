@@ -53,7 +53,7 @@ def formula_names(s: Symbols) -> dict[str, Any]:
     lists = {"mu": s.mu, "pose": seen.pose, "xi": seen.xi, "J": seen.J}
     return {
         "t": s.t,
-        "x": {name: s.x[k] for k, name in enumerate(s.every_name)},
+        "x": {name: s.x[k] for k, name in enumerate((*s.x_names, *s.followers))},
         "xdot": {name: s.xdot[k] for k, name in enumerate(s.every_name)},
         **{name: [ca.SX(value) for value in ca.vertsplit(v)] for name, v in lists.items()},
     }

@@ -11,6 +11,7 @@ Follower joints contribute through the joints they follow.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -19,9 +20,10 @@ import pinocchio as pin
 from ..common.errors import InputError
 from ..common.names import listed, nearest, quoted
 from ..reduction.tree.all_joints import joint_rates, joint_values
+from ..reduction.tree.articulated_body import moved_twist
 from ..reduction.tree.articulated_sweep import step_of
 from ..reduction.tree.body_frames import bodies_of
-from ..reduction.tree.scalars import Scalar, Turn, Vec, add, cross, dot, mul, plus
+from ..reduction.tree.scalars import Rotation, Scalar, Turn, Vec, add, cross, dot, mul, plus
 from ..system.force_interface import Load, Symbols
 from ..system.system import System
 from .force_numbers import RobotSymbols
@@ -100,10 +102,8 @@ def of_load(
         i = bodies[i].parent
     v, w = _on_axes(system, ca.vertsplit(xi))
     for i in reversed(chain):
-        step = step_of(bodies[i], joints[i - 1])
-        v, w = step.outward(v, w)
-        velocity = v if bodies[i].prismatic else w
-        velocity[2] = add(velocity[2], rates[i - 1])
+        step = step_of(bodies[i], joints)
+        v, w = moved_twist(bodies[i], *step.outward(v, w), rates)
         if load.frame == "world":
             force, moment = (_undo_turns(step.turns, vector) for vector in (force, moment))
     turn, origin = robot.place(index)
@@ -152,7 +152,7 @@ def _rotate_back(system: System, pose: ca.SX, v: Vec) -> Vec:
     return [add(v[i], mul(2.0, add(mul(w, t[i]), second_cross[i]))) for i in range(3)]
 
 
-def _undo_turns(turns: list[Turn], v: Vec) -> Vec:
+def _undo_turns(turns: Sequence[Turn | Rotation], v: Vec) -> Vec:
     for turn in turns:
         if not turn.is_none:
             v = turn.back(v)

@@ -143,11 +143,12 @@ def _potential_unit(full: FullState, q: Array, x: Array, units: Array) -> float:
 
     The work is estimated from the first derivatives of the potential energy.
     """
-    r, shape_units = full.system.r, full.couplings.shape(units)
+    r, shape_units = full.system.r, full.couplings.shape_rate(units)
+    move = full.system.space.integrate
     slopes = full.totals.gravity_slopes(q)
     unit = float(slopes[r:] @ units + slopes[full.root.linear : r].sum())
     for step in _SLOPE_STEP * np.diag(shape_units):
-        difference = full.force_potential(x + step) - full.force_potential(x - step)
+        difference = full.force_potential(move(x, step)) - full.force_potential(move(x, -step))
         unit += abs(difference) / (2.0 * _SLOPE_STEP)
     return unit
 

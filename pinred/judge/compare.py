@@ -225,7 +225,9 @@ def explain_uninformative_times(
 def explain_rest(reference: FullMotion, size: Size) -> tuple[str, ...]:
     """Return the reason why a system at rest cannot be judged; empty if the system moves."""
     configurations = np.abs(reference.q - reference.q[0]).max(initial=0.0)
-    joints = (np.abs(reference.x - reference.x[0]) / size.joints).max(initial=0.0)
+    joints = 0.0
+    if reference.x.shape[1] == len(size.joints):  # without balls, whose attitudes are part of q
+        joints = (np.abs(reference.x - reference.x[0]) / size.joints).max(initial=0.0)
     if max(float(configurations) / max(size.position, 1.0), float(joints)) > _REST:
         return ()
     return ("nothing moves, so the equations are not tested: give rates, a twist or forces",)

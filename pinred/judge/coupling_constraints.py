@@ -27,14 +27,17 @@ class CouplingConstraints:
 
     Attributes:
         J: Constraint Jacobian, (c, nv), with J v = 0.
-        leads: Indices of the shape's joints among all M joints, (m,).
+        leads: Indices of the shape's rates among the rates of all joints, (m,).
+        leads_x: Indices of the shape's coordinates among the coordinates of all joints, (nx,).
     """
 
     def __init__(self, system: System) -> None:
         """Collect the couplings of a system by joint names."""
         model, r = system.model, system.r
-        at = {str(model.names[i]): i - 2 for i in range(2, model.njoints)}
+        at = {name: k for k, name in enumerate(system.tree.names)}
+        at_x = {name: k for k, name in enumerate(system.tree.x_names)}
         pending, placed = list(system.couplings), {*system.shape_names}
+        self._at_x = {at[name]: k for name, k in at_x.items() if name in at}
         self._couplings: list[tuple[int, dict[int, float], float]] = []
         while pending:  # process leaders before their followers
             coupling = next(c for c in pending if placed.issuperset(c.leaders))
@@ -48,23 +51,25 @@ class CouplingConstraints:
             for leader, ratio in ratios.items():
                 row[r + leader] -= ratio
         self.leads = np.array([at[name] for name in system.shape_names], dtype=np.intp)
-        self._count, self._model, self._data = len(at), model, model.createData()
+        self.leads_x = np.array([at_x[name] for name in system.x_names], dtype=np.intp)
+        self._count, self._count_x = len(at), len(at_x)
+        self._model, self._data = model, model.createData()
         self._weightless = model.copy()
         self._weightless.gravity.setZero()
         self._uses_aba = not self._couplings or singular_shapes(model) == SingularShapes()
 
     def values(self, x: Array) -> Array:
-        """Return the values (..., M) of all joints at shape x (..., m)."""
-        values = np.zeros((*x.shape[:-1], self._count))
-        values[..., self.leads] = x
+        """Return the coordinates of all joints at shape x (..., nx)."""
+        values, at = np.zeros((*x.shape[:-1], self._count_x)), self._at_x
+        values[..., self.leads_x] = x
         for follower, ratios, offset in self._couplings:
-            values[..., follower] = offset
+            values[..., at[follower]] = offset
             for leader, ratio in ratios.items():
-                values[..., follower] += ratio * values[..., leader]
+                values[..., at[follower]] += ratio * values[..., at[leader]]
         return values
 
     def rates(self, xdot: Array) -> Array:
-        """Return the rates (..., M) of all joints at shape rate ẋ (..., m)."""
+        """Return the rates of all joints at shape rate ẋ (..., m)."""
         rates = np.zeros((*xdot.shape[:-1], self._count))
         rates[..., self.leads] = xdot
         for follower, ratios, _ in self._couplings:
@@ -73,11 +78,15 @@ class CouplingConstraints:
         return rates
 
     def shape(self, joints: Array) -> Array:
-        """Select the shape (..., m) from the values of all joints (..., M)."""
-        return joints[..., self.leads]
+        """Select the shape (..., nx) from the coordinates of all joints."""
+        return joints[..., self.leads_x]
+
+    def shape_rate(self, rates: Array) -> Array:
+        """Select the shape rate (..., m) from the rates of all joints."""
+        return rates[..., self.leads]
 
     def joint_torques(self, torque: Array) -> Array:
-        """Expand torques on the shape (m,) to all joints (M,); followers get zero."""
+        """Expand torques on the shape (m,) to all joints; followers get zero."""
         torques = np.zeros(self._count)
         torques[self.leads] = torque
         return torques
@@ -97,7 +106,7 @@ class CouplingConstraints:
             q: Pinocchio's configuration, (nq,).
             v: Pinocchio's velocity, (nv,).
             tau: Generalised forces, (nv,) [N | N·m].
-            driven: Indices, among all M joints, of the joints with prescribed acceleration.
+            driven: Indices, among the rates of all joints, with prescribed acceleration.
             prescribed: Accelerations of these joints [rad/s² | m/s²].
             axes: Frames in which ABA is evaluated. Comparing two choices measures its round-off.
         Returns:

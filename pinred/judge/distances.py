@@ -14,7 +14,7 @@ class FullMotion:
     """A motion in Pinocchio's coordinates.
 
     Attributes:
-        x: Unwrapped values of all joints, (T, M) [rad | m].
+        x: Coordinates of all joints over time: unwrapped values, and quaternions of balls.
         q: Pinocchio's configurations, (T, nq).
     """
 
@@ -28,7 +28,7 @@ class Size:
 
     Attributes:
         joints: Largest |x| of each joint, (M,); at least 1 rad, or the radius of gyration for
-            prismatic joints [rad | m].
+            slides; 1 rad for each axis of a ball [rad | m].
         position: Distance travelled by the base; at least the radius of gyration, and at least a
             small fraction of `away`, because round-off grows with `away` [m].
         away: Largest distance of the base from the origin [m].
@@ -44,7 +44,8 @@ class Distance:
     """Distances between two motions over time.
 
     Attributes:
-        joints: |Δx| of each joint, (T, M) [rad | m].
+        joints: |Δx| of each joint; for a ball, the components of the rotation vector of its
+            attitude relative to the other, (T, M) [rad | m].
         rotation: Norm of the rotational part of log(g⁻¹ĝ) of the base, (T,) [rad].
         position: Norm of the translational part of log(g⁻¹ĝ), (T,) [m].
     """

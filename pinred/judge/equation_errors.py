@@ -95,7 +95,7 @@ def _acceleration(full: FullState, t: float, y: Array, axes: pin.Convention) -> 
     """Return ABA's acceleration (n,) of base and shape, evaluated in the given axes."""
     r, nv = full.system.r, full.system.model.nv
     a = full.rate(t, y, axes)[len(y) - nv :]
-    return np.append(a[:r], full.couplings.shape(a[r:]))
+    return np.append(a[:r], full.couplings.shape_rate(a[r:]))
 
 
 def _mass_matrix_and_loads(system: System, q: Array) -> tuple[Array, Array]:

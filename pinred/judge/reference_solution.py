@@ -19,7 +19,6 @@ from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
 from ..simulation.plan import stops_of
 from ..simulation.sample import Sample
-from ..system.joints import joint_units
 from ..system.system import System
 from .condition_times import condition_times
 from .coupling_constraints import CouplingConstraints
@@ -41,10 +40,10 @@ _ASIDE = 1e-11
 class FullState:
     """Pinocchio's forward dynamics of one scene, as an initial value problem.
 
-    The state is y = (root, x, v): root coordinates (position; angle or quaternion), unwrapped
-    values of all M joints, and Pinocchio's velocity. Pinocchio computes the inputs of forces
-    from y. Prescribed joints follow their plan. Follower joints obey multipliers, see
-    coupling_constraints.py.
+    The state is y = (root, x, v): root coordinates (position; angle or quaternion), the coordinates
+    of all joints (an unwrapped value, or the quaternion of a ball), and Pinocchio's velocity.
+    Pinocchio computes the inputs of forces from y. Prescribed joints follow their plan. Follower
+    joints obey multipliers, see coupling_constraints.py.
 
     Attributes:
         couplings: Constraints between followers and leaders.
@@ -71,7 +70,7 @@ class FullState:
             written = condition_times(self._forces, self._stops, self._parameters)
             self._stops = self._switches = np.union1d(self._stops, written)
         self._model = system.model
-        self._r, self._m = system.r, system.model.njoints - 2
+        self._r = system.r
         unused = np.full(system.r, np.nan)  # NaN would reveal a force that depends on it
         self._unused = unused, unused
         self._no_torque = np.zeros(system.model.nv)
@@ -80,10 +79,13 @@ class FullState:
         self.totals = SystemTotals(system.model, self.root)
         self._linear, self._size = self.root.linear, self.root.size
         self._configuration = Configuration(system.model, self.root)
+        self._m = self._configuration.size
         loads = () if self._forces is None else self._forces.loads
         self._loads = LoadsByPinocchio(system, self.root.axes, loads) if loads else None
         driven = [] if self._forces is None else list(self._forces.joints)
         self._driven = self.couplings.leads[driven].tolist()
+        driven_x = system.space.coordinates_of(driven)
+        self._driven_x = self.couplings.leads_x[driven_x].tolist()
 
     @property
     def system(self) -> System:
@@ -91,9 +93,9 @@ class FullState:
         return self._scene.system
 
     @property
-    def joints(self) -> int:
-        """Number of joints M except the root, followers included."""
-        return int(self._m)
+    def coordinates(self) -> int:
+        """Number of coordinates of all joints except the root, followers included."""
+        return self._m
 
     def set_parameters(self, parameters: Array) -> None:
         """Set the parameters (p,) of forces, including the commands of controllers."""
@@ -104,7 +106,7 @@ class FullState:
 
         Args:
             pose: Pose of the base, (size,).
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xi: Body twist, (r,) [m/s; rad/s].
             xdot: Shape rate, (m,) [rad/s | m/s].
         Returns:
@@ -114,9 +116,9 @@ class FullState:
 
     def _apply_couplings(self, y: Array) -> Array:
         """Return y with follower joints set from their leaders."""
-        size, m, shape = self._size, self._m, self.couplings.shape
+        size, m, couplings = self._size, self._m, self.couplings
         pose, x, xi, xdot = np.split(y, [size, size + m, size + m + self._r])
-        return self.state(pose, shape(x), xi, shape(xdot))
+        return self.state(pose, couplings.shape(x), xi, couplings.shape_rate(xdot))
 
     def perturb(self, y0: Array, time: float, fraction: float) -> Array:
         """Change each entry of an initial state by a small fraction of its value, with random sign.
@@ -207,10 +209,15 @@ class FullState:
         """Compute the inputs of forces at y with Pinocchio; the gravity force is set to 0."""
         size, m, r = self._size, self._m, self._r
         x, v = y[size : size + m], y[size + m :]
-        q, shape = self.q(y), self.couplings.shape
+        q, couplings = self.q(y), self.couplings
         xi, mu = self.totals.about_com(q, v)
         base = self.base_in_space(q, y[:size], v)
-        return Sample(shape(x), shape(v[r:]), xi, mu, np.zeros(3), base)
+        return Sample(self._shape(x), couplings.shape_rate(v[r:]), xi, mu, np.zeros(3), base)
+
+    def _shape(self, x: Array) -> Array:
+        """Return the shape (nx,), with quaternions of length one, from all coordinates."""
+        shape = self.couplings.shape(x)
+        return self.system.space.normalized(shape, "x", near=False)
 
     def base_in_space(
         self, q: Array, root: Array, v: Array, *, momenta: bool = True
@@ -255,17 +262,16 @@ class FullState:
         if self._driven:
             plan = self._forces.planned(t, self._parameters)
             accelerations = plan.xddot
-            y[[size + k for k in self._driven]] = plan.x
+            y[[size + k for k in self._driven_x]] = plan.x
             y[[size + m + r + k for k in self._driven]] = plan.xdot
             y = self._apply_couplings(y)
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
         xi, mu = self.totals.about_com(q, v) if self._forces.sees_momentum else self._unused
-        shape = self.couplings.shape
-        base = None
+        base, shape_rate = None, self.couplings.shape_rate(v[r:])
         if self._forces.sees_base:
             base = self.base_in_space(q, y[:size], v, momenta=self._forces.sees_base_momenta)
         acting, loads = self._forces.acting_apart(
-            ForceInputs(t, shape(x), shape(v[r:]), xi, mu, self._parameters, base)
+            ForceInputs(t, self._shape(x), shape_rate, xi, mu, self._parameters, base)
         )
         tau = np.append(acting.wrench, self.couplings.joint_torques(acting.torque))
         if self._loads is not None:
@@ -275,10 +281,11 @@ class FullState:
         return self._derivative(y, a)
 
     def _derivative(self, y: Array, a: Array) -> Array:
-        """Return dy/dt (n,) at an acceleration a (nv,)."""
-        numbers, r = y.tolist(), self._r
-        root, v = numbers[: self._size], numbers[self._size + self._m :]
-        return np.array([*self.root.rate(root, v[:r]), *v[r:], *a.tolist()])
+        """Return dy/dt for the acceleration a (nv,)."""
+        size, m, r, numbers = self._size, self._m, self._r, y.tolist()
+        root, x, v = numbers[:size], numbers[size : size + m], numbers[size + m :]
+        rates = self._configuration.derivative(x, v[r:])
+        return np.array([*self.root.rate(root, v[:r]), *rates, *a.tolist()])
 
     def _beside_switches(self, t: float) -> float:
         """Return the time; if it is too close to a switch, move it to the side of `within`.
@@ -297,7 +304,7 @@ class FullState:
         return t + float(np.clip(within - t, -2.0 * aside, 2.0 * aside))
 
     def force_potential(self, x: Array) -> float:
-        """Return the potential energy of the forces at shape x (m,) [J]; 0 if they have none."""
+        """Return the potential energy of the forces at shape x (nx,) [J]; 0 if they have none."""
         if self._forces is None or not self._forces.has_potential:
             return 0.0
         return self._forces.potential(x, self._parameters)
@@ -316,16 +323,16 @@ class FullState:
 
     def distance(self, a: FullMotion, b: FullMotion) -> Distance:
         """Compute the distance between two motions over time."""
-        log = np.array(
-            [pin.difference(self._model, p, q)[: self._r] for p, q in zip(a.q, b.q, strict=True)]
-        )
+        log = np.array([pin.difference(self._model, p, q) for p, q in zip(a.q, b.q, strict=True)])
+        joints = self._joint_distances(a.x, b.x, log[:, self._r :])
+        log = log[:, : self._r]
         if self.root.circle:
             # Pinocchio's planar log returns no rotation where round-off makes the trace exceed 2.
             k = self._linear
             (c, s), (cb, sb) = a.q[:, k : k + 2].T, b.q[:, k : k + 2].T
             log[:, -1] = np.arctan2(c * sb - s * cb, c * cb + s * sb)
         return Distance(
-            joints=np.abs(b.x - a.x),
+            joints=joints,
             rotation=np.linalg.norm(log[:, self._linear :], axis=1),
             position=np.linalg.norm(log[:, : self._linear], axis=1),
         )
@@ -343,6 +350,17 @@ class FullState:
         )
 
     def joint_error_units(self, x: Array, radius: float) -> Array:
-        """Compute the units (M,) of errors of joint values x (T, M), see Size.joints."""
-        least = np.where([unit == "m" for unit in joint_units(self._model)], radius, 1.0)
-        return np.asarray(np.maximum(np.abs(x).max(axis=0), least))
+        """Compute the units of joint errors along each rate for coordinates x, see Size.joints."""
+        units = np.where([unit == "m" for unit in self.system.tree.units], radius, 1.0)
+        scalar_v, scalar_x = self.system.tree.scalar_v, self.system.tree.scalar_x
+        units[scalar_v] = np.maximum(np.abs(x[:, scalar_x]).max(axis=0), units[scalar_v])
+        return units
+
+    def _joint_distances(self, a: Array, b: Array, log: Array) -> Array:
+        """Return the distances of coordinates a and b along each rate, (T, M).
+
+        log: Pinocchio's differences of the configurations along each rate, used for balls.
+        """
+        tree, joints = self.system.tree, np.abs(log)
+        joints[:, tree.scalar_v] = np.abs(b[:, tree.scalar_x] - a[:, tree.scalar_x])
+        return joints

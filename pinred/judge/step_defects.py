@@ -248,7 +248,7 @@ def _sizes(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
     initial rate, like the perturbation whose growth is measured.
     """
     y = full_states(traj, full, traj.motion.knots)
-    group, m, r = traj.system.group, full.joints, traj.system.r
+    group, m, r = traj.system.group, full.coordinates, traj.system.r
     linear, size = group.linear, group.size
     radius = full.totals.radius_of_gyration(full.q(y[0]))
     sizes, least = np.empty((2, y.shape[1])), np.zeros((2, y.shape[1]))

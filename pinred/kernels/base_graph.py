@@ -7,7 +7,18 @@ from dataclasses import astuple, dataclass
 import casadi as ca
 
 from ..reduction.base_parts import BaseParts, root_of
-from ..reduction.tree.scalars import Scalar, Vec, add, cross, dot, mul, plus, sub, total
+from ..reduction.tree.scalars import (
+    Scalar,
+    Vec,
+    add,
+    cross,
+    dot,
+    mul,
+    plus,
+    quaternion_rate,
+    sub,
+    total,
+)
 from ..system.system import System
 
 
@@ -113,7 +124,7 @@ class BaseGraph:
         if self.parts.attitude == 1:
             rates += omega
         elif self.parts.attitude:
-            rates += _quaternion_rate(self.attitude, omega)
+            rates += quaternion_rate(self.attitude, omega)
         if self.parts.down:
             rates += cross(self.down, omega)
         if self.parts.momentum:
@@ -236,15 +247,3 @@ def _lift(q: list[Scalar], v: list[Scalar]) -> list[Scalar]:
     t = cross(u, v)
     u_t = cross(u, t)
     return [add(mul(square, v[i]), mul(2.0, add(mul(w, t[i]), u_t[i]))) for i in range(3)]
-
-
-def _quaternion_rate(q: list[Scalar], omega: list[Scalar]) -> list[Scalar]:
-    """Return the quaternion rate ½ q ω."""
-    x, y, z, w = q
-    a, b, c = omega
-    return [
-        0.5 * (w * a + y * c - z * b),
-        0.5 * (w * b + z * a - x * c),
-        0.5 * (w * c + x * b - y * a),
-        -0.5 * (x * a + y * b + z * c),
-    ]

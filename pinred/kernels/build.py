@@ -14,11 +14,12 @@ from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..reduction.tree.identical_branches import Lanes
 from ..system.system import System
 from ..system.variants import nominal
-from .kernel import Kernel, Structure, layout_of
+from .kernel import Kernel
 from .machine.native import compile_object, load_objects
 from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph
 from .reference_state import perturb_parameters
+from .state_layout import Structure, layout_of
 from .validation import explain_ill_scaling, validate_kernel
 
 

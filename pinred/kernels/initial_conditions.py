@@ -80,7 +80,7 @@ class InitialConditionsKernel:
 
         Args:
             pose: Poses, (N, size).
-            x: Shapes, (N, m) [rad | m].
+            x: Shapes, (N, nx) [rad | m | 1].
             xdot: Shape rates, (N, m).
             motion: Body twists or body momenta, (N, r).
             numbers: Values of the variable body parameters, (freed.size,) or (N, freed.size); by
@@ -156,7 +156,8 @@ def initial_conditions_graph(
     mass = total_mass(bodies) if freed.inertias else system.mass
     group, m, r = system.group, system.m, system.r
     k = group.linear
-    pose, x, xdot = ca.SX.sym("pose", group.size), ca.SX.sym("x", m), ca.SX.sym("xdot", m)
+    pose, x = ca.SX.sym("pose", group.size), ca.SX.sym("x", system.nx)
+    xdot = ca.SX.sym("xdot", m)
     motion = ca.SX.sym("motion", r)
     base = BaseGraph(system, BaseParts(attitude=group.size - k), None, mass=mass)
     joints = joint_values(system, ca.vertsplit(x) if m else [])
@@ -201,7 +202,7 @@ def _validate(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
     system, rng = kernel.system, np.random.default_rng(0)
     group, r = system.group, system.r
     k = group.linear
-    pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), rng.uniform(-2.0, 2.0, system.m)
+    pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), system.space.random(rng, 2.0)
     xi, xdot = rng.normal(size=r), rng.normal(size=system.m)
     data = system.data
     H = mass_matrix_at(system, system.model, data, group.identity(), x)

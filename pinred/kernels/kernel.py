@@ -1,4 +1,4 @@
-"""The compiled kernel, its structure, and the layout of its state, parameters and outputs."""
+"""The compiled kernel, and the layout of its outputs."""
 
 from __future__ import annotations
 
@@ -12,110 +12,11 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..forces.force_model import ForceModel
-from ..reduction.base_parts import BaseParts, base_parts
-from ..reduction.tree.free_bodies import NOTHING, Freed, free_numbers
+from ..reduction.tree.free_bodies import free_numbers
 from ..system.state_fields import FIELDS, axis_lengths
 from ..system.system import System
 from .machine.native import NativeCode
-
-
-@dataclass(frozen=True)
-class Structure:
-    """The structure of a kernel; together with the forces, it determines which terms exist.
-
-    With `lifted`, a quaternion q of any norm represents the angular momentum: μ = q̄ J q for the
-    constant angular momentum J in the fixed frame, so μ is quadratic in q.  Under this map of
-    Cayley and Klein from ℝ⁴ to so(3)*, the canonical bracket becomes the Lie–Poisson bracket.
-    A symplectic method for (x, π, q) is then a Poisson map of (x, π, μ).
-
-    Attributes:
-        zero_momentum: Whether the momentum of the base is exactly zero.
-        cyclic: Indices of the cyclic joints.
-        gravity: Indices of the axes of the root joint's fixed frame along which gravity acts on the
-            shape or rotates a pivoted base.
-        base: Whether the outputs contain the state of the base.
-        lifted: Whether a quaternion of any norm represents the angular momentum.
-        freed: Variable body parameters: inertias, joint placements and link placements.
-    """
-
-    zero_momentum: bool = True
-    cyclic: tuple[int, ...] = ()
-    gravity: tuple[int, ...] = ()
-    base: bool = True
-    lifted: bool = False
-    freed: Freed = NOTHING
-
-
-@dataclass(frozen=True)
-class Layout:
-    """The order of the entries in the reduced state y and in the parameters.
-
-    Attributes:
-        active: Indices of the shape joints whose positions and momenta are integrated.
-        cyclic: Indices of the cyclic joints.
-        prescribed: Indices of the prescribed joints.
-        base: Numbers of integrated and constant entries of the base.
-        base_requested: Whether the outputs contain the state of the base.
-        gravity_on_base: Whether gravity rotates a pivoted base.
-        clock: 1 if the time is the last entry of y, else 0.
-        gravity: Indices of the axes along which the gravity component is a parameter.
-        freed: Variable body parameters.
-        com_path: Number of parameters for the centre-of-mass path: 3k if forces depend on the
-            path, else 0.
-        numbers: Number of force parameters.
-    """
-
-    active: tuple[int, ...]
-    cyclic: tuple[int, ...]
-    prescribed: tuple[int, ...]
-    base: BaseParts
-    base_requested: bool
-    gravity_on_base: bool
-    clock: int
-    gravity: tuple[int, ...]
-    freed: Freed
-    com_path: int
-    numbers: int
-
-    @cached_property
-    def base_at(self) -> int:
-        """Index in y of the first base entry."""
-        return 2 * len(self.active) + len(self.cyclic)
-
-    @cached_property
-    def size(self) -> int:
-        """Length of y."""
-        return self.base_at + self.base.size + self.clock
-
-    @cached_property
-    def parameters(self) -> int:
-        """Number of parameters."""
-        return self.com_path_at + self.com_path + self.numbers
-
-    @property
-    def bodies_at(self) -> int:
-        """Index in the parameters of the first body parameter."""
-        return self.gravity_at + len(self.gravity)
-
-    @property
-    def gravity_at(self) -> int:
-        """Index in the parameters of the first gravity component."""
-        return self.base.spin + len(self.cyclic)
-
-    @property
-    def com_path_at(self) -> int:
-        """Index in the parameters of the first centre-of-mass path entry."""
-        return self.bodies_at + self.freed.size
-
-    @property
-    def quaternions(self) -> tuple[int, int]:
-        """Index in y of the first quaternion entry, and number of quaternions; (0, 0) for none."""
-        return (self.base_at, 1) if self.base.attitude == 4 else (0, 0)
-
-    @property
-    def canonical(self) -> tuple[int, int]:
-        """Number of positions with conjugate momenta, and number of constant angular momenta."""
-        return len(self.active), self.base.spin
+from .state_layout import Layout, Structure
 
 
 @dataclass(frozen=True)
@@ -194,41 +95,6 @@ def outputs_of(system: System, layout: Layout) -> Outputs:
     if layout.base_requested:
         fields["xi"] = slice(fields["v"].start, fields["v"].start + r)
     return Outputs(xi, xdot, com, mu, weight, driven_x, driven_pi, fields, ends[-1])
-
-
-def layout_of(system: System, structure: Structure, forces: ForceModel | None) -> Layout:
-    """Compute the layout of the reduced state and of the parameters.
-
-    Args:
-        system: The system.
-        structure: Structure of the kernel.
-        forces: Forces on the system, or None.
-    Returns:
-        The layout.
-    """
-    prescribed = forces.joints if forces is not None else ()
-    heavy = system.group.is_pivot and bool(structure.gravity)
-    base_observed = forces is not None and (forces.sees_attitude or forces.sees_place)
-    base = base_parts(
-        system.group,
-        wanted=structure.base or structure.lifted or base_observed,
-        heavy=heavy,
-        wrench=forces is not None and forces.has_wrench,
-        zero_momentum=structure.zero_momentum,
-    )
-    return Layout(
-        active=tuple(k for k in range(system.m) if k not in {*structure.cyclic, *prescribed}),
-        cyclic=structure.cyclic,
-        prescribed=prescribed,
-        base=base,
-        base_requested=structure.base,
-        gravity_on_base=heavy,
-        clock=int(forces is not None and forces.needs_time),
-        gravity=structure.gravity,
-        freed=structure.freed,
-        com_path=3 * system.group.linear if forces is not None and forces.sees_place else 0,
-        numbers=len(forces.numbers) if forces is not None else 0,
-    )
 
 
 _POINTER = ctypes.POINTER(ctypes.c_double)

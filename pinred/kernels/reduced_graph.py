@@ -2,8 +2,8 @@
 
 The graph omits all terms that a scene does not need.  The reduced state is
 
-    y = (x, π) of the active joints, x of the cyclic joints, the integrated entries of the base,
-        and the time, if any term depends on it.
+    y = (x, π) of the active joints, x of the cyclic joints, π and quaternions of the balls,
+        the integrated entries of the base, and the time, if any term depends on it.
 
 The parameters are, in this order: the angular momentum of the base if it is constant, the momenta
 of the cyclic joints, the gravity components that act [m/s²], the variable body parameters, the
@@ -20,16 +20,27 @@ import casadi as ca
 from ..forces.force_model import ForceModel
 from ..forces.force_numbers import numbers_in
 from ..reduction.base_parts import root_of
-from ..reduction.tree.all_joints import joint_rates, joint_values
+from ..reduction.tree.all_joints import joint_rates, joint_values, shape_gradient
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import total_mass, with_free
 from ..reduction.tree.identical_branches import Lanes
 from ..reduction.tree.momenta import centre_of_mass
-from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
+from ..reduction.tree.scalars import (
+    Scalar,
+    Vec,
+    add,
+    cross,
+    dot,
+    mul,
+    quaternion_rate,
+    sub,
+    total,
+)
 from ..system.system import System
 from .base_graph import BaseGraph
-from .kernel import Structure, layout_of, separate_fields
+from .kernel import separate_fields
+from .state_layout import Structure, layout_of
 
 
 class ReducedGraph:
@@ -39,7 +50,7 @@ class ReducedGraph:
         system: The system.
         forces: Forces on the system, or None.
         layout: Layout of the reduced state and of the parameters.
-        x: Shape, (m,).
+        x: Shape, (nx,).
         pi: Canonical momenta, (m,).
         base: Expressions of the base.
         xi: Body twist relative to the centre of mass, (r,).
@@ -72,24 +83,25 @@ class ReducedGraph:
         self.layout = layout_of(system, structure, forces)
         self._gravity = [ca.SX.sym(f"g{axis}") for axis in structure.gravity]
         self._weight = self._weight_of(structure)
-        self.x = [ca.SX.sym(f"x{k}") for k in range(m)]
+        self.x = [ca.SX.sym(f"x{k}") for k in range(system.nx)]
         self.pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
+        self._lifted_momenta = self._lift_balls(structure)
         rotating_weight = self._weight if self.layout.gravity_on_base else None
         self.base = BaseGraph(
             system, self.layout.base, rotating_weight, lifted=structure.lifted, mass=self._mass
         )
         self._t = ca.SX.sym("t")
-        prescribed = self.layout.prescribed
+        prescribed, cyclic_x = self.layout.prescribed, self.layout.cyclic_x
         self._com_path = [ca.SX.sym(f"line{k}") for k in range(self.layout.com_path)]
         self._numbers = [ca.SX.sym(f"p{k}") for k in range(self.layout.numbers)]
         self._angles = ca.vertcat(ca.SX(0, 1), *self.x)  # variables of differentiation of energies
         motion = self._prescribed()
-        for k, position in zip(prescribed, motion, strict=False):
+        for k, position in zip(self.layout.prescribed_x, motion, strict=False):
             self.x[k] = position
         self._mu = mu = self.base.body_momentum()
         armature = float(system.model.armature[0])  # nonzero only for single-axis roots
         # No term depends on the angle of a cyclic joint, so set it to zero.
-        angles: list[Scalar] = [0.0 if k in structure.cyclic else self.x[k] for k in range(m)]
+        angles: list[Scalar] = [0.0 if k in cyclic_x else x for k, x in enumerate(self.x)]
         rates = dict(zip(prescribed, motion[len(prescribed) :], strict=True))
         result = sweep(
             self._bodies, joint_values(system, angles), self.pi, mu, group.axes, armature, rates,
@@ -109,13 +121,16 @@ class ReducedGraph:
     @cached_property
     def y(self) -> ca.SX:
         """The reduced state, (size,)."""
-        active, cyclic = self.layout.active, self.layout.cyclic
+        layout, lifted = self.layout, self.layout.lifted_balls
         return _column(
-            [self.x[k] for k in active],
-            [self.pi[k] for k in active],
-            [self.x[k] for k in cyclic],
+            [self.x[k] for k in (*layout.active_x, *(layout.ball_x if lifted else ()))],
+            [self.pi[k] for k in layout.active],
+            *(self._lifted_momenta if lifted else ()),
+            [self.x[k] for k in layout.cyclic_x],
+            [self.pi[k] for k in (() if lifted else layout.ball_v)],
+            [self.x[k] for k in (() if lifted else layout.ball_x)],
             self.base.b,
-            [self._t] * self.layout.clock,
+            [self._t] * layout.clock,
         )
 
     @cached_property
@@ -125,15 +140,62 @@ class ReducedGraph:
         physical = [*self._gravity, *self._body_numbers, *self._com_path]
         return _column(self.base.spin, momenta, physical, self._numbers)
 
+    def _lift_balls(self, structure: Structure) -> list[list[Scalar]]:
+        """Create conjugate momenta p, (4,), of the balls, and set π = ½ E(q)ᵀ p."""
+        if not structure.lifted_balls:
+            return []
+        momenta: list[list[Scalar]] = []
+        for k, (x, v) in enumerate(self.layout.balls):
+            p = [ca.SX.sym(f"p{k}_{n}") for n in range(4)]
+            a, b, c, d = self.x[x : x + 4]
+            self.pi[v : v + 3] = [
+                0.5 * (d * p[0] - a * p[3] - b * p[2] + c * p[1]),
+                0.5 * (d * p[1] - b * p[3] - c * p[0] + a * p[2]),
+                0.5 * (d * p[2] - c * p[3] - a * p[1] + b * p[0]),
+            ]
+            momenta.append(p)
+        return momenta
+
+    def _lifted_momentum_rates(self) -> list[list[Scalar]]:
+        """Return ṗ = 2 (q ∘ F)/|q|² + ½ p ∘ σ for each ball, with F = π̇ − π × σ."""
+        rates: list[list[Scalar]] = []
+        for p, (x, v) in zip(self._lifted_momenta, self.layout.balls, strict=True):
+            q, sigma = self.x[x : x + 4], self.xdot[v : v + 3]
+            gyroscopic = cross(self.pi[v : v + 3], sigma)
+            force = [sub(a, b) for a, b in zip(self.pidot[v : v + 3], gyroscopic, strict=True)]
+            scale = 2.0 / total([mul(c, c) for c in q])
+            along = quaternion_rate(q, [mul(scale, c) for c in force])
+            rates.append(
+                [2.0 * a + b for a, b in zip(along, quaternion_rate(p, sigma), strict=True)]
+            )
+        return rates
+
+    @cached_property
+    def _unit_x(self) -> list[Scalar]:
+        """The shape, (nx,), with quaternions of length one, which states inside a step lack."""
+        x = list(self.x)
+        for joint in self.system.space.balls:
+            q = self.x[joint.x]
+            scale = 1.0 / ca.sqrt(total([mul(c, c) for c in q]))
+            x[joint.x] = [mul(scale, c) for c in q]
+        return x
+
     def rate(self) -> ca.Function:
         """Return the vector field as a Function (y, parameters) → dy/dt."""
-        active, cyclic = self.layout.active, self.layout.cyclic
+        layout, lifted = self.layout, self.layout.lifted_balls
+        attitudes = [
+            quaternion_rate(self.x[x : x + 4], self.xdot[v : v + 3]) for x, v in layout.balls
+        ]
         rate = _column(
-            [self.xdot[k] for k in active],
-            [self.pidot[k] for k in active],
-            [self.xdot[k] for k in cyclic],
+            [self.xdot[k] for k in layout.active],
+            *(attitudes if lifted else ()),
+            [self.pidot[k] for k in layout.active],
+            *(self._lifted_momentum_rates() if lifted else ()),
+            [self.xdot[k] for k in layout.cyclic],
+            [self.pidot[k] for k in (() if lifted else layout.ball_v)],
+            *(() if lifted else attitudes),
             self._base_rate,
-            [1.0] * self.layout.clock,
+            [1.0] * layout.clock,
         )
         return self._function("rate", rate, [self.y, self.parameters])
 
@@ -145,7 +207,7 @@ class ReducedGraph:
         joint's fixed frame.
         """
         system, k = self.system, self.system.group.linear
-        com, positions = self.com(), [self.x[j] for j in self.layout.prescribed]
+        com, positions = self.com(), [self.x[j] for j in self.layout.prescribed_x]
         momenta = [self._prescribed_pi.get(j, self.pi[j]) for j in range(system.m)]
         about = self._mu[k:]
         energy = mul(0.5, add(dot(self.xi[k:], about), dot(self.xdot, momenta)))
@@ -153,7 +215,7 @@ class ReducedGraph:
         weight: list[Scalar] = self.base.body_weight() or []
         blocks = [self.xi, self.xdot, com, self._mu, weight]
         blocks += [positions, list(self._prescribed_pi.values())]
-        fields: dict[str, list[Scalar]] = {"x": self.x}
+        fields: dict[str, list[Scalar]] = {"x": self._unit_x}
         com_path = [ca.SX.sym(f"line{j}") for j in range(3 * k)]
         if self.layout.base_requested:
             full = self.base.full(self.xi, self._mu, com, self._t, com_path)
@@ -172,7 +234,7 @@ class ReducedGraph:
         """Return the potential V(x) plus the gravitational energy of a pivoted body."""
         energy: Scalar = 0.0
         if self.forces is not None:
-            value = self.forces.potential_function(_column(self.x), _column(self._numbers))
+            value = self.forces.potential_function(_column(self._unit_x), _column(self._numbers))
             energy = add(energy, _scalars(value)[0])
         if self._weight is not None:
             weight = self.base.body_weight() or self._weight
@@ -182,7 +244,7 @@ class ReducedGraph:
 
     def _q(self, pose: list[Scalar]) -> list[Scalar]:
         """Return Pinocchio's configuration."""
-        y, q = [*pose, *joint_values(self.system, self.x)], [0.0] * self.system.model.nq
+        y, q = [*pose, *joint_values(self.system, self._unit_x)], [0.0] * self.system.model.nq
         for i, at in self.system.plain:
             q[at] = y[i]
         for i, at in self.system.angles:
@@ -217,7 +279,7 @@ class ReducedGraph:
         if self.forces is None:
             return [0.0] * self.system.m, []
         base, robot = self._observed_base(mu), self._robot_parameters(self.forces)
-        columns = (self.x, self.xdot, self.xi, mu, self._numbers, *base, robot)
+        columns = (self._unit_x, self.xdot, self.xi, mu, self._numbers, *base, robot)
         state = [_column(list(column)) for column in columns]
         torque, wrench = self.forces.acting_function(self._t, *state)
         return _scalars(torque), _scalars(wrench) if self.forces.has_wrench else []
@@ -267,7 +329,7 @@ class ReducedGraph:
                 energy = add(energy, mul(symbol, c))
         if not (isinstance(energy, ca.SX) and m):
             return pidot
-        gradient = ca.gradient(energy, self._angles)
+        gradient = shape_gradient(self.system, energy, self._angles)
         symbols, values = _column([s for s, _ in loads]), _column([v for _, v in loads])
         (gradient,) = ca.substitute([gradient], [symbols, self._angles], [values, _column(self.x)])
         return [add(pidot[k], mul(-1.0, gradient[k])) for k in range(m)]

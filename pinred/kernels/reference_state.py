@@ -41,7 +41,7 @@ class ReferenceState:
         time: Time [s].
         pose: Pose of the base, (size,).
         q: Pinocchio's configuration, (nq,).
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         v: Body twist relative to the centre of mass, then shape rate, (n,).  They are chosen so
             that momenta which the kernel assumes to be zero are zero.
         accelerations: Accelerations of the prescribed joints, (k,).
@@ -188,17 +188,17 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     model.gravity.linear = model.jointPlacements[1].rotation @ gravity
     pose = group.exp(rng.uniform(-1.0, 1.0, r))
     pose = pose if r > k else group.identity()
-    x, v = rng.uniform(-2.0, 2.0, m), rng.normal(size=system.n)
+    displacement, v = rng.uniform(-2.0, 2.0, m), rng.normal(size=system.n)
     time = float(rng.uniform(*_span(forces)))
     prescribed = list(layout.prescribed)
     force_parameters, accelerations = np.empty(0), np.zeros(len(prescribed))
-    x, v = x * reach, v * reach
+    x, v = system.space.integrate(system.space.neutral, displacement * reach), v * reach
     if forces is not None:
         force_parameters = forces.random_numbers(rng)
         force_parameters[forces.within] = time  # a table is undefined far outside its interval
     if forces is not None and prescribed:
         motion = forces.prescribed(time, force_parameters)
-        x[prescribed], v[[r + j for j in prescribed]] = motion.x, motion.xdot
+        x[layout.prescribed_x], v[[r + j for j in prescribed]] = motion.x, motion.xdot
         accelerations = motion.xddot
         if not np.isfinite([motion.x, motion.xdot, motion.xddot]).all():
             return None
@@ -211,7 +211,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     spin = R @ mu[k:] if counts.spin else np.zeros(0)
     push = rng.normal(size=counts.push)
     b = np.concatenate([pose[len(pose) - counts.attitude :], down, mu[r - counts.momentum :], push])
-    active, cyclic = list(layout.active), list(layout.cyclic)
+    cyclic = list(layout.cyclic)
     com_path = np.append(rng.normal(size=2 * k), falling(system))
     com = np.array(data.Ycrb[1].lever)
     if forces is not None:
@@ -243,7 +243,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
         com=com,
         mu=mu,
         pi=pi,
-        y=np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock]),
+        y=np.concatenate([*layout.shape_entries(x, pi), b, [time] * layout.clock]),
         parameters=np.concatenate(parameters),
         prescribed=tuple(prescribed),
     )

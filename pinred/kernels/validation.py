@@ -17,6 +17,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch, ModelError
 from ..forces.force_values import ForceInputs
+from ..lie.rotations import conjugate, quaternion_product
 from ..reduction.potential import translations
 from ..system.joints import axes_of
 from ..system.scale import ill_scaled
@@ -84,7 +85,8 @@ def _validate_momentum(kernel: Kernel, at: ReferenceState, outputs: Array) -> No
     check("velocity", v, at.v, at.velocity_terms)
     check("centre of mass", outputs[where.com], at.com, at.reach)
     check("momentum", outputs[where.mu], at.mu, terms[:r])
-    check("prescribed positions", outputs[where.driven_x], at.x[prescribed], abs(at.x[prescribed]))
+    positions = at.x[kernel.layout.prescribed_x]
+    check("prescribed positions", outputs[where.driven_x], positions, abs(positions))
     momenta = terms[r:][prescribed]
     check("momenta of prescribed joints", outputs[where.driven_pi], at.pi[prescribed], momenta)
     check("shape", outputs[where.fields["x"]], at.x, abs(at.x))
@@ -140,8 +142,9 @@ def _validate_velocity(kernel: Kernel, at: ReferenceState, rate: Array) -> None:
     active, cyclic, a = list(layout.active), list(layout.cyclic), len(layout.active)
     xdot, terms = at.v[r:], at.velocity_terms[r:]
     check("shape rate", rate[:a], xdot[active], terms[active])
-    cyclic_rate = rate[2 * a : layout.base_at]
+    cyclic_rate = rate[2 * layout.pairs : layout.balls_at]
     check("rate of cyclic joints", cyclic_rate, xdot[cyclic], terms[cyclic])
+    check("rate of balls", _ball_rates(kernel, at, rate), xdot[layout.ball_v], terms[layout.ball_v])
     attitude, *_ = _base_rates(kernel, rate)
     jacobian = _attitude_jacobian(kernel, at)
     check("attitude rate", attitude, jacobian @ at.v[:r], abs(jacobian) @ at.velocity_terms[:r])
@@ -186,9 +189,10 @@ def _validate_acceleration(
     """
     system, layout, model, q, H = kernel.system, kernel.layout, at.model, at.q, at.H
     r, k, data = system.r, system.group.linear, system.data
-    active, a = list(layout.active), len(layout.active)
+    active, first = list(layout.active), layout.pairs
     pidot = np.zeros(system.m)
-    pidot[active] = rate[a : 2 * a]
+    pidot[active] = rate[first : first + len(active)]
+    pidot[layout.ball_v] = _ball_momentum_rates(kernel, at, rate)
     pidot += H[:k, r:].T @ wrench[:k] / system.mass
     # Centre the model, because the round-off of Pinocchio's Coriolis matrix grows with the
     # distance from the origin.
@@ -229,12 +233,37 @@ def _velocity_of_rate(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
     layout, r, k = kernel.layout, kernel.system.r, kernel.system.group.linear
     a, v = len(layout.active), at.v.copy()
     v[r:][list(layout.active)] = rate[:a]
-    v[r:][list(layout.cyclic)] = rate[2 * a : layout.base_at]
+    v[r:][list(layout.cyclic)] = rate[2 * layout.pairs : layout.balls_at]
+    v[r:][layout.ball_v] = _ball_rates(kernel, at, rate)
     if layout.base.attitude:
         attitude, *_ = _base_rates(kernel, rate)
         v[k:r] = np.linalg.lstsq(_attitude_jacobian(kernel, at)[:, k:], attitude)[0]
     v[:k] = np.linalg.solve(at.H[:k, :k], at.mu[:k] - at.H[:k, k:] @ v[k:])
     return v
+
+
+def _ball_rates(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
+    """Return the rates of balls along their axes, from the rates ½ q σ of their quaternions."""
+    layout = kernel.layout
+    first = len(layout.active) if layout.lifted_balls else layout.balls_at + len(layout.ball_v)
+    rates = rate[first : first + len(layout.ball_x)].reshape(-1, 4)
+    q = at.x[layout.ball_x].reshape(-1, 4)
+    return np.asarray(2.0 * quaternion_product(conjugate(q), rates)[:, :3].ravel())
+
+
+def _ball_momentum_rates(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
+    """Return the rates of the canonical momenta of balls along their axes."""
+    layout = kernel.layout
+    if not layout.lifted_balls:
+        return rate[layout.balls_at : layout.balls_at + len(layout.ball_v)]
+    first, count = len(layout.active), len(layout.ball_x)
+    momenta = slice(layout.pairs + first, layout.pairs + first + count)
+    q, qdot = at.x[layout.ball_x], rate[first : first + count]
+    p, pdot = at.y[momenta], rate[momenta]
+    q, qdot, p, pdot = (column.reshape(-1, 4) for column in (q, qdot, p, pdot))
+    # π = ½ Im(q̄ ∘ p)
+    products = quaternion_product(conjugate(qdot), p) + quaternion_product(conjugate(q), pdot)
+    return np.asarray(0.5 * products[:, :3].ravel())
 
 
 def _validate_inverse_dynamics(kernel: Kernel, at: ReferenceState, v: Array) -> None:

@@ -76,6 +76,26 @@ def quaternion_log(q: Array) -> Array:
     return np.asarray(factor * q[..., :3])
 
 
+def unwrapped_rotation_vectors(q: Array) -> Array:
+    """Return continuous rotation vectors, (T, 3) [rad], of unit quaternions over time, (T, 4).
+
+    The first vector has a norm of at most π.  Each further vector is the one closest to the vector
+    before, among those whose norms differ by full turns.
+    """
+    vectors = quaternion_log(q)
+    for k in range(1, len(vectors)):
+        w, before = vectors[k], vectors[k - 1]
+        angle = float(np.linalg.norm(w))
+        if angle > 0.0:
+            axis = w / angle
+            turns = np.rint((before @ axis - angle) / TAU)
+            vectors[k] = (angle + TAU * turns) * axis
+        elif np.linalg.norm(before) > 0.0:
+            axis = before / np.linalg.norm(before)
+            vectors[k] = TAU * np.rint(before @ axis / TAU) * axis
+    return vectors
+
+
 def left_jacobian(w: Array) -> Array:
     """Return the left Jacobian V(ω) of SO(3): exp(v, ω) in SE(3) has translation V v."""
     theta = np.linalg.norm(w, axis=-1)[..., None, None]

@@ -1,4 +1,4 @@
-"""Cyclic joints: joints on whose angle neither the inertia nor the potential depends.
+"""Cyclic joints: hinges and slides on whose value neither the inertia nor the potential depends.
 
 The momentum of a cyclic joint is constant, and its angle follows by quadrature (Routh).  Examples
 are reaction wheels and rotors.
@@ -45,11 +45,11 @@ def cyclic_joints(
     r, m, k = system.r, system.m, system.group.linear
     rng = np.random.default_rng(0)
     depends = np.zeros(m, dtype=bool)
-    depends[list(touched)] = True
+    depends[[*touched, *system.space.ball_v.tolist()]] = True
     data = system.data
     heavy = pivot_weight(system).any()
     for _ in range(_SAMPLES if m else 0):
-        at = red.at(rng.uniform(-3.0, 3.0, m))
+        at = red.at(system.space.random(rng, 3.0))
         q = system.model_q(system.group.identity(), at.x)
         com_derivative = system.on_shape(pin.jacobianCenterOfMass(system.model, data, q))[:, r:]
         unit, limit = _usual_rates(system, data, at.mass_matrix)
@@ -96,7 +96,8 @@ def _usual_rates(system: System, data: pin.Data, H: Array) -> tuple[Array, Array
         joint = model.joints[i]
         slides = ~axes_of(joint)[3:].any(axis=0)
         unit[joint.idx_v : joint.idx_v + joint.nv][slides] = reach
-    terms = np.array([data.mass[i] * ends[i] ** 2 for i in range(2, model.njoints)])
+    bodies = [i for i in range(2, model.njoints) for _ in range(model.joints[i].nv)]
+    terms = np.array([data.mass[i] * ends[i] ** 2 for i in bodies])
     if system.coupled is not None:
         terms = system.sizes_on_shape(np.append(np.zeros(r), terms))[r:]
         unit = np.append(unit[:r], unit[r:][system.coupled.leads])

@@ -31,7 +31,7 @@ class InertiaSplit(FrozenArrays):
     """Blocks of the mass matrix at one shape, and their Schur complement; read-only arrays.
 
     Attributes:
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         mass_matrix: Mass matrix H, (n, n), base rows first.
         locked_inertia: Locked inertia I, (r, r).
         local_connection: Local connection A, (r, m).
@@ -107,7 +107,7 @@ def split_inertia(system: System, x: Array, H: Array, com: Array) -> InertiaSpli
 
     Args:
         system: The system.
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         H: Mass matrix, (n, n).
         com: Centre of mass in the root body's frame, (3,) [m].
     Returns:
@@ -134,7 +134,7 @@ def cholesky(H: Array, system: System, x: Array) -> Array:
     Args:
         H: Mass matrix, (n, n).
         system: The system, to name its joints.
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
     Returns:
         L, (n, n), lower triangular.
     Raises:
@@ -205,7 +205,8 @@ def usual_inertias(system: System) -> Array:
 def usual_mass_matrices(system: System) -> list[Array]:
     """Return the mass matrices (n, n) at some random shapes; the result is cached."""
     rng = np.random.default_rng(0)
-    shapes = rng.uniform(-np.pi, np.pi, (_SAMPLES, system.m))
+    space = system.space
+    shapes = space.integrate(space.neutral, rng.uniform(-np.pi, np.pi, (_SAMPLES, system.m)))
     return system.workspace(usual_mass_matrices, lambda: [mass_matrix(system, x) for x in shapes])
 
 
@@ -225,7 +226,7 @@ def mass_matrix_at(
         model: Model of the system, or a model that differs from it in gravity only.
         data: Pinocchio's work space, which keeps the results of CRBA.
         pose: Pose coordinates of the base.
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
     Returns:
         Mass matrix, (n, n).
     """

@@ -33,7 +33,7 @@ class ReducedShape(InertiaSplit):
     """The reduction at one shape; arrays are read-only.
 
     Attributes:
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         mass_matrix: Mass matrix H, (n, n), base rows first.
         locked_inertia: Locked inertia I, (r, r).
         local_connection: Local connection A, (r, m).
@@ -137,7 +137,7 @@ class PointwiseReduction:
         """Compute the mass matrix H(x), including armature, with Pinocchio's CRBA.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             Symmetric mass matrix, (n, n), base rows first.
         """
@@ -147,7 +147,7 @@ class PointwiseReduction:
         """Compute the locked inertia I(x) = H_bb, the inertia with locked joints.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             (r, r), symmetric and positive definite.
         """
@@ -157,7 +157,7 @@ class PointwiseReduction:
         """Compute the local form A(x) of the mechanical connection, A = I⁻¹ H_bs.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             (r, m): body twists [linear; angular] per unit joint rate.  Horizontal motion is
             ξ = −A ẋ.
@@ -168,7 +168,7 @@ class PointwiseReduction:
         """Compute the reduced metric M(x) = H_ss − Aᵀ I A, the shape inertia at zero momentum.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             (m, m), symmetric and positive definite.
         """
@@ -177,8 +177,11 @@ class PointwiseReduction:
     def curvature(self, x: ArrayLike) -> Array:
         """Compute the curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] in body form.
 
+        With balls, ∂_α are derivatives along the frame of the shape, and the curvature has the
+        additional term −c^γ_αβ A_γ (see pinred.reduction.curvature).
+
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             (r, m, m), antisymmetric in α, β.  The bracket is the Lie bracket of body twists.
         """
@@ -191,7 +194,7 @@ class PointwiseReduction:
         """Compute the potential V(x) of springs and gravity.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             V [J].  Raises SymmetryError if gravity breaks the symmetry.
         """
@@ -201,9 +204,10 @@ class PointwiseReduction:
         """Compute the gradient of the potential.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
-            ∂V/∂x, (m,) [N m | N].  Raises SymmetryError if gravity breaks the symmetry.
+            ∂V along the frame of the shape, (m,) [N m | N].  Raises SymmetryError if gravity breaks
+            the symmetry.
         """
         return self.checked_potential().gradient(self._shape(x))
 
@@ -213,12 +217,15 @@ class PointwiseReduction:
         Then A′ = Ad_{h⁻¹} A − Θ, B′ = Ad_{h⁻¹} B, I′ = Ad_hᵀ I Ad_h, M′ = M, μ′ = Ad_hᵀ μ.
 
         Args:
-            h: Function of a shape (m,) that returns (group element, Θ).  Θ = h⁻¹ ∂h, (r, m), is
+            h: Function of a shape (nx,) that returns (group element, Θ).  Θ = h⁻¹ ∂h, (r, m), is
                 the body twist of h per unit rate of each joint.  To compute quantities that need
                 ∂A (`at(x).dA`, the accelerations of Lagrange–Poincaré), it must return ∂Θ,
-                (r, m, m), derivative index last, as a third value.
+                (r, m, m), derivative index last, as a third value.  With balls, ∂ is the
+                derivative along the frame of the shape, and h(x) must not depend on the sign of a
+                quaternion.
         Returns:
-            A copy in the new section.  Raises InputError if Θ or ∂Θ is not the derivative.
+            A copy in the new section.  Raises InputError if Θ or ∂Θ is not the derivative, or if h
+            depends on the sign of a quaternion.
         """
         moved = copy(self)
         moved.frames = (*self.frames, MovedFrame(self.system, h))
@@ -233,7 +240,7 @@ class PointwiseReduction:
         """Compute all quantities at one shape together, in 1 + n Pinocchio calls.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             The quantities.
         """
@@ -247,7 +254,7 @@ class PointwiseReduction:
         dA_in_file = np.linalg.solve(I, (dIA - np.einsum("ijc,jb->ibc", dI, A)).reshape(r, -1))
         dA_in_file = dA_in_file.reshape(r, m, m)
         dAtIA = np.einsum("iac,ib->abc", dA_in_file, I @ A) + np.einsum("ia,ibc->abc", A, dIA)
-        curvature, com = compute_curvature(self.group, A, dA_in_file), split.com
+        curvature, com = compute_curvature(self.system, A, dA_in_file), split.com
         dA: Array | InputError = dA_in_file
         for frame in self.frames:
             split, curvature = frame.split(split), frame.curvature(x, curvature)
@@ -266,7 +273,7 @@ class PointwiseReduction:
         """Compute I, A, M, H and the centre of mass at one shape with a single CRBA call.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             The quantities without derivatives.
         """
@@ -298,7 +305,8 @@ class PointwiseReduction:
         return derivative
 
     def _shape(self, x: ArrayLike) -> Array:
-        return vector(x, self.system.m, f"shape x of {self.system.name!r}", self.system.shape_names)
+        what, space = f"shape x of {self.system.name!r}", self.system.space
+        return space.normalized(vector(x, space.nx, what, space.x_names), what)
 
     @property
     def _in_file(self) -> Self:

@@ -64,6 +64,7 @@ class Potential:
         """
         self._system = system
         self._index, self._stiffness, self._rest = _spring_arrays(system, springs or {})
+        self._index_x = np.array(system.space.coordinates_of(self._index.tolist()), dtype=np.intp)
         root = system.model.jointPlacements[1].rotation
         sideways = system.gravity - root @ translations(system) @ falling(system)
         if not weight or np.linalg.norm(sideways) <= 1e-14 * np.linalg.norm(system.gravity):
@@ -100,7 +101,7 @@ class Potential:
         """Return V, (T,) [J], for shapes (T, m) and centres of mass (T, 3) in the root body."""
         placement = self._system.model.jointPlacements[1]
         height = com @ placement.rotation.T + placement.translation
-        spring = 0.5 * (x[:, self._index] - self._rest) ** 2 @ self._stiffness
+        spring = 0.5 * (x[:, self._index_x] - self._rest) ** 2 @ self._stiffness
         return np.asarray(-self._system.mass * height @ self._sideways + spring)
 
     def value(self, x: Array) -> float:
@@ -123,11 +124,11 @@ class Potential:
             q = self._system.model_q(self._identity, x)
             torque = pin.computeGeneralizedGravity(self._model, self._data, q)
             gradient += self._system.on_shape(torque)[self._system.r :]
-        gradient[self._index] += self._stiffness * (x[self._index] - self._rest)
+        gradient[self._index] += self._stiffness * (x[self._index_x] - self._rest)
         return gradient
 
     def _spring_energy(self, x: Array) -> float:
-        return float(0.5 * self._stiffness @ (x[self._index] - self._rest) ** 2)
+        return float(0.5 * self._stiffness @ (x[self._index_x] - self._rest) ** 2)
 
 
 def pivot_weight(system: System) -> Array:
@@ -227,7 +228,7 @@ def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
     directions = []
     for _ in range(_SAMPLES):
         pose = system.group.exp(rng.uniform(-3.0, 3.0, system.r))
-        q = system.model_q(pose, rng.uniform(-3.0, 3.0, system.m))
+        q = system.model_q(pose, system.space.random(rng, 3.0))
         moment = pin.computeGeneralizedGravity(model, data, q)[: system.r]
         pin.centerOfMass(model, data, q)
         size = np.linalg.norm(data.com[0] - data.oMi[1].translation)

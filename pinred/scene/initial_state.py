@@ -15,7 +15,6 @@ from ..common.arrays import Array, FrozenArrays
 from ..common.errors import InputError
 from ..common.names import quoted
 from ..reduction.pointwise_reduction import PointwiseReduction
-from ..system.joints import joint_units
 from ..system.system import System
 
 _RESOLUTION = 1e-6  # largest spacing of floats at an accepted angle [rad]
@@ -28,7 +27,7 @@ class GivenStates:
 
     Attributes:
         pose: Poses of the base, (N, size).
-        x: Shapes, (N, m) [rad | m].
+        x: Shapes, (N, nx) [rad | m | 1].
         xdot: Shape rates, (N, m) [rad/s | m/s].
         xi: Body twists, (N, r) [m/s; rad/s]; None if `mu` is stated.
         mu: Body momenta, (N, r) [N·s; N·m·s]; None if `xi` is stated.
@@ -60,7 +59,7 @@ class Start(FrozenArrays):
 
     Attributes:
         pose: Pose of the base, (size,).
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         xdot: Shape rate, (m,) [rad/s | m/s].
         xi: Body twist, (r,) [m/s; rad/s].
         mu: Body momentum, (r,) [N·s; N·m·s].
@@ -106,7 +105,7 @@ def finite_start(*arrays: Array | None) -> None:
 
 
 def refuse_vague(x: Array, system: System) -> None:
-    """Reject angles of a shape (m,) at which adjacent floats differ by more than 1e-6 rad.
+    """Reject angles of a shape (nx,) at which adjacent floats differ by more than 1e-6 rad.
 
     Raises:
         InputError: An angle is too large.
@@ -121,7 +120,7 @@ def refuse_vague(x: Array, system: System) -> None:
 
 
 def large_angles(x: Array, system: System) -> str:
-    """Return a sentence about angles of a shape (m,) above one turn; empty without such angles."""
+    """Return a sentence about angles of a shape (nx,) above one turn; empty without such angles."""
     large = [(name, angle) for name, angle in _angles(x, system) if abs(angle) > _TURN]
     if not large:
         return ""
@@ -134,7 +133,6 @@ def large_angles(x: Array, system: System) -> str:
 
 
 def _angles(x: Array, system: System) -> list[tuple[str, float]]:
-    """Return names and angles of the revolute joints of a shape (m,)."""
-    names = system.shape_names
-    units = dict(zip(list(system.model.names)[2:], joint_units(system.model), strict=True))
-    return [(n, float(v)) for n, v in zip(names, x, strict=True) if units[n] == "rad"]
+    """Return names and angles of the revolute joints of a shape (nx,)."""
+    rows = zip(system.x_names, x.tolist(), system.space.x_units, strict=True)
+    return [(name, value) for name, value, unit in rows if unit == "rad"]

@@ -1,7 +1,7 @@
 """Accepted input formats of scene options, and their conversion to one internal format.
 
-Python, the command line and scene files accept the same formats.  Joint values are an array
-or a table by joint name.  An integrator is an object or text.  The motion of a joint is a
+Python, the command line and scene files accept the same formats (joint values: see
+joint_values.py).  An integrator is an object or text.  The motion of a joint is a
 Signal, a number or a formula.  Pinocchio's (q, v) may replace pose, shape and velocities.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ast
 import warnings
-from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from numbers import Real
 from typing import Any, Literal
@@ -17,9 +16,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, as_floats, read_only, vector
-from ..common.errors import InputError, PinredError, ShapeError
-from ..common.names import brief, joint_index, nearest, quoted
+from ..common.arrays import Array, vector
+from ..common.errors import InputError, PinredError
+from ..common.names import brief, nearest, quoted
 from ..common.parameter import Parameter
 from ..forces.signals import Constant, Expression, Signal
 from ..integrators.methods import METHODS, Method
@@ -28,40 +27,6 @@ from ..system.coupling import following
 from ..system.system import System
 
 _UNIT = 1e-3  # tolerance for the unit norm of (cosine, sine), for values rounded to few decimals
-
-
-def order_by_joint(value: Any, system: System, what: str) -> Any:
-    """Convert values by joint name to one array in joint order.
-
-    Args:
-        value: {joint: number}, or {joint: (N,) numbers} for N members.  Any value that is not a
-            mapping is returned unchanged.
-        system: System with the joints.
-        what: Name of the option, for messages.
-    Returns:
-        (m,) or (N, m), with zeros for the joints that are not named.
-    Raises:
-        InputError: a joint does not exist or is a mimic joint.
-        ShapeError: the lengths differ.
-    """
-    if not isinstance(value, Mapping):
-        return value
-    for name in value:
-        system.refuse_follower(name, what)
-    columns = {
-        joint_index(name, system.shape_names, what): as_floats(entry, f"{what}['{name}']")
-        for name, entry in value.items()
-    }
-    shapes = {column.shape for column in columns.values()} - {()}
-    if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
-        raise ShapeError(
-            f"{what} must have a number for each joint, or as many for each as there are "
-            f"members, got shapes {', '.join(map(str, sorted(shapes)))}"
-        )
-    array = np.zeros((*(shapes.pop() if shapes else ()), system.m))
-    for k, column in columns.items():
-        array[..., k] = column
-    return read_only(array)
 
 
 def parse_signal(value: Any, what: str) -> Signal:
@@ -105,21 +70,22 @@ def parse_configuration(q: ArrayLike, system: System) -> Configuration:
     """
     q = vector(q, system.model.nq, "q0")
     root, *joints = list(system.model.joints)[1:]
-    names = list(system.model.names)[2:]
     try:
         system.group.pose(q[: root.nq])
     except PinredError as error:
         raise type(error)(f"q0: {error}") from None
-    for name, joint in zip(names, joints, strict=True):
-        norm = float(np.linalg.norm(q[joint.idx_q : joint.idx_q + joint.nq]))
+    sorted_q = system.sorted_q(q)
+    for placed, joint in zip(system.tree.joints, joints, strict=True):
+        norm = float(np.linalg.norm(sorted_q[joint.idx_q : joint.idx_q + joint.nq]))
         if joint.nq == 2 and abs(norm - 1.0) > _UNIT:
             raise InputError(
-                f"q0: cosine and sine of joint '{name}' must have norm 1, got {norm:g}"
+                f"q0: cosine and sine of joint '{placed.name}' must have norm 1, got {norm:g}"
             )
     split = system.configuration(q)
+    x = system.space.normalized(split.x, "q0")
     if system.coupled is not None:
-        _check_followers(system, system.sorted_q(q), system.model_q(split.pose, split.x), "q0")
-    return Configuration(pose=system.group.normalize(split.pose), x=split.x)
+        _check_followers(system, sorted_q, system.model_q(split.pose, x), "q0")
+    return Configuration(pose=system.group.normalize(split.pose), x=x)
 
 
 def parse_velocity(v: ArrayLike, system: System) -> Velocity:
@@ -153,7 +119,7 @@ def _check_followers(system: System, stated: Array, coupled: Array, what: str) -
         InputError: A follower violates its coupling.
     """
     for name in system.followers:
-        joint = system.model.joints[2 + system.joint_number(name)]
+        joint = system.model.joints[system.model.getJointId(name)]
         entries = slice(joint.idx_q, joint.idx_q + joint.nq)
         if what == "v0":
             entries = slice(joint.idx_v, joint.idx_v + 1)

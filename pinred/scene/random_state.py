@@ -9,7 +9,6 @@ import numpy as np
 from ..common.arrays import Array, read_only
 from ..common.memo import once
 from ..system.coordinates import InitialState
-from ..system.joints import is_prismatic
 from ..system.system import System
 
 DURATION = 2.0  # duration of a scene if neither the scene nor the robot states one [s]
@@ -17,7 +16,7 @@ DURATION = 2.0  # duration of a scene if neither the scene nor the robot states 
 
 @dataclass(frozen=True)
 class _Spread:
-    """Ranges of random shapes, (m,) each, and scales of rates (m,) and twists (r,)."""
+    """Ranges of displacements from rest, (m,) each, and scales of rates (m,) and twists (r,)."""
 
     low: Array
     high: Array
@@ -30,7 +29,7 @@ def random_state(system: System, seed: int) -> InitialState:
     spread = once(system, _Spread, lambda: _spread(system))
     rng = np.random.default_rng(seed)
     return InitialState(
-        x=rng.uniform(spread.low, spread.high),
+        x=system.space.integrate(system.space.neutral, rng.uniform(spread.low, spread.high)),
         xdot=rng.normal(size=system.m) * spread.rates,
         xi=rng.normal(size=system.r) * spread.twists,
         duration=DURATION,
@@ -39,7 +38,7 @@ def random_state(system: System, seed: int) -> InitialState:
 
 def _spread(system: System) -> _Spread:
     joints = [system.model.joints[i] for i in system.joints]
-    reach = np.array([0.1 if is_prismatic(joint) else 0.6 for joint in joints])
+    reach = np.array([0.1 if unit == "m" else 0.6 for unit in system.units])
     low, high = -reach, reach.copy()
     limits = system.model.lowerPositionLimit, system.model.upperPositionLimit
     for k, joint in enumerate(joints):
@@ -57,8 +56,9 @@ def _narrow(system: System, low: Array, high: Array) -> None:
     coupled, model = system.coupled, system.model
     if coupled is None:
         return
-    for j, b in enumerate(coupled.offset):
-        joint, terms = model.joints[2 + j], coupled.terms(j)
+    for i, placed in enumerate(system.tree.joints, start=2):
+        joint, j, b = model.joints[i], placed.v.start, coupled.offset[placed.x.start]
+        terms = coupled.terms(j)
         if j in coupled.leads or joint.nq != 1:
             continue
         limits = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]

@@ -23,6 +23,7 @@ from ..system.variants import nominal
 from . import input_formats
 from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
+from .joint_values import order_by_joint
 from .option_checks import (
     check_keyframe,
     check_span,
@@ -89,7 +90,7 @@ class Scene(SceneFields):
             check_tolerances(method, self.rtol, self.atol)
         self._keep("method", method)
         for name in ("x0", "xdot0"):
-            value = input_formats.order_by_joint(getattr(self, name), self.system, name)
+            value = order_by_joint(getattr(self, name), self.system, name)
             self._keep(name, value)
         if self.duration is not None:
             self._keep("duration", positive(self.duration, "duration"))
@@ -120,7 +121,10 @@ class Scene(SceneFields):
         from ..common.html import card, line, numbers, table
 
         system, start = self.system, self.start
-        rows = zip(system.shape_names, start.x.tolist(), start.xdot.tolist(), strict=True)
+        rows = [
+            (joint.name, numbers(start.x[joint.x]), numbers(start.xdot[joint.v]))
+            for joint in system.space.joints
+        ]
         forces: tuple[Force, ...] = vars(self)["forces"]
         acting = [
             *((f"spring {name}", str(spring)) for name, spring in self.springs.items()),
@@ -287,7 +291,7 @@ class Scene(SceneFields):
         pose = system.group.identity() if keyframe is None else keyframe.pose
         if self.pose0 is not None:
             pose = system.group.pose(self.pose0)
-        x = _or_zero(self.x0, system.m, "x0", system.shape_names)
+        x = self._initial_shape()
         xdot = _or_zero(self.xdot0, system.m, "xdot0", system.shape_names)
         xi = _or_zero(self.xi0, system.r, "xi0")
         if self.q0 is not None:
@@ -311,21 +315,30 @@ class Scene(SceneFields):
         mu = vector_or_zero(self.momentum, system.r, "momentum")
         return GivenStates(pose[None], x, xdot, None, mu[None])
 
+    def _initial_shape(self) -> Array:
+        """Return x0 with quaternions of length one; the shape at rest if it is not stated."""
+        space = self.system.space
+        x0: Any = self.x0
+        if x0 is None:
+            return space.neutral
+        return space.normalized(vector(x0, space.nx, "x0", space.x_names), "x0", near=False)
+
     def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Replace the entries of the prescribed joints by their values at time 0.
 
         Args:
-            x: Initial shapes, (N, m) [rad | m].
+            x: Initial shapes, (N, nx) [rad | m | 1].
             xdot: Initial shape rates, (N, m) [rad/s | m/s].
         Returns:
-            Shapes and rates, (N, m) each.
+            Shapes, (N, nx), and rates, (N, m).
         """
         model = self.force_model
         if model is None or not model.joints:
             return x, xdot
         x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
         motion = model.prescribed(0.0, model.numbers_from(0.0, self.end))
-        x[:, joints], xdot[:, joints] = motion.x, motion.xdot
+        x[:, self.system.space.coordinates_of(joints)] = motion.x
+        xdot[:, joints] = motion.xdot
         return x, xdot
 
 

@@ -128,7 +128,7 @@ def rates_near_rest(scene: Scene) -> Rates:
 def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
     m, r = system.m, system.r
     try:
-        at = PointwiseReduction(system).at(np.zeros(m))
+        at = PointwiseReduction(system).at(system.space.neutral)
     except SingularInertiaError:  # The motion may never reach shape zero, so ignore it.
         return Rates(0.0, 0.0)
 
@@ -137,13 +137,13 @@ def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
         base = BaseInSpace(system.group.identity(), xi, np.zeros(r), np.zeros(r))
         return forces.acting(ForceInputs(0.0, x, xdot, xi, np.zeros(r), numbers, base)).torque
 
-    zeros = np.zeros(m)
+    rest, move, zeros = system.space.neutral, system.space.integrate, np.zeros(m)
     K, D = np.empty((m, m)), np.empty((m, m))
     for k in range(m):
         e = np.zeros(m)
         e[k] = _STEP
-        K[:, k] = (torque(-e, zeros) - torque(e, zeros)) / (2.0 * _STEP)
-        D[:, k] = (torque(zeros, -e) - torque(zeros, e)) / (2.0 * _STEP)
+        K[:, k] = (torque(move(rest, -e), zeros) - torque(move(rest, e), zeros)) / (2.0 * _STEP)
+        D[:, k] = (torque(rest, -e) - torque(rest, e)) / (2.0 * _STEP)
     free = np.setdiff1d(np.arange(m), list(forces.joints))
     K, D, M = (matrix[np.ix_(free, free)] for matrix in (K, D, at.reduced_metric))
     with np.errstate(over="ignore", invalid="ignore"):

@@ -17,6 +17,7 @@ from ..forces.named_arrays import Vector
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
 from ..system.force_interface import SeenState
+from ..system.system import System
 from .sample import Sample
 
 # Times closer than this fraction of the duration count as equal.
@@ -99,7 +100,7 @@ class Control:
         controller, _ = forces.held[k]
         names, r = system.shape_names, system.r
         command, self._states[k] = controller.sample(
-            _measured(t, seen, names), seen.mu, self._states[k]
+            _measured(t, seen, system), seen.mu, self._states[k]
         )
         action = controller.held(command, names, r, t)
         joints, values, width = controller.driven(names), action.values, action.width
@@ -113,9 +114,10 @@ class Control:
         return values, t + width
 
 
-def _measured(t: float, seen: Sample, names: tuple[str, ...]) -> SeenState:
+def _measured(t: float, seen: Sample, system: System) -> SeenState:
     """Return the state that a controller observes; its arrays are copies."""
-    x, xdot, base = Vector.of(seen.x, names, "x"), Vector.of(seen.xdot, names, "xdot"), seen.base
+    x, base = Vector.of(seen.x, system.x_names, "x"), seen.base
+    xdot = Vector.of(seen.xdot, system.shape_names, "xdot")
     if base is None:  # Scenes leave out the base only if no controller observes it.
         return SeenState(t, x, xdot, None, None, None, None)
     return SeenState(t, x, xdot, *map(np.array, (base.pose, base.xi, base.mu, base.J)))

@@ -15,6 +15,7 @@ from ..system.state_fields import (
     StateArrays,
     arrays_of,
     axis_labels,
+    dimension,
     with_base,
 )
 from ..system.system import System
@@ -59,9 +60,12 @@ class OverTime(StateArrays):
             axis = FIELDS[name].axis
             if name == "t":
                 continue
-            variables[name] = ((*leading, axis) if axis else leading, values)
-            if axis:
-                coordinates[axis] = list(labels[axis])
+            if axis is None:
+                variables[name] = (leading, values)
+                continue
+            last = dimension(system, axis)
+            variables[name] = ((*leading, last), values)
+            coordinates[last] = list(labels[axis])
         attributes = {"robot": system.name, "group": system.group.name}
         return xarray.Dataset(variables, coordinates, attributes)
 

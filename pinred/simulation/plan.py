@@ -19,7 +19,7 @@ from ..common.memo import once
 from ..forces.force_model import ForceModel, touched_by
 from ..forces.switch_times import ROUND_OFF
 from ..integrators.methods import Method
-from ..kernels.kernel import Layout, Structure, layout_of
+from ..kernels.state_layout import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.potential import acting_gravity, pivot_weight
 from ..reduction.tree.free_bodies import NOTHING, Freed, freed_of
@@ -246,6 +246,7 @@ class Plan:
         # momentum into the body frame.
         constant = self.system.group.turns == 3 and not (zero or acting.momentum_changes)
         lifted = self.method.symplectic and constant
+        lifted_balls = self.method.symplectic and bool(self.system.space.balls)
         any_gravity = generic and varied is not None and varied.gravity_name() == "gravity"
         freed = self.freed(generic=generic)
 
@@ -257,11 +258,14 @@ class Plan:
                 gravity=(0, 1, 2) if axes and any_gravity else axes,
                 base=self.wanted,
                 lifted=lifted,
+                lifted_balls=lifted_balls,
                 freed=freed,
             )
             return Kind(self.system, self.forces, structure)
 
-        return once(acting, (Kind, zero, self.wanted, lifted, freed, any_gravity), make)
+        return once(
+            acting, (Kind, zero, self.wanted, lifted, lifted_balls, freed, any_gravity), make
+        )
 
     def freed(self, *, generic: bool = False) -> Freed:
         """Return the parameters of the robot that are inputs of the kernel; see `kind`."""

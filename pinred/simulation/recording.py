@@ -60,7 +60,7 @@ class Recording(OverTime):
         path: Path of the file.
         robot: Name of the robot.
         group: Name of its symmetry group, such as "SE3".
-        joints: Names of the m shape joints.
+        joints: Labels of the m shape rates.
         content: State, or ShapeState if the base was left out; read-only, with time as first axis.
         origin: Arrays of the file that state how the robot was loaded.
         confirmed: Whether the user named the robot.  Otherwise only a robot known by name or a
@@ -160,7 +160,10 @@ def _read_states(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
     if str(content["group"]) not in GROUPS:
         raise LoadError(f"{quoted_path(path)}: unknown group '{content['group']}'")
     group, m = GROUPS[str(content["group"])], np.size(content["joints"])
-    lengths: dict[Axis, int] = {"joint": m, "twist": group.dim, "coordinate": group.size}
+    nx = np.size(content.get("coordinates", content["joints"]))
+    lengths: dict[Axis, int] = {
+        "shape": nx, "joint": m, "twist": group.dim, "coordinate": group.size,
+    }  # fmt: skip
     state_class = State if State.__dataclass_fields__.keys() <= content.keys() else ShapeState
     count, arrays = np.size(content["t"]), {}
     for name in state_class.__dataclass_fields__:

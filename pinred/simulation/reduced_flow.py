@@ -128,17 +128,18 @@ def entry_name(system: System, active: Sequence[int], cyclic: Sequence[int], ent
 
     Args:
         system: The system.
-        active: Indices of the joints whose positions and momenta come first.
-        cyclic: Indices of the cyclic joints, whose positions follow.
+        active: Indices of the hinges and slides whose positions and momenta come first.
+        cyclic: Indices of the cyclic joints, whose positions follow; then come the balls.
         entry: Index of the entry.
     Returns:
         A noun phrase.
     """
-    names, k = system.shape_names, len(active)
-    if entry < k:
-        return f"the position of joint '{names[active[entry]]}'"
-    if entry < 2 * k:
-        return f"the momentum of joint '{names[active[entry - k]]}'"
-    if entry < 2 * k + len(cyclic):
-        return f"the position of joint '{names[cyclic[entry - 2 * k]]}'"
-    return f"the motion of the root joint '{system.root_name}'"
+    names = system.shape_names
+    entries = [f"the position of joint '{names[k]}'" for k in active]
+    entries += [f"the momentum of joint '{names[k]}'" for k in active]
+    entries += [f"the position of joint '{names[k]}'" for k in cyclic]
+    for quantity, count in (("momentum", 3), ("attitude", 4)):
+        for joint in system.space.balls:
+            entries += [f"the {quantity} of ball joint '{joint.name}'"] * count
+    root = f"the motion of the root joint '{system.root_name}'"
+    return entries[entry] if entry < len(entries) else root

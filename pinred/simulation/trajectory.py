@@ -180,7 +180,7 @@ class Trajectory(OverTime):
         out, run = self.outputs, self.run
         rows = [
             (name, float(x[0]), float(x[-1]), float(x.min()), float(x.max()))
-            for name, x in zip(self.system.shape_names, out.x.T, strict=True)
+            for name, x in zip(self.system.x_names, out.x.T, strict=True)
         ]
         momenta = ""
         lines = [f"energy [J]: {number(out.energy[0])} → {number(out.energy[-1])}"]

@@ -71,6 +71,7 @@ def robot_arrays(system: System) -> dict[str, Any]:
         "robot": np.array(system.name),
         "group": np.array(system.group.name),
         "joints": np.array(system.shape_names, dtype=str),
+        **({"coordinates": np.array(system.x_names, dtype=str)} if system.space.balls else {}),
         "source": np.array("" if origin is None else origin.source),
         "lock_joints": np.array(list(lock), dtype=str),
         "lock_values": np.array(list(lock.values()), dtype=float),

@@ -1,6 +1,6 @@
 """Admission of models: which models pinred can reduce, and error messages for all others.
 
-pinred reduces trees of revolute and prismatic joints whose root moves in one of the groups.  It
+pinred reduces trees of hinges, slides and balls whose root moves in one of the groups.  It
 rejects invalid numbers (infinite values, negative masses or moments) and mass matrices that are
 singular at every shape.  Inertias that no mass distribution has, and mass matrices that are
 singular at isolated shapes, cause warnings (`doubts`).
@@ -47,19 +47,15 @@ class Admission:
     doubts: tuple[str, ...]
 
 
-def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
-    """Check that a model can be reduced; return its symmetry group and warnings.
+def check_joints(model: pin.Model) -> None:
+    """Check the names, number and kinds of joints.
 
     Args:
         model: Model whose joint 1 is the root, with joints in depth-first order.
-        coupled: Dependence of follower joints on independent joints; None without followers.
-    Returns:
-        Symmetry group and warnings.
     Raises:
-        ModelError: pinred cannot reduce the model.  The message names the joint or link at
-            fault and a remedy.
+        ModelError: pinred cannot reduce such joints.
     """
-    group = _root_group(model)
+    _root_group(model)
     if model.nv > _MOST_FREEDOMS:
         raise ModelError(
             f"the model has {model.nv} degrees of freedom, more than {_MOST_FREEDOMS}: each work "
@@ -73,6 +69,21 @@ def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
         raise ModelError(f"several joints are called {quoted(twice)}; give each a unique name")
     for i in range(2, model.njoints):
         _admit_shape_joint(model, i)
+
+
+def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
+    """Check that a model can be reduced; return its symmetry group and warnings.
+
+    Args:
+        model: Model whose joints `check_joints` accepts.
+        coupled: Dependence of follower joints on independent joints; None without followers.
+    Returns:
+        Symmetry group and warnings.
+    Raises:
+        ModelError: pinred cannot reduce the model.  The message names the joint or link at
+            fault and a remedy.
+    """
+    group = _root_group(model)
     for i in range(1, model.njoints):
         _admit_geometry(model, i)
     _admit_numbers(model, group)
@@ -108,8 +119,8 @@ def _admit_shape_joint(model: pin.Model, i: int) -> None:
         kind = joint_kind(joint)
         raise ModelError(
             f"joint {quoted(name)} is of kind {kind} with {joint.nv} degrees of freedom, which is "
-            "not a product of hinges and slides; replace it by such joints with massless bodies "
-            "between them, or lock it"
+            "not a product of hinges, slides and balls; replace it by such joints with massless "
+            "bodies between them, or lock it"
         )
 
 
@@ -139,6 +150,15 @@ def _admit_numbers(model: pin.Model, group: Group) -> None:
         )
     if (model.armature < 0.0).any():
         raise ModelError(f"armature must not be negative: {model.armature}")
+    for i in range(2, model.njoints):
+        first = model.joints[i].idx_v
+        armature = model.armature[first : first + model.joints[i].nv]
+        if not (armature == armature[0]).all():
+            raise ModelError(
+                f"ball joint {quoted(model.names[i])} has armature {armature}; the kinetic energy "
+                "is invariant only if the armature is equal about all three axes. Give it one "
+                "value, or replace the ball by three hinges"
+            )
     rotor = model.armature[: group.dim]
     if (group.dim > 1 or group.linear) and rotor.any():
         raise ModelError(

@@ -16,6 +16,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..lie.group import Group
 from .rebuild import rebuild
+from .shape_space import ShapeSpace
 
 Indices: TypeAlias = NDArray[np.intp]
 
@@ -26,7 +27,7 @@ class InitialState:
     """A generic initial state, with a duration that shows its typical motion.
 
     Attributes:
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         xdot: Shape rate, (m,) [rad/s | m/s].
         xi: Body twist of the base [linear; angular], (r,).
         duration: Duration [s].
@@ -45,7 +46,7 @@ class Configuration:
 
     Attributes:
         pose: Pose of the base, (..., size).
-        x: Shape, (..., m) [rad | m].
+        x: Shape, (..., nx) [rad | m | 1].
     """
 
     pose: Array
@@ -68,7 +69,7 @@ class Velocity:
 
 @dataclass(frozen=True, eq=False)
 class CoordinateMap:
-    """Map between the coordinates y = (pose, x of all joints) and Pinocchio's q.
+    """Map between the coordinates y = (pose, coordinates of all joints) and Pinocchio's q.
 
     Attributes:
         plain: Indices in y of the coordinates that q stores unchanged.
@@ -99,15 +100,26 @@ class CoordinateMap:
         return y
 
 
-def coordinate_map(model: pin.Model, group: Group) -> CoordinateMap:
-    """Return the map between pose and joint values and q, for a model with root `group`."""
+def coordinate_map(model: pin.Model, group: Group, tree: ShapeSpace) -> CoordinateMap:
+    """Return the map between (pose, coordinates of all joints) and q.
+
+    Args:
+        model: Model whose root moves in the group.
+        group: Group of the root.
+        tree: Manifold of all joints except the root.
+    Returns:
+        The map.
+    """
     plain = [(k, k) for k in range(group.size)]  # pairs of indices in y and in q
     angle: list[tuple[int, int]] = []
     if model.joints[1].nq > group.size:
         angle.append(plain.pop())
-    for i in range(2, model.njoints):
-        joint = model.joints[i]
-        (angle if joint.nq == 2 else plain).append((group.size + i - 2, joint.idx_q))
+    for i, placed in enumerate(tree.joints, start=2):
+        joint, first = model.joints[i], group.size + placed.x.start
+        if joint.nq == 2:
+            angle.append((first, joint.idx_q))
+        else:
+            plain += [(first + k, joint.idx_q + k) for k in range(joint.nq)]
     columns = (np.array(pairs, dtype=np.intp).reshape(-1, 2).T for pairs in (plain, angle))
     return CoordinateMap(*(column for pair in columns for column in pair))
 

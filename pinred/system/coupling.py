@@ -18,32 +18,45 @@ from ..common.errors import InputError, ModelError
 from ..common.names import listed, quoted
 from .locked_joints import Tie
 from .robot_file_contents import Coupling
+from .shape_space import ShapeSpace, shape_space
 
 _SAME = 1e-9  # tolerance between a follower's locked value and the value of its coupling [rad | m]
 
 
 @dataclass(frozen=True, eq=False)
 class Coupled(FrozenArrays):
-    """All M joints of a tree as functions of the m independent joints.  Arrays are read-only.
+    """All joints of a tree as functions of the independent joints.  Arrays are read-only.
+
+    M is the number of rates of all joints except the root.  Coordinates and rates differ in number
+    only if the tree has balls, which neither follow nor lead.
 
     Attributes:
-        leads: Indices of the independent joints among all joints, (m,).
-        G: Matrix of x = G y + b, (M, m).  The row of an independent joint is a unit vector.
-        offset: Offset b of each joint, (M,) [rad | m].
+        space: Manifold of the independent joints.
+        leads: Indices of the independent rates among all rates, (m,).
+        leads_x: Indices of the independent coordinates among all coordinates, (nx,).
+        G: Matrix of the rates, ẋ = G ẏ, (M, m).  The row of an independent rate is a unit vector.
+        G_x: Matrix of the coordinates, x = G_x y + b; equal to G without balls.
+        offset: Offset b of each coordinate [rad | m].
     """
 
+    space: ShapeSpace
     leads: NDArray[np.intp]
+    leads_x: NDArray[np.intp]
     G: Array
+    G_x: Array
     offset: Array
 
-    def terms(self, joint: int) -> list[tuple[int, float]]:
-        """Return the nonzero entries of a joint's row of G, [(index of the coordinate, ratio)]."""
-        row = self.G[joint]
-        return [(k, float(row[k])) for k in np.flatnonzero(row).tolist()]
+    def terms(self, rate: int) -> list[tuple[int, float]]:
+        """Return the nonzero entries of a row of G, [(index of the independent rate, ratio)]."""
+        return _terms(self.G[rate])
+
+    def value_terms(self, coordinate: int) -> list[tuple[int, float]]:
+        """Return the nonzero entries of a row of G_x, like `terms`."""
+        return _terms(self.G_x[coordinate])
 
     def values(self, y: Array) -> Array:
-        """Compute the values of all joints, (..., M), from independent joint values y, (..., m)."""
-        return np.asarray(y @ self.G.T + self.offset)
+        """Compute the coordinates of all joints from independent coordinates y, (..., nx)."""
+        return np.asarray(y @ self.G_x.T + self.offset)
 
     def rates(self, v: Array, r: int) -> Array:
         """Compute velocities of root and all joints, (..., r + M), for v = (ξ, ẏ) (..., r + m)."""
@@ -63,11 +76,15 @@ class Coupled(FrozenArrays):
         return self.forces(np.swapaxes(HG, -1, -2), r)
 
 
-def coupled(joints: Sequence[str], couplings: Sequence[Coupling], root: str = "") -> Coupled | None:
+def _terms(row: Array) -> list[tuple[int, float]]:
+    return [(k, float(row[k])) for k in np.flatnonzero(row).tolist()]
+
+
+def coupled(tree: ShapeSpace, couplings: Sequence[Coupling], root: str = "") -> Coupled | None:
     """Return all joints as functions of the independent joints, or None without couplings.
 
     Args:
-        joints: Names of all joints except the root, (M,).
+        tree: Manifold of all joints except the root.
         couplings: Couplings in the file.
         root: Name of the root joint, whose motion is the symmetry.
     Returns:
@@ -78,16 +95,32 @@ def coupled(joints: Sequence[str], couplings: Sequence[Coupling], root: str = ""
     """
     if not couplings:
         return None
-    direct = resolved(couplings, joints, root)
-    leads = [j for j, name in enumerate(joints) if name not in direct]
-    index = {joints[j]: k for k, j in enumerate(leads)}
-    G = np.zeros((len(joints), len(leads)))
-    for j, name in enumerate(joints):
-        ratios = direct[name].ratios if name in direct else {name: 1.0}
-        for leader, ratio in ratios.items():
-            G[j, index[leader]] = ratio
-    offset = [direct[name].offset if name in direct else 0.0 for name in joints]
-    return Coupled(np.array(leads, dtype=np.intp), G, np.array(offset))
+    scalars = {joint.name: joint for joint in tree.joints if not joint.kind.is_ball}
+    direct = resolved(couplings, list(scalars), root)
+    joints = [joint for joint in tree.joints if joint.name not in direct]
+    space = shape_space([joint.name for joint in joints], [joint.kind for joint in joints])
+    placed = {joint.name: joint for joint in space.joints}
+    G, G_x, offset = np.zeros((tree.m, space.m)), np.zeros((tree.nx, space.nx)), np.zeros(tree.nx)
+    for joint in joints:
+        lead = placed[joint.name]
+        G[joint.v, lead.v], G_x[joint.x, lead.x] = np.eye(joint.kind.m), np.eye(joint.kind.nx)
+    for name, coupling in direct.items():
+        follower = scalars[name]
+        offset[follower.x] = coupling.offset
+        for leader, ratio in coupling.ratios.items():
+            G[follower.v, placed[leader].v] = G_x[follower.x, placed[leader].x] = ratio
+    return Coupled(
+        space=space,
+        leads=_indices([joint.v for joint in joints]),
+        leads_x=_indices([joint.x for joint in joints]),
+        G=G,
+        G_x=G_x if space.balls else G,
+        offset=offset,
+    )
+
+
+def _indices(slices: Sequence[slice]) -> NDArray[np.intp]:
+    return np.array([k for s in slices for k in range(s.start, s.stop)], dtype=np.intp)
 
 
 def resolved(

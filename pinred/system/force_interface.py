@@ -15,7 +15,7 @@ import numpy as np
 
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
-from ..common.names import brief, joint_index
+from ..common.names import brief, joint_index, listed, quoted
 from ..common.parameter import Parameter
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class SeenState:
 
     Attributes:
         t: Time [s].
-        x: Shape, (m,) [rad | m], by number or by joint name.
+        x: Shape, (nx,) [rad | m | 1], by number or by label.
         xdot: Shape rate, (m,) [rad/s | m/s], by number or by joint name.
         pose: Pose of the base, (size,).
         xi: Body twist of the base, (r,).
@@ -92,10 +92,11 @@ class Symbols:
     Only forces with `last` receive `others`, `accelerations` and `required_torque`.
 
     Attributes:
-        names: Names of the shape joints, (m,).
+        names: Labels of the shape rates, (m,): joint names, "neck.x" for an axis of a ball.
+        x_names: Labels of the shape coordinates, (nx,): joint names, "neck.qx" for a ball.
         t: Time [s].
-        x: Shape, (m,) [rad | m], by number or by joint name.
-        xdot: Shape rate, (m,) [rad/s | m/s], by number or by joint name.
+        x: Shape, (nx,) [rad | m | 1], by number or by label.
+        xdot: Shape rate, (m,) [rad/s | m/s], by number or by label.
         xi: Body twist of the base, relative to the motion of the centre of mass, (r,).
         mu: Body momentum about the centre of mass, (r,), with zero linear part; for SO2 and SO3
             about the axis or pivot.
@@ -109,6 +110,7 @@ class Symbols:
     """
 
     names: tuple[str, ...]
+    x_names: tuple[str, ...]
     t: ca.SX
     x: ca.SX
     xdot: ca.SX
@@ -141,6 +143,46 @@ class Symbols:
             InputError: The name is unknown; the message lists the joints.
         """
         return joint_index(name, self.every_name, what)
+
+    def position(self, joint: int, what: str) -> Any:
+        """Return the coordinate of a hinge or slide.
+
+        Args:
+            joint: Index of the joint in `every_name`.
+            what: Beginning of the error message.
+        Returns:
+            The coordinate [rad | m].
+        Raises:
+            InputError: The index belongs to an axis of a ball, which has no coordinate.
+        """
+        name = self.every_name[joint]
+        if joint >= len(self.names):
+            followed: Any = self.x
+            return followed[name]
+        if name not in self.x_names:
+            raise InputError(
+                f"{what}: {name!r} is an axis of a ball joint, along which there is no coordinate; "
+                "use a force on the whole ball"
+            )
+        return self.x[self.x_names.index(name)]
+
+    def ball(self, name: str, what: str) -> tuple[Any, int]:
+        """Return the quaternion of a ball, (4,), and the index of its first rate.
+
+        Args:
+            name: Name of the ball joint.
+            what: Beginning of the error message.
+        Raises:
+            InputError: There is no ball joint with this name; the message lists the balls.
+        """
+        balls = [label.removesuffix(".qx") for label in self.x_names if label.endswith(".qx")]
+        if name not in balls:
+            raise InputError(
+                f"{what}: no ball joint {quoted(str(name))}; the ball joints are "
+                f"{listed(balls, 30) or 'none'}"
+            )
+        first = self.x_names.index(f"{name}.qx")
+        return self.x[first : first + 4], self.names.index(f"{name}.x")
 
     def refuse_follower(self, joint: int, what: str) -> None:
         """Reject a follower joint, which is not a shape coordinate.

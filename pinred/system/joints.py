@@ -15,6 +15,8 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..lie.group import Group
 from ..lie.groups import GROUPS, SE3
+from .elementary_joints import elementary_joint
+from .shape_space import ShapeSpace, shape_space
 
 _ALONG = 1e-9  # largest round-off in the direction of a unit twist along a group axis
 _INDEPENDENT = 1e-6  # smallest singular value of six linearly independent unit twists
@@ -37,9 +39,8 @@ def motion_group(joint: pin.JointModel) -> Group | None:
 
 
 def is_shape_joint(joint: pin.JointModel) -> bool:
-    """Return whether a joint is revolute or prismatic, and so can be a shape coordinate."""
-    group = motion_group(joint)
-    return group is not None and group.dim == 1
+    """Return whether a joint is a hinge, a slide or a ball, and so can be part of the shape."""
+    return elementary_joint(joint) is not None
 
 
 def is_prismatic(joint: pin.JointModel) -> bool:
@@ -64,9 +65,11 @@ def joint_configuration(joint: pin.JointModel, value: float) -> list[float]:
     return [value] if joint.nq == 1 else [float(np.cos(value)), float(np.sin(value))]
 
 
-def joint_units(model: pin.Model) -> tuple[str, ...]:
-    """Return the units of all joints except the root: "m" if prismatic, "rad" if revolute."""
-    return tuple("m" if is_prismatic(model.joints[i]) else "rad" for i in range(2, model.njoints))
+def tree_space(model: pin.Model) -> ShapeSpace:
+    """Return the manifold of all joints except the root.  They are hinges, slides and balls."""
+    joints = [model.joints[i] for i in range(2, model.njoints)]
+    kinds = [kind for joint in joints if (kind := elementary_joint(joint)) is not None]
+    return shape_space([str(name) for name in model.names[2:]], kinds)
 
 
 def root_joint(group: Group) -> pin.JointModel:

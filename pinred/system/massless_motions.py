@@ -67,12 +67,14 @@ class Tree:
         """Whether any body lacks mass or a moment of inertia."""
         return any(basis.shape[1] for basis in self.still)
 
-    def moved(self, i: int, value: float) -> Array:
+    def moved(self, i: int, displacement: Array | float) -> Array:
         """Return the (6, 6) matrix from twists in body i's frame to its parent's.
 
-        value: Value of the joint [rad | units of length].
+        displacement: Displacement of the joint from rest; for a ball, a rotation vector
+            [rad | units of length].
         """
-        turn = pin.exp6(pin.Motion(self.axes[i][:, 0] * value)).action
+        twist = self.axes[i] * displacement
+        turn = pin.exp6(pin.Motion(twist.sum(axis=1))).action
         return np.asarray(self.placements[i] @ turn)
 
 
@@ -128,12 +130,13 @@ def _energy_free_twists(inertia: pin.Inertia, unit: float) -> Array:
     return _orthonormal(np.hstack([np.eye(6, 3), about_mass]))
 
 
-def massless_twists(tree: Tree, x: Sequence[float], tolerance: float) -> list[Array]:
+def massless_twists(tree: Tree, x: Sequence[Array | float], tolerance: float) -> list[Array]:
     """Return orthonormal bases, (6, k), of the massless twists N of every body at a shape.
 
     Args:
         tree: Tree of bodies and joints.
-        x: Value of every joint [rad | units of length]; the root's entry is not used.
+        x: Displacement of every joint from rest [rad | units of length]; the root's entry is not
+            used.
         tolerance: Sine of the largest angle between directions that count as equal.
     """
     N = list(tree.still)
@@ -155,7 +158,7 @@ def bound_massless_twists(tree: Tree, tolerance: float) -> list[Array]:
     for i in range(len(N) - 1, 0, -1):
         parent = tree.parents[i]
         if N[parent].shape[1]:
-            K = _invariant_closure(undoing_twists(tree, i, N[i]), tree.axes[i][:, 0])
+            K = _invariant_closure(undoing_twists(tree, i, N[i]), tree.axes[i])
             N[parent] = intersect(N[parent], tree.placements[i] @ K, tolerance)
     return N
 
@@ -195,11 +198,16 @@ def intersect(A: Array, B: Array, tolerance: float) -> Array:
     return np.asarray(A @ directions[sines <= tolerance].T)
 
 
-def _invariant_closure(P: Array, axis: Array) -> Array:
-    """Return a basis of the smallest subspace that contains P and is invariant under [axis, ·]."""
-    bracket, K = SE3.ad(axis), P
+def _invariant_closure(P: Array, axes: Array) -> Array:
+    """Return a basis of the smallest subspace that contains P and is invariant under [axis, ·].
+
+    axes: Twists of a joint, (6, nv).
+    """
+    brackets, K = [SE3.ad(axis) for axis in axes.T], P
     while True:
-        larger = _sum_of(K, bracket @ K)
+        larger = K
+        for bracket in brackets:
+            larger = _sum_of(larger, bracket @ K)
         if larger.shape == K.shape:
             return K
         K = larger

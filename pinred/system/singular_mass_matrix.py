@@ -3,7 +3,8 @@
 Random shapes show whether a joint moves no mass at every shape.  Subspaces that contain the
 massless motions at every shape prove that the matrix is regular (`bound_massless_twists`).  If
 singularity depends on child joints only, closed forms provide the joint values.  In all other
-cases, local minimisation from quarter turns and from random shapes searches for examples.
+cases, local minimisation from quarter turns and from random shapes searches for examples (only in
+trees without balls).
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class SingularShapes:
         everywhere: Names of joints that move no mass at any shape.  If these joints are locked,
             the matrix is regular at most shapes.
         nearly: Joints that move no mass at any shape if the decimals of a file are not exact.
-        isolated: Examples of isolated singular shapes.
+        isolated: Examples of isolated singular shapes; always empty for trees with balls.
     """
 
     everywhere: tuple[str, ...] = ()
@@ -92,12 +93,13 @@ def singular_shapes(model: pin.Model, coupled: Coupled | None = None) -> Singula
     if not suspects:
         return SingularShapes()
     rng = np.random.default_rng(0)
-    shapes = rng.uniform(-np.pi, np.pi, (_SHAPES, len(tree.names))).tolist()
+    shapes = [_random_displacements(tree, rng) for _ in range(_SHAPES)]
     everywhere = _massless_joints(tree, shapes, EXACT)
     nearly = [] if everywhere else _massless_joints(tree, shapes, NEARLY)
     usual = massless_twists(tree, shapes[0], NEARLY)
     isolated: list[SingularShape] = []
-    for i in () if everywhere else suspects:
+    has_balls = any(axes.shape[1] > 1 for axes in tree.axes[1:])
+    for i in () if everywhere or has_balls else suspects:
         if i in nearly:
             continue
         values = _by_children(model, tree, i, bounds, usual)
@@ -110,13 +112,19 @@ def singular_shapes(model: pin.Model, coupled: Coupled | None = None) -> Singula
         tuple(tree.names[i] for i in nearly),
         tuple(isolated),
     )
-    if coupled is None or singular == SingularShapes():
+    if coupled is None or has_balls or singular == SingularShapes():
         # Couplings restrict the motions, so a regular mass matrix stays regular.
         return singular
     return _coupled_singular_shapes(model, coupled)
 
 
-def _massless_joints(tree: Tree, shapes: list[list[float]], tolerance: float) -> list[int]:
+def _random_displacements(tree: Tree, rng: np.random.Generator) -> list[Array | float]:
+    """Return a random displacement of each joint: a number, or a ball's rotation vector."""
+    balls = [False, *(axes.shape[1] > 1 for axes in tree.axes[1:])]
+    return [rng.uniform(-1.0, 1.0, 3) if b else float(rng.uniform(-np.pi, np.pi)) for b in balls]
+
+
+def _massless_joints(tree: Tree, shapes: list[list[Array | float]], tolerance: float) -> list[int]:
     """Return the joints to lock so that every other joint moves mass, deepest joint first."""
     joints: list[int] = []
     while True:

@@ -16,7 +16,7 @@ from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
 from ..lie.group import Group
-from .admission import admit
+from .admission import admit, check_joints
 from .coordinates import (
     Configuration,
     CoordinateMap,
@@ -28,9 +28,10 @@ from .coordinates import (
 )
 from .coupling import Coupled, coupled, following
 from .force_interface import Force
-from .joints import joint_units
+from .joints import tree_space
 from .rebuild import depth_first
 from .robot_file_contents import Contents, Coupling, Keyframe, LeftOut, Origin
+from .shape_space import ShapeSpace
 
 T = TypeVar("T")
 
@@ -51,8 +52,9 @@ class System:
         origin: Name or file from which the robot was loaded, if any.
         contents: Contents of the file other than bodies and joints.
         group: Symmetry group, the motion of the root joint.
+        space: Manifold of the shape: coordinates, rates, labels and units of the shape joints.
+        tree: Manifold of all joints except the root, followers included.
         coupled: Dependence of follower joints on the shape; None without followers.
-        shape_names: Names of the shape joints, (m,), in the order of x.
         doubts: Warnings, one sentence each, about inertias that no real body has and about
             isolated shapes at which the mass matrix is singular.
     """
@@ -63,8 +65,9 @@ class System:
     origin: Origin | None = None
     contents: Contents = field(default=Contents(), repr=False)
     group: Group = field(init=False)
+    space: ShapeSpace = field(init=False, repr=False)
+    tree: ShapeSpace = field(init=False, repr=False)
     coupled: Coupled | None = field(init=False, repr=False)
-    shape_names: tuple[str, ...] = field(init=False)
     doubts: tuple[str, ...] = field(init=False, repr=False)
     _order: JointOrder | None = field(init=False, repr=False)
     _map: CoordinateMap = field(init=False, repr=False)
@@ -76,25 +79,24 @@ class System:
         model, joint_order = self.model, None
         if order != sorted(order):
             model, joint_order = reordered(model, order)
-        names = tuple(model.names[i] for i in range(2, model.njoints))
-        couplings = coupled(names, self.couplings, model.names[1])
+        check_joints(model)
+        tree = tree_space(model)
+        couplings = coupled(tree, self.couplings, model.names[1])
         admission = admit(model, couplings)
         vars(self).update(
             model=model,
             group=admission.group,
+            space=tree if couplings is None else couplings.space,
             coupled=couplings,
-            shape_names=names if couplings is None else tuple(names[j] for j in couplings.leads),
             doubts=admission.doubts,
+            tree=tree,
             _order=joint_order,
-            _map=coordinate_map(model, admission.group),
+            _map=coordinate_map(model, admission.group, tree),
         )
 
     def __getstate__(self) -> dict[str, Any]:
         # Work spaces and kernels belong to this process; other processes create their own.
         return {name: value for name, value in vars(self).items() if name != "_once"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
 
     def __repr__(self) -> str:
         return f"System({self.name!r}, group={self.group.name}, r={self.r}, m={self.m})"
@@ -102,13 +104,10 @@ class System:
     def _repr_html_(self) -> str:
         from ..common.html import card, table
 
-        rows = [
-            (name, "prismatic" if unit == "m" else "revolute", unit)
-            for name, unit in zip(self.shape_names, self.units, strict=True)
-        ]
+        rows = [(joint.name, joint.kind.name, joint.kind.units[0]) for joint in self.space.joints]
         summary = (
             f"group {self.group.name} (r = {self.r}) on joint '{self.root_name}', shape of "
-            f"{self.m} joints, {self.mass:g} kg, gravity "
+            f"{len(rows)} joints (m = {self.m}), {self.mass:g} kg, gravity "
             f"({', '.join(f'{g:g}' for g in self.gravity)}) m/s²"
         )
         if self.couplings:
@@ -122,8 +121,23 @@ class System:
 
     @property
     def m(self) -> int:
-        """Dimension of the shape space: the number of independent joints except the root."""
-        return len(self.shape_names)
+        """Dimension of the shape space: the number of rates of independent joints."""
+        return self.space.m
+
+    @property
+    def nx(self) -> int:
+        """Number of shape coordinates: m, plus one for each ball."""
+        return self.space.nx
+
+    @property
+    def shape_names(self) -> tuple[str, ...]:
+        """Labels of the shape rates, (m,): names of joints, "neck.x" for an axis of a ball."""
+        return self.space.names
+
+    @property
+    def x_names(self) -> tuple[str, ...]:
+        """Labels of the shape coordinates, (nx,): "neck.qx" … "neck.qw" for a ball "neck"."""
+        return self.space.x_names
 
     @property
     def n(self) -> int:
@@ -132,15 +146,14 @@ class System:
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Indices of the shape joints in the model, (m,)."""
-        every = range(2, self.model.njoints)
-        return tuple(every if self.coupled is None else (2 + self.coupled.leads).tolist())
+        """Index in the model of the joint of each shape rate, (m,)."""
+        numbers = {str(name): i for i, name in enumerate(self.model.names)}
+        return tuple(numbers[joint.name] for joint in self.space.joints for _ in joint.kind.rates)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Units of the shape coordinates: "m" for prismatic joints, "rad" for revolute ones."""
-        units = joint_units(self.model)
-        return tuple(units[i - 2] for i in self.joints)
+        """Units of displacements along the frame of the shape, (m,): "rad" or "m"."""
+        return self.space.units
 
     @property
     def couplings(self) -> tuple[Coupling, ...]:
@@ -151,16 +164,6 @@ class System:
     def followers(self) -> tuple[str, ...]:
         """Names of the follower joints, in the order of the couplings."""
         return tuple(coupling.follower for coupling in self.couplings)
-
-    def joint_number(self, name: str) -> int:
-        """Return the index of a joint among all M joints except the root.
-
-        Args:
-            name: Name of the joint.
-        Returns:
-            Index from 0; follower joints are counted.
-        """
-        return int(self.model.getJointId(name)) - 2
 
     def refuse_follower(self, name: str, what: str) -> None:
         """Reject a follower joint, which is not a shape coordinate.
@@ -228,7 +231,7 @@ class System:
 
         Args:
             pose: Pose of the base, (..., size).
-            x: Shape, (..., m) [rad | m].
+            x: Shape, (..., nx) [rad | m | 1].
         Returns:
             (..., nq): configuration.
         Raises:
@@ -262,7 +265,7 @@ class System:
         y = self._map.from_q(self.sorted_q(self._last(q, self.model.nq, "q")))
         x = y[..., self.group.size :]
         if self.coupled is not None:
-            x = x[..., self.coupled.leads]
+            x = x[..., self.coupled.leads_x]
         return Configuration(pose=y[..., : self.group.size], x=x)
 
     def velocity(self, v: ArrayLike) -> Velocity:
@@ -282,7 +285,7 @@ class System:
         return Velocity(xi=v[..., : self.r], xdot=xdot)
 
     def joint_values(self, x: Array) -> Array:
-        """Return the values (..., M) of all joints except the root at shape x (..., m)."""
+        """Return the coordinates of all joints except the root at shape x (..., nx)."""
         return x if self.coupled is None else self.coupled.values(x)
 
     def joint_rates(self, v: Array) -> Array:
@@ -302,8 +305,8 @@ class System:
         return matrix if self.coupled is None else self.coupled.matrix(matrix, self.r)
 
     def model_q(self, pose: ArrayLike, x: ArrayLike) -> Array:
-        """Compute q (..., nq) in the joint order of `model` for pose (..., size), x (..., m)."""
-        pose, x = self._pair(pose, x, (self.group.size, self.m), ("pose", "x"))
+        """Compute q (..., nq) in the joint order of `model` for pose (..., size), x (..., nx)."""
+        pose, x = self._pair(pose, x, (self.group.size, self.nx), ("pose", "x"))
         return self._map.to_q(np.concatenate([pose, self.joint_values(x)], axis=-1))
 
     def model_v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:

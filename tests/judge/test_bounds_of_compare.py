@@ -16,7 +16,6 @@ from pinred.cli.compare_command import print_comparison
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.judge.verdict import EXIT_CODES, Verdict, _closest
-from pinred.system.joints import joint_units
 
 RTOL, ATOL = 1e-8, 5e-9
 TOLERANCE = RTOL + ATOL
@@ -215,7 +214,7 @@ def test_size_of_prismatic_joint_is_at_least_radius_of_gyration() -> None:
     assert {"m", "rad"} == set(system.units)
     result = full.size(FullMotion(x=np.zeros((1, 6)), q=q[None])).joints
     sizes = {"m": radius, "rad": 1.0}
-    assert result == pytest.approx([sizes[unit] for unit in joint_units(system.model)])
+    assert result == pytest.approx([sizes[unit] for unit in system.tree.units])
 
 
 @pytest.mark.parametrize("away", [0.0, 3.0])

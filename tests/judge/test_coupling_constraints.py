@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from robot_texts import joint, link, robot, write
 import pinred
 from pinred.judge.coupling_constraints import CouplingConstraints
 from pinred.judge.reference_solution import FullState
-from pinred.system.coupling import Coupled
 
 MASSLESS = robot(
     *(link(name, mass) for name, mass in (("a", 2.0), ("b", 2.0), ("c", 0.0), ("d", 1.0))),
@@ -146,7 +146,7 @@ def test_compare_fails_for_wrong_coupling_ratio(monkeypatch: pytest.MonkeyPatch,
     follower = next(j for j, row in enumerate(coupled.G) if j not in coupled.leads and row.any())
     G = coupled.G.copy()
     G[follower] *= 1.0 + 1e-6
-    wrong = Coupled(coupled.leads.copy(), G, coupled.offset.copy())
+    wrong = replace(coupled, G=G, G_x=G)
     monkeypatch.setitem(right.__dict__, "coupled", wrong)
     report = pinred.compare(pinred.simulate(right, seed=1, duration=0.5))
     assert not report.passed

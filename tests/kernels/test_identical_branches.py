@@ -17,9 +17,9 @@ from trees import limbed_model, mirrored_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.kernels.adjoint_lanes import adjoint_in_lanes
-from pinred.kernels.kernel import Structure
 from pinred.kernels.machine.native import compile_object, load_object
 from pinred.kernels.reduced_graph import ReducedGraph
+from pinred.kernels.state_layout import Structure
 from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
 from pinred.reduction.tree.identical_branches import Lanes, links_of
 from pinred.reduction.tree.scalars import Turn

@@ -163,7 +163,7 @@ def test_followers_of_prescribed_leader_follow_the_plan(engine: Engine) -> None:
     report = pinred.compare(traj)
     assert report.passed, str(report)
     # The drive acts on the leader alone; the multipliers carry it to the others.
-    at = system.r + system.joint_number(chosen)
+    at = system.r + system.tree.names.index(chosen)
     for k in (0, len(traj.t) // 2, -1):
         tau = np.zeros(system.model.nv)
         tau[at] = traj.driving_torques[k, 0]

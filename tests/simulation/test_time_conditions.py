@@ -60,7 +60,7 @@ def written_end(traj: pinred.Trajectory, torque: Any, spacing: float = 2e-3) -> 
             lambda t, y, inside=inside: rate(float(np.clip(t, *inside)), y), (a, b), y,
             method="DOP853", rtol=1e-12, atol=1e-13,
         ).y[:, -1]  # fmt: skip
-    return full.couplings.shape(y[7 : 7 + full.joints])
+    return full.couplings.shape(y[7 : 7 + full.coordinates])
 
 
 @pytest.mark.parametrize("rtol", [1e-6, 1e-10])

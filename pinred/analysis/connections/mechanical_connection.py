@@ -25,6 +25,7 @@ from ...system.system import System, checked_system
 def mechanical_form(system: System) -> ConnectionForm:
     """Return the symmetric form H(x) that maps velocities (ξ, ẋ) to the momenta (μ, π)."""
     system = checked_system(system, "Connection.mechanical")
+    system.space.refuse_balls("compiled connections")
     return form_of(
         system.group, system.shape_names, system.units, f"the momenta of '{system.name}'",
         partial(momenta, system), partial(mass_matrix, system), symmetric=True, momentum=True,

@@ -226,6 +226,7 @@ def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> Mixed
         S = _kernel(W[:, :r], free)
         return np.vstack([W, S.T @ mass_matrix(system, x)[:r]])
 
+    system.space.refuse_balls("mixed connections")
     form = form_of(
         system.group, system.shape_names, system.units, f"wheels and momenta of '{system.name}'",
         values, reference, symmetric=False,

@@ -41,6 +41,7 @@ def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm
     Raises:
         InputError: The link is unknown, or its motions are not in the group.
     """
+    system.space.refuse_balls("another link as base")
     link, group = link_named(system, name, "the base"), system.group
     axes = list(group.axes)
 

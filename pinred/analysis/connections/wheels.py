@@ -138,6 +138,7 @@ def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
 def kinematic_form(system: System, wheels: Sequence[Wheel | Rolling]) -> ConnectionForm:
     """Return the form of slip speeds, for as many wheels as the group has dimensions."""
     system = checked_system(system, "Connection.kinematic")
+    system.space.refuse_balls("kinematic connections")
     slips = slips_of(system, list(wheels))
     if len(slips) != system.r:
         raise InputError(

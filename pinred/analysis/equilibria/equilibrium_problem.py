@@ -151,6 +151,7 @@ def problem_of(
         InputError: A joint is unknown or not cyclic, a force does work, or a prescribed joint is
             not steady.
     """
+    system.space.refuse_balls("relative equilibria")
     scene = Scene(
         system=system,
         x0=np.zeros(system.m),

@@ -62,6 +62,7 @@ def leaf_of(kernel: Kernel, y: Array, rate: float = 1.0) -> Leaf:
         The leaf.
     """
     system, layout = kernel.system, kernel.layout
+    system.space.refuse_balls("stability of motions")
     active, base = len(layout.active), layout.base
     indices = np.r_[: 2 * active, layout.base_at : layout.base_at + base.size].astype(np.intp)
     scales = _scales(kernel, rate)[indices]

@@ -18,7 +18,8 @@ from ...common.progress import Progress, one_by_one
 from ...forces import SeenState, Torque, Wrench
 from ...forces.force_model import ForceModel
 from ...kernels.build import build_kernel
-from ...kernels.kernel import Kernel, Structure
+from ...kernels.kernel import Kernel
+from ...kernels.state_layout import Structure
 from ...system.catalogue import has_example_robots
 from ...system.load import load
 from ...system.system import System

@@ -12,7 +12,7 @@ import pinocchio as pin
 from ...common.argument_kinds import checks_arguments
 from ...common.progress import Progress, one_by_one
 from ...kernels.build import build_kernel
-from ...kernels.kernel import Structure
+from ...kernels.state_layout import Structure
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...system.catalogue import has_example_robots

@@ -14,7 +14,7 @@ from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
-from ...kernels.kernel import Structure
+from ...kernels.state_layout import Structure
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.pointwise_reduction import PointwiseReduction
 from .chains import FAMILIES, chain

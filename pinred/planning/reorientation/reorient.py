@@ -25,7 +25,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, positive, vector, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...lie.rotations import quaternion_log
-from ...scene import input_formats
+from ...scene.joint_values import order_by_joint
 from ...system.system import System, checked_system
 from ..optimisation.gait_search import StartFailed
 from ..optimisation.limits import Limits, LimitsLike, find_extremes, limits_of, margins
@@ -297,7 +297,8 @@ def _initial_shape(
         zero = np.zeros(system.m)
         inside = (bounds.shape[:, 0] < 0.0) & (bounds.shape[:, 1] > 0.0)
         return np.where(inside, zero, bounds.middle)
-    ordered = input_formats.order_by_joint(x0, system, "x0")
+    system.space.refuse_balls("reorient")
+    ordered = order_by_joint(x0, system, "x0")
     start = vector(np.asarray(ordered), system.m, "x0", system.shape_names)
     if ((start <= bounds.shape[:, 0]) | (start >= bounds.shape[:, 1])).any():
         raise InputError(f"x0 must lie within the limits {bounds.shape.tolist()}, got {start}")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from .body_frames import Body
-from .scalars import INDEX, Mat, Scalar, Sym, Turn, Vec, add, cross, mul, plus, total
+from .body_frames import Body, Freedom
+from .scalars import INDEX, Mat, Rotation, Scalar, Sym, Turn, Vec, add, cross, mul, plus, total
 
 
 @dataclass
@@ -34,12 +35,13 @@ class Step:
     """The transformation from a parent's frame to a body's frame at a joint value.
 
     Attributes:
-        turns: Rotations from the parent's axes to the body's axes, by the angles β, α, δ and θ.
+        turns: Rotations from the parent's axes to the body's axes, by the angles β, α, δ and θ; for
+            a ball, the last one is its rotation.
         shift: Translation r in the parent's axes.
         slide: Translation of a prismatic joint along the body's z axis.
     """
 
-    turns: list[Turn]
+    turns: Sequence[Turn | Rotation]
     shift: Vec
     slide: Scalar
 
@@ -139,13 +141,19 @@ def angular_row(a: Articulated, k: int, v: Vec, w: Vec) -> Scalar:
     return add(a.ang[k], total(row))
 
 
-def momentum_of_rate(body: Body, a: Articulated) -> tuple[Vec, Vec]:
+def moved_twist(body: Body, v: Vec, w: Vec, rates: Sequence[Scalar]) -> tuple[Vec, Vec]:
+    """Add the motion of a body's joint to its twist (v, w); rates: rates of all tree joints."""
+    if body.is_ball:
+        return v, plus(w, body.to_frame(rates[body.v_at : body.v_at + 3]))
+    v, w = list(v), list(w)
+    moved = v if body.prismatic else w
+    moved[2] = add(moved[2], rates[body.v_at])
+    return v, w
+
+
+def momentum_of_rate(freedom: Freedom, a: Articulated) -> tuple[Vec, Vec]:
     """Return the linear and angular momentum of a subtree per unit rate of its joint."""
-    if body.prismatic:
-        return [a.M[INDEX[k][2]] for k in range(3)], [a.B[k][2] for k in range(3)]
-    return [a.B[2][k] for k in range(3)], [a.I[INDEX[k][2]] for k in range(3)]
-
-
-def along_joint(body: Body, lin: Vec, ang: Vec) -> Scalar:
-    """Return a momentum's component along the joint axis, in the frame of the joint's body."""
-    return (lin if body.prismatic else ang)[2]
+    axis = freedom.axis
+    if freedom.slides:
+        return [a.M[INDEX[k][axis]] for k in range(3)], [a.B[k][axis] for k in range(3)]
+    return [a.B[axis][k] for k in range(3)], [a.I[INDEX[k][axis]] for k in range(3)]

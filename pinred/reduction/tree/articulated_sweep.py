@@ -9,9 +9,14 @@ so that
 
     π̇_j = (v_j × S_j) · h_j
 
-needs no second inward pass, and only two or four entries of h_j.  Joints that follow a common
-coordinate are eliminated together (see coupled_groups.py).  Source: R. Featherstone, "Rigid Body
-Dynamics Algorithms", 2008, ch. 7.
+needs no second inward pass, and only two or four entries of h_j.  A ball is eliminated like three
+hinges about the axes of its child, with no rotation between them.  For a ball
+
+    π̇ = h_lin × v + h_ang × ω,   h_ang = π − armature · σ
+
+with the rates σ in the axes of the child.  Joints that follow a common coordinate are eliminated
+together (see coupled_groups.py).  Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008,
+ch. 7.
 """
 
 from __future__ import annotations
@@ -25,36 +30,29 @@ from ...system.coupling import Coupled
 from .articulated_body import (
     Articulated,
     Step,
-    along_joint,
     angular_row,
     carried,
     linear_row,
-    momentum_of_rate,
     rigid,
 )
 from .body_frames import Body, cosine, sine
 from .coupled_groups import Groups
 from .identical_branches import Lanes, Link, links_of
-from .scalars import INDEX, Scalar, Turn, Vec, add, dot, mul, solve_ldl, sub
-
-
-@dataclass
-class Eliminated:
-    """Data of an eliminated joint for the outward pass, in the body's frame at joint value zero.
-
-    Attributes:
-        inner: Inertia of the subtree with the joint's velocity eliminated.
-        gain: Linear part of U/D, (3,); the joint rate is drive − gain · v − gain_angular · ω.
-        gain_angular: Angular part of U/D, (3,).
-        drive: Joint rate u/D at zero twist.
-        step: Step from the parent's frame to the body's frame.
-    """
-
-    inner: Articulated
-    gain: Vec
-    gain_angular: Vec
-    drive: Scalar
-    step: Step
+from .joint_elimination import Eliminated, eliminate_rate, join_groups, prescribe_rate
+from .scalars import (
+    INDEX,
+    Rotation,
+    Scalar,
+    Turn,
+    Vec,
+    add,
+    cross,
+    mul,
+    plus,
+    quaternion_matrix,
+    solve_ldl,
+    sub,
+)
 
 
 @dataclass
@@ -91,7 +89,7 @@ def sweep(
 
     Args:
         bodies: Bodies of the tree, root first.
-        x: Values of all tree joints.
+        x: Coordinates of all tree joints.
         pi: Canonical momenta of the shape coordinates.
         mu: Body momentum, (r,).
         axes: Axes of the group (see Group).
@@ -104,7 +102,7 @@ def sweep(
         Velocities, momenta and rates.
     """
     groups = Groups(bodies, rates, coupled)
-    links = links_of(bodies, lanes, groups.driven, groups.members)
+    links = links_of(bodies, lanes, {*groups.driven, *groups.driven_balls}, groups.members)
     lanes = lanes or Lanes()
     groups.meet(links)
     inertia = [rigid(link.body) for link in links]
@@ -114,23 +112,31 @@ def sweep(
         groups.close(i, inertia[i], pi)
         step = _packed_step(link, bodies, x, lanes)
         # The joint's motion is separated from the rest of the step, since it leaves the joint axis
-        # fixed: the division by D then need not wait for sine and cosine of the joint angle.
-        inner = carried(inertia[i], step.moving)
-        groups.carry(i, step.moving)
-        if k in groups.driven:
-            rate = lanes.pack([groups.driven[j] for j in link.lanes])
-            joint = _drive(link.body, inner, rate, step)
-            groups.drive(i, link.body, rate)
+        # fixed: the division by D then need not wait for sine and cosine of the joint angle.  The
+        # rates of a ball refer to the axes of its child.
+        outer = step if link.body.is_ball else step.fixed
+        inner = inertia[i]
+        if not link.body.is_ball:
+            inner = carried(inertia[i], step.moving)
+            groups.carry(i, step.moving)
+        (freedom, *_) = freedoms = link.body.freedoms
+        if k in groups.driven or k in groups.driven_balls:
+            joint = Eliminated(inner, [], step)
+            for freedom, rate in zip(freedoms, _driven_rates(groups, link, lanes), strict=True):
+                joint = prescribe_rate(freedom, joint, rate)
+                groups.drive(i, freedom, rate)
         elif k in groups.members:
-            joint = _join(groups, i, link.body, inner, step)
+            joint = join_groups(groups, i, freedom, inner, step)
         else:
-            momentum = lanes.pack([pi[groups.terms[j][0][0]] for j in link.lanes])
-            joint = _eliminate(link.body, inner, momentum, step)
-            groups.eliminate(i, link.body, inner, joint.drive)
+            joint = Eliminated(inner, [], step)
+            for freedom, momentum in zip(freedoms, _momenta(groups, link, pi, lanes), strict=True):
+                rest, solved_rate = eliminate_rate(freedom, joint.inner, momentum)
+                groups.eliminate(i, freedom, joint.inner, solved_rate.drive)
+                joint = Eliminated(rest, [*joint.rates, solved_rate], step)
         joints[i] = joint
         width = len(link.lanes) if len(links[link.parent].lanes) == 1 else 1
-        _add(inertia[link.parent], carried(joint.inner, step.fixed), lanes, width)
-        groups.add_to_parent(i, link.parent, step.fixed)
+        _add(inertia[link.parent], carried(joint.inner, outer), lanes, width)
+        groups.add_to_parent(i, link.parent, outer)
     groups.close(0, inertia[0], pi)
     linear, angular = _solve_root(inertia[0], mu, [divmod(k, 3) for k in axes], root_armature)
     v, w = [linear], [angular]
@@ -142,8 +148,19 @@ def sweep(
         link, body, solved = links[i], links[i].body, joints[i]
         assert solved is not None
         vi, wi = solved.step.fixed.outward(v[link.parent], w[link.parent])
-        rate = sub(solved.drive, add(dot(solved.gain, vi), dot(solved.gain_angular, wi)))
-        rate = groups.rate(i, rate)
+        if body.is_ball:
+            vi, wi, *columns = _move_ball(groups, i, link, solved, (vi, wi), pi, lanes)
+            groups.find_rates(i, vi, wi)
+            v.append(vi)
+            w.append(wi)
+            for values, column in zip((xdot, momenta, pidot), columns, strict=True):
+                for lane, j in enumerate(link.lanes):
+                    for axis in range(3):
+                        number = lanes.lane(column[axis], lane, len(link.lanes))
+                        values[groups.balls[j] + axis] = number
+            continue
+        (solved_rate,) = solved.rates
+        rate = groups.rate(i, solved_rate.at(vi, wi), solved_rate.axis)
         h = solved.inner
         along: Scalar = 0.0  # momentum of the subtree along a prescribed joint
         if groups.is_driven(link.lanes[0]):
@@ -178,68 +195,90 @@ def sweep(
     return Swept(linear, angular, xdot, momenta, pidot)
 
 
-def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated:
-    """Eliminate a joint's rate with its momentum equation; a: inertia of the subtree."""
-    U, Ua = momentum_of_rate(body, a)
-    D = add(along_joint(body, U, Ua), body.armature)
-    u = sub(pi, along_joint(body, a.lin, a.ang))
-    inverse = 1.0 / D
-    gain, gain_angular = [mul(c, inverse) for c in U], [mul(c, inverse) for c in Ua]
-    drive = mul(u, inverse)
-    # Without armature, the eliminated inertia vanishes exactly along the joint's axis.
-    free = isinstance(body.armature, float) and body.armature == 0.0
-    pris = body.prismatic
-    M, I = list(a.M), list(a.I)
-    B = [list(row) for row in a.B]
-    for i in range(3):
-        for j in range(i, 3):
-            vanishes = free and j == 2
-            k = INDEX[i][j]
-            M[k] = 0.0 if vanishes and pris else sub(a.M[k], mul(U[i], gain[j]))
-            I[k] = 0.0 if vanishes and not pris else sub(a.I[k], mul(Ua[i], gain_angular[j]))
-        for j in range(3):
-            vanishes = free and (j == 2 if pris else i == 2)
-            B[i][j] = 0.0 if vanishes else sub(a.B[i][j], mul(gain_angular[i], U[j]))
-    lin = [add(a.lin[k], mul(U[k], drive)) for k in range(3)]
-    ang = [add(a.ang[k], mul(Ua[k], drive)) for k in range(3)]
-    if free:
-        (lin if pris else ang)[2] = pi
-    return Eliminated(Articulated(M, B, I, lin, ang), gain, gain_angular, drive, step)
+def _momenta(groups: Groups, link: Link, pi: list[Scalar], lanes: Lanes) -> list[Scalar]:
+    """Return the canonical momenta of a link's joint in the axes of its body frame."""
+    if link.lanes[0] not in groups.balls:
+        return [lanes.pack([pi[groups.terms[j][0][0]] for j in link.lanes])]
+    first = [groups.balls[j] for j in link.lanes]
+    return link.body.to_frame([lanes.pack([pi[k + axis] for k in first]) for axis in range(3)])
 
 
-def _join(groups: Groups, i: int, body: Body, a: Articulated, step: Step) -> Eliminated:
-    """Pass a joint's rate on to its groups, except a prescribed part; a: inertia of the subtree."""
-    rate = groups.pushed.get(groups.number(i))
-    if rate is None:
-        none: Vec = [0.0, 0.0, 0.0]
-        joint = Eliminated(a, none, none, 0.0, step)
+def _driven_rates(groups: Groups, link: Link, lanes: Lanes) -> list[Scalar]:
+    """Return the prescribed rates of a link's joint in the axes of its body frame."""
+    if link.lanes[0] in groups.driven:
+        return [lanes.pack([groups.driven[j] for j in link.lanes])]
+    rates = [groups.driven_balls[j] for j in link.lanes]
+    return link.body.to_frame([lanes.pack([rate[axis] for rate in rates]) for axis in range(3)])
+
+
+def _move_ball(
+    groups: Groups,
+    i: int,
+    link: Link,
+    joint: Eliminated,
+    twist: tuple[Vec, Vec],
+    pi: list[Scalar],
+    lanes: Lanes,
+) -> tuple[Vec, Vec, Vec, Vec, Vec]:
+    """Compute the motion of a ball in the outward pass.
+
+    Args:
+        groups: Groups of the sweep.
+        i: Index of the link.
+        link: The link.
+        joint: The eliminated ball.
+        twist: Linear and angular velocity before the ball moves, in the axes of the parent at rest.
+        pi: Canonical momenta of the shape.
+        lanes: Record of SIMD lanes.
+    Returns:
+        Linear and angular velocity of the body, in its axes; and, in the axes of Pinocchio's joint,
+        rates, canonical momenta and rates of the canonical momenta of the ball, (3,) each.
+    """
+    body = link.body
+    v, before = joint.step.moving.outward(*twist)
+    w, sigma = list(before), [0.0] * 3
+    for solved in reversed(joint.rates):
+        sigma[solved.axis] = groups.rate(i, solved.at(v, w), solved.axis)
+        w[solved.axis] = add(w[solved.axis], sigma[solved.axis])
+    linear = [add(linear_row(joint.inner, k, v, before), groups.momentum(i, k)) for k in range(3)]
+    armature = [mul(body.armature, rate) for rate in sigma]
+    if link.lanes[0] in groups.driven_balls:
+        rows = [angular_row(joint.inner, k, v, before) for k in range(3)]
+        angular = [add(h, groups.momentum(i, k, angular=True)) for k, h in enumerate(rows)]
+        momentum = plus(angular, armature)
     else:
-        joint = _drive(body, a, rate, step)
-        groups.drive(i, body, rate)
-    groups.join(i, body, joint.inner)
-    return joint
+        momentum = _momenta(groups, link, pi, lanes)
+        angular = [sub(p, rotor) for p, rotor in zip(momentum, armature, strict=True)]
+    torque = plus(cross(linear, v), cross(angular, w))
+    sigma, momentum, torque = (body.to_joint(column) for column in (sigma, momentum, torque))
+    return v, w, sigma, momentum, torque
 
 
-def _drive(body: Body, a: Articulated, rate: Scalar, step: Step) -> Eliminated:
-    """Prescribe a joint's rate: add its momentum to the subtree's; a: inertia of the subtree."""
-    U, Ua = momentum_of_rate(body, a)
-    lin = [add(a.lin[k], mul(U[k], rate)) for k in range(3)]
-    ang = [add(a.ang[k], mul(Ua[k], rate)) for k in range(3)]
-    none: Vec = [0.0, 0.0, 0.0]
-    return Eliminated(Articulated(a.M, a.B, a.I, lin, ang), none, none, rate, step)
-
-
-def step_of(body: Body, x: Scalar) -> Step:
-    """Return the step to a body from its parent at joint value x."""
-    return _step(body, _cosine_and_sine(body, x), x)
+def step_of(body: Body, x: Sequence[Scalar]) -> Step:
+    """Return the step to a body from its parent; x: coordinates of all tree joints."""
+    if body.is_ball:
+        return _ball_step(body, x[body.x_at : body.x_at + 4])
+    value = x[body.x_at]
+    return _step(body, _cosine_and_sine(body, value), value)
 
 
 def _packed_step(link: Link, bodies: list[Body], x: list[Scalar], lanes: Lanes) -> Step:
-    """Return the step to a link from its parent, packed into lanes; x: values of all joints."""
-    values = [x[k - 1] for k in link.lanes]
+    """Return the step to a link, packed into lanes; x: coordinates of all tree joints."""
+    if link.body.is_ball:
+        first = [bodies[k].x_at for k in link.lanes]
+        return _ball_step(link.body, [lanes.pack([x[k + n] for k in first]) for n in range(4)])
+    values = [x[bodies[k].x_at] for k in link.lanes]
     pairs = [_cosine_and_sine(bodies[k], x) for k, x in zip(link.lanes, values, strict=True)]
     c, s = (lanes.pack(numbers) for numbers in zip(*pairs, strict=True))
     return _step(link.body, (c, s), lanes.pack(values) if link.body.prismatic else 0.0)
+
+
+def _ball_step(body: Body, q: Sequence[Scalar]) -> Step:
+    """Return the step to the body of a ball; q: its quaternion in Pinocchio's joint frame."""
+    c, s = _cosine_and_sine(body, 0.0)
+    constant = [Turn(2, *body.beta), Turn(0, *body.alpha), Turn(1, *body.delta), Turn(2, c, s)]
+    moving = Rotation(quaternion_matrix([*body.to_frame(q[:3]), q[3]]))
+    return Step(turns=[*constant, moving], shift=body.r, slide=0.0)
 
 
 def _cosine_and_sine(body: Body, x: Scalar) -> tuple[Scalar, Scalar]:

@@ -1,14 +1,18 @@
 """Body frames that minimise the operations of the sweep: Denavit–Hartenberg frames of a tree.
 
-Every shape joint rotates about, or slides along, the z axis of its body's frame.  The step from the
-parent is Rz(β) Rx(α) after a shift r.  A frame may still be rotated about its joint axis and moved
-along it.  This freedom makes β zero for the heaviest child of each joint, because the
+Every hinge rotates about, and every slide moves along, the z axis of its body's frame.  The step
+from the parent is Rz(β) Rx(α) after a shift r.  A frame may still be rotated about its joint axis
+and moved along it.  This freedom makes β zero for the heaviest child of each joint, because the
 parent's joint angle absorbs β, and removes one component of r.  Constants that are 0 or ±1 up to
 round-off are set exactly, so that arithmetic with them is simplified.
+
+The frame of a ball's body has the axes of its parent's frame when the ball is at rest, so that the
+step has no constant rotation.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,13 +21,33 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.memo import once
-from ...system.joints import axes_of, is_prismatic
+from ...system.elementary_joints import BALL, HINGE, SLIDE, ElementaryJoint
+from ...system.joints import axes_of
 from ...system.system import System
 from ...system.variants import nominal
-from .scalars import Scalar, Sym, Vec
+from .scalars import Scalar, Sym, Vec, dot
 
 _SNAP = 4e-16  # round-off of the entries of a rotation matrix
 _ANGLE = 4e-15  # round-off of an angle computed from a product of rotations [rad]
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """One rate of a joint: a translation along, or rotation about, an axis of the body's frame.
+
+    Attributes:
+        slides: Whether it is a translation.
+        axis: Index of the axis.
+        armature: Rotor inertia that is added to the rate [kg m² | kg].
+    """
+
+    slides: bool
+    axis: int
+    armature: Scalar
+
+    def along(self, lin: Vec, ang: Vec) -> Scalar:
+        """Return the component of a momentum, twist or wrench that belongs to the rate."""
+        return (lin if self.slides else ang)[self.axis]
 
 
 @dataclass(frozen=True)
@@ -32,7 +56,9 @@ class Body:
 
     Attributes:
         parent: Index of the parent body, −1 for the root.
-        prismatic: Whether its joint is prismatic.
+        kind: Kind of its joint; the root counts as a hinge.
+        x_at: Index of its first coordinate among the coordinates of all joints; −1 for the root.
+        v_at: Index of its first rate among the rates of all joints; −1 for the root.
         alpha: Cosine and sine of the angle of Rx(α), from the parent's frame at joint value zero.
         beta: Cosine and sine of the angle of Rz(β), which is applied first.
         r: Shift from the parent's origin, (3,) [m].
@@ -47,7 +73,9 @@ class Body:
     """
 
     parent: int
-    prismatic: bool
+    kind: ElementaryJoint
+    x_at: int
+    v_at: int
     alpha: tuple[Scalar, Scalar]
     beta: tuple[Scalar, Scalar]
     r: Vec
@@ -58,6 +86,30 @@ class Body:
     armature: Scalar
     frame: pin.SE3
     delta: tuple[Scalar, Scalar] = (1.0, 0.0)
+
+    @property
+    def prismatic(self) -> bool:
+        """Whether its joint is a slide."""
+        return self.kind is SLIDE
+
+    @property
+    def is_ball(self) -> bool:
+        """Whether its joint is a ball."""
+        return self.kind is BALL
+
+    @property
+    def freedoms(self) -> tuple[Freedom, ...]:
+        """The rates of its joint; a ball rotates about all three axes."""
+        axes = (0, 1, 2) if self.is_ball else (2,)
+        return tuple(Freedom(self.prismatic, axis, self.armature) for axis in axes)
+
+    def to_frame(self, v: Sequence[Scalar]) -> Vec:
+        """Rotate a vector (3,) from Pinocchio's joint frame to this body frame."""
+        return [dot([float(c) for c in row], list(v)) for row in self.frame.rotation.T]
+
+    def to_joint(self, v: Sequence[Scalar]) -> Vec:
+        """Rotate a vector (3,) from this body frame to Pinocchio's joint frame."""
+        return [dot([float(c) for c in row], list(v)) for row in self.frame.rotation]
 
 
 def bodies_of(system: System) -> list[Body]:
@@ -128,12 +180,15 @@ def _make_bodies(system: System) -> list[Body]:
     offsets = [0.0] * count
     order = sorted(range(1, count), key=lambda i: (parents[i], heavy[parents[i]] != i))
     frames = {0: _root_frame(system, axes_of(model.joints[1]))}
-    prismatic = [False] + [is_prismatic(model.joints[i + 1]) for i in range(1, count)]
+    kinds = [HINGE, *(joint.kind for joint in system.tree.joints)]
     for i in order:
         p = parents[i]
+        if kinds[i] is BALL:
+            steps[i], frames[i] = _place_ball(frames[p], model.jointPlacements[i + 1])
+            continue
         S = axes_of(model.joints[i + 1]).ravel()
-        axis = S[:3] if prismatic[i] else S[3:]
-        if p > 0 and heavy[p] == i and not prismatic[p]:
+        axis = S[:3] if kinds[i] is SLIDE else S[3:]
+        if p > 0 and heavy[p] == i and kinds[p] is HINGE:
             beta = _beta(frames[p], model.jointPlacements[i + 1], axis)
             offsets[p] = beta
             frames[p] = frames[p] * pin.SE3(_rz(beta), np.zeros(3))
@@ -141,11 +196,14 @@ def _make_bodies(system: System) -> list[Body]:
     bodies = []
     for i in range(count):
         alpha, beta, r = steps[i]
-        rotor = model.armature[system.r + i - 1] if i else 0.0
+        placed = system.tree.joints[i - 1] if i else None
+        rotor = model.armature[system.r + placed.v.start] if placed else 0.0
         bodies.append(
             Body(
                 parent=parents[i],
-                prismatic=prismatic[i],
+                kind=kinds[i],
+                x_at=placed.x.start if placed else -1,
+                v_at=placed.v.start if placed else -1,
                 alpha=(cosine(alpha), sine(alpha)),
                 beta=(cosine(beta), sine(beta)),
                 r=[float(c) for c in r],
@@ -225,6 +283,17 @@ def _place(
     return (alpha, beta, _snap(r, float(np.linalg.norm(step.translation)))), frame
 
 
+def _place_ball(parent: pin.SE3, placement: pin.SE3) -> tuple[tuple[float, float, Array], pin.SE3]:
+    """Return the step (α, β, r) to the body of a ball, and its frame in its joint frame.
+
+    parent: frame of the parent in its joint frame.  placement: placement of the ball.
+    """
+    step = parent.actInv(placement)
+    inverse = np.vectorize(_snap_unit)(step.rotation.T)
+    r = _snap(step.translation, float(np.linalg.norm(step.translation)))
+    return (0.0, 0.0, r), pin.SE3(inverse, np.zeros(3))
+
+
 def _to_z(axis: Array) -> Array:
     """Return a rotation that maps e_z to the axis."""
     x, y, z = axis
@@ -255,7 +324,7 @@ def sine(angle: float) -> float:
 
 def _snap_unit(value: float) -> float:
     nearest = round(value)
-    return float(nearest) if abs(value - nearest) <= _SNAP else value
+    return float(nearest) if abs(value - nearest) <= _SNAP else float(value)
 
 
 def _snap_angle(angle: float, tolerance: float = 4 * _SNAP) -> float:

@@ -20,8 +20,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ...system.coupling import Coupled
-from .articulated_body import Articulated, Step, along_joint, momentum_of_rate
-from .body_frames import Body
+from .articulated_body import Articulated, Step, momentum_of_rate
+from .body_frames import Body, Freedom
 from .identical_branches import Link
 from .scalars import INDEX, Scalar, Vec, add, dot, mul, plus, sub
 
@@ -61,8 +61,10 @@ class Groups:
 
     Attributes:
         terms: Shape coordinates that the joint of each body follows, with the rate of the joint
-            per unit rate of the coordinate; empty at the root.
+            per unit rate of the coordinate; empty at the root and at balls.
+        balls: Index of the first shape rate of each ball, by body.
         driven: Rates of joints whose rates are prescribed, by body.
+        driven_balls: Rates (3,) of balls whose rates are prescribed, by body.
         pushed: Prescribed parts of the rates of members, by body.
         members: Groups of the bodies whose joints share a free coordinate with others, with the
             ratios.
@@ -79,14 +81,26 @@ class Groups:
             coupled: Coupling of joints that follow others; None if no joint follows another.
         """
         count = range(1, len(bodies))
-        self.terms: list[list[tuple[int, float]]] = [[], *([(k - 1, 1.0)] for k in count)]
-        if coupled is not None:
-            self.terms[1:] = [coupled.terms(k - 1) for k in count]
-        self._leads = {1 + j for j in coupled.leads.tolist()} if coupled else set(count)
+        self.terms: list[list[tuple[int, float]]] = [[] for _ in bodies]
+        self.balls: dict[int, int] = {}
+        for i in count:
+            rate_at = bodies[i].v_at
+            terms = [(rate_at, 1.0)] if coupled is None else coupled.terms(rate_at)
+            if bodies[i].is_ball:
+                self.balls[i] = terms[0][0]
+            else:
+                self.terms[i] = terms
+        leads = set(coupled.leads.tolist()) if coupled else None
+        self._leads = {i for i in count if leads is None or bodies[i].v_at in leads}
         self.driven: dict[int, Scalar] = {}
+        self.driven_balls: dict[int, list[Scalar]] = {}
         self.pushed: dict[int, Scalar] = {}
         followers: dict[int, list[int]] = {}
         for i in count:
+            if i in self.balls:
+                if self.balls[i] in rates:
+                    self.driven_balls[i] = [rates[self.balls[i] + k] for k in range(3)]
+                continue
             rate: Scalar = 0.0
             for k, ratio in self.terms[i]:
                 if k in rates:
@@ -105,7 +119,7 @@ class Groups:
         }
         self._homes = {k: _home(bodies, group) for k, group in together.items()}
         self._open: list[dict[int, Column]] = []
-        self._shares: list[dict[int, Scalar]] = []
+        self._shares: list[dict[int, dict[int, Scalar]]] = []  # by link and axis of the rate
         self._closing: list[list[int]] = []
         self._closed: list[list[Closed]] = []
         self._inertia: dict[tuple[int, int], Scalar] = {}  # inertia D, ordered group indices
@@ -168,28 +182,28 @@ class Groups:
         """Transform the columns that are open at link i to the frame before a step."""
         self._open[i] = {k: Column(*step.inward(c.lin, c.ang)) for k, c in self._open[i].items()}
 
-    def drive(self, i: int, body: Body, rate: Scalar) -> None:
+    def drive(self, i: int, freedom: Freedom, rate: Scalar) -> None:
         """Add the momentum of a joint with a prescribed rate to the open groups at link i."""
         for k, column in self._open[i].items():
-            momentum = mul(along_joint(body, column.lin, column.ang), rate)
+            momentum = mul(freedom.along(column.lin, column.ang), rate)
             self._momentum[k] = add(self._momentum[k], momentum)
 
-    def join(self, i: int, body: Body, a: Articulated) -> None:
+    def join(self, i: int, freedom: Freedom, a: Articulated) -> None:
         """Add a member to its groups; the first member opens a group.
 
         Args:
             i: Index of the link.
-            body: Body of the link.
+            freedom: Rate of the joint.
             a: Inertia of the subtree, with the momentum of the prescribed part of the rate.
         """
         number = self.number(i)
         terms, columns = self.members[number], self._open[i]
-        U, Ua = momentum_of_rate(body, a)
-        along = {g: along_joint(body, c.lin, c.ang) for g, c in columns.items()}
-        inertia = add(along_joint(body, U, Ua), body.armature)
-        momentum = along_joint(body, a.lin, a.ang)
+        U, Ua = momentum_of_rate(freedom, a)
+        along = {g: freedom.along(c.lin, c.ang) for g, c in columns.items()}
+        inertia = add(freedom.along(U, Ua), freedom.armature)
+        momentum = freedom.along(a.lin, a.ang)
         if number in self.pushed:
-            momentum = add(momentum, mul(body.armature, self.pushed[number]))
+            momentum = add(momentum, mul(freedom.armature, self.pushed[number]))
         for n, (k, ratio) in enumerate(terms):
             for g, share in along.items():
                 twice = 2.0 if g == k else 1.0
@@ -204,26 +218,26 @@ class Groups:
                 plus(column.ang, [mul(ratio, c) for c in Ua]),
             )
 
-    def eliminate(self, i: int, body: Body, a: Articulated, drive: Scalar) -> None:
-        """Remove the share of an eliminated joint from the open groups at link i.
+    def eliminate(self, i: int, freedom: Freedom, a: Articulated, drive: Scalar) -> None:
+        """Remove the share of an eliminated rate from the open groups at link i.
 
         Args:
             i: Index of the link.
-            body: Body of the link.
+            freedom: The rate.
             a: Inertia of the subtree before the elimination.
-            drive: Rate of the joint at zero twist.
+            drive: The rate at zero twist.
         """
         columns = self._open[i]
         if not columns:
             return
-        U, Ua = momentum_of_rate(body, a)
-        inverse = 1.0 / add(along_joint(body, U, Ua), body.armature)
-        along = {g: along_joint(body, c.lin, c.ang) for g, c in columns.items()}
+        U, Ua = momentum_of_rate(freedom, a)
+        inverse = 1.0 / add(freedom.along(U, Ua), freedom.armature)
+        along = {g: freedom.along(c.lin, c.ang) for g, c in columns.items()}
         self._eliminate_rate(i, along, Column(U, Ua), inverse, drive)
-        self._shares[i] = {g: mul(share, inverse) for g, share in along.items()}
-        if isinstance(body.armature, float) and body.armature == 0.0:
+        self._shares[i][freedom.axis] = {g: mul(share, inverse) for g, share in along.items()}
+        if isinstance(freedom.armature, float) and freedom.armature == 0.0:
             for column in columns.values():  # the remainder is exactly zero along the joint axis
-                (column.lin if body.prismatic else column.ang)[2] = 0.0
+                (column.lin if freedom.slides else column.ang)[freedom.axis] = 0.0
 
     def add_to_parent(self, i: int, parent: int, step: Step) -> None:
         """Add the columns of link i to its parent's columns; step: step from parent to link."""
@@ -245,15 +259,23 @@ class Groups:
                 rate = sub(rate, mul(share, self._rates[g]))
             self._rates[closed.group] = rate
 
-    def rate(self, i: int, alone: Scalar) -> Scalar:
-        """Return the joint rate of link i; alone: joint rate at zero rates of the open groups."""
+    def rate(self, i: int, alone: Scalar, axis: int) -> Scalar:
+        """Return a rate of link i.
+
+        Args:
+            i: Index of the link.
+            alone: The rate at zero rates of the open groups.
+            axis: Axis of the rate.
+        Returns:
+            The rate.
+        """
         number = self.number(i)
         if number in self.members:
             rate = self.pushed.get(number, 0.0)
             for k, ratio in self.members[number]:
                 rate = add(rate, mul(ratio, self._rates[k]))
             return rate
-        for g, share in self._shares[i].items():
+        for g, share in self._shares[i].get(axis, {}).items():
             alone = sub(alone, mul(share, self._rates[g]))
         return alone
 

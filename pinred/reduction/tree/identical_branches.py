@@ -166,7 +166,9 @@ def _branch_kinds(
     for i in range(len(bodies) - 1, -1, -1):
         subtrees = tuple(sorted(kinds[child] for child in children[i]))
         unique = i if i in coupled else 0
-        structure = (bodies[i].prismatic, i in driven, unique, subtrees)
+        # Frames of balls are constants of the code, so branches share them only if they are equal.
+        ball = bodies[i].frame.rotation.tobytes() if bodies[i].is_ball else b""
+        structure = (bodies[i].kind.name, ball, i in driven, unique, subtrees)
         kinds[i] = numbers.setdefault(structure, len(numbers))
     return kinds
 

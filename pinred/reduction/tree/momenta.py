@@ -15,7 +15,15 @@ from ...common.arrays import Array
 from ...lie.group import Group
 from ...system.system import System
 from .all_joints import joint_rates, joint_values, on_shape
-from .articulated_body import Articulated, Step, angular_row, carried, linear_row, rigid
+from .articulated_body import (
+    Articulated,
+    Step,
+    angular_row,
+    carried,
+    linear_row,
+    moved_twist,
+    rigid,
+)
 from .articulated_sweep import step_of
 from .body_frames import Body, bodies_of
 from .scalars import INDEX, Scalar, Vec, add, cross, dot, mul, plus, sub, times, total
@@ -24,12 +32,12 @@ from .scalars import INDEX, Scalar, Vec, add, cross, dot, mul, plus, sub, times,
 def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
     """Return the centre of mass in Pinocchio's root body frame, (3,).
 
-    x: values of all tree joints.
+    x: coordinates of all tree joints.
     """
     mass: list[Scalar] = [body.mass for body in bodies]
     moment: list[Vec] = [list(body.moment) for body in bodies]
     for i in range(len(bodies) - 1, 0, -1):
-        p, step = bodies[i].parent, step_of(bodies[i], x[i - 1])
+        p, step = bodies[i].parent, step_of(bodies[i], x)
         first = plus(moment[i], [0.0, 0.0, mul(mass[i], step.slide)])
         for turn in reversed(step.turns):
             first = turn.vector(first)
@@ -54,7 +62,7 @@ def momenta(
 
     Args:
         system: The system.
-        x: Shape symbols, (m,).
+        x: Shape symbols, (nx,).
         v: Velocity symbols (ξ, ẋ), (n,).
         tensors: Tensors that replace the inertias, such as drag, each in its body's frame, root
             first.
@@ -75,9 +83,9 @@ def momenta(
     pi: list[Scalar] = [0.0] * len(rates)
     for i in range(len(bodies) - 1, 0, -1):
         body, (lin, ang) = bodies[i], wrenches[i]
-        pi[i - 1] = (lin if body.prismatic else ang)[2]
-        if rotors:
-            pi[i - 1] = pi[i - 1] + body.armature * rates[i - 1]
+        along = body.to_joint(ang) if body.is_ball else [(lin if body.prismatic else ang)[2]]
+        for k, momentum in enumerate(along, start=body.v_at):
+            pi[k] = momentum + body.armature * rates[k] if rotors else momentum
         up, about = steps[i].inward(lin, ang)
         lin0, ang0 = wrenches[body.parent]
         wrenches[body.parent] = plus(lin0, up), plus(ang0, about)
@@ -100,7 +108,7 @@ def locked(
 
     Args:
         system: The system.
-        x: Shape symbols, (m,).
+        x: Shape symbols, (nx,).
         tensors: Tensors that replace the inertias, see `momenta`.
         rotors: Whether joints have armature.
     Returns:
@@ -133,10 +141,10 @@ def locked(
 
 
 def steps_at(system: System, bodies: Sequence[Body], x: ca.SX) -> list[Step]:
-    """Return each body's step from its parent at shape x (m,); the root has the identity."""
-    joints = joint_values(system, [x[k] for k in range(system.m)])
+    """Return each body's step from its parent at shape x (nx,); the root has the identity."""
+    joints = joint_values(system, [x[k] for k in range(system.nx)])
     identity = Step([], [0.0, 0.0, 0.0], 0.0)
-    return [identity, *(step_of(bodies[i], joints[i - 1]) for i in range(1, len(bodies)))]
+    return [identity, *(step_of(body, joints) for body in bodies[1:])]
 
 
 def twists_of(
@@ -155,9 +163,7 @@ def twists_of(
     twists = [root]
     for i in range(1, len(bodies)):
         vi, wi = steps[i].outward(*twists[bodies[i].parent])
-        moved = vi if bodies[i].prismatic else wi
-        moved[2] = moved[2] + rates[i - 1]
-        twists.append((vi, wi))
+        twists.append(moved_twist(bodies[i], vi, wi, rates))
     return twists
 
 
@@ -252,7 +258,7 @@ def root_twist(
 
     Args:
         system: The system.
-        x: Shape symbols, (m,).
+        x: Shape symbols, (nx,).
         number: Index of the body, 0 for the root.
         placement: Placement of the frame in the body's joint frame.
         xi: Body twist of the frame, (r,); all motions of the frame are in the group.

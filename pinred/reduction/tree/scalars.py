@@ -7,7 +7,7 @@ and 1 of a robot, and the zeros of a planar robot, cost no operations.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -149,6 +149,64 @@ class Turn:
         rotated[z][x] = sub(mul(self.c, m[z][x]), mul(self.s, m[z][y]))
         rotated[z][y] = add(mul(self.s, m[z][x]), mul(self.c, m[z][y]))
         return rotated
+
+
+class Rotation:
+    """A rotation R as a matrix, with the operations of Turn."""
+
+    is_none = False
+
+    def __init__(self, rows: Mat) -> None:
+        """Store the matrix by rows."""
+        self._rows = rows
+        self._columns = [list(column) for column in zip(*rows, strict=True)]
+
+    def vector(self, v: Vec) -> Vec:
+        """Return R v, which transforms v from the rotated frame to the fixed frame."""
+        return [dot(row, v) for row in self._rows]
+
+    def back(self, v: Vec) -> Vec:
+        """Return Rᵀ v, which transforms v from the fixed frame to the rotated frame."""
+        return [dot(column, v) for column in self._columns]
+
+    def symmetric(self, m: Sym) -> Sym:
+        """Return R m Rᵀ for a symmetric matrix m."""
+        if all(isinstance(entry, float) and entry == 0.0 for entry in m):
+            return list(m)
+        left = [times(m, row) for row in self._rows]  # row i of R m
+        return [dot(left[i], self._rows[j]) for i in range(3) for j in range(i, 3)]
+
+    def matrix(self, m: Mat) -> Mat:
+        """Return R m Rᵀ for a general matrix m."""
+        columns = [list(column) for column in zip(*m, strict=True)]
+        left = [[dot(row, column) for column in columns] for row in self._rows]
+        return [[dot(row, other) for other in self._rows] for row in left]
+
+
+def quaternion_matrix(q: Sequence[Scalar]) -> Mat:
+    """Return the rotation matrix, by rows, of a quaternion (x, y, z, w) of any norm."""
+    x, y, z, w = q
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    a, b, c = s * x, s * y, s * z
+    xx, xy, xz, yy, yz, zz = a * x, a * y, a * z, b * y, b * z, c * z
+    wx, wy, wz = a * w, b * w, c * w
+    return [
+        [1.0 - yy - zz, xy - wz, xz + wy],
+        [xy + wz, 1.0 - xx - zz, yz - wx],
+        [xz - wy, yz + wx, 1.0 - xx - yy],
+    ]
+
+
+def quaternion_rate(q: Sequence[Scalar], omega: Sequence[Scalar]) -> list[Scalar]:
+    """Return the quaternion rate ½ q ω."""
+    x, y, z, w = q
+    a, b, c = omega
+    return [
+        0.5 * (w * a + y * c - z * b),
+        0.5 * (w * b + z * a - x * c),
+        0.5 * (w * c + x * b - y * a),
+        -0.5 * (x * a + y * b + z * c),
+    ]
 
 
 def times(m: Sym, v: Vec) -> Vec:

@@ -144,7 +144,7 @@ class CompiledFlow:
         return tangent_of(self.kernel).address
 
     def shape(self, t: float, y: Array, parameters: Array) -> Array:
-        """Return the shape (m,) of a reduced state (k,) at time t [s]."""
+        """Return the shape (nx,) of a reduced state (k,) at time t [s]."""
         outputs = self.kernel.evaluate_outputs(t, y, parameters, self.path)
         return np.asarray(outputs[self.kernel.where.fields["x"]])
 
@@ -243,9 +243,9 @@ def _set_up(
             f"{plan.method.name} needs a constant angular momentum, but gravity or a wrench "
             "changes it. Use another method, such as Gauss."
         )
-    active, cyclic = list(layout.active), list(layout.cyclic)
+    cyclic = list(layout.cyclic)
     attitude = given.pose[:, system.group.linear :]
-    state = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : base.attitude]]
+    state = [*layout.shape_entries(x, start.pi), attitude[:, : base.attitude]]
     if base.down:
         state.append(_down(plan, attitude, own))
     state += [start.about[:, : base.momentum], np.zeros((N, base.push + layout.clock))]

@@ -22,7 +22,6 @@ from ...integrators.solution import Solution
 from ...kernels.kernel import Kernel
 from ...reduction.inertia_split import lost_inertia
 from ...scene.scene import Scene
-from ...system.joints import joint_units
 from ..plan import Plan
 from ..reduced_flow import Integrate, Segment
 from .compiled_flow import CompiledFlow
@@ -121,10 +120,9 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
     ends = np.append(ends[ends < len(times) - 1], len(times) - 1)
     steps = np.maximum(np.diff(times[ends]) / step, 1.0)
     turned = np.abs(np.diff(states[ends, : len(active)], axis=0)) / steps[:, None]
-    names, units = plan.system.shape_names, joint_units(plan.system.model)
+    names, units = plan.system.shape_names, plan.system.units
     for k, most in zip(active, turned.max(axis=0, initial=0.0), strict=True):
-        joint = plan.system.joint_number(names[k])
-        if units[joint] == "rad" and not most < _WILD:
+        if units[k] == "rad" and not most < _WILD:
             return (
                 f"joint {quoted(names[k])} of '{plan.system.name}' rotates by {most:.1e} rad "
                 f"within one step of {step:g} s, which {plan.method.name} cannot resolve; use "

@@ -17,6 +17,7 @@ from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
 from ...scene import input_formats
 from ...scene.initial_state import GivenStates, refuse_vague
+from ...scene.joint_values import order_by_joint
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
 from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
@@ -86,7 +87,7 @@ class MemberOptions:
             (self.common if name in STATES else values)[name] = value
         for name in ("x0", "xdot0"):
             if name in self.common:
-                self.common[name] = input_formats.order_by_joint(self.common[name], system, name)
+                self.common[name] = order_by_joint(self.common[name], system, name)
         self.states = {
             name: as_floats(self.common.pop(name), name)
             for name in STATES
@@ -274,9 +275,11 @@ class MemberOptions:
                 return vectors(states[name], size, name)
             return None if common is None else np.repeat(common, self.count, axis=0)
 
-        x, xdot = rows("x0", system.m, common_states.x), rows("xdot0", system.m, common_states.xdot)
+        x = rows("x0", system.nx, common_states.x)
+        xdot = rows("xdot0", system.m, common_states.xdot)
         assert x is not None
         assert xdot is not None
+        x = system.space.normalized(x, "x0", near=False)
         pose = np.repeat(common_states.pose, self.count, axis=0)
         if "pose0" in states:
             pose = np.array([system.group.pose(row) for row in states["pose0"]])

@@ -1,7 +1,8 @@
 """The reduced flow evaluated with Pinocchio: vector field, and map to full states.
 
 The reduced state is (x, π, b): positions and canonical momenta of the joints that are not
-prescribed, in the frame of the centre of mass, and the integrated variables b of the base.
+prescribed, in the frame of the centre of mass, and the integrated variables b of the base.  The
+momenta and quaternions of balls come before b.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...forces.force_values import BaseInSpace, ForceInputs
+from ...reduction.base_parts import quaternion_rate
 from ...reduction.canonical_form import CanonicalForm
 from ...reduction.inertia_split import symmetric
 from ...reduction.potential import shape_gravity
@@ -37,14 +39,21 @@ class PinocchioFlow:
         self._system, self._wanted = system, plan.wanted
         self._forces = forces = plan.forces
         self._seen = forces is not None and (forces.sees_attitude or forces.sees_place)
-        self._driven, self._free = list(plan.acting.driven), list(plan.acting.free)
+        space, self._driven = system.space, list(plan.acting.driven)
+        self._balls = space.ball_v.tolist()
+        self._free = [k for k in plan.acting.free if k not in self._balls]
+        self._driven_x = space.coordinates_of(self._driven)
+        self._free_x = space.coordinates_of(self._free)
+        self._balls_at = 2 * len(self._free)
+        self._base_at = self._balls_at + len(space.ball_v) + len(space.ball_x)
         self._potential = shape_gravity(system)
         self._weight = plan.acting.weight
         self._form = CanonicalForm(system, self._potential)
         self.parameters, self.numbers_at = plan.numbers, slice(None)
         self.base = base = Base(plan, start)
         pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
-        self.y0 = np.concatenate([start.x[self._free], pi[self._free], base.b0])
+        columns = [start.x[self._free_x], pi[self._free]]
+        self.y0 = np.concatenate([*columns, pi[self._balls], start.x[space.ball_x], base.b0])
 
     def rates(self, t: Array, y: Array, numbers: Array) -> Array:
         """Return dy/dt (T, k) at times t (T,) of reduced states y (T, k)."""
@@ -56,7 +65,7 @@ class PinocchioFlow:
         numbers = self.parameters if numbers is None else numbers
         system, form, free, r = self._system, self._form, self._free, self._system.r
         k = system.group.linear
-        b = y[2 * len(free) :]
+        b = y[self._base_at :]
         x, v = self._motion(t, y, numbers)
         com = form.com()
         pidot, moment, push = form.force(x, v), np.zeros(r - k), np.zeros(k)
@@ -77,12 +86,14 @@ class PinocchioFlow:
             slope = form.com_slope(x) if slope is None else slope
             pidot = pidot + weight @ slope
         rate = self.base.rate(b, v[:r], moment, push)
-        return np.concatenate([v[r:][free], pidot[free], rate])
+        xdot = v[r:]
+        balls = [pidot[self._balls], *self._quaternion_rates(y, xdot)]
+        return np.concatenate([xdot[free], pidot[free], *balls, rate])
 
     def sample(self, t: float, y: Array, numbers: Array) -> Sample:
         """Return the state at time t that forces depend on."""
         x, v = self._motion(t, y, numbers)
-        r, b = self._system.r, y[2 * len(self._free) :]
+        r, b = self._system.r, y[self._base_at :]
         base = self._in_space(t, b, x, v, self._form.com()) if self._wanted else None
         return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b), base)
 
@@ -110,8 +121,8 @@ class PinocchioFlow:
         """
         system, form = self._system, self._form
         r, T = system.r, len(t)
-        b = y[:, 2 * len(self._free) :]
-        x, v, com = np.empty((T, system.m)), np.empty((T, system.n)), np.empty((T, 3))
+        b = y[:, self._base_at :]
+        x, v, com = np.empty((T, system.nx)), np.empty((T, system.n)), np.empty((T, 3))
         energy, H = np.empty(T), np.empty((T, system.n, system.n))
         for k in range(T):
             x[k], v[k] = self._motion(float(t[k]), y[k], numbers)
@@ -151,22 +162,34 @@ class PinocchioFlow:
         )
 
     def _motion(self, t: float, y: Array, numbers: Array) -> tuple[Array, Array]:
-        """Return the shape (m,) and v = (ξ, ẋ) relative to the centre of mass."""
+        """Return the shape (nx,) and v = (ξ, ẋ) relative to the centre of mass."""
         free, x, pi = self._free, self.shape(t, y, numbers), np.zeros(self._system.m)
         pi[free] = y[len(free) : 2 * len(free)]
-        momentum = np.concatenate([self.base.momentum(y[2 * len(free) :]), pi])
+        pi[self._balls] = y[self._balls_at : self._balls_at + len(self._balls)]
+        momentum = np.concatenate([self.base.momentum(y[self._base_at :]), pi])
         if self._forces is None or not self._driven:
             return x, self._form.velocity(x, momentum)
         planned = self._forces.prescribed(t, numbers)
         return x, self._form.driven_velocity(x, momentum, self._driven, planned.xdot)
 
     def shape(self, t: float, y: Array, numbers: Array) -> Array:
-        """Return the shape (m,) of a reduced state."""
-        x = np.empty(self._system.m)
-        x[self._free] = y[: len(self._free)]
+        """Return the shape (nx,) of a reduced state, with quaternions of length one."""
+        space, x = self._system.space, np.empty(self._system.nx)
+        x[self._free_x] = y[: len(self._free)]
+        x[space.ball_x] = y[self._balls_at + len(self._balls) : self._base_at]
+        for joint in space.balls:
+            x[joint.x] /= np.linalg.norm(x[joint.x])
         if self._forces is not None and self._driven:
-            x[self._driven] = self._forces.prescribed(t, numbers).x
+            x[self._driven_x] = self._forces.prescribed(t, numbers).x
         return x
+
+    def _quaternion_rates(self, y: Array, xdot: Array) -> list[Array]:
+        """Return the rates ½ q σ of the quaternions of balls, of any length."""
+        quaternions = y[self._balls_at + len(self._balls) : self._base_at].reshape(-1, 4)
+        joints = self._system.space.balls
+        return [
+            quaternion_rate(q, xdot[joint.v]) for q, joint in zip(quaternions, joints, strict=True)
+        ]
 
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""

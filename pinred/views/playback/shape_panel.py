@@ -49,7 +49,7 @@ def shape_panel(
 
     Args:
         system: The robot.
-        x: Shapes, (F, m) [rad | m].
+        x: Shapes, (F, nx) [rad | m | 1].  Balls are drawn by their rotation vectors.
         xdot: Shape rates, (F, m) [rad/s | m/s].
         pair: Names of the joints on the axes. If None, the two joints that move most, preferably
             without full rotations.
@@ -64,6 +64,7 @@ def shape_panel(
             raise InputError(f"pair: no joint '{name}'; the joints are {', '.join(names)}")
     if not system.m:
         return None
+    x = system.space.chart(x)
     if system.m == 1:
         labels = (f"{names[0]} [{units[0]}]", f"rate of {names[0]} [{units[0]}/s]")
         path = np.column_stack([x[:, 0], xdot[:, 0]])
@@ -77,7 +78,11 @@ def shape_panel(
     path = x[:, [a, b]]
     low, high = _range(path)
     labels = (f"{names[a]} [{units[a]}]", f"{names[b]} [{units[b]}]")
-    if (high - low)[[units[k] == "rad" for k in (a, b)]].max(initial=0.0) > _FINE / 12 * _TURN:
+    # The field is drawn over coordinates, which rotation vectors of balls are not.
+    if (
+        system.space.balls
+        or (high - low)[[units[k] == "rad" for k in (a, b)]].max(initial=0.0) > _FINE / 12 * _TURN
+    ):
         return ShapePanel(labels, path, low, high, (), np.empty((0, 0, 0)))
     shapes = np.broadcast_to(x[0], (_FINE, _FINE, system.m)).copy()
     shapes[..., a] = np.linspace(low[0], high[0], _FINE)[:, None]

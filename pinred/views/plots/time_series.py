@@ -41,11 +41,13 @@ def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) ->
     """
     names = labels(motion)
     names.require(1, "a plot of the shape")
-    panels = names.panels(joints)
+    panels, x = names.panels(joints), motion.x
+    if x.shape[-1] != len(names.joints):  # draw the rotation vectors of balls
+        x = motion.system.space.chart(x)
     figure, axes_list = over_time(f"{names.robot}: shape", len(panels))
     for axes, panel in zip(axes_list, panels, strict=True):
         title = names.with_unit(panel[0]) if len(panel) == 1 else f"shape [{names.units[panel[0]]}]"
-        _lines(axes, motion.t, motion.x[:, panel], [shown(names.joints[k]) for k in panel], title)
+        _lines(axes, motion.t, x[:, panel], [shown(names.joints[k]) for k in panel], title)
     return figure
 
 
