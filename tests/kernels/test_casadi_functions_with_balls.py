@@ -39,7 +39,7 @@ def test_vector_field_with_balls_has_documented_layout() -> None:
     form = CanonicalForm(system, Potential(system))
     v = form.velocity(x, np.concatenate([mu, pi]))
     force, xdot = form.force(x, v), space.rate_map(x) @ v[3:]
-    base = [*0.5 * v[:3], 0.0]  # ½ q ∘ (ω, 0) at the identity
+    base = np.append(0.5 * v[:3], 0.0)  # ½ q ∘ (ω, 0) at the identity
     expected = [xdot[space.scalar_x], force[scalar], force[space.ball_v], xdot[space.ball_x], base]
     np.testing.assert_allclose(rates, np.concatenate(expected), atol=1e-13 * np.abs(rates).max())
     jacobian = np.array(functions.vector_field_jacobian(np.concatenate(y), mu))

@@ -36,7 +36,7 @@ def wavy(system: System, seed: int) -> Section:
         slope[:, space.scalar_v] = np.cos(phase)[:, None] * w
         # second[k, a, c] = e_c e_a φ_k, and e_c R = R ê_c is applied to the inner R.
         second[:, ball.v, ball.v] = np.einsum("kij,jl,clm,ami->kac", W, R, axes, axes)
-        at = np.ix_([0, 1], space.scalar_v, space.scalar_v)
+        at = np.ix_(np.arange(2), space.scalar_v, space.scalar_v)
         second[at] = -np.sin(phase)[:, None, None] * w[:, :, None] * w[:, None, :]
         outer, inner = (G.exp(zeta * f) for zeta, f in zip(zetas, phi, strict=True))
         turned = G.Ad(G.inverse(inner)) @ zetas[0]
@@ -59,7 +59,7 @@ def test_change_section_with_balls_equals_transformed_mass_matrix(group: str) ->
     T = np.eye(system.n)
     T[:r, :r], T[:r, r:] = G.Ad(pose), -G.Ad(pose) @ theta
     H = T.T @ red.mass_matrix(x) @ T
-    A = np.linalg.solve(H[:r, :r], H[:r, r:])
+    A = np.asarray(np.linalg.solve(H[:r, :r], H[:r, r:]), dtype=float)
     at, size = moved.at(x), np.abs(H).max()
     np.testing.assert_allclose(at.mass_matrix, H, atol=1e-13 * size)
     np.testing.assert_allclose(at.local_connection, A, atol=1e-12 * np.abs(A).max())
