@@ -57,9 +57,10 @@ class RootMotion:
         if self.turns < 3:
             if self.plane is None:
                 return v
-            rate, (i, j) = v.copy(), self.plane
+            rate, (first, second) = v.copy(), self.plane
             c, s = cos(root[-1]), sin(root[-1])
-            rate[i], rate[j] = c * v[i] - s * v[j], s * v[i] + c * v[j]
+            rate[first] = c * v[first] - s * v[second]
+            rate[second] = s * v[first] + c * v[second]
             return rate
         i, j, k, w = root[-4:]
         *slide, p, q, s = v
@@ -128,7 +129,8 @@ class Configuration:
     def __init__(self, model: pin.Model, root: RootMotion) -> None:
         """Derive the coordinates from the numbers nq and nv of Pinocchio's joints."""
         # Index of each entry of q in (q of the root, coordinates, cosines, sines).
-        order, circles = list(range(model.joints[1].nq)), []
+        order = list(range(model.joints[1].nq))
+        circles: list[int] = []
         self.balls: list[tuple[int, int]] = []
         self.size = self.rates = 0
         joints = list(model.joints)[2:]
