@@ -83,9 +83,11 @@ class FullState:
         loads = () if self._forces is None else self._forces.loads
         self._loads = LoadsByPinocchio(system, self.root.axes, loads) if loads else None
         driven = [] if self._forces is None else list(self._forces.joints)
-        self._driven = self.couplings.leads[driven].tolist()
-        driven_x = system.space.coordinates_of(driven)
-        self._driven_x = self.couplings.leads_x[driven_x].tolist()
+        self._driven: list[int] = self.couplings.leads[driven].tolist()
+        driven_x = self.couplings.leads_x[system.space.coordinates_of(driven)]
+        # Indices in y of the coordinates and rates of the prescribed joints.
+        self._driven_x = self._size + driven_x
+        self._driven_v = self._size + self._m + self._r + np.array(self._driven, dtype=np.intp)
 
     @property
     def system(self) -> System:
@@ -117,6 +119,8 @@ class FullState:
     def _apply_couplings(self, y: Array) -> Array:
         """Return y with follower joints set from their leaders."""
         size, m, couplings = self._size, self._m, self.couplings
+        if not len(couplings.J):
+            return y
         pose, x, xi, xdot = np.split(y, [size, size + m, size + m + self._r])
         return self.state(pose, couplings.shape(x), xi, couplings.shape_rate(xdot))
 
@@ -262,8 +266,7 @@ class FullState:
         if self._driven:
             plan = self._forces.planned(t, self._parameters)
             accelerations = plan.xddot
-            y[[size + k for k in self._driven_x]] = plan.x
-            y[[size + m + r + k for k in self._driven]] = plan.xdot
+            y[self._driven_x], y[self._driven_v] = plan.x, plan.xdot
             y = self._apply_couplings(y)
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
         xi, mu = self.totals.about_com(q, v) if self._forces.sees_momentum else self._unused
