@@ -1,24 +1,6 @@
 """The reduction of a system: by Pinocchio at one shape, by compiled code at many shapes.
 
-Levi-Civita connections are computed for the reduced metric and for a left-invariant metric. For the
-reduced metric M(x) on shape space, with dM[a, b, c] = ∂_c M_ab:
-
-    Γ_{d,ab} = ½ (∂_a M_db + ∂_b M_da − ∂_d M_ab),     Γ^c_ab = M⁻¹^{cd} Γ_{d,ab}
-    R_abcd = ½ (∂_b∂_c M_ad + ∂_a∂_d M_bc − ∂_a∂_c M_bd − ∂_b∂_d M_ac)
-             + Γ_{e,bc} M⁻¹^{ef} Γ_{f,ad} − Γ_{e,bd} M⁻¹^{ef} Γ_{f,ac}
-
-so that R_abcd u^a v^b u^c v^d is positive on a sphere.  Motion at zero momentum without a
-potential is a geodesic: ẍ^c = −Γ^c_ab ẋ^a ẋ^b.  By O'Neill's formula, sectional curvatures of the
-base B = Q/G are at least those of horizontal planes in Q:
-
-    R_B(u, v, u, v) = R_Q(u_h, v_h, u_h, v_h) + ¾ B(u, v)ᵀ I B(u, v).
-
-For the left-invariant metric I on a group, in body twists:
-
-    ∇_ξ η = ½ [ξ, η] − ½ I⁻¹ (ad*_ξ I η + ad*_η I ξ),     geodesics: ξ̇ = −∇_ξ ξ = I⁻¹ ad*_ξ I ξ.
-
-Source: B. O'Neill, "The fundamental equations of a submersion", 1966; V. I. Arnold, "Mathematical
-methods of classical mechanics", appendix 2; Misner, Thorne, Wheeler, "Gravitation", 1973, ch. 14.
+The Levi-Civita connections are computed in levi_civita.py.
 """
 
 from __future__ import annotations
@@ -32,11 +14,16 @@ from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector, vectors
-from ..common.errors import InputError
-from ..lie.group import Group
 from ..reduction.pointwise_reduction import PointwiseReduction
-from ..reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
+from ..reduction.tree.second_derivatives import inertia_derivatives
 from ..system.coordinates import Velocity
+from .levi_civita import (
+    christoffel_symbols,
+    left_invariant_derivative,
+    reduced_metric_derivatives,
+    riemann_tensor,
+    sectional,
+)
 
 if TYPE_CHECKING:
     from .connections.shape_field import ShapeField
@@ -59,7 +46,7 @@ class SplitVelocity:
 class Reduction(PointwiseReduction):
     """The reduction of one system, at any shape or over many shapes.
 
-    Methods cache nothing between calls. A method raises ShapeError if a shape x (m,) [rad | m]
+    Methods cache nothing between calls. A method raises ShapeError if a shape x (nx,)
     has the wrong length or is not finite. It raises SingularInertiaError if the mass matrix is
     numerically singular at this shape. For several quantities at one shape, call `at`, which
     computes them together. An instance owns Pinocchio work space, so use one per thread.
@@ -74,7 +61,7 @@ class Reduction(PointwiseReduction):
         """Compute the amended potential V(x) + ½ μᵀ I⁻¹ μ.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             mu: Body momentum, (r,) [N s | N m s].
         Returns:
             The amended potential [J].
@@ -87,7 +74,7 @@ class Reduction(PointwiseReduction):
         """Compute the kinetic energy ½ vᵀ H v, v = (ξ, ẋ).
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xdot: Shape rate, (m,) [rad/s | m/s].
             xi: Body twist, (r,) [m/s; rad/s].
         Returns:
@@ -99,7 +86,7 @@ class Reduction(PointwiseReduction):
         """Compute the body momentum μ = H_bb ξ + H_bs ẋ.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xdot: Shape rate, (m,) [rad/s | m/s].
             xi: Body twist, (r,) [m/s; rad/s].
         Returns:
@@ -111,7 +98,7 @@ class Reduction(PointwiseReduction):
         """Compute the locked velocity Ω = ξ + A ẋ, the twist after all joints are locked.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xdot: Shape rate, (m,) [rad/s | m/s].
             xi: Body twist, (r,) [m/s; rad/s].
         Returns:
@@ -139,7 +126,7 @@ class Reduction(PointwiseReduction):
 
         Args:
             pose: Pose coordinates of the base.
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             Matrix of the one-form, (r, n).
         """
@@ -151,7 +138,7 @@ class Reduction(PointwiseReduction):
 
         Args:
             pose: Pose coordinates of the base.
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             (r, n, n): a spatial twist, antisymmetric in the last two indices. It vanishes if
             either velocity is vertical.
@@ -167,7 +154,7 @@ class Reduction(PointwiseReduction):
 
         Args:
             pose: Pose coordinates of the base.
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             (r, r), in the root joint's fixed frame, about its origin.
         """
@@ -178,7 +165,7 @@ class Reduction(PointwiseReduction):
         """Compute the horizontal lift (−A ẋ, ẋ) of a shape rate: the velocity without momentum.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xdot: Shape rate, (m,) [rad/s | m/s].
         Returns:
             The velocity.
@@ -190,7 +177,7 @@ class Reduction(PointwiseReduction):
         """Split the velocity (ξ, ẋ) into (Ω, 0) and (−A ẋ, ẋ), which are orthogonal in H.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xdot: Shape rate, (m,) [rad/s | m/s].
             xi: Body twist, (r,) [m/s; rad/s].
         Returns:
@@ -204,28 +191,29 @@ class Reduction(PointwiseReduction):
         """Compute the Christoffel symbols Γ^c_ab of the reduced metric.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
-            (m, m, m), c first. Geodesics obey ẍ^c = −Γ^c_ab ẋ^a ẋ^b.
+            (m, m, m), c first. Geodesics obey ẍ^c = −Γ^c_ab ẋ^a ẋ^b. With balls, the symbols refer
+            to the frame of the shape, and Γ^d_ab − Γ^d_ba = c^d_ab are its structure constants.
         """
         M, dM, _ = self._metric_derivatives(x)
-        return christoffel_symbols(M, dM)
+        return christoffel_symbols(M, dM, self._structure)
 
     def riemann(self, x: ArrayLike) -> Array:
         """Compute the Riemann tensor R_abcd of the reduced metric.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             (m, m, m, m); R_abcd u^a v^b u^c v^d > 0 on a sphere.
         """
-        return riemann_tensor(*self._metric_derivatives(x))
+        return riemann_tensor(*self._metric_derivatives(x), self._structure)
 
     def sectional_curvature(self, x: ArrayLike, u: ArrayLike, v: ArrayLike) -> float:
         """Compute the sectional curvature R(u, v, u, v)/(|u|² |v|² − ⟨u, v⟩²) of M.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             u: Shape rate, (m,) [rad/s | m/s].
             v: Shape rate, (m,) [rad/s | m/s].
         Returns:
@@ -235,13 +223,13 @@ class Reduction(PointwiseReduction):
         """
         u, v = vector(u, self.system.m, "u"), vector(v, self.system.m, "v")
         M, dM, d2M = self._metric_derivatives(x)
-        return sectional(riemann_tensor(M, dM, d2M), M, u, v)
+        return sectional(riemann_tensor(M, dM, d2M, self._structure), M, u, v)
 
     def covariant_acceleration(self, x: ArrayLike, xdot: ArrayLike, xddot: ArrayLike) -> Array:
         """Compute the covariant acceleration ẍ^c + Γ^c_ab ẋ^a ẋ^b in the reduced metric.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xdot: Shape rate, (m,) [rad/s | m/s].
             xddot: Shape acceleration, (m,) [rad/s² | m/s²].
         Returns:
@@ -256,7 +244,7 @@ class Reduction(PointwiseReduction):
         Geodesics of the locked system obey ξ̇ = −∇_ξ ξ (Euler–Poincaré).
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xi: Body twist ξ, (r,).
             eta: Body twist η, (r,).
         Returns:
@@ -289,98 +277,14 @@ class Reduction(PointwiseReduction):
         moves = tuple(frame.moves(flat) for frame in self.frames)
         return ShapeField(system, x, self._potential, moves)
 
+    @property
+    def _structure(self) -> Array | None:
+        """Structure constants of the frame of the shape, or None without balls."""
+        space = self.system.space
+        return space.structure if space.balls else None
+
     def _metric_derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the reduced metric M and its first and second derivatives."""
         shape = self.split(x).x  # raises SingularInertiaError
         d = inertia_derivatives(self.system, shape[None])
         return reduced_metric_derivatives(d, self.system.r)
-
-
-def christoffel_symbols(M: Array, dM: Array) -> Array:
-    """Compute Γ^c_ab, (m, m, m), c first, from M (m, m) and ∂M (m, m, m), derivative last."""
-    return np.asarray(np.linalg.solve(M, _lowered(dM).reshape(len(M), -1))).reshape(dM.shape)
-
-
-def riemann_tensor(M: Array, dM: Array, d2M: Array) -> Array:
-    """Compute the Riemann tensor with all indices down.
-
-    Args:
-        M: Metric, (m, m).
-        dM: Derivative of the metric, (m, m, m), derivative index last.
-        d2M: Second derivative of the metric, (m, m, m, m), derivative indices last.
-    Returns:
-        R_abcd, (m, m, m, m).
-    """
-    lowered = _lowered(dM)
-    R = 0.5 * (np.einsum("adbc->abcd", d2M) + np.einsum("bcad->abcd", d2M))
-    R -= 0.5 * (np.einsum("bdac->abcd", d2M) + np.einsum("acbd->abcd", d2M))
-    raised = np.linalg.solve(M, lowered.reshape(len(M), -1)).reshape(dM.shape)
-    product = np.einsum("ebc,ead->abcd", lowered, raised)
-    return np.asarray(R + product - np.swapaxes(product, 2, 3))
-
-
-def sectional(R: Array, M: Array, u: Array, v: Array) -> float:
-    """Compute the sectional curvature of the plane of two vectors.
-
-    Args:
-        R: Riemann tensor with all indices down, (m, m, m, m).
-        M: Metric, (m, m).
-        u: First vector, (m,).
-        v: Second vector, (m,).
-    Returns:
-        The curvature.
-    Raises:
-        InputError: The vectors are parallel.
-    """
-    uu, vv, uv = u @ M @ u, v @ M @ v, u @ M @ v
-    area = uu * vv - uv**2
-    if not area > 1e-14 * uu * vv:
-        raise InputError("u and v must span a plane, but they are parallel in the reduced metric")
-    return float(np.einsum("abcd,a,b,c,d", R, u, v, u, v) / area)
-
-
-def reduced_metric_derivatives(d: InertiaDerivatives, r: int) -> tuple[Array, Array, Array]:
-    """Differentiate M = H_ss − Aᵀ H_bs, with A = I⁻¹ H_bs, twice.
-
-    Args:
-        d: Derivatives of the mass matrix at one shape.
-        r: Dimension of the group.
-    Returns:
-        M, ∂M and ∂∂M, derivative indices last.
-    """
-    H, dH, d2H = d.H[0], d.dH[0], d.d2H[0]
-    I, Hbs, dI, dHbs = H[:r, :r], H[:r, r:], dH[:r, :r], dH[:r, r:]
-    A = np.linalg.solve(I, Hbs)
-    # The matrices W = I ∂A follow from the product rule: W = ∂(IA) − ∂I A, with I A = H_bs.
-    W = dHbs - np.einsum("ijc,jb->ibc", dI, A)
-    dA = np.linalg.solve(I, W.reshape(r, -1)).reshape(W.shape)
-    dM = dH[r:, r:] - np.einsum("iac,ib->abc", dHbs, A)
-    dM -= np.einsum("ia,ibc->abc", A, W)
-    # ∂∂(H_bsᵀ I⁻¹ H_bs), A = I⁻¹ H_bs: second derivatives of H_bs and I, plus Wᵀ I⁻¹ W twice.
-    mixed = np.einsum("iacd,ib->abcd", d2H[:r, r:], A)
-    d2M = d2H[r:, r:] - mixed - np.swapaxes(mixed, 0, 1)
-    d2M += np.einsum("ia,ijcd,jb->abcd", A, d2H[:r, :r], A)
-    product = np.einsum("iac,ibd->abcd", W, dA)
-    d2M -= product + np.swapaxes(product, 2, 3)
-    return H[r:, r:] - A.T @ Hbs, dM, np.asarray(d2M)
-
-
-def left_invariant_derivative(group: Group, inertia: Array, xi: Array, eta: Array) -> Array:
-    """Compute ∇_ξ η of left-invariant fields.
-
-    Args:
-        group: The group.
-        inertia: Metric on body twists, (r, r).
-        xi: Body twist ξ, (r,).
-        eta: Body twist η, (r,).
-    Returns:
-        (r,).
-    """
-    coadjoint = group.coadjoint(xi, inertia @ eta) + group.coadjoint(eta, inertia @ xi)
-    return np.asarray(0.5 * group.bracket(xi, eta) - 0.5 * np.linalg.solve(inertia, coadjoint))
-
-
-def _lowered(dM: Array) -> Array:
-    """Return the Christoffel symbols of the first kind Γ_{d,ab}, d first, from ∂M."""
-    by_a = np.swapaxes(dM, 1, 2)  # [d, a, b]: ∂_a M_db
-    return 0.5 * (by_a + dM - np.moveaxis(dM, 2, 0))

@@ -19,6 +19,8 @@ from ..scene.passive_forces import passive_left_out
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
 from ..simulation.plan import plan_of
+from ..system.hinge_triples import hinge_triples
+from ..system.merge_hinges import actions_of, coupled_joints
 from ..system.system import System, checked_system
 
 _SHAPES = 3  # number of random shapes at which the curvature is tested
@@ -71,6 +73,7 @@ class Inspection:
             f"connection  {'flat' if self.flat else 'curved'}",
             *_wrapped("skipped", self.skipped),
             *(_wrapped("left out", left_out) if left_out else []),
+            *(_wrapped("balls", balls) if (balls := _balls(system)) else []),
             *(_wrapped("keyframes", [", ".join(system.keyframes)]) if system.keyframes else []),
             f"integrated  {self.full_size}{size}",
             f"at x =      {_numbers(at.x)}",
@@ -94,6 +97,7 @@ class Inspection:
             *(("skipped", text) for text in self.skipped),
             *(("follower", str(coupling)) for coupling in system.couplings),
             *(("left out", text) for text in _left_out(system)),
+            *(("balls", text) for text in _balls(system)),
             *(("keyframe", name) for name in system.keyframes),
             ("integrated", f"{self.full_size}{size} numbers"),
         ]
@@ -176,6 +180,22 @@ def _left_out(system: System) -> list[str]:
     """Return one line for each item of the robot file that a run ignores."""
     passive = passive_left_out(system, who="a run")
     return [*map(str, system.left_out), *([passive] if passive else [])]
+
+
+def _balls(system: System) -> list[str]:
+    """Return one line for each three hinges that are, or could be, merged into a ball."""
+    merged = [f"{triple} (merged)" for triple in system.contents.merged]
+    triples = hinge_triples(
+        system.model, coupled_joints(system.couplings), actions_of(system.passive)
+    )
+    for triple in triples:
+        if not triple.why_not:
+            merged.append(
+                f"{triple}, which has no gimbal lock, with load(…, balls=['{triple.name}'])"
+            )
+        elif not triple.obstacle:
+            merged.append(f"{triple} is not possible: {triple.difference}")
+    return merged
 
 
 def _group(system: System) -> str:

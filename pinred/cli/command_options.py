@@ -235,6 +235,24 @@ def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
     return assigned_in(text.split(","), option, float, "numbers, or JOINT=NUMBER for each")
 
 
+def shape_in(text: str, option: str) -> list[float] | dict[str, float | list[float]]:
+    """Parse like `by_joint_in`, where J=V1,V2,V3 has the numbers of a ball."""
+    if "=" not in text:
+        return numbers_in(text, option) or []
+    entries: list[str] = []
+    for word in text.split(","):
+        if "=" in word or not entries:
+            entries.append(word)
+        else:
+            entries[-1] += f",{word}"
+    usage = "numbers, or JOINT=NUMBER for each, or JOINT=V1,V2,V3 for a ball"
+    return assigned_in(entries, option, _number_or_list, usage)
+
+
+def _number_or_list(text: str) -> float | list[float]:
+    return _floats(text) if "," in text else float(text)
+
+
 def _floats(text: str) -> list[float]:
     return [float(word) for word in text.split(",")]
 
@@ -273,8 +291,9 @@ _LIMITS = "R, R1,R2,… or J1=R1,…"
 # Parsers of option values. Each key is the value format with which `command` declares an option.
 _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "V1,V2,…": numbers_in,
-    "V1,V2,… or J1=V1,…": by_joint_in,
+    "V1,V2,… or J1=V1,…": shape_in,
     "J1,J2=VALUE,…": _lock_in,
+    "all or B1,B2,…": lambda text, _: True if text == "all" else text.split(",") if text else [],
     "J=K,REST": lambda entries, _: assigned_in(
         entries, "spring", _spring, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
     ),

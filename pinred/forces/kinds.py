@@ -14,10 +14,13 @@ from typing import Any, ClassVar
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.parameter import Parameter
+from ..system.ball_forces import BallSpring as BallSpring
 from ..system.force_interface import SeenState as SeenState
 from ..system.passive import Damper as Damper
 from ..system.passive import Friction as Friction
 from ..system.passive import Spring as Spring
+from .ball_control import BallLimit as BallLimit
+from .ball_control import BallPD as BallPD
 from .controller import Command as Command
 from .controller import Controller as Controller
 from .force import Action as Action
@@ -45,6 +48,9 @@ from .wrench import Wrench as Wrench
 __all__ = [
     "PD",
     "Action",
+    "BallLimit",
+    "BallPD",
+    "BallSpring",
     "Command",
     "ComputedTorque",
     "Controller",

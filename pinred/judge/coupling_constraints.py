@@ -56,6 +56,8 @@ class CouplingConstraints:
         self._model, self._data = model, model.createData()
         self._weightless = model.copy()
         self._weightless.gravity.setZero()
+        self._rows, self._columns = np.tril_indices(model.nv, -1)
+        self._borders: dict[tuple[int, ...], Array] = {}
         self._uses_aba = not self._couplings or singular_shapes(model) == SingularShapes()
 
     def values(self, x: Array) -> Array:
@@ -112,17 +114,13 @@ class CouplingConstraints:
         Returns:
             (nv,) acceleration.
         """
-        if len(driven):
-            selection = np.eye(len(v))[[len(v) - self._count + k for k in driven]]
-            constraints = np.vstack([self.J, selection])
-            values = np.append(np.zeros(len(self.J)), prescribed)
-            return self._solve_with_multipliers(q, v, tau, constraints, values)
-        if not self._uses_aba:
-            return self._solve_with_multipliers(q, v, tau, self.J, np.zeros(len(self.J)))
-        model, data, zero = self._model, self._data, np.zeros(len(v))
-        free = pin.aba(model, data, q, v, tau, axes).copy()
+        if len(driven) or not self._uses_aba:
+            return self._solve_with_multipliers(q, v, tau, tuple(driven), prescribed)
+        model, data = self._model, self._data
+        free: Array = pin.aba(model, data, q, v, tau, axes).copy()
         if not self._couplings:
-            return np.asarray(free)
+            return free
+        zero = np.zeros(len(v))
         responses = np.array(
             [pin.aba(self._weightless, data, q, zero, row, axes).copy() for row in self.J]
         )
@@ -130,15 +128,37 @@ class CouplingConstraints:
         return np.asarray(free - multipliers @ responses)
 
     def _solve_with_multipliers(
-        self, q: Array, v: Array, tau: Array, constraints: Array, values: Array
+        self,
+        q: Array,
+        v: Array,
+        tau: Array,
+        driven: tuple[int, ...],
+        prescribed: Array | Sequence[float],
     ) -> Array:
-        """Return the acceleration (nv,) with constraints · a = values (c,), from one linear system.
+        """Return the acceleration (nv,) of `acceleration` from one linear system.
 
         The mass matrix need only be regular in the directions that the constraints allow.
         """
+        n, rows, columns = len(v), self._rows, self._columns
+        matrix = self._border(driven).copy()
         upper = pin.crba(self._model, self._data, q)
-        H = np.triu(upper) + np.triu(upper, 1).T
-        bias = pin.nonLinearEffects(self._model, self._data, q, v)
-        zero = np.zeros((len(constraints), len(constraints)))
-        matrix = np.block([[H, constraints.T], [constraints, zero]])
-        return np.asarray(np.linalg.solve(matrix, np.append(tau - bias, values))[: len(v)])
+        matrix[:n, :n] = upper
+        matrix[rows, columns] = upper[columns, rows]
+        right = np.zeros(len(matrix))
+        right[:n] = tau - pin.nonLinearEffects(self._model, self._data, q, v)
+        right[n + len(self.J) :] = prescribed
+        return np.asarray(np.linalg.solve(matrix, right)[:n])
+
+    def _border(self, driven: tuple[int, ...]) -> Array:
+        """Return the matrix [[0, Cᵀ], [C, 0]] for the constraints C of couplings and driven joints.
+
+        A run calls this at each evaluation of its vector field, so the matrix is kept.
+        """
+        if driven not in self._borders:
+            n = self.J.shape[1]
+            selection = np.eye(n)[[n - self._count + k for k in driven]]
+            constraints = np.vstack([self.J, selection])
+            matrix = np.zeros((n + len(constraints), n + len(constraints)))
+            matrix[n:, :n], matrix[:n, n:] = constraints, constraints.T
+            self._borders[driven] = matrix
+        return self._borders[driven]

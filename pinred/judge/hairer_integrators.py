@@ -115,14 +115,16 @@ class Hairer:
 
     def _safe_rate(self, t: float, y: Array) -> Array:
         """Return dy/dt, or zero after a stop request, so that the loop accepts its step."""
-        rate = np.zeros_like(y)
-        if self._raised is None and not self._is_interrupted():
-            self._evaluations += 1
-            try:
-                rate = self._rate(t, y)
-            except BaseException as error:  # any exception is raised again outside the loop
-                self._raised = error
-        return np.where(np.abs(rate) < self._least, 0.0, rate)
+        if self._raised is not None or self._is_interrupted():
+            return np.zeros(len(y))
+        self._evaluations += 1
+        try:
+            rate = self._rate(t, y)
+        except BaseException as error:  # any exception is raised again outside the loop
+            self._raised = error
+            return np.zeros(len(y))
+        negligible = np.abs(rate) < self._least
+        return np.where(negligible, 0.0, rate) if np.count_nonzero(negligible) else rate
 
     def _after_step(self, t: float, _y: Array) -> int:
         self._step_ends.append(t)

@@ -73,6 +73,7 @@ class FullState:
         self._r = system.r
         unused = np.full(system.r, np.nan)  # NaN would reveal a force that depends on it
         self._unused = unused, unused
+        self._no_torque = np.zeros(system.model.nv)
         self.couplings = CouplingConstraints(system)
         self.root = root_motion(system.model)
         self.totals = SystemTotals(system.model, self.root)
@@ -82,9 +83,11 @@ class FullState:
         loads = () if self._forces is None else self._forces.loads
         self._loads = LoadsByPinocchio(system, self.root.axes, loads) if loads else None
         driven = [] if self._forces is None else list(self._forces.joints)
-        self._driven = self.couplings.leads[driven].tolist()
-        driven_x = system.space.coordinates_of(driven)
-        self._driven_x = self.couplings.leads_x[driven_x].tolist()
+        self._driven: list[int] = self.couplings.leads[driven].tolist()
+        driven_x = self.couplings.leads_x[system.space.coordinates_of(driven)]
+        # Indices in y of the coordinates and rates of the prescribed joints.
+        self._driven_x = self._size + driven_x
+        self._driven_v = self._size + self._m + self._r + np.array(self._driven, dtype=np.intp)
 
     @property
     def system(self) -> System:
@@ -116,6 +119,8 @@ class FullState:
     def _apply_couplings(self, y: Array) -> Array:
         """Return y with follower joints set from their leaders."""
         size, m, couplings = self._size, self._m, self.couplings
+        if not len(couplings.J):
+            return y
         pose, x, xi, xdot = np.split(y, [size, size + m, size + m + self._r])
         return self.state(pose, couplings.shape(x), xi, couplings.shape_rate(xdot))
 
@@ -254,15 +259,14 @@ class FullState:
         size, m, r = self._size, self._m, self._r
         if self._forces is None:
             v, q = y[size + m :], self._q_for(self.q(y), axes)
-            a = self.couplings.acceleration(q, v, np.zeros(len(v)), axes=axes)
+            a = self.couplings.acceleration(q, v, self._no_torque, axes=axes)
             return self._derivative(y, a)
         y, t = y.copy(), self._beside_switches(t)
         accelerations = np.empty(0)
         if self._driven:
             plan = self._forces.planned(t, self._parameters)
             accelerations = plan.xddot
-            y[[size + k for k in self._driven_x]] = plan.x
-            y[[size + m + r + k for k in self._driven]] = plan.xdot
+            y[self._driven_x], y[self._driven_v] = plan.x, plan.xdot
             y = self._apply_couplings(y)
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
         xi, mu = self.totals.about_com(q, v) if self._forces.sees_momentum else self._unused
@@ -281,10 +285,10 @@ class FullState:
 
     def _derivative(self, y: Array, a: Array) -> Array:
         """Return dy/dt for the acceleration a (nv,)."""
-        size, m, r = self._size, self._m, self._r
-        root, x, v = y[:size], y[size : size + m], y[size + m :]
+        size, m, r, numbers = self._size, self._m, self._r, y.tolist()
+        root, x, v = numbers[:size], numbers[size : size + m], numbers[size + m :]
         rates = self._configuration.derivative(x, v[r:])
-        return np.concatenate([self.root.rate(root, v[:r]), rates, a])
+        return np.array([*self.root.rate(root, v[:r]), *rates, *a.tolist()])
 
     def _beside_switches(self, t: float) -> float:
         """Return the time; if it is too close to a switch, move it to the side of `within`.

@@ -15,7 +15,12 @@ from .state_layout import Layout, Structure
 
 @dataclass(frozen=True)
 class CasadiFunctions:
-    """Reduced quantities as CasADi Functions of the shape x, (m,).
+    """Reduced quantities as CasADi Functions of the shape x, (nx,).
+
+    The quaternion (x, y, z, w) of a ball takes four entries of x and must have length one.
+    Velocities and momenta have three entries for each ball, along the axes of its child.  In the
+    reduced state y, balls follow hinges and slides: first the momenta of all balls, three for each,
+    then their quaternions, four for each (`layout.balls_at` is the index of the first).
 
     Attributes:
         mass_matrix: Mass matrix H(x), (n, n).

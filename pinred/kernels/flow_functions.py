@@ -3,7 +3,9 @@
 The initial conditions map an initial state to the reduced state and to the constants of the
 motion.  The outcome maps a reduced state to rows of the full state.  The row "pose" contains body
 coordinates relative to a reference pose, which is an input.  At the reference pose, these
-coordinates are zero, and their derivatives are the body-frame derivatives of the pose.
+coordinates are zero, and their derivatives are the body-frame derivatives of the pose.  With balls,
+a reference shape is an input, too, and the row "x" contains coordinates relative to it along the
+frame.
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.memo import once
 from ..reduction.base_parts import into_body
+from ..reduction.tree.scalars import quaternion_rate
+from ..system.shape_space import ShapeSpace
 from ..system.state_fields import Outcome, derivative_rows
 from ..system.system import System
 from .base_graph import rotated
@@ -25,10 +29,11 @@ from .initial_conditions import TwistOrMomentum, initial_conditions_graph, initi
 from .kernel import Kernel, outputs_of
 from .machine.native import NativeCode
 from .reduced_graph import ReducedGraph
+from .state_layout import Layout
 from .validation import require_agreement
 
-# "pose" is a tangent vector at a reference pose, "pose_numbers" the pose coordinates themselves.
-Row = Outcome | Literal["pose_numbers"]
+# "pose" and "x" are tangent vectors at a reference, "…_numbers" the coordinates themselves.
+Row = Outcome | Literal["pose_numbers", "x_numbers"]
 
 
 def rate_of(kernel: Kernel) -> Differentiable:
@@ -72,8 +77,9 @@ def initial_conditions_of(kernel: Kernel, given: TwistOrMomentum) -> Differentia
 def outcome_of(kernel: Kernel, rows: tuple[Row, ...]) -> Differentiable:
     """Return the map from a reduced state to rows of the full state.
 
-    The map takes ((y, t, pose), (parameters, c₀, v₀, g)) to the rows.  The input t always
-    exists, but it is ignored if y ends with the time.
+    The map takes ((y, t, reference), (parameters, c₀, v₀, g)) to the rows.  The input t always
+    exists, but it is ignored if y ends with the time.  The reference is (x, pose) with balls, else
+    the pose.
 
     Args:
         kernel: The kernel.
@@ -98,25 +104,54 @@ def sizes_of(system: System) -> dict[str, int]:
     Returns:
         The sizes by name.
     """
-    return derivative_rows(system) | {"pose_numbers": system.group.size}
+    coordinates = {"pose_numbers": system.group.size, "x_numbers": system.nx}
+    return derivative_rows(system) | coordinates
+
+
+def reference_size(system: System) -> int:
+    """Return the number of entries of the reference of an outcome.
+
+    Args:
+        system: The system.
+    Returns:
+        The length of (x, pose) with balls, else of the pose.
+    """
+    return system.group.size + (system.nx if system.space.balls else 0)
+
+
+def reference_in(kernel: Kernel, outputs: Array) -> Array:
+    """Return the references of an outcome, which are parts of a kernel's outputs.
+
+    Args:
+        kernel: The kernel.
+        outputs: Outputs of the kernel, (…, where.size).
+    Returns:
+        (…, reference_size); the pose is zero if the outputs leave out the base.
+    """
+    fields, system = kernel.where.fields, kernel.system
+    reference = np.zeros((*outputs.shape[:-1], reference_size(system)))
+    if system.space.balls:
+        reference[..., : system.nx] = outputs[..., fields["x"]]
+    if "pose" in fields:
+        reference[..., -system.group.size :] = outputs[..., fields["pose"]]
+    return reference
 
 
 def _initial_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
     system, layout, forces = graph.system, graph.layout, graph.forces
     group, m, r, k = system.group, system.m, system.r, system.group.linear
-    state = ca.SX.sym("state", group.size + 2 * m + r)
+    cuts = np.cumsum([0, group.size, system.nx, m, r]).tolist()
+    state = ca.SX.sym("state", cuts[-1])
     constants = ca.SX.sym("constants", layout.parameters - layout.gravity_at)
-    pose, x, xdot, motion = ca.vertsplit(
-        state, [0, group.size, group.size + m, group.size + 2 * m, group.size + 2 * m + r]
-    )
+    pose, x, xdot, motion = ca.vertsplit(state, cuts)
     if layout.prescribed and forces is not None:
         numbers = ca.vertcat(
             ca.SX(0, 1), *_entries(constants)[constants.numel() - layout.numbers :]
         )
         planned, rates, _ = forces.prescribed_function(0.0, numbers)
         x, xdot = ca.SX(x), ca.SX(xdot)
-        for i, j in enumerate(layout.prescribed):
-            x[j], xdot[j] = planned[i], rates[i]
+        for i, (j, at) in enumerate(zip(layout.prescribed, layout.prescribed_x, strict=True)):
+            x[at], xdot[j] = planned[i], rates[i]
     gravity = len(layout.gravity)
     inertias = _entries(constants)[gravity : gravity + layout.freed.size]
     body_numbers = ca.vertcat(ca.SX(0, 1), *inertias) if inertias else 0.0
@@ -137,8 +172,7 @@ def _initial_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
         down = rotated(attitude, [w / size for w in weight], -1.0)
     xs, momenta = _entries(x), _entries(pi)
     reduced: list[Any] = [
-        *(xs[i] for i in layout.active), *(momenta[i] for i in layout.active),
-        *(xs[i] for i in layout.cyclic), *attitude[: counts.attitude], *down,
+        *_shape_entries(layout, xs, momenta), *attitude[: counts.attitude], *down,
         *_entries(about)[: counts.momentum], *[0.0] * (counts.push + layout.clock),
         *_entries(fixed)[: counts.spin], *(momenta[i] for i in layout.cyclic),
         *_entries(c0), *_entries(v0),
@@ -146,6 +180,20 @@ def _initial_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
     return ca.Function(
         "initial", [state, constants], [ca.densify(ca.vertcat(ca.SX(0, 1), *reduced))]
     )
+
+
+def _shape_entries(layout: Layout, x: list[ca.SX], pi: list[ca.SX]) -> list[ca.SX]:
+    """Return the entries of y before the base, as Layout.shape_entries does."""
+    attitudes = [x[at : at + 4] for at, _ in layout.balls]
+    positions, momenta = [x[k] for k in layout.active_x], [pi[k] for k in layout.active]
+    cyclic = [x[k] for k in layout.cyclic_x]
+    if layout.lifted_balls:
+        for q, (_, v) in zip(attitudes, layout.balls, strict=True):
+            positions += q
+            momenta += [4.0 * p for p in quaternion_rate(q, pi[v : v + 3])]
+        return [*positions, *momenta, *cyclic]
+    balls = [*(pi[k] for k in layout.ball_v), *(c for q in attitudes for c in q)]
+    return [*positions, *momenta, *cyclic, *balls]
 
 
 def _entries(column: ca.SX) -> list[ca.SX]:
@@ -157,15 +205,41 @@ def _outcome_graph(graph: ReducedGraph, rows: tuple[Row, ...]) -> ca.Function:
     system, layout = graph.system, graph.layout
     group, k, where = system.group, system.group.linear, outputs_of(system, layout)
     y, t = ca.SX.sym("y", layout.size), ca.SX.sym("t")
-    reference = ca.SX.sym("pose", group.size)
+    reference = ca.SX.sym("reference", reference_size(system))
     constants = ca.SX.sym("constants", layout.parameters + 3 * k)
     outputs = graph.outputs()(y if layout.clock else ca.vertcat(y, t), constants)
     values = {name: outputs[entries] for name, entries in where.fields.items()}
+    values["x_numbers"] = values["x"]
+    if system.space.balls:
+        values["x"] = _shape_coordinates(system.space, reference[: system.nx], values["x"])
     if layout.base_requested:
+        pose = reference[reference.numel() - group.size :]
         values["pose_numbers"] = values["pose"]
-        values["pose"] = _tangent_coordinates(graph, reference, values["pose"])
+        values["pose"] = _tangent_coordinates(graph, pose, values["pose"])
     column = ca.vertcat(ca.SX(0, 1), *(values[row] for row in rows))
     return ca.Function("outcome", [ca.vertcat(y, t, reference), constants], [ca.densify(column)])
+
+
+def _shape_coordinates(space: ShapeSpace, reference: ca.SX, x: ca.SX) -> ca.SX:
+    """Return first-order frame coordinates, (m,), of a shape relative to a nearby reference."""
+    ref, now, rows = _entries(reference), _entries(x), []
+    for joint in space.joints:
+        if joint.kind.is_ball:
+            rows += _turn_between(ref[joint.x], now[joint.x])
+        else:
+            rows += [b - a for a, b in zip(ref[joint.x], now[joint.x], strict=True)]
+    return ca.vertcat(ca.SX(0, 1), *rows)
+
+
+def _turn_between(q: list[ca.SX], other: list[ca.SX]) -> list[ca.SX]:
+    """Return the first-order rotation vector, (3,), from a quaternion to a nearby one."""
+    x, y, z, w = other
+    a, b, c, d = -q[0], -q[1], -q[2], q[3]
+    return [
+        2.0 * (d * x + a * w + b * z - c * y),
+        2.0 * (d * y + b * w + c * x - a * z),
+        2.0 * (d * z + c * w + a * y - b * x),
+    ]
 
 
 def _tangent_coordinates(graph: ReducedGraph, reference: ca.SX, pose: ca.SX) -> ca.SX:
@@ -174,15 +248,8 @@ def _tangent_coordinates(graph: ReducedGraph, reference: ca.SX, pose: ca.SX) -> 
     ref, now = _entries(reference), _entries(pose)
     shift = [a - b for a, b in zip(now[:k], ref[:k], strict=True)]
     if group.turns == 3:
-        q, (x, y, z, w) = ref[k:], now[k:]
-        a, b, c, d = -q[0], -q[1], -q[2], q[3]
-        rotation = [
-            2.0 * (d * x + a * w + b * z - c * y),
-            2.0 * (d * y + b * w + c * x - a * z),
-            2.0 * (d * z + c * w + a * y - b * x),
-        ]
-        shift = rotated(q, shift, -1.0) if k else []
-        return ca.vertcat(ca.SX(0, 1), *shift, *rotation)
+        shift = rotated(ref[k:], shift, -1.0) if k else []
+        return ca.vertcat(ca.SX(0, 1), *shift, *_turn_between(ref[k:], now[k:]))
     rotation = [a - b for a, b in zip(now[k:], ref[k:], strict=True)]
     if group.plane:
         *normal, x, y = shift
@@ -199,6 +266,9 @@ def _sample_initial_state(kernel: Kernel, rng: np.random.Generator) -> tuple[Arr
     system, layout = kernel.system, kernel.layout
     pose = system.group.exp(rng.uniform(-1.0, 1.0, system.r))
     others = rng.normal(size=2 * system.m + system.r)
+    if system.space.balls:
+        x = system.space.integrate(system.space.neutral, others[: system.m])
+        others = np.concatenate([x, others[system.m :]])
     return np.concatenate([pose, others]), kernel.random_parameters(rng)[layout.gravity_at :]
 
 
@@ -207,6 +277,8 @@ def _sample_outcome(kernel: Kernel, rng: np.random.Generator) -> tuple[Array, Ar
     y, parameters = _sample(kernel, rng)
     pose = system.group.exp(rng.uniform(-1.0, 1.0, system.r))
     com_path = rng.normal(size=3 * system.group.linear)
+    if system.space.balls:
+        pose = np.concatenate([system.space.random(rng, 1.0), pose])
     return np.concatenate([y, [rng.uniform()], pose]), np.concatenate([parameters, com_path])
 
 
@@ -217,24 +289,24 @@ def _validate_initial_conditions(
     system, layout, forces = kernel.system, kernel.layout, kernel.forces
     group, m, k = system.group, system.m, system.group.linear
     state, constants = _sample_initial_state(kernel, np.random.default_rng(0))
-    pose, x, xdot, motion = np.split(state, np.cumsum([group.size, m, m]))
+    pose, x, xdot, motion = np.split(state, np.cumsum([group.size, system.nx, m]))
     if layout.prescribed and forces is not None:
         planned = forces.prescribed(0.0, constants[len(constants) - layout.numbers :])
         if not np.isfinite([planned.x, planned.xdot]).all():
             return
-        x, xdot, driven = x.copy(), xdot.copy(), list(layout.prescribed)
-        x[driven], xdot[driven] = planned.x, planned.xdot
+        x, xdot = x.copy(), xdot.copy()
+        x[layout.prescribed_x], xdot[list(layout.prescribed)] = planned.x, planned.xdot
     start = initial_conditions_kernel(system, given, layout.freed)(
         pose[None], x[None], xdot[None], motion[None]
     )
-    active, cyclic, counts = list(layout.active), list(layout.cyclic), layout.base
+    cyclic, counts = list(layout.cyclic), layout.base
     gravity = np.zeros(3)
     gravity[list(layout.gravity)] = constants[: len(layout.gravity)]
     down = np.zeros(0)
     if counts.down:
         down = into_body(pose[None, k:], gravity / np.linalg.norm(gravity))[0]
     expected = np.concatenate([
-        x[active], start.pi[0, active], x[cyclic], pose[k:][: counts.attitude], down,
+        *layout.shape_entries(x, start.pi[0]), pose[k:][: counts.attitude], down,
         start.about[0, : counts.momentum], np.zeros(counts.push + layout.clock),
         start.fixed[0, : counts.spin], start.pi[0, cyclic], start.c0[0], start.v0[0],
     ])  # fmt: skip

@@ -217,12 +217,15 @@ class PointwiseReduction:
         Then A′ = Ad_{h⁻¹} A − Θ, B′ = Ad_{h⁻¹} B, I′ = Ad_hᵀ I Ad_h, M′ = M, μ′ = Ad_hᵀ μ.
 
         Args:
-            h: Function of a shape (m,) that returns (group element, Θ).  Θ = h⁻¹ ∂h, (r, m), is
+            h: Function of a shape (nx,) that returns (group element, Θ).  Θ = h⁻¹ ∂h, (r, m), is
                 the body twist of h per unit rate of each joint.  To compute quantities that need
                 ∂A (`at(x).dA`, the accelerations of Lagrange–Poincaré), it must return ∂Θ,
-                (r, m, m), derivative index last, as a third value.
+                (r, m, m), derivative index last, as a third value.  With balls, ∂ is the
+                derivative along the frame of the shape, and h(x) must not depend on the sign of a
+                quaternion.
         Returns:
-            A copy in the new section.  Raises InputError if Θ or ∂Θ is not the derivative.
+            A copy in the new section.  Raises InputError if Θ or ∂Θ is not the derivative, or if h
+            depends on the sign of a quaternion.
         """
         moved = copy(self)
         moved.frames = (*self.frames, MovedFrame(self.system, h))

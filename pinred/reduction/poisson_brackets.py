@@ -14,6 +14,10 @@ If gravity rotates a pivoted base, its direction Γ in the body is a variable to
 {Γ, ⟨μ, ξ⟩} = Γ × ξ, {Γ, Γ} = 0, {p_α, Γ} = −{⟨μ, A_α⟩, Γ}.  Along motions, ḟ = {f, h}.  Gravity
 along the group's translations does not appear, because momenta are measured in the falling frame.
 
+With balls, ∂f/∂x is the derivative e_αf along the frame of the shape: {x, p_α} = E e_α with the map
+E of `ShapeSpace.rate_map`.  The frame adds −c^γ_αβ p_γ to {p_α, p_β}, in the form "canonical"
+{π_α, π_β} = −c^γ_αβ π_γ.
+
 Source: Cendra, Marsden, Pekarsky, Ratiu, "Variational principles for Lie–Poisson and
 Hamilton–Poincaré equations", 2003; Montgomery, Marsden, Ratiu, "Gauged Lie–Poisson structures",
 1984.
@@ -42,7 +46,7 @@ from .casimirs import casimirs as casimirs
 from .casimirs import momentum_tensor
 from .pointwise_reduction import PointwiseReduction
 from .potential import pivot_weight, shape_gravity
-from .tree.all_joints import joint_values
+from .tree.all_joints import joint_values, rate_map
 from .tree.body_frames import bodies_of
 from .tree.casadi_reduction import CasadiReduction, casadi_reduction
 from .tree.momenta import centre_of_mass
@@ -62,7 +66,7 @@ class PhaseSpace:
     Attributes:
         system: The system.
         form: "connection" or "canonical".
-        x: Shape, (m,).
+        x: Shape, (nx,); the quaternion of a ball takes four entries and has length one.
         p: Shape momentum, (m,): M ẋ in the form "connection", π = ∂L/∂ẋ in "canonical".
         mu: Body momentum, (r,).
         gamma: Direction of gravity in the body, (3,), if gravity rotates a pivoted base, else (0,).
@@ -77,26 +81,30 @@ class PhaseSpace:
 
     @property
     def z(self) -> ca.SX:
-        """All variables (x, p, μ, Γ), (2m + r,), or (2m + r + 3,) with Γ."""
+        """All variables (x, p, μ, Γ), (nx + m + r,), or (nx + m + r + 3,) with Γ."""
         return ca.vertcat(self.x, self.p, self.mu, self.gamma)
 
     @cached_property
     def tensor(self) -> ca.SX:
         """The Poisson tensor {z_i, z_j}, antisymmetric."""
         m, r, k = self.system.m, self.system.r, self.gamma.numel()
+        of_p, of_w = self.system.nx, self.system.nx + m  # first rows of p and of (μ, Γ)
         C = [momentum_tensor(self.system.group, e) for e in np.eye(r)]
         of_mu = sum((self.mu[i] * ca.SX(C[i]) for i in range(r)), ca.SX(r, r))
         W = ca.SX(r + k, r + k)
         W[:r, :r] = of_mu
         if k:
             W[:r, r:] = W[r:, :r] = ca.skew(self.gamma)
-        P = ca.SX(2 * m + r + k, 2 * m + r + k)
-        P[:m, m : 2 * m], P[m : 2 * m, :m] = ca.SX.eye(m), -ca.SX.eye(m)
-        P[2 * m :, 2 * m :] = W
+        P, E = ca.SX(of_w + r + k, of_w + r + k), rate_map(self.system, self.x)
+        P[:of_p, of_p:of_w], P[of_p:of_w, :of_p] = E, -E.T
+        P[of_w:, of_w:] = W
         if self.form == "connection" and m:
             across = -self._terms.A.T @ W[:r, :]  # {p_α, w} = −A_α · {μ, w}
-            P[m : 2 * m, 2 * m :], P[2 * m :, m : 2 * m] = across, -across.T
-            P[m : 2 * m, m : 2 * m] = ca.reshape(self.mu.T @ self._terms.B, m, m).T
+            P[of_p:of_w, of_w:], P[of_w:, of_p:of_w] = across, -across.T
+            P[of_p:of_w, of_p:of_w] = ca.reshape(self.mu.T @ self._terms.B, m, m).T
+        if self.system.space.balls:
+            c = ca.SX(ca.DM(self.system.space.structure.reshape(m, m * m)))
+            P[of_p:of_w, of_p:of_w] -= ca.reshape(self.p.T @ c, m, m).T
         return P
 
     @cached_property
@@ -137,7 +145,8 @@ class Observable:
         value: Function (x, p, mu) that returns a number, or (x, p, mu, gamma) if gravity rotates a
             pivoted base.
         gradient: Function of the same arguments that returns the derivative with respect to
-            z = (x, p, mu, gamma), as one vector or as a tuple of vectors.
+            z = (x, p, mu, gamma), as one vector or as a tuple of vectors.  The derivative with
+            respect to x has nx entries, four for the quaternion of a ball.
         form: "connection" or "canonical", see `tensor`.
     """
 
@@ -158,7 +167,6 @@ def phase_space(system: System, *, form: Form = "connection") -> PhaseSpace:
         The phase space; the same object at every call.
     """
     system = checked_system(system, "phase_space")
-    system.space.refuse_balls("Poisson brackets")
     return once(system, (phase_space, _form(form)), lambda: _space(system, form))
 
 
@@ -205,8 +213,8 @@ def tensor(
 
     Args:
         red: Reduction of the system.
-        x: Shape, (m,) [rad | m].
-        p: Shape momentum, (m,).  The tensor does not depend on it.
+        x: Shape, (nx,) [rad | m | 1].
+        p: Shape momentum, (m,).  The tensor depends only on the momenta of balls.
         mu: Body momentum, (r,) [N s | N m s].
         gamma: Direction of gravity in the body, (3,); required if and only if gravity rotates a
             pivoted base.
@@ -217,7 +225,10 @@ def tensor(
         InputError: gamma is missing or superfluous, or the form is unknown.
     """
     system, m, r = red.system, red.system.m, red.system.r
-    _ = vector(p, m, "p")
+    of_p, of_w = system.nx, system.nx + m  # first rows of p and of (μ, Γ)
+    space, what = system.space, f"shape x of {system.name!r}"
+    x = space.normalized(vector(x, space.nx, what, space.x_names), what)
+    p = vector(p, m, "p")
     mu = vector(mu, r, "mu")
     heavy = bool(pivot_weight(system).any())
     if heavy != (gamma is not None):
@@ -227,13 +238,15 @@ def tensor(
             else f"gravity rotates no pivoted base of '{system.name}'; leave gamma out"
         )
     W = momentum_tensor(red.group, mu, None if gamma is None else vector(gamma, 3, "gamma"))
-    P = np.zeros((2 * m + len(W), 2 * m + len(W)))
-    P[:m, m : 2 * m], P[m : 2 * m, :m] = np.eye(m), -np.eye(m)
-    P[2 * m :, 2 * m :] = W
+    P, E = np.zeros((of_w + len(W), of_w + len(W))), space.rate_map(x)
+    P[:of_p, of_p:of_w], P[of_p:of_w, :of_p] = E, -E.T
+    P[of_w:, of_w:] = W
     if _form(form) == "connection" and m:
         across = -red.local_connection(x).T @ W[:r]
-        P[m : 2 * m, 2 * m :], P[2 * m :, m : 2 * m] = across, -across.T
-        P[m : 2 * m, m : 2 * m] = np.einsum("i,iab->ab", mu, red.curvature(x))
+        P[of_p:of_w, of_w:], P[of_w:, of_p:of_w] = across, -across.T
+        P[of_p:of_w, of_p:of_w] = np.einsum("i,iab->ab", mu, red.curvature(x))
+    if space.balls:
+        P[of_p:of_w, of_p:of_w] -= np.einsum("gab,g->ab", space.structure, p)
     return 0.5 * (P - P.T)
 
 
@@ -270,7 +283,7 @@ def _form(form: str) -> Form:
 def _space(system: System, form: Form) -> PhaseSpace:
     m, r = system.m, system.r
     heavy = bool(pivot_weight(system).any())
-    sizes = {"x": m, "p" if form == "connection" else "pi": m, "mu": r, "gamma": 3 * heavy}
+    sizes = {"x": system.nx, "p" if form == "connection" else "pi": m, "mu": r, "gamma": 3 * heavy}
     space = PhaseSpace(system, form, *(ca.SX.sym(name, size) for name, size in sizes.items()))
     for symbol in ca.vertsplit(space.z):
         _spaces[symbol.element_hash()] = space

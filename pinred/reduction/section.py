@@ -4,6 +4,9 @@ The pose of the new frame is g h(x).  With Θ = h⁻¹ ∂h, the body twists of 
 
     A′ = Ad_{h⁻¹} A − Θ,   B′ = Ad_{h⁻¹} B,   I′ = Ad_hᵀ I Ad_h,   M′ = M,   μ′ = Ad_hᵀ μ.
 
+With balls, ∂ is the derivative along the frame of the shape, and B′ contains the frame's term: the
+formula for B′ is the same, because Θ is flat, ∂_αΘ_β − ∂_βΘ_α + [Θ_α, Θ_β] = c^γ_αβ Θ_γ.
+
 Source: Cendra, Marsden, Ratiu, "Lagrangian reduction by stages", 2001, ch. 2.
 """
 
@@ -24,7 +27,7 @@ from .inertia_split import InertiaSplit
 
 Section: TypeAlias = Callable[[Array], tuple[Any, ...]]
 
-_STEP = 1e-3  # step of the finite differences that check a derivative [rad | m]
+_STEP = 1e-3  # step of the finite differences along the frame that check a derivative [rad | m]
 _TOLERANCE = 1e-6  # tolerance of the derivative check, relative to the largest entry
 
 
@@ -72,11 +75,12 @@ class MovedFrame:
 
     def __init__(self, system: System, h: Section) -> None:
         """Check and store the section.  Raises InputError if its derivative is wrong."""
-        system.space.refuse_balls("change_section")
         self._system, self._group, self.section = system, system.group, h
         rng = np.random.default_rng(0)
-        for x in rng.uniform(-1.0, 1.0, (2, system.m)):
+        for _ in range(2):
+            x = system.space.random(rng, 1.0)
             self._check_derivatives(x)
+            self._check_signs(x)
 
     def split(self, old: InertiaSplit) -> InertiaSplit:
         """Return the split of the mass matrix in this frame."""
@@ -103,7 +107,7 @@ class MovedFrame:
         return np.asarray(move.rotation[0].T @ derivative - carried)
 
     def curvature(self, x: Array, B: Array) -> Array:
-        """Return B′ = Ad_{h⁻¹} B, (r, m, m), at shape x (m,)."""
+        """Return B′ = Ad_{h⁻¹} B, (r, m, m), at shape x (nx,)."""
         return np.asarray(self.moves(x[None]).curvature(B[None])[0])
 
     def inertia_derivative(self, new: InertiaSplit, dI: Array) -> Array:
@@ -146,7 +150,7 @@ class MovedFrame:
         return np.asarray(np.einsum("ij,jbc->ibc", inverse, dA) - brackets - dtheta)
 
     def moves(self, x: Array) -> Moves:
-        """Return the changes of frame at shapes x (N, m)."""
+        """Return the changes of frame at shapes x (N, nx)."""
         elements = [self._element(shape)[:2] for shape in x]
         places = [self._placement(g, shape) for (g, _), shape in zip(elements, x, strict=True)]
         system = self._system
@@ -179,13 +183,15 @@ class MovedFrame:
         return self._group.pose(value[0]), theta, dtheta
 
     def _check_derivatives(self, x: Array) -> None:
-        """Raise InputError if Θ or ∂Θ differs from finite differences of h at shape x (m,)."""
+        """Raise InputError if Θ or ∂Θ differs from finite differences of h at shape x (nx,)."""
         pose, theta, dtheta = self._element(x)
-        inverse = self._group.inverse(pose)
+        inverse, space = self._group.inverse(pose), self._system.space
         for k, unit in enumerate(np.eye(self._system.m)):
             twist, change = np.zeros(self._system.r), np.zeros_like(theta)
             for n, weight in ((1, 0.75), (2, -0.15), (3, 1 / 60)):
-                ahead, behind = (self._element(x + s * n * _STEP * unit) for s in (1.0, -1.0))
+                ahead, behind = (
+                    self._element(space.integrate(x, s * n * _STEP * unit)) for s in (1.0, -1.0)
+                )
                 logs = [
                     self._group.log(self._group.compose(inverse, g)) for g, *_ in (ahead, behind)
                 ]
@@ -203,6 +209,23 @@ class MovedFrame:
                         f"but finite differences of h(x) are {expected}; Θ is the body twist of "
                         "h per unit rate of the joint"
                     )
+
+    def _check_signs(self, x: Array) -> None:
+        """Raise InputError if h(x) differs between the quaternions q and −q of a ball."""
+        pose, theta, _ = self._element(x)
+        inverse = self._group.inverse(pose)
+        for ball in self._system.space.balls:
+            opposite = x.copy()
+            opposite[ball.x] *= -1.0
+            other, other_theta, _ = self._element(opposite)
+            distance = np.abs(self._group.log(self._group.compose(inverse, other))).max(initial=0.0)
+            change = np.abs(theta - other_theta).max(initial=0.0)
+            if not max(distance, change) <= _TOLERANCE * (1.0 + np.abs(theta).max(initial=0.0)):
+                raise InputError(
+                    f"h(x) of the section depends on the sign of the quaternion of ball joint "
+                    f"'{ball.name}' at x = {x}; q and −q are the same attitude, so use its "
+                    "rotation matrix or its rotation vector"
+                )
 
 
 def _checked_array(value: Any, shape: tuple[int, ...], name: str) -> Array:

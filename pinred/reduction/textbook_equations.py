@@ -14,6 +14,10 @@ equations are only the last line, at a fixed shape.  τ are joint torques, and f
 base in its frame.  −⟨f, A_α⟩ is the work of f in a horizontal motion, ξ = −A ẋ.  Gravity along the
 group's translations does not appear: the equations hold in the falling frame.
 
+With balls, ẋ is the rate σ along the frame of the shape, and ∂_α is the derivative along it.  The
+frame's structure constants c add the term −c^γ_αβ p_γ σ^β to the shape equation, which is p × σ for
+a ball, and −c^γ_αβ A_γ to the curvature.
+
 If gravity rotates a pivoted base (SO(3), with the pivot away from the centre of mass c), its
 direction in the body Γ = Rᵀ ĝ is a variable too, Γ̇ = Γ × ξ.  With the gravity force F = m |g| Γ,
 
@@ -73,6 +77,7 @@ class ShapeForces(_Terms):
         torque: Joint torque τ.
         wrench: Effect −⟨f, A_α⟩ of the wrench f on the base.
         weight: Effect F·∂_αc − ⟨c × F, A_α⟩ of the weight of a pivoted base.
+        frame: Effect −c^γ_αβ p_γ ẋ^β of the frame's rotation, p × ẋ for a ball; zero without balls.
     """
 
     metric: Array
@@ -83,6 +88,7 @@ class ShapeForces(_Terms):
     torque: Array
     wrench: Array
     weight: Array
+    frame: Array
 
 
 @dataclass(frozen=True)
@@ -179,7 +185,7 @@ def lagrange_poincare(
 
     Args:
         red: Reduction of the system.
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         xdot: Shape rate, (m,) [rad/s | m/s].
         omega: Locked velocity Ω = ξ + A ẋ (`red.locked_velocity`), (r,).
         torque: Joint torques, (m,) [N m | N].
@@ -190,7 +196,6 @@ def lagrange_poincare(
     Returns:
         The terms and the accelerations.  Raises SymmetryError if gravity breaks the symmetry.
     """
-    red.system.space.refuse_balls("lagrange_poincare")
     at, F = red.at(x), _weight(red, gamma, pose)
     xdot = vector(xdot, red.system.m, "xdot")
     omega = vector(omega, red.system.r, "omega")
@@ -220,7 +225,7 @@ def hamilton_poincare(
 
     Args:
         red: Reduction of the system.
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         p: Horizontal shape momentum M ẋ, (m,) [N m s | N s].
         mu: Body momentum, (r,) [N s; N m s].
         torque: Joint torques, (m,) [N m | N].
@@ -231,7 +236,6 @@ def hamilton_poincare(
     Returns:
         The terms and the energy.  Raises SymmetryError if gravity breaks the symmetry.
     """
-    red.system.space.refuse_balls("hamilton_poincare")
     at, F = red.at(x), _weight(red, gamma, pose)
     p, mu = vector(p, red.system.m, "p"), vector(mu, red.system.r, "mu")
     xdot = _solve(at.reduced_metric, p)
@@ -260,7 +264,7 @@ def euler_poincare(
 
     Args:
         red: Reduction of the system.
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         xi: Body twist, (r,) [m/s; rad/s].
         wrench: Wrench on the base in its frame, (r,) [N; N m].
         gamma: Direction of gravity in the body, (3,).  `gamma` or `pose` is required if and only
@@ -330,7 +334,16 @@ def _shape_forces(
         torque=_vector_or_zero(torque, red.system.m, "torque"),
         wrench=read_only(-momentum.wrench @ at.local_connection),
         weight=read_only(weight),
+        frame=read_only(_frame_force(red, at, xdot)),
     )
+
+
+def _frame_force(red: PointwiseReduction, at: ReducedShape, xdot: Array) -> Array:
+    """Return −c^γ_αβ p_γ ẋ^β, (m,), with p = M ẋ."""
+    space = red.system.space
+    if not space.balls:
+        return np.zeros(space.m)
+    return np.asarray(-np.einsum("gab,g,b->a", space.structure, at.reduced_metric @ xdot, xdot))
 
 
 def _momentum_forces(

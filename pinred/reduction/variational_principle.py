@@ -5,6 +5,9 @@ part ζ = η + A δx of the variation, the locked velocity Ω = ξ + A ẋ chang
 
     δΩ = ζ̇ + [ξ, ζ] − [Ω, A δx] − ⟨B, (ẋ, δx)⟩,   ⟨B, (ẋ, δx)⟩ = B_αβ ẋ^α δx^β.
 
+With balls, ẋ and δx are rates and displacements along the frame of the shape, and B contains the
+frame's term, so the formula is the same.
+
 The Euler–Poincaré and Lagrange–Poincaré equations follow from these constrained variations.  For
 any left-invariant Lagrangian ℓ(ξ), they are d/dt ∂ℓ/∂ξ = ad*_ξ ∂ℓ/∂ξ.
 
@@ -75,7 +78,7 @@ def constrained_variation(
 
     Args:
         red: Reduction of the system.
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         xdot: Shape rate, (m,) [rad/s | m/s].
         xi: Body twist, (r,) [m/s; rad/s].
         eta: Variation η = g⁻¹ δg of the pose, (r,) [m; rad].

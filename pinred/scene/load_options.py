@@ -26,6 +26,12 @@ LOAD = Table(
             default="none",
             command="--lock J1,J2=VALUE,…",
         ),
+        "balls": Key(
+            Either((Flag(), ListOf(Text((), "the name of a ball or of a hinge")))),
+            "three hinges at one point to merge into a ball, by name; true: all such hinges",
+            default="false",
+            command="--balls all or B1,B2,…",
+        ),
         "root": Key(
             Text((), "the name of a body"),
             "root body of the robot, for MJCF files in which several bodies of the world move",

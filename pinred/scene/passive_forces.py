@@ -7,6 +7,7 @@ from typing import Any
 from ..common.arrays import positive
 from ..common.errors import InputError
 from ..forces.force import Force
+from ..system.ball_forces import BallSpring
 from ..system.passive import Damper, Friction, Spring
 from ..system.system import System
 
@@ -66,7 +67,7 @@ def passive_left_out(
         f"{count} {singular if count == 1 else plural}"
         for kind, singular, plural in (
             (Damper, "damper", "dampers"),
-            (Spring, "spring", "springs"),
+            ((Spring, BallSpring), "spring", "springs"),
             (Friction, "joint with dry friction", "joints with dry friction"),
         )
         if (count := sum(isinstance(force, kind) for force in omitted))

@@ -104,12 +104,15 @@ class SceneFields:
 
     system: System
     x0: ArrayLike | Mapping[str, ArrayLike] | None = field(default=None, metadata=_option(
-        SHAPE, "initial shape [rad | m]; if joints are named, the others are at zero",
-        default="the robot's own, or zero if xdot0 is stated", formats="(m,), or {joint: value}",
+        SHAPE, "initial shape [rad | m]; a ball has a rotation vector or a quaternion "
+        "(x, y, z, w); if joints are named, the others are at rest",
+        default="the robot's own, or at rest if xdot0 is stated",
+        formats="(nx,), or {joint: value}",
         table="start", command=f"--x0 {BY_JOINT}",
     ))  # fmt: skip
     xdot0: ArrayLike | Mapping[str, ArrayLike] | None = field(default=None, metadata=_option(
-        SHAPE, "initial shape rate [rad/s | m/s]; if joints are named, the others have rate zero",
+        SHAPE, "initial shape rate [rad/s | m/s]; a ball has the angular velocity of its child; "
+        "if joints are named, the others have rate zero",
         default="the robot's own, or zero if x0 is stated", formats="(m,), or {joint: value}",
         table="start", command=f"--xdot0 {BY_JOINT}",
     ))  # fmt: skip

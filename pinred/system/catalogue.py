@@ -25,6 +25,7 @@ class BundledRobot:
         description: Description of the robot in one line.
         gravity: Gravity in the world frame, (3,) [m/s²].
         initial: Generic initial state, with the keys x, xdot, xi and duration.
+        balls: Whether hinges that meet at one point are merged into balls (see `load`).
         closed_form: Results that are known in closed form.
         source: Publication that describes the problem.
     """
@@ -35,6 +36,7 @@ class BundledRobot:
     description: str
     gravity: tuple[float, float, float]
     initial: dict[str, Any]
+    balls: bool = False
     closed_form: str = ""
     source: str = ""
 
@@ -89,7 +91,7 @@ def example_robot(name: str) -> ExampleRobot:
     loader = _loaders()[name]
     if not loader.urdf_filename:
         raise LoadError(
-            f"'{name}' is only available as {loader.sdf_filename}, but pinred reads URDF and MJCF"
+            f"'{name}' is only available as {loader.sdf_filename}; load this file by its path"
         )
 
     def path(folder: str, file: str) -> Path:

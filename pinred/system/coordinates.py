@@ -6,6 +6,7 @@ The module also converts their coordinates to Pinocchio's q and v.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -85,11 +86,20 @@ class CoordinateMap:
 
     def to_q(self, y: Array) -> Array:
         """Convert coordinates y to Pinocchio's q, (..., nq)."""
-        q = np.empty((*y.shape[:-1], len(self.plain) + 2 * len(self.angle)))
-        q[..., self.plain_q] = y[..., self.plain]
-        q[..., self.angle_q] = np.cos(y[..., self.angle])
-        q[..., self.angle_q + 1] = np.sin(y[..., self.angle])
-        return q
+        if not len(self.angle):
+            return y.copy()  # both store the same numbers in the same order
+        angle = y.take(self.angle, axis=-1)
+        columns = np.concatenate([y, np.cos(angle), np.sin(angle)], axis=-1)
+        return columns.take(self._columns, axis=-1)
+
+    @cached_property
+    def _columns(self) -> Indices:
+        """Index of each entry of q among the entries of y, the cosines and the sines."""
+        y, angles = len(self.plain) + len(self.angle), np.arange(len(self.angle))
+        columns = np.empty(y + len(angles), dtype=np.intp)
+        columns[self.plain_q] = self.plain
+        columns[self.angle_q], columns[self.angle_q + 1] = y + angles, y + len(angles) + angles
+        return columns
 
     def from_q(self, q: Array) -> Array:
         """Convert Pinocchio's q, (..., nq), to y, with angles in (−π, π]."""

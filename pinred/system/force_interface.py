@@ -15,7 +15,7 @@ import numpy as np
 
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
-from ..common.names import brief, joint_index
+from ..common.names import brief, joint_index, listed, quoted
 from ..common.parameter import Parameter
 
 if TYPE_CHECKING:
@@ -165,6 +165,24 @@ class Symbols:
                 "use a force on the whole ball"
             )
         return self.x[self.x_names.index(name)]
+
+    def ball(self, name: str, what: str) -> tuple[Any, int]:
+        """Return the quaternion of a ball, (4,), and the index of its first rate.
+
+        Args:
+            name: Name of the ball joint.
+            what: Beginning of the error message.
+        Raises:
+            InputError: There is no ball joint with this name; the message lists the balls.
+        """
+        balls = [label.removesuffix(".qx") for label in self.x_names if label.endswith(".qx")]
+        if name not in balls:
+            raise InputError(
+                f"{what}: no ball joint {quoted(str(name))}; the ball joints are "
+                f"{listed(balls, 30) or 'none'}"
+            )
+        first = self.x_names.index(f"{name}.qx")
+        return self.x[first : first + 4], self.names.index(f"{name}.x")
 
     def refuse_follower(self, joint: int, what: str) -> None:
         """Reject a follower joint, which is not a shape coordinate.

@@ -31,16 +31,18 @@ from ..lie.spatial_groups import SE3
 from . import catalogue
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
-from .joints import RootChain, motion_group, places_on_root, root_chain, root_joint
+from .joints import RootChain, is_shape_joint, motion_group, places_on_root, root_chain, root_joint
 from .locked_joints import LockedJoints, frozen_configurations, lock_values
+from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
-from .passive import passive_contents
+from .passive import Spring, passive_contents
+from .read_sdf import read_sdf
 from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_file_contents import Contents, Coupling, Origin
-from .robot_files import is_mjcf, read_text, read_xml
+from .robot_files import is_mjcf, outermost, read_text, read_xml
 from .split_joints import split_joints
 from .system import System
 from .urdf_elements import mimic_couplings
@@ -67,6 +69,7 @@ class _Robot:
         group: Requested or catalogued symmetry group, if any.
         initial: Generic initial state, if any.
         warning: Warning about the text of the file, or "".
+        springs: Springs at joints.
     """
 
     raw: pin.Model
@@ -76,6 +79,7 @@ class _Robot:
     group: Group | None
     initial: InitialState | None = None
     warning: str = ""
+    springs: tuple[Spring, ...] = ()
 
 
 @checks_arguments
@@ -89,6 +93,7 @@ def load(
     strict: bool = False,
     meshes: str | Path | Iterable[str | Path] = (),
     parameters: Mapping[str, ArrayLike] | None = None,
+    balls: bool | Iterable[str] = False,
 ) -> System:
     """Load a robot as symmetry group times shape.
 
@@ -117,6 +122,10 @@ def load(
             those above the file.
         parameters: Robot parameters {name: value} that replace values of the file, such as masses
             and placements; `Scene` lists the names.
+        balls: Three consecutive hinges to merge into a ball joint, by the name of the ball or of a
+            hinge; True: all that meet at one point at right angles, without bodies between them,
+            and whose armature, springs, damping and friction are equal.  `inspect` lists them.
+            Bundled robots with balls merge theirs by default; an empty list keeps the hinges.
     Returns:
         System of the robot.
     Raises:
@@ -131,14 +140,16 @@ def load(
     if not (root is None or isinstance(root, str)):
         raise InputError(f"root must be the name of a body, got {brief(root)}")
     new_gravity = None if gravity is None else _checked_gravity(gravity)
-    locked = lock_values(lock)
+    locked, merged = lock_values(lock), requested_balls(balls)
     folders = mesh_folders(meshes)
     if mjcf_kind := _mjcf_kind(source):
         if folders:
             raise InputError(
                 "meshes= applies to URDF only; an MJCF file contains the paths of its meshes"
             )
-        system = _load_mujoco(source, mjcf_kind, requested, locked, new_gravity, root)
+        system = _load_mujoco(
+            source, mjcf_kind, requested, locked, new_gravity, root=root, balls=merged
+        )
     else:
         visuals = with_visuals(source)
         if visuals is not None:
@@ -158,7 +169,9 @@ def load(
                 "carries the robot"
             )
         robot = _read(source, requested, locked, folders)
-        system = _load_model(robot, locked, new_gravity, visuals)
+        bundled = catalogue.bundled_robots().get(str(source))
+        merged = merged or (merged is False and bundled is not None and bundled.balls)
+        system = _load_model(robot, locked, new_gravity, visuals, merged)
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
@@ -189,10 +202,12 @@ def _load_mujoco(
     group: Group | None,
     locked: Mapping[str, float],
     gravity: Array | None,
+    *,
     root: str | None,
+    balls: bool | tuple[str, ...],
 ) -> System:
     """Load a MuJoCo source of a `kind` (see `_mjcf_kind`); other arguments: see `load`."""
-    robot = read_mujoco(source, root=root, lock=locked, gravity=gravity)
+    robot = read_mujoco(source, root=root, lock=locked, gravity=gravity, balls=balls)
     model, name, origin = _on_root(robot.model, group, None), robot.name, None
     if kind == "path":
         name = Path(source).stem
@@ -223,6 +238,11 @@ def _read(
             x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
             initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
         return _Robot(raw, couplings, name, origin, group, initial, warning)
+    if is_path(name) and outermost(read_text(Path(source))) == "sdf":
+        origin = replace(origin, source=str(Path(source).absolute()))
+        sdf = read_sdf(Path(source))
+        name = Path(source).stem
+        return _Robot(sdf.model, (), name, origin, group, warning=sdf.warning, springs=sdf.springs)
     if is_path(name):
         raw, couplings, warning = read_urdf(Path(source))
         origin = replace(origin, source=str(Path(source).absolute()))
@@ -231,13 +251,23 @@ def _read(
 
 
 def _load_model(
-    robot: _Robot, lock: Mapping[str, float], gravity: Array | None, visuals: Visuals | None
+    robot: _Robot,
+    lock: Mapping[str, float],
+    gravity: Array | None,
+    visuals: Visuals | None,
+    balls: bool | tuple[str, ...],
 ) -> System:
-    """Lock joints of a robot, choose its root joint, and return its system."""
+    """Lock and merge joints of a robot, choose its root joint, and return its system."""
     split = split_joints(robot.raw)
-    raw, names = split.model, list(split.model.names)
+    names = list(split.model.names)
     all_couplings = (*robot.couplings, *split.couplings)
-    locked, couplings = with_followers(split.locked(lock), all_couplings, names)
+    lock = locked_hinges(split.model, balls, split.locked(lock))
+    locked, couplings = with_followers(lock, all_couplings, names)
+    hinges = [n for n in names[1:] if split.model.joints[split.model.getJointId(n)].nv == 1]
+    forces = passive_contents(split.model, hinges, locked, (), robot.springs).passive
+    kept = {*locked, *coupled_joints(couplings)}
+    merge = merge_of(split.model, balls, passive=forces, kept=kept)
+    raw = merge.model(split.model)
     bare = rebuild(raw, frozen=frozen_configurations(raw, locked))
     chain = root_chain(bare)
     model = _on_root(bare, robot.group, chain)
@@ -249,17 +279,26 @@ def _load_model(
         locked_joints = LockedJoints(
             raw, locked, ties, places, str(model.names[1]), several, shared
         )
+    shape = merge.with_hinges(list(model.names)[2:])
+    passive = passive_contents(split.model, shape, locked, split.sliding, robot.springs)
     contents = replace(
-        passive_contents(raw, list(model.names)[2:], locked, split.sliding),
+        passive,
+        left_out=(*passive.left_out, *merge.left_out(forces), *merge.limits(split.model)),
+        passive=merge.forces(passive.passive),
         visuals=visuals,
-        warnings=(robot.warning,) if robot.warning else (),
+        warnings=(*([robot.warning] if robot.warning else []), *merge.warnings(split.model)),
         couplings=couplings,
         locked=locked_joints,
+        merged=merge.triples,
     )
+    initial = robot.initial
+    if initial is not None:
+        followers = {coupling.follower for coupling in couplings}
+        initial = merge.initial(initial, [name for name in shape if name not in followers])
     if gravity is not None:
         model.gravity.linear = gravity
     model.name = robot.name
-    return System(model, robot.name, robot.initial, robot.origin, contents)
+    return System(model, robot.name, initial, robot.origin, contents)
 
 
 def _checked_gravity(value: ArrayLike) -> Array:
@@ -349,7 +388,7 @@ def _root_group(raw: pin.Model) -> Group | None:
     if raw.njoints < 2:
         return None
     group = motion_group(raw.joints[1])
-    if raw.joints[1].nv > 1:
+    if not is_shape_joint(raw.joints[1]):
         return group
     anchored = raw.inertias[0].mass == 0.0
     carries_all = all(raw.parents[i] != 0 for i in range(2, raw.njoints))

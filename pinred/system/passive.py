@@ -19,6 +19,7 @@ from .robot_file_contents import Contents, LeftOut
 
 # Kinds of actions that pinred does not simulate (LeftOut.what).
 BASE = "springs, damping and friction of the base"
+MERGED = "springs, damping and friction of merged hinges"
 SLIDING = "dry friction against sliding in a plane"
 UNEVEN = "dry friction that is not the same in both directions"
 
@@ -223,8 +224,17 @@ def _settle_polynomial(force: Any) -> None:
     object.__setattr__(force, "polynomial", tuple(finite(value, what) for value in coefficients))
 
 
+def rate_labels(name: str, nv: int) -> tuple[str, ...]:
+    """Return the labels of the rates of a hinge or slide (nv = 1), or of the axes of a ball."""
+    return (name,) if nv == 1 else tuple(f"{name}.{axis}" for axis in "xyz")
+
+
 def passive_contents(
-    raw: pin.Model, shape: Sequence[str], locked: Collection[str], sliding: Sequence[str] = ()
+    raw: pin.Model,
+    shape: Sequence[str],
+    locked: Collection[str],
+    sliding: Sequence[str] = (),
+    springs: Sequence[Spring] = (),
 ) -> Contents:
     """Return the dampers and dry friction of a model, and the actions that are not simulated.
 
@@ -233,6 +243,7 @@ def passive_contents(
         shape: Names of the shape joints.
         locked: Names of frozen joints.  All remaining joints belong to the base.
         sliding: Names of joints whose dry friction acts against sliding in a plane.
+        springs: Springs at joints.
     Returns:
         Contents with `passive` and `left_out`.
     Raises:
@@ -247,7 +258,8 @@ def passive_contents(
         damping, most = raw.damping[entries], raw.upperDryFrictionLimit[entries]
         least = raw.lowerDryFrictionLimit[entries]
         numbers = np.concatenate([damping, most, least])
-        if name in locked or not numbers.any():
+        own = [spring for spring in springs if spring.joint == name]
+        if name in locked or not (own or numbers.any()):
             continue
         if not np.isfinite(numbers).all():
             raise ModelError(
@@ -256,12 +268,16 @@ def passive_contents(
         if name not in shape:
             base.append(name)
             continue
-        if damping[0]:
-            forces.append(Damper(name, float(damping[0])))
-        if most[0] != -least[0]:
-            uneven.append(name)
-        elif most[0]:
-            forces.append(Friction(name, float(most[0])))
+        forces += own
+        for label, d, upper, lower in zip(
+            rate_labels(name, joint.nv), damping, most, least, strict=True
+        ):
+            if d:
+                forces.append(Damper(label, float(d)))
+            if upper != -lower:
+                uneven.append(label)
+            elif upper:
+                forces.append(Friction(label, float(upper)))
     names = {BASE: base, UNEVEN: uneven, SLIDING: sliding}
     left_out = [LeftOut(kind, tuple(joints)) for kind, joints in names.items() if joints]
     return Contents(left_out=tuple(left_out), passive=tuple(forces))

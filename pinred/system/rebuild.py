@@ -7,7 +7,7 @@ neither function.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,6 +82,7 @@ class NewJoint:
         placement: Placement on the joint before, or on the placement of the first joint.
         armature: Armature, (nv,) [kg m² | kg]; zero if None.
         limits: Lower and upper position limits, (2, nq) [rad | m]; infinite if None.
+        body: Placement of the body on the last joint of a chain; the identity if None.
     """
 
     name: str
@@ -89,6 +90,7 @@ class NewJoint:
     placement: pin.SE3
     armature: ArrayLike | None = None
     limits: ArrayLike | None = None
+    body: pin.SE3 | None = None
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,7 @@ def rebuild(
     root: pin.JointModel | None = None,
     chain: RootChain | None = None,
     order: Sequence[int] = (),
+    without_frames: Collection[int] = (),
 ) -> pin.Model:
     """Return a copy of a model with some of its joints changed.
 
@@ -120,6 +123,7 @@ def rebuild(
         chain: Joints that `root` replaces; if None, `root` is an additional joint.
         order: Indices of all joints in the new order, parents before children; if empty, the
             order of the model.
+        without_frames: Indices of frames to leave out.
     """
     frozen, replaced = frozen or {}, replaced or {}
     builder = ModelBuilder()
@@ -147,8 +151,10 @@ def rebuild(
             joint.calc(motion, q)
             carrier = _Carrier(under.joint, at * motion.M)
         elif i in replaced:
+            body = replaced[i][-1].body
             carrier = _Carrier(
-                _add_chain(builder, under.joint, at, replaced[i]), pin.SE3.Identity()
+                _add_chain(builder, under.joint, at, replaced[i]),
+                pin.SE3.Identity() if body is None else body,
             )
         else:
             k = builder.add_joint(
@@ -162,7 +168,9 @@ def rebuild(
             carrier = _Carrier(k, pin.SE3.Identity())
         model.appendBodyToJoint(carrier.joint, raw.inertias[i], carrier.placement)
         carriers[i] = carrier
-    for frame in list(raw.frames)[1:]:
+    for number, frame in enumerate(raw.frames):
+        if number == 0 or number in without_frames:
+            continue
         on = carriers[frame.parentJoint]
         model.addFrame(
             pin.Frame(frame.name, on.joint, 0, on.placement * frame.placement, frame.type), False

@@ -10,6 +10,7 @@ from typing import Any
 from ..common.arrays import Array, FrozenArrays
 from ..common.names import plain
 from .force_interface import Force
+from .hinge_triples import HingeTriple
 from .locked_joints import LockedJoints
 from .visuals import Visuals
 
@@ -109,6 +110,7 @@ class Contents:
         warnings: Warnings about parts of the file that are not read as written.
         visuals: Shapes for playback that were passed to `load` together with the model.
         locked: The locked joints; None if no joint was locked.
+        merged: Hinges that became balls.
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -119,6 +121,7 @@ class Contents:
     warnings: tuple[str, ...] = ()
     visuals: Visuals | None = None
     locked: LockedJoints | None = None
+    merged: tuple[HingeTriple, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of mappings cannot be pickled.

@@ -58,6 +58,11 @@ def read_text(path: Path) -> str:
 
 def is_mjcf(text: str) -> bool:
     """Return whether the outermost XML element of a text is that of an MJCF file."""
+    return outermost(text) == "mujoco"
+
+
+def outermost(text: str) -> str:
+    """Return the name of the outermost XML element of a text in lower case; "" if there is none."""
     tags: list[str] = []
     parser = expat.ParserCreate()
     parser.StartElementHandler = lambda tag, _: tags.append(tag) if not tags else None
@@ -67,7 +72,7 @@ def is_mjcf(text: str) -> bool:
             parser.Parse(text[start : start + _CHUNK])
             if tags:
                 break
-    return bool(tags) and tags[0].lower() == "mujoco"
+    return tags[0].lower() if tags else ""
 
 
 def read_xml(path: Path) -> ElementTree.Element:

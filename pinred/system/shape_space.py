@@ -175,6 +175,17 @@ class ShapeSpace:
             E[..., joint.x, joint.v] = joint.kind.rate_map(x[..., joint.x])
         return E
 
+    def frame_map(self, x: Array) -> Array:
+        """Return the map from derivatives of x to rates along the frame, (..., m, nx).
+
+        Quaternions may have any length; changes of the length map to zero.
+        """
+        F = np.swapaxes(self.rate_map(x), -1, -2)
+        for joint in self.balls:
+            q = x[..., joint.x]
+            F[..., joint.v, joint.x] *= 4.0 / np.sum(q * q, axis=-1)[..., None, None]
+        return F
+
     def random(self, rng: np.random.Generator, reach: float) -> Array:
         """Return a random shape, (nx,), at uniform displacements up to `reach` from rest."""
         displacement = rng.uniform(-reach, reach, self.m)

@@ -1,4 +1,7 @@
-"""Joints with several degrees of freedom as products of hinges and slides (see joint_types)."""
+"""Joints with several degrees of freedom as products of simple joints (see joint_types).
+
+Simple joints are hinges, slides and balls.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ TYPES = _types()
 
 @dataclass(frozen=True, eq=False)
 class SplitModel:
-    """A model whose joints have one degree of freedom, except the root.
+    """A model whose joints are hinges, slides and balls, except the root.
 
     Attributes:
         model: The model.
@@ -73,7 +76,7 @@ class SplitModel:
 
 
 def split_joints(raw: pin.Model) -> SplitModel:
-    """Split the joints with several degrees of freedom behind the root into hinges and slides.
+    """Split the joints behind the root into hinges, slides and balls.
 
     Joints that move the root, and joints of unknown types, stay as they are.
 
@@ -123,6 +126,11 @@ class _SplitPart(Part):
     q: int = 0
     v: int = 0
 
+    @property
+    def rates(self) -> slice:
+        """Indices of its rates in v of the model."""
+        return slice(self.v, self.v + self.joint.nv)
+
 
 def _placed(raw: pin.Model, i: int, parts: Sequence[Part]) -> list[_SplitPart]:
     """Return the parts of joint i of a model with their names and indices."""
@@ -132,12 +140,12 @@ def _placed(raw: pin.Model, i: int, parts: Sequence[Part]) -> list[_SplitPart]:
         full = f"{name}.{part.suffix}" if part.suffix else name
         placed.append(_SplitPart(**vars(part), name=full, q=q, v=v))
         if part.ratio is None:
-            q, v = q + part.joint.nq, v + 1
+            q, v = q + part.joint.nq, v + part.joint.nv
     return placed
 
 
 def _parts_of(joint: pin.JointModel) -> tuple[Part, ...] | None:
-    """Return the hinges and slides of a joint; None if its motion is not a product of them."""
+    """Return the simple joints of a joint; None if its motion is not a product of them."""
     name = str(joint.shortname()).removeprefix("JointModel")
     if name in TYPES:
         return TYPES[name].parts(joint)
@@ -178,7 +186,7 @@ def _chain(raw: pin.Model, parts: Sequence[_SplitPart]) -> list[NewJoint]:
         if part.ratio is None:
             limits = [raw.lowerPositionLimit[[part.q]], raw.upperPositionLimit[[part.q]]]
             is_limited = part.joint.nq == 1
-            armature = raw.armature[[part.v]]
+            armature = raw.armature[part.rates]
             new = replace(new, armature=armature, limits=limits if is_limited else None)
         chain.append(new)
     return chain
@@ -205,10 +213,9 @@ def _copy_losses(
         for part in joints[i]:
             if part.ratio is None:
                 at = model.joints[model.getJointId(part.name)].idx_v
-                has_friction = (
-                    raw.upperDryFrictionLimit[part.v] or raw.lowerDryFrictionLimit[part.v]
-                )
+                has_friction = any(getattr(raw, array)[part.rates].any() for array in arrays[1:])
                 sliding += [name] * bool(part.rotated and has_friction)
                 for array in arrays[: 1 if part.rotated else 3]:
-                    getattr(model, array)[at] = getattr(raw, array)[part.v]
+                    values = getattr(raw, array)[part.rates]
+                    getattr(model, array)[at : at + part.joint.nv] = values
     return tuple(dict.fromkeys(sliding))

@@ -42,8 +42,8 @@ class StateField:
         name: Name of the field in State, in files and among the outputs of flows.
         unit: Unit of the entries; " | " separates the units of different entries.
         axis: The axis after time; None for a scalar at each time.
-        derivative: How flows differentiate the field: by its "entries", as the body "twist" of a
-            change of pose, or not ("none").
+        derivative: How flows differentiate the field: by its "entries", along the "frame" of the
+            shape, as the body "twist" of a change of pose, or not ("none").
         meaning: Name of the quantity, a phrase that starts a sentence.
         needs_base: Whether the field is missing if the scene leaves out the base.
     """
@@ -51,7 +51,7 @@ class StateField:
     name: str
     unit: str
     axis: Axis | None
-    derivative: Literal["entries", "twist", "none"]
+    derivative: Literal["entries", "frame", "twist", "none"]
     meaning: str
     needs_base: bool = True
 
@@ -64,7 +64,7 @@ class StateField:
 
 _TABLE = (
     StateField("t", "s", None, "none", "Time", needs_base=False),
-    StateField("x", "rad | m | 1", "shape", "entries", "Shape", needs_base=False),
+    StateField("x", "rad | m | 1", "shape", "frame", "Shape", needs_base=False),
     StateField("xdot", "rad/s | m/s", "joint", "entries", "Shape rate", needs_base=False),
     StateField("xi", "m/s | rad/s", "twist", "entries", "Body twist [linear; angular] of the base"),
     StateField("pose", "m | rad | 1", "coordinate", "twist", "Pose of the base"),
@@ -225,11 +225,15 @@ def axis_lengths(system: System) -> dict[Axis | None, int]:
     return {None: 1} | {axis: len(labels) for axis, labels in axis_labels(system).items()}
 
 
+# The axis of the derivative rows of a field that is not differentiated by its entries.
+_TANGENT_AXES: Mapping[str, Axis] = {"frame": "joint", "twist": "twist"}
+
+
 def derivative_rows(system: System) -> dict[str, int]:
     """Return the number of derivative rows of each field that flows differentiate."""
     lengths = axis_lengths(system)
     return {
-        name: lengths["twist" if field.derivative == "twist" else field.axis]
+        name: lengths[_TANGENT_AXES.get(field.derivative, field.axis)]
         for name, field in FIELDS.items()
         if field.derivative != "none"
     }

@@ -370,7 +370,9 @@ class System:
         names: tuple[str, str],
     ) -> tuple[Array, Array]:
         """Convert two values to arrays with the same leading axes.  Raises ShapeError."""
-        a, b = (self._last(*entry) for entry in zip((first, second), sizes, names, strict=True))
+        a, b = self._last(first, sizes[0], names[0]), self._last(second, sizes[1], names[1])
+        if a.shape[:-1] == b.shape[:-1]:  # usually; broadcasting takes longer than all the rest
+            return a, b
         try:
             lead = np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
         except ValueError:

@@ -233,7 +233,7 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
         (("compare", "good.urdf", "--x0", "nan"), "finite"),
         (("compare", "good.urdf", "--x0", "a"), "--x0 takes numbers"),
         (("compare", "good.urdf", "--x0", "elbow=a"), "--x0 takes numbers, or JOINT=NUMBER for"),
-        (("compare", "good.urdf", "--x0", "1,elbow=1"), "JOINT=NUMBER for each, got '1'"),
+        (("compare", "good.urdf", "--x0", "1,elbow=1"), "JOINT=V1,V2,V3 for a ball, got '1'"),
         (("compare", "good.urdf", "--x0", "elbow=1,elbow=2"), "--x0 has joint 'elbow' twice"),
         (
             ("compare", "good.urdf", "--xdot0", "ebow=1"),

@@ -102,6 +102,25 @@ CONSTRUCTS: dict[str, tuple[str, str]] = {
         "",
         body(joints=f'{SLIDE}<joint type="slide" axis="1 1 0"/><joint type="slide"/>'),
     ),
+    "ball": ("", body(joints='<joint type="ball"/>')),
+    "ball off the origin": (
+        "",
+        f'<body pos=".1 .2 .3" euler="20 30 40"><joint type="ball" pos=".3 -.2 .1"/>{BOX}'
+        f"{body()}</body>",
+    ),
+    "chain of balls": (
+        "",
+        body(joints='<joint type="ball"/>', content=BOX + body(joints='<joint type="ball"/>')),
+    ),
+    "hinge, then ball": ("", body(joints=f'{HINGE}<joint type="ball" pos="0 .1 0"/>')),
+    "slides, then ball": (
+        "",
+        body(joints=f'{SLIDE}<joint type="slide" axis="1 0 0" ref=".2"/><joint type="ball"/>'),
+    ),
+    "armature of a ball and its actuator": (
+        '<actuator><motor joint="neckN" armature=".1" gear="2 0 1"/></actuator>',
+        body(joints='<joint name="neckN" type="ball" armature=".3" pos="0 .1 0"/>'),
+    ),
     "limits": ("", body(joints='<joint range="-30 40"/><joint axis="0 1 0" range="10 20"/>')),
     "armature": ("", body(joints='<joint armature=".4"/>')),
     "armature of a slide": ("", body(joints='<joint type="slide" armature="3"/>')),

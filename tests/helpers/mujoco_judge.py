@@ -72,8 +72,10 @@ class Judge:
         m, ids = self.mujoco, {n: j for j, n in enumerate(self.tree.world.joint_names)}
         root = [] if self.tree.root is None else [ids[j.name] for j in self.tree.root.joints]
         self.shape_joints = [ids[str(n)] for n in list(self.model.names)[1 + bool(root) :]]
-        dofs = [int(m.jnt_dofadr[j]) + k for j in root for k in range((6, 3, 1, 1)[m.jnt_type[j]])]
-        return dofs + [int(m.jnt_dofadr[j]) for j in self.shape_joints]
+        joints = root + self.shape_joints
+        return [
+            int(m.jnt_dofadr[j]) + k for j in joints for k in range((6, 3, 1, 1)[m.jnt_type[j]])
+        ]
 
     def _root(self, qvel: Array) -> tuple[Array, Array, Array]:
         """Return q of the root, and the map from MuJoCo's velocities to those of the root.
@@ -126,9 +128,9 @@ class Judge:
         r, n = len(T), self.model.nv
         J = np.eye(n)
         J[:r, :r] = T
-        shape = [d.qpos[m.jnt_qposadr[j]] for j in self.shape_joints]
+        shape = [_coordinates(m, d.qpos, j) for j in self.shape_joints]
         drift = np.concatenate([rate, np.zeros(n - r)])
-        return np.concatenate([q_root, shape]), J @ d.qvel[self.dofs], J, drift
+        return np.concatenate([q_root, *shape]), J @ d.qvel[self.dofs], J, drift
 
     def errors(self, rng: np.random.Generator, spread: float = 1.0) -> Errors:
         """Compare the models at a random state."""
@@ -186,6 +188,14 @@ class Judge:
                 largest, S[:3].sum(axis=0) * force + S[3:].sum(axis=0) * (moment + reach * force)
             )
         return np.asarray(np.abs(J).T @ largest + largest.max() * 1e-3 + 1e-300)
+
+
+def _coordinates(mujoco: Any, qpos: Array, joint: int) -> Array:
+    """Return Pinocchio's coordinates of a slide, a hinge or a ball."""
+    first = int(mujoco.jnt_qposadr[joint])
+    if mujoco.jnt_type[joint] == int(mj.mjtJoint.mjJNT_BALL):
+        return np.roll(qpos[first : first + 4], -1)
+    return qpos[first : first + 1].copy()
 
 
 def _ratio(error: Array, scale: Array | float) -> float:

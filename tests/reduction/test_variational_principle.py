@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from assertions import close
+from ball_trees import ball_tree
 from scipy.integrate import solve_ivp
 
 import pinred
@@ -76,6 +77,43 @@ def test_constrained_variations_match_differences_of_motions(name: str) -> None:
     )  # fmt: skip
     close(found.twist, slope(twist), 1e-9)
     close(found.locked, slope(locked), 1e-9)
+
+
+@pytest.mark.parametrize("group", ["SE3", "SO3", "SE2"])
+def test_constrained_variation_with_balls_matches_differences_of_motions(group: str) -> None:
+    """δΩ of a family of motions g(t, s), x(t, s) with rates and variations along the frame."""
+    system = ball_tree(2, 3, group)
+    red, G, space = pinred.Reduction(system), system.group, system.space
+    rng = np.random.default_rng(1)
+    center, (a, b, c) = space.random(rng, 1.0), rng.normal(size=(3, system.r))
+    q, u, w = rng.normal(size=(3, system.m))
+
+    def pose(t: float, s: float) -> Array:
+        return G.compose(G.exp(t * a + s * b), G.exp(t * s * c))
+
+    def shape(t: float, s: float) -> Array:
+        return space.integrate(space.integrate(center, t * q + s * u), t * s * w)
+
+    def twist(s: float) -> Array:
+        inverse = G.inverse(pose(0.0, s))
+        return slope(lambda h: G.log(G.compose(inverse, pose(h, s))))
+
+    def eta(t: float) -> Array:
+        inverse = G.inverse(pose(t, 0.0))
+        return slope(lambda h: G.log(G.compose(inverse, pose(t, h))))
+
+    def rate(s: float) -> Array:
+        return slope(lambda h: space.difference(shape(0.0, s), shape(h, s)))
+
+    def variation(t: float) -> Array:
+        return slope(lambda h: space.difference(shape(t, 0.0), shape(t, h)))
+
+    found = constrained_variation(
+        red, center, rate(0.0), twist(0.0), eta=eta(0.0), etadot=slope(eta),
+        dx=variation(0.0), dxdot=slope(variation),
+    )  # fmt: skip
+    expected = slope(lambda s: twist(s) + red.local_connection(shape(0.0, s)) @ rate(s))
+    close(found.locked, expected, 1e-8)
 
 
 def quartic(inertia: Array) -> Any:

@@ -81,8 +81,9 @@ STRUCTURE = [
     ("[start]\nq0 = { bend = 1 }", "start.q0: must be a list of entries, each a number, got a table"),
     ("[start]\nseed = -1", "start.seed: must be a whole number from 0 to"),
     ("[start]\nseed = true", "start.seed: must be a whole number from 0, got true"),
-    ("[start]\nx0 = 1", "start.x0: must be a list of entries, each a number, or a table {joint = a number}, got 1"),
-    ("[start]\nx0 = { bend = '1' }", "start.x0.bend: must be a number, got the text \"1\""),
+    ("[start]\nx0 = 1", "start.x0: must be a list of entries, each a number, or a table {joint = a number, or a list of "
+     "entries, each a number}, got 1"),
+    ("[start]\nx0 = { bend = '1' }", "start.x0.bend: must be a number, or a list of entries, each a number, got the text \"1\""),
     ("[load]\ngroup = 'SO4'", "load.group: unknown value \"SO4\"; did you mean"),
     ("[load]\ngravity = [0, 0]", "load.gravity: must be a list of 3 entries, each a number, got a list of 2"),
     ("[load]\nlock = 'bend'", "load.lock: must be a list of entries, each the name of a joint, or a table"),

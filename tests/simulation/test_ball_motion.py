@@ -21,8 +21,8 @@ METHODS = ["DOP853", "Tsit5", "Radau", "AdaptiveGauss", "RKMK4(0.005)", "Gauss(0
 
 @pytest.fixture(scope="module")
 def tree() -> pinred.System:
-    """A tree with two balls, a hinge and a slide."""
-    return ball_tree(3, 4)
+    """A tree with a ball, a hinge and a slide."""
+    return ball_tree(12, 3)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def end_by_aba(tree: pinred.System) -> np.ndarray:
     """Shape and pose at 0.6 s by an independent integration of ABA."""
     scene = pinred.Scene(system=tree, seed=1, duration=0.6)
     start = scene.start
-    q0, v0 = tree.q(start.pose, start.x), tree.v(start.xi, start.xdot)
+    q0, v0 = tree.model_q(start.pose, start.x), tree.model_v(start.xi, start.xdot)
     q, _ = aba.integrate(tree.model, q0, v0, np.array([0.0, 0.6]), rtol=1e-13)
     return np.asarray(q[-1])
 
@@ -56,7 +56,7 @@ def test_compare_passes_with_balls(tree: pinred.System, engine: Any) -> None:
 
 def test_compare_detects_wrong_placement_of_ball(monkeypatch: pytest.MonkeyPatch) -> None:
     """A placement that differs by a relative 1e-6 from the simulated robot fails."""
-    system = ball_tree(3, 4)
+    system = ball_tree(12, 3)
     scene = pinred.Scene(system=system, seed=2, duration=0.5, rtol=1e-9)
     traj = pinred.simulate(scene)
     wrong = system.model.copy()
@@ -207,3 +207,50 @@ def test_files_and_copies_with_balls_keep_all_arrays(tree: pinred.System, tmp_pa
     labels = traj.to_xarray()
     assert list(labels["x"].coords["shape"].values) == list(tree.x_names)
     assert list(labels["xdot"].coords["joint"].values) == list(tree.shape_names)
+
+
+@pytest.mark.parametrize("name", ["falling_cat_ball", "diver", "astronaut"])
+def test_bundled_robots_with_balls_pass_compare(name: str) -> None:
+    """The first second of their generic motion; `balls=[]` keeps the hinges."""
+    system = pinred.load(name)
+    traj = pinred.simulate(system, duration=1.0)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+    with pytest.warns(pinred.ModelWarning, match="singular at single shapes"):
+        hinges = pinred.load(name, balls=[])
+    assert not hinges.space.balls
+    assert hinges.m == system.m
+
+
+def test_ball_takes_equal_steps_near_gimbal_lock_of_hinges() -> None:
+    """The same motion at distances 1 to 1e-4 from the lock: hinges need ever more steps."""
+    system = pinred.load("falling_cat_ball")
+    with pytest.warns(pinred.ModelWarning, match="singular at single shapes"):
+        hinges = pinred.load("falling_cat_ball", balls=[])
+    steps, hinge_steps = [], []
+    for distance in (1.0, 1e-1, 1e-2, 1e-3, 1e-4):
+        angles = np.array([0.2, 0.5 * np.pi - distance, 0.3])  # about y, x and z in turn
+        R = (
+            pin.utils.rotate("y", 0.2)
+            @ pin.utils.rotate("x", angles[1])
+            @ pin.utils.rotate("z", 0.3)
+        )
+        xi, sigma = np.array([0.0, 0.0, 0.0, 0.3, -0.2, 0.4]), np.array([0.8, -0.5, 0.6])
+        q = pin.Quaternion(R).coeffs()
+        options: dict[str, Any] = {"xi0": xi, "times": [4.0], "method": "DOP853", "rtol": 1e-12}
+        ball = pinred.simulate(system, x0=q, xdot0=sigma, **options)
+        model, data = hinges.model, hinges.model.createData()
+        pin.computeJointJacobians(model, data, hinges.model_q(hinges.group.identity(), angles))
+        jacobian = pin.getJointJacobian(model, data, 4, pin.LOCAL)[3:, 6:]
+        rates = np.linalg.solve(jacobian, sigma)
+        triple = pinred.simulate(hinges, x0=angles, xdot0=rates, **options)
+        if distance >= 1e-2:
+            error = pin.log3(
+                triple.system.group.matrix(triple.pose[-1])[:3, :3].T
+                @ system.group.matrix(ball.pose[-1])[:3, :3]
+            )
+            assert np.abs(error).max() <= 1e-5
+        steps.append(ball.run.steps)
+        hinge_steps.append(triple.run.steps)
+    assert max(steps[1:]) <= 1.05 * min(steps[1:]), steps
+    assert hinge_steps[-1] > 3 * max(steps), hinge_steps

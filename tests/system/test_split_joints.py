@@ -18,7 +18,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.equations import lagrange_poincare
 from pinred.system.passive import SLIDING, Damper, Friction
-from pinred.system.split_joints import TYPES
+from pinred.system.split_joints import TYPES, split_joints
 
 
 def composite(*joints: pin.JointModel, rng: Rng | None = None) -> pin.JointModel:
@@ -135,6 +135,7 @@ def test_motion_of_split_joints_agrees_with_aba_of_the_original() -> None:
 def test_every_type_is_split() -> None:
     """Each registered type has a joint in the tests above."""
     made = {KINDS[kind](np.random.default_rng(0)).shortname() for kind in KINDS}
+    made |= {"JointModelFreeFlyer"}  # in test_free_joints.py
     assert {f"JointModel{kind}" for kind in TYPES} <= made
 
 
@@ -210,6 +211,22 @@ def test_locks_apply_to_a_joint_or_to_its_parts(tmp_path: Path) -> None:
     locked = pinred.load(raw, lock={"joint1": q})
     assert locked.m == 0
     assert locked.model.inertias[1].isApprox(whole, 1e-12)
+
+
+def test_balls_are_parts_of_composites_and_stay_joints() -> None:
+    """A ball is not a product of hinges that is regular everywhere."""
+    for kind, names in (
+        (pin.JointModelSpherical(), ["neck"]),
+        (composite(pin.JointModelRX(), pin.JointModelSpherical()), ["neck.1", "neck.2"]),
+    ):
+        model = pin.Model()
+        root = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+        i = model.addJoint(root, kind, pin.SE3.Identity(), "neck")
+        for k in (root, i):
+            model.appendBodyToJoint(k, inertia(np.random.default_rng(k)), pin.SE3.Identity())
+        split = split_joints(model).model
+        assert list(split.names)[2:] == names
+        assert split.joints[split.njoints - 1].shortname() == "JointModelSpherical"
 
 
 def test_pinocchio_derivatives_are_wrong_for_universal_joints() -> None:

@@ -167,6 +167,7 @@ def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipli
     flow = linearised_flow(traj)
     initial_y, initial_basis = flow.y.copy(), flow.Y.copy()
     flow.advance_converged(T)
+    flow.align(initial_y)
     closure = _closure(traj, flow, initial_y, T)
     if not closure <= _MAX_CLOSURE:
         raise InputError(
@@ -207,7 +208,7 @@ def _closure(traj: Trajectory, flow: LinearisedFlow, initial_y: Array, T: float)
         torque_0, torque_T = (
             model.acting(
                 ForceInputs(
-                    t, np.zeros(system.m), np.zeros(system.m), np.zeros(system.r),
+                    t, system.space.neutral, np.zeros(system.m), np.zeros(system.r),
                     np.zeros(system.r), model.numbers_from(t, traj.scene.end),
                 )
             ).torque

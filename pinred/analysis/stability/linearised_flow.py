@@ -17,6 +17,7 @@ from ...integrators.methods import DOP853
 from ...integrators.stepping.compiling import compiled
 from ...integrators.stepping.kernel_call import SEEDS, call, call_tangent
 from ...kernels.derived_code import jacobian_of, tangent_of
+from ...kernels.evaluate import evaluate
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
@@ -29,6 +30,7 @@ _RATE_STEP = 0.2  # longest step, relative to the inverse of the fastest rate
 _RATE_SAMPLES = 9  # number of times at which the rates are sampled
 _CONVERGED = 1e-11  # largest relative change when the steps are halved
 _MAX_HALVINGS = 8
+_SAME_RATE = 1e-9  # relative difference of rates that count as equal
 
 
 @dataclass
@@ -48,6 +50,25 @@ class LinearisedFlow:
     y: Array
     Y: Array
     longest: float
+
+    def align(self, y: Array) -> None:
+        """Choose the signs of balls' quaternions, ±q, that are nearest to y (size,).
+
+        The sign stays if a force depends on it.
+        """
+        kernel, parameters = self.flow.kernel, np.ascontiguousarray(self.flow.parameters)
+        for place in self.leaf.quaternions:
+            signs, entries = np.ones(len(y)), self.leaf.indices[place]
+            if self.y[entries] @ y[entries] >= 0.0:
+                continue
+            signs[entries] = -1.0
+            if kernel.layout.lifted_balls:
+                signs[entries + kernel.layout.pairs] = -1.0
+            both = np.array([self.y, signs * self.y])
+            before, after = evaluate(kernel.rate.address, parameters, both, len(y))
+            if np.abs(after - signs * before).max() <= _SAME_RATE * np.abs(before).max():
+                self.y *= signs
+                self.Y *= signs[:, None]
 
     def converged_step(self, duration: float) -> float:
         """Return a step [s] so short that halving it does not change Y after a duration [s]."""
@@ -130,7 +151,7 @@ def linearised_flow(traj: Trajectory) -> LinearisedFlow:
     longest = _STEP_RATIO * float(np.median(steps)) if steps.size else 0.01 * traj.scene.end
     fastest_rate = 0.0
     samples = traj.motion.changes(np.linspace(0.0, traj.scene.end, _RATE_SAMPLES)).y[
-        :, : 2 * leaf.places.stop
+        :, : flow.kernel.layout.base_at
     ]
     for sample in samples:
         state = flow.y0.copy()

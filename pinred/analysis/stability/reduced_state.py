@@ -1,8 +1,10 @@
 """The reduced state of a compiled flow: names, scales, and tangent space of its leaf.
 
 The state of the compiled kernel is y = (x, π) of the active joints, x of the cyclic joints, entries
-of the base, and time. Cyclic angles and time are left out, because the flow does not depend on
-them. The momentum of the base stays on its symplectic leaf, where the Casimirs are constant.
+of the balls, entries of the base, and time. Cyclic angles and time are left out, because the flow
+does not depend on them. The momentum of the base stays on its symplectic leaf, where the Casimirs
+are constant. The quaternion q of a ball stays on the sphere |q| = 1; with a conjugate momentum p,
+q · p is constant, too.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...kernels.kernel import Kernel
+from ...kernels.state_layout import Layout
 from ...reduction.base_parts import BaseParts
 from ...reduction.inertia_split import usual_inertias
 from ...system.system import System
@@ -33,6 +36,7 @@ class Leaf:
         names: Names of the entries of z.
         places: Position of x of the active joints in z.
         momenta: Position of π of the active joints in z.
+        quaternions: Position of the quaternion of each ball in z.
     """
 
     indices: Array
@@ -41,6 +45,7 @@ class Leaf:
     names: tuple[str, ...]
     places: slice
     momenta: slice
+    quaternions: tuple[slice, ...] = ()
 
     def restrict(self, matrix: Array) -> Array:
         """Restrict a matrix (k, k) on z to the leaf, (d, d)."""
@@ -62,21 +67,24 @@ def leaf_of(kernel: Kernel, y: Array, rate: float = 1.0) -> Leaf:
         The leaf.
     """
     system, layout = kernel.system, kernel.layout
-    system.space.refuse_balls("stability of motions")
-    active, base = len(layout.active), layout.base
-    indices = np.r_[: 2 * active, layout.base_at : layout.base_at + base.size].astype(np.intp)
+    active, pairs, base = len(layout.active), layout.pairs, layout.base
+    size = layout.base_at + base.size
+    indices = np.r_[: 2 * pairs, layout.balls_at : size].astype(np.intp)
     scales = _scales(kernel, rate)[indices]
-    basis = np.eye(len(indices))
+    basis, z = np.eye(len(indices)), y[indices] / scales
+    quaternions = _quaternions(layout)
+    gradients = _sphere_gradients(layout, y[indices], scales, quaternions)
     if not base.attitude:
-        gradients = _casimir_gradients(y[indices] / scales, 2 * active, base)
-        basis = _null_space(gradients) if len(gradients) else basis
+        gradients = np.vstack([_casimir_gradients(z, len(z) - base.size, base), gradients])
+    basis = _null_space(gradients) if len(gradients) else basis
     return Leaf(
         indices,
         scales,
         basis,
         reduced_names(system, kernel, indices),
         slice(0, active),
-        slice(active, 2 * active),
+        slice(pairs, pairs + active),
+        quaternions,
     )
 
 
@@ -92,9 +100,13 @@ def reduced_names(system: System, kernel: Kernel, indices: Array) -> tuple[str, 
     """
     layout, base = kernel.layout, kernel.layout.base
     joints = system.shape_names
-    names = [joints[k] for k in layout.active]
+    attitudes = [system.x_names[k] for k in layout.ball_x]
+    names = [joints[k] for k in layout.active] + attitudes * layout.lifted_balls
     names += [f"π {joints[k]}" for k in layout.active]
+    names += [f"p {name}" for name in attitudes * layout.lifted_balls]
     names += [joints[k] for k in layout.cyclic]
+    if not layout.lifted_balls:
+        names += [*(f"π {joints[k]}" for k in layout.ball_v), *attitudes]
     momentum_names = [
         name.replace("ω", "L") for name in system.group.twist_names[system.group.linear :]
     ]
@@ -107,13 +119,55 @@ def reduced_names(system: System, kernel: Kernel, indices: Array) -> tuple[str, 
 def _scales(kernel: Kernel, rate: float) -> Array:
     """Return the typical sizes of the reduced-state entries, (size,)."""
     system, layout, base = kernel.system, kernel.layout, kernel.layout.base
-    momenta, active, r = rate * usual_inertias(system), len(layout.active), system.r
+    momenta, pairs, r = rate * usual_inertias(system), layout.pairs, system.r
     scales = np.ones(layout.base_at + base.size)
-    scales[active : 2 * active] = momenta[r:][list(layout.active)]
+    scales[pairs : pairs + len(layout.active)] = momenta[r:][list(layout.active)]
+    for k, (_, v) in enumerate(layout.balls):
+        first = layout.balls_at + 3 * k
+        entries = slice(first, first + 3)
+        if layout.lifted_balls:
+            first = pairs + len(layout.active) + 4 * k
+            entries = slice(first, first + 4)
+        scales[entries] = momenta[r + v : r + v + 3].max()
     if base.momentum:
         offset = layout.base_at + base.attitude + base.down
         scales[offset : offset + base.momentum] = momenta[r - base.momentum : r].max()
     return np.where(scales > 0.0, scales, 1.0)
+
+
+def _quaternions(layout: Layout) -> tuple[slice, ...]:
+    """Return the positions in z of the quaternions of balls."""
+    first = 2 * layout.pairs + 3 * len(layout.balls)
+    if layout.lifted_balls:
+        first = len(layout.active)
+    return tuple(slice(first + 4 * k, first + 4 * k + 4) for k in range(len(layout.balls)))
+
+
+def _sphere_gradients(
+    layout: Layout, z: Array, scales: Array, quaternions: tuple[slice, ...]
+) -> Array:
+    """Return the gradients in z/scales of |q|² and of q · p of the balls, one per row.
+
+    Args:
+        layout: Layout of the kernel.
+        z: Entries of the reduced state, (k,).
+        scales: Typical sizes of z, (k,).
+        quaternions: Positions of the quaternions in z.
+    Returns:
+        Unit gradients, (c, k).
+    """
+    rows = []
+    for entries in quaternions:
+        row = np.zeros(len(z))
+        row[entries] = z[entries]
+        rows.append(row)
+        if layout.lifted_balls:
+            momenta = slice(entries.start + layout.pairs, entries.stop + layout.pairs)
+            row = np.zeros(len(z))
+            row[entries], row[momenta] = z[momenta], z[entries]
+            rows.append(row)
+    gradients = np.array(rows).reshape(len(rows), len(z)) * scales
+    return np.asarray(gradients / np.linalg.norm(gradients, axis=1, keepdims=True))
 
 
 def _casimir_gradients(z: Array, at: int, base: BaseParts) -> Array:

@@ -26,7 +26,10 @@ _FOLDER = Path(__file__).parent.parent
 SOURCES = stamp(_FOLDER)
 # Without fast-math, results do not depend on where a function is inlined. Compiled functions
 # never allocate arrays, so reference counting (_nrt) is off and views of rows cost nothing.
-_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
+# Compiled functions are called from Python and from each other, never through C.
+_OPTIONS: Any = {
+    "nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True,
+}  # fmt: skip
 _names: set[str] = set()
 
 

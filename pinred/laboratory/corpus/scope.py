@@ -2,7 +2,7 @@
 
 A URDF should work if Pinocchio or MuJoCo opens it, if it is one open tree, and if its mass matrix
 is positive definite at zero and at some random shapes. An MJCF file should work if MuJoCo compiles
-it and if it contains an open tree of hinge and slide joints; its root may be a free or ball joint.
+it and if it contains an open tree of joints.
 """
 
 from __future__ import annotations
@@ -120,12 +120,8 @@ def _tops(model: Any) -> list[list[int]]:
 
 
 def _why_closed(mj: Any, model: Any, joints: list[int]) -> str:
-    """Return why joints do not form an open tree of hinges and slides; "" if they do."""
-    first_body = int(model.jnt_bodyid[joints[0]])
-    ball = int(mj.mjtJoint.mjJNT_BALL)
-    top = _root_of(model, first_body)
-    if any(model.jnt_type[j] == ball and model.jnt_bodyid[j] != top for j in joints):
-        return "ball joints inside the tree"
+    """Return why joints do not form an open tree; "" if they do."""
+    top = _root_of(model, int(model.jnt_bodyid[joints[0]]))
     if int(model.opt.disableflags) & int(mj.mjtDisableBit.mjDSBL_EQUALITY):
         return ""
     welds = {int(mj.mjtEq.mjEQ_CONNECT), int(mj.mjtEq.mjEQ_WELD)}

@@ -8,6 +8,7 @@ file fixes a base that floats in pinred, the MuJoCo model gets a free joint at t
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +22,7 @@ from ...reduction.inertia_split import symmetric
 from ...system.mjcf.compile import compiled
 from ...system.mjcf.package import mujoco_package, warnings_kept
 from ...system.mjcf.read import gravity_of
-from ...system.mjcf.world import World, robot_in
+from ...system.mjcf.world import robot_in
 from ...system.system import System
 
 STATES = 3
@@ -142,10 +143,9 @@ class _Pair:
         names = [str(name) for name in system.model.names[2:]]
         if missing := [name for name in names if name not in ids]:
             raise LoadError(f"MuJoCo has no joint '{missing[0]}'")
-        shape = [ids[name] for name in names]
-        self._shape_q = model.jnt_qposadr[shape].astype(int)
-        self._shape_v = model.jnt_dofadr[shape].astype(int)
-        self._dofs = _dofs(world)
+        self._shape = [ids[name] for name in names]
+        self._shape_v = _dofs(model, self._shape)
+        self._dofs = _dofs(model, world.all_joints)
         frames = system.model.frames
         self._bodies = [
             (system.model.getFrameId(world.body_names[body], pin.FrameType.BODY), body)
@@ -166,8 +166,8 @@ class _Pair:
         d.qvel[:] = rng.normal(size=m.nv)
         mj.mj_normalizeQuat(m, d.qpos)
         mj.mj_forward(m, d)
-        rates, x = d.qvel[self._dofs], d.qpos[self._shape_q]
-        q = self._configuration(x)
+        rates = d.qvel[self._dofs]
+        q = self._configuration([self._coordinates(joint) for joint in self._shape])
         T, drift = self._velocities(q)
         M = np.zeros((m.nv, m.nv))
         mj.mj_fullM(m, d, M)
@@ -195,7 +195,14 @@ class _Pair:
             forces=float(np.abs(errors).max()),
         )
 
-    def _configuration(self, x: Array) -> Array:
+    def _coordinates(self, joint: int) -> Array:
+        """Return the quaternion (x, y, z, w) of a ball, or the value of another joint."""
+        first = int(self._model.jnt_qposadr[joint])
+        if self._model.jnt_type[joint] == int(self._mj.mjtJoint.mjJNT_BALL):
+            return np.roll(self._data.qpos[first : first + 4], -1)
+        return np.array(self._data.qpos[first : first + 1])
+
+    def _configuration(self, x: Sequence[Array]) -> Array:
         """Solve by Newton's method for the q that places the reference body as in MuJoCo."""
         system, model, data = self._system, self._system.model, self._pin
         group, (frame, body) = system.group, self._ref
@@ -213,12 +220,12 @@ class _Pair:
                 break
         return self._place(pose, x)
 
-    def _place(self, pose: Array, x: Array) -> Array:
-        """Return Pinocchio's q for a pose and the values of all joints."""
+    def _place(self, pose: Array, x: Sequence[Array]) -> Array:
+        """Return Pinocchio's q for a pose and the coordinates of all joints."""
         system, model = self._system, self._system.model
-        q = system.model_q(pose, np.zeros(system.m))
-        for joint, value in zip(list(model.joints)[2:], x.tolist(), strict=True):
-            entry = [np.cos(value), np.sin(value)] if joint.nq == 2 else [value]
+        q = system.model_q(pose, system.space.neutral)
+        for joint, value in zip(list(model.joints)[2:], x, strict=True):
+            entry = [np.cos(value[0]), np.sin(value[0])] if joint.nq == 2 else value
             q[joint.idx_q : joint.idx_q + joint.nq] = entry
         return q
 
@@ -275,15 +282,8 @@ class _Pair:
         return np.asarray(np.abs(T).T @ terms + 1e-300)
 
 
-def _dofs(world: World) -> Array:
-    """Return the indices of a robot's degrees of freedom in MuJoCo."""
-    model, sizes = world.model, (6, 3, 1, 1)  # degrees of freedom by mjtJoint
-    return np.array(
-        [
-            int(model.jnt_dofadr[j]) + k
-            for body in world.bodies
-            for j in world.joints(body)
-            for k in range(sizes[model.jnt_type[j]])
-        ],
-        dtype=int,
-    )
+def _dofs(model: Any, joints: Iterable[int]) -> Array:
+    """Return the indices of the degrees of freedom of joints in MuJoCo."""
+    sizes = (6, 3, 1, 1)  # degrees of freedom by mjtJoint
+    dofs = [int(model.jnt_dofadr[j]) + k for j in joints for k in range(sizes[model.jnt_type[j]])]
+    return np.array(dofs, dtype=int)

@@ -201,7 +201,6 @@ _CATEGORIES = (  # words in an error message, and the category that they indicat
     ("closes a loop", "closed loop"),
     ("closed loop", "closed loop"),
     ("a loop", "closed loop"),
-    ("ball joint", "ball joint inside"),
     ("mass matrix is singular", "singular everywhere"),
     ("no mass", "singular everywhere"),
     ("No such file", "files missing"),

@@ -68,6 +68,28 @@ def shape_gradient(system: System, energy: ca.SX, x: ca.SX) -> ca.SX:
     return column
 
 
+def rate_map(system: System, x: ca.SX) -> ca.SX:
+    """Return E(x), (nx, m), which maps rates along the frame of the shape to derivatives of x."""
+    space = system.space
+    E = ca.SX(space.nx, space.m)
+    for joint in space.joints:
+        E[joint.x, joint.v] = _ball_rate_map(x[joint.x]) if joint.kind.is_ball else 1.0
+    return E
+
+
+def frame_jacobian(system: System, values: ca.SX, x: ca.SX) -> ca.SX:
+    """Return the derivatives e_α, (k, m), of values (k,) along the frame of the shape."""
+    jacobian: ca.SX = ca.jacobian(values, x)
+    return jacobian @ rate_map(system, x) if system.space.balls else jacobian
+
+
+def _ball_rate_map(q: ca.SX) -> ca.SX:
+    """Return E, (4, 3), with q̇ = ½ q ∘ (σ, 0) = E σ."""
+    turned = ca.skew(q[:3]) + q[3] * ca.SX.eye(3)
+    E: ca.SX = 0.5 * ca.vertcat(turned, -q[:3].T)
+    return E
+
+
 def _along_axes(q: ca.SX, slope: ca.SX) -> ca.SX:
     """Return ½ Im(q̄ ∘ slope), (3,): the derivatives of a function of q along the child's axes."""
     u, w, v, s = q[:3], q[3], slope[:3], slope[3]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ...system.system import System
+from .all_joints import frame_jacobian
 from .momenta import bracket, momenta
 
 
@@ -14,8 +15,10 @@ from .momenta import bracket, momenta
 class CasadiReduction:
     """CasADi expressions of the terms of the reduction.
 
+    They hold where the quaternions of balls have length one.
+
     Attributes:
-        x: Shape symbols, (m, 1).
+        x: Shape symbols, (nx, 1).
         H: Mass matrix, (n, n).
         I: Locked inertia, (r, r).
         A: Local connection, (r, m).
@@ -32,10 +35,9 @@ class CasadiReduction:
 
 
 def casadi_reduction(system: System, x: ca.SX | None = None) -> CasadiReduction:
-    """Return the expressions of a system at shape symbols x (m, 1); None: new symbols."""
-    system.space.refuse_balls("CasADi expressions of the reduction")
+    """Return the expressions of a system at shape symbols x (nx, 1); None: new symbols."""
     r, m = system.r, system.m
-    x, v = ca.SX.sym("x", m) if x is None else x, ca.SX.sym("v", system.n)
+    x, v = ca.SX.sym("x", system.nx) if x is None else x, ca.SX.sym("v", system.n)
     H = ca.jacobian(momenta(system, x, v), v)
     I, Hbs, Hss = H[:r, :r], H[:r, r:], H[r:, r:]
     A = ca.solve(I, Hbs) if m else ca.SX(r, 0)
@@ -47,10 +49,14 @@ def _curvature(system: System, x: ca.SX, A: ca.SX) -> ca.SX:
     r, m = system.r, system.m
     if not m:
         return ca.SX(r, 0)
-    dA = [ca.jacobian(A[:, b], x) for b in range(m)]  # dA[β][:, α] = ∂_α A_β
+    dA = [frame_jacobian(system, A[:, b], x) for b in range(m)]  # dA[β][:, α] = ∂_α A_β
     columns = [
         dA[b][:, a] - dA[a][:, b] - bracket(system.group, A[:, a], A[:, b])
         for a in range(m)
         for b in range(m)
     ]
-    return ca.horzcat(*columns)
+    B: ca.SX = ca.horzcat(*columns)
+    if not system.space.balls:
+        return B
+    # Column α m + β of c is c^γ_αβ, γ first.
+    return B - A @ ca.SX(ca.DM(system.space.structure.reshape(m, m * m)))

@@ -11,6 +11,12 @@ X_a J = −(ad_aᵀ J + J ad_a).  If several joints of one path move a term, the
     ∂_a F_j = −ad_aᵀ F_j  (a up to j),     (X_a J_a) S_j  (a after j)
 
 H_ij does not depend on joints before i, and joints of different branches are independent.
+
+Each rate has a screw; the three of a ball are the child's axes.  ∂_a is the derivative e_a along
+the frame of the shape.  All three axes of a ball move the ball's own screws, ∂_a S_b = [S_a, S_b],
+so in ∂_a ∂_b the derivative ∂_b acts first.  The second derivatives of a ball do not commute:
+
+    ∂_a ∂_b H − ∂_b ∂_a H = c^γ_ab ∂_γ H.
 Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2 and 6; differentiated here.
 """
 
@@ -20,10 +26,13 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from ...common.arrays import Array, FrozenArrays
+from ...lie.rotations import rotation
 from ...lie.spatial_groups import SE3
-from ...system.joints import axes_of, is_prismatic
+from ...system.joints import axes_of, is_prismatic, tree_space
+from ...system.shape_space import ShapeSpace
 from ...system.system import System
 
 
@@ -34,10 +43,11 @@ class InertiaDerivatives(FrozenArrays):
     Attributes:
         H: Mass matrix, (N, n, n), base rows first.
         dH: Derivative of H, (N, n, n, m), derivative index last.
-        d2H: Second derivative of H, (N, n, n, m, m), derivative indices last.
+        d2H: Second derivative of H, (N, n, n, m, m), derivative indices last: d2H[..., a, b] is
+            ∂_a ∂_b H, with ∂_b applied first.
         com: Centre of mass in the root body's frame, (N, 3) [m].
         dcom: Derivative of the centre of mass, (N, 3, m).
-        d2com: Second derivative of the centre of mass, (N, 3, m, m).
+        d2com: Second derivative of the centre of mass, (N, 3, m, m), like d2H.
     """
 
     H: Array
@@ -55,41 +65,75 @@ def inertia_derivatives(
 
     Args:
         system: The system.
-        x: Shapes, (N, m) [rad | m].
-        of: Joints whose columns of H are differentiated; all if None.  A small set saves most of
+        x: Shapes, (N, nx) [rad | m | 1].
+        of: Rates whose columns of H are differentiated; all if None.  A small set saves most of
             the work.  Entries of dH and d2H between other joints are then undefined.
     Returns:
         The values and derivatives.
     """
-    system.space.refuse_balls("second derivatives of the mass matrix")
     tree = system.workspace(_Tree, lambda: _Tree(system))
     return tree.derivatives(x, None if system.coupled is not None else of)
+
+
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    """A joint of a tree behind the root.
+
+    Attributes:
+        x: Index of its first coordinate among those of all joints.
+        rates: Its rates, numbered from 1.
+        parent: Last rate of the parent body's joint, 0 for the root.
+        turn: Rotation of the joint's placement on the parent, (3, 3).
+        step: Translation of this placement, (3,) [m].
+        axis: Screw of a hinge or slide in the child's frame, (6,).
+        is_slide: Whether the joint is a slide.
+        is_ball: Whether the joint is a ball.
+        body: Inertia of the child.
+    """
+
+    x: int
+    rates: range
+    parent: int
+    turn: Array
+    step: Array
+    axis: Array
+    is_slide: bool
+    is_ball: bool
+    body: pin.Inertia
+
+
+def _joint(model: pin.Model, i: int, space: ShapeSpace) -> _Joint:
+    """Return joint i of a model, in the manifold of all joints behind the root."""
+    joint, up, place = model.joints[i], int(model.parents[i]), model.jointPlacements[i]
+    placed = space.joints[i - 2]
+    return _Joint(
+        x=placed.x.start,
+        rates=range(placed.v.start + 1, placed.v.stop + 1),
+        parent=0 if up == 1 else space.joints[up - 2].v.stop,
+        turn=np.array(place.rotation),
+        step=np.array(place.translation),
+        axis=axes_of(joint)[:, 0],
+        is_slide=is_prismatic(joint),
+        is_ball=placed.kind.is_ball,
+        body=model.inertias[i],
+    )
 
 
 class _Tree:
     """The constants of a tree, and the recursion over it."""
 
     def __init__(self, system: System) -> None:
-        model = system.model
-        self._system, self._count = system, model.njoints - 2
-        self._parents = [0, *(int(model.parents[i]) - 1 for i in range(2, model.njoints))]
-        placements = [model.jointPlacements[i] for i in range(2, model.njoints)]
-        self._turns = [np.array(place.rotation) for place in placements]
-        self._steps = [np.array(place.translation) for place in placements]
-        self._slides = [is_prismatic(model.joints[i]) for i in range(2, model.njoints)]
-        self._axes = [axes_of(model.joints[i])[:, 0] for i in range(2, model.njoints)]
+        model, space = system.model, tree_space(system.model)
+        self._system, self._count = system, space.m
+        self._joints = [_joint(model, i, space) for i in range(2, model.njoints)]
         self._root = axes_of(model.joints[1])  # screws of the base, constant in its frame
-        self._bodies = [model.inertias[i] for i in range(1, model.njoints)]
+        self._root_body = model.inertias[1]
         self._armature = np.array(model.armature)
-        self._paths = [self._path(k) for k in range(self._count + 1)]
-
-    def _path(self, k: int) -> list[int]:
-        """Return the joints between the root and body k, numbered from 1, without the root."""
-        path = []
-        while k:
-            path.append(k)
-            k = self._parents[k]
-        return path[::-1]
+        # Rates are numbered from 1, and 0 is the root.
+        self._paths, self._siblings = [list[int]()], [range(1)]
+        for joint in self._joints:
+            self._siblings += [joint.rates] * len(joint.rates)
+            self._paths += [[*self._paths[joint.parent], *joint.rates]] * len(joint.rates)
 
     def derivatives(self, x: Array, of: Collection[int] | None) -> InertiaDerivatives:
         """Compute the sums over the tree; see `inertia_derivatives`."""
@@ -105,7 +149,9 @@ class _Tree:
             first[:, b - 1] = dJ[b]
             for a in self._paths[b]:
                 twice[a, b] = _inertia_change(ad[:, a], dJ[b])
-                second[:, a - 1, b - 1] = second[:, b - 1, a - 1] = twice[a, b]
+                second[:, a - 1, b - 1] = twice[a, b]
+                if a not in self._siblings[b]:
+                    second[:, b - 1, a - 1] = twice[a, b]
         E, J = self._root, composites[:, 0]
         H[:, :r, :r] = E.T @ J @ E
         dH[:, :r, :r] = np.moveaxis(E.T @ first @ E, 1, -1)
@@ -121,8 +167,7 @@ class _Tree:
             if of is not None and j - 1 not in of:
                 continue
             for b, dF in self._momentum_derivatives(j, ad, dJ, S, F):
-                # H_ij does not depend on the joints before i.
-                count = len(indices) if b not in path else r + path.index(b) + 1
+                count = len(indices) if b not in path else r + self._moving(path, b)
                 dH[:, indices[:count], c, b - 1] = (path_screws[:, :count] @ dF)[..., 0]
                 for a in self._paths[b]:
                     if a in path:
@@ -131,9 +176,11 @@ class _Tree:
                         d2F = twice[a, b] @ S
                     else:
                         continue
-                    last = count if a not in path else r + path.index(a) + 1
+                    last = count if a not in path else r + self._moving(path, a)
                     entry, i = (path_screws[:, :last] @ d2F)[..., 0], indices[:last]
-                    d2H[:, i, c, a - 1, b - 1] = d2H[:, i, c, b - 1, a - 1] = entry
+                    d2H[:, i, c, a - 1, b - 1] = entry
+                    if a not in self._siblings[b]:
+                        d2H[:, i, c, b - 1, a - 1] = entry
         for c in range(r, r + M):
             H[:, c, :c] = H[:, :c, c]
             if of is None or c - r in of:
@@ -147,6 +194,14 @@ class _Tree:
             d2H,
             *(_moment(inertia) / mass for inertia in (J[:, None, None], first[:, None], second)),
         )
+
+    def _moving(self, path: list[int], b: int) -> int:
+        """Return the number of rates i on a path for which H_ij may depend on joint b.
+
+        H_ij does not depend on the joints before i, nor on a ball if i is one of its axes.
+        """
+        first = path.index(self._siblings[b][0])
+        return first + 1 if len(self._siblings[b]) == 1 else first
 
     def _momentum_derivatives(
         self, j: int, ad: Array, dJ: dict[int, Array], S: Array, F: Array
@@ -172,22 +227,30 @@ class _Tree:
         R, p = np.zeros((N, M + 1, 3, 3)), np.zeros((N, M + 1, 3))
         R[:, 0] = np.eye(3)
         screws, inertias = np.zeros((N, M + 1, 6)), np.zeros((N, M + 1, 6, 6))
-        inertias[:, 0] = self._bodies[0].matrix()
-        for k in range(1, M + 1):
-            up, i = self._parents[k], k - 1
-            p[:, k] = p[:, up] + R[:, up] @ self._steps[i]
-            R[:, k] = R[:, up] @ self._turns[i]
-            if self._slides[i]:
-                axis = R[:, k] @ self._axes[i][:3]
+        inertias[:, 0] = self._root_body.matrix()
+        for joint in self._joints:
+            up, i, k = joint.parent, joint.x, joint.rates[0]
+            p[:, k] = p[:, up] + R[:, up] @ joint.step
+            R[:, k] = R[:, up] @ joint.turn
+            if joint.is_ball:
+                R[:, k] = R[:, k] @ rotation(x[:, i : i + 4])
+                for n in range(3):
+                    axis = R[:, k, :, n]
+                    screws[:, k + n, :3], screws[:, k + n, 3:] = np.cross(p[:, k], axis), axis
+                last = joint.rates[-1]
+                R[:, last], p[:, last] = R[:, k], p[:, k]
+            elif joint.is_slide:
+                axis = R[:, k] @ joint.axis[:3]
                 p[:, k] += axis * x[:, i, None]
                 screws[:, k, :3] = axis
             else:
-                axis = R[:, k] @ self._axes[i][3:]
-                R[:, k] = R[:, k] @ _rotations(self._axes[i][3:], x[:, i])
+                axis = R[:, k] @ joint.axis[3:]
+                R[:, k] = R[:, k] @ _rotations(joint.axis[3:], x[:, i])
                 screws[:, k, :3], screws[:, k, 3:] = np.cross(p[:, k], axis), axis
-            inertias[:, k] = _in_root(self._bodies[k].matrix(), R[:, k], p[:, k])
-        for k in range(M, 0, -1):
-            inertias[:, self._parents[k]] += inertias[:, k]
+            inertias[:, k] = _in_root(joint.body.matrix(), R[:, k], p[:, k])
+            inertias[:, joint.rates] = inertias[:, k, None]
+        for joint in reversed(self._joints):
+            inertias[:, self._siblings[joint.parent]] += inertias[:, joint.rates[0], None]
         return screws, inertias
 
     def _on_shape(self, H: Array, dH: Array, d2H: Array, *com: Array) -> InertiaDerivatives:

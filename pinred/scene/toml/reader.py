@@ -240,8 +240,9 @@ class _Builder:
         raise type(error)(place.message(text)) from None
 
     def _joint(self, name: str, place: Place) -> None:
-        if name not in (*self.system.shape_names, *self.system.followers):
-            place.fail(unknown(name, "joint", self.system.shape_names, "the joints are"))
+        joints = [joint.name for joint in self.system.space.joints]
+        if name not in (*joints, *self.system.shape_names, *self.system.followers):
+            place.fail(unknown(name, "joint", joints, "the joints are"))
 
     def _by_joint(
         self, values: Mapping[str, Any], place: Place, convert: Callable[[Any, Place], Any]

@@ -16,7 +16,7 @@ from .schema import ByName, Either, Key, ListOf, Number, Table, Text, Whole
 NUMBER, POSITIVE = Number(), Number(positive=True)
 NUMBERS = ListOf(NUMBER)
 PER_JOINT = Either((NUMBER, ByName(NUMBER)), "per_joint")
-SHAPE = Either((NUMBERS, ByName(NUMBER)), "shape")
+SHAPE = Either((NUMBERS, ByName(Either((NUMBER, NUMBERS)))), "shape")
 _TABULATED: dict[str, Callable[..., Signal]] = {"spline": Spline, "linear": Linear, "hold": Hold}
 
 

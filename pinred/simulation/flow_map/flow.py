@@ -43,7 +43,8 @@ class Flow:
     Inputs are x0, xdot0, pose0, xi0 or momentum (whichever the scene states), and names of
     Parameters.  Inputs that a call omits have their values in the scene.  Derivatives are those of
     the integrator's steps, with the step lengths held constant.  A pose g among inputs or outputs
-    is differentiated in body coordinates: with respect to η at η = 0 in g exp(η̂).
+    is differentiated in body coordinates: with respect to η at η = 0 in g exp(η̂).  Likewise, the
+    attitude R of a ball joint in a shape is differentiated with respect to w in R exp(ŵ).
 
     Attributes:
         scene: The scene.

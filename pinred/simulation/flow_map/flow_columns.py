@@ -1,8 +1,9 @@
 """A flow as a function between plain vectors, for other libraries.
 
-Inputs are vectors in the order of the flow's `inputs`; the output is one vector.  A pose in the
-output is written in its own coordinates, not in tangent coordinates, so that derivatives match
-values.
+Inputs are vectors in the order of the flow's `inputs`; the output is one vector.  Poses and
+quaternions of balls are written in their own coordinates, not in tangent coordinates, so that
+derivatives match values.  Quaternions of balls in x0 may have any length: they are normalised, so
+derivatives along a quaternion are zero.
 """
 
 from __future__ import annotations
@@ -56,11 +57,14 @@ class Columns:
         if not flow.inputs:
             raise InputError("the flow has no inputs with derivatives; name some in wrt=")
         self.flow = flow
-        self.names, self.sizes = tuple(flow.inputs), tuple(flow.inputs.values())
+        self.names = tuple(flow.inputs)
         self.starts = [flow.own(name) for name in self.names]
-        self._rows: tuple[Row, ...] = tuple(
-            "pose_numbers" if name == "pose" else name for name in flow.outputs
-        )
+        self.sizes = tuple(len(start) for start in self.starts)
+        self._has_balls = len(flow.system.space.balls) > 0
+        numbers: dict[str, Row] = {"pose": "pose_numbers"}
+        if self._has_balls:
+            numbers["x"] = "x_numbers"
+        self._rows: tuple[Row, ...] = tuple(numbers.get(name, name) for name in flow.outputs)
         sizes = sizes_of(flow.system)
         ends = np.cumsum([0, *(sizes[row] for row in self._rows)]).tolist()
         self.outputs = dict(zip(flow.outputs, map(slice, ends, ends[1:]), strict=True))
@@ -87,11 +91,13 @@ class Columns:
 
     def jvp_of(self, column: Array, direction: Array) -> Array:
         """Return the derivative, (size,), along a direction; both arguments contain all inputs."""
-        return self._jvp(self._run(self._split(column)), direction[:, None])[:, 0]
+        values = self._split(column)
+        return self._jvp(self._run(values), values, direction[:, None])[:, 0]
 
     def vjp_of(self, column: Array, covector: Array) -> Array:
         """Return the derivatives of covector · output with respect to all inputs, in one vector."""
-        return self._vjp(self._run(self._split(column), stages=True), covector)
+        values = self._split(column)
+        return self._vjp(self._run(values, stages=True), values, covector)
 
     def values(self, *columns: Any, threads: int | None = None) -> Array:
         """Compute the outputs for N inputs at once, in SIMD lanes if the method has them.
@@ -141,8 +147,8 @@ class Columns:
         Returns:
             (size, its size) for each input.
         """
-        run = self._run(self._by_name(columns))
-        derivatives = self._jvp(run, np.eye(sum(self.sizes)))
+        values = self._by_name(columns)
+        derivatives = self._jvp(self._run(values), values, np.eye(sum(self.sizes)))
         return np.split(derivatives, self._cuts, axis=1)
 
     def jvp(self, columns: Sequence[Any], along: Sequence[Any]) -> Array:
@@ -155,7 +161,7 @@ class Columns:
         Returns:
             (size,), or (N, size) for N directions.
         """
-        run = self._run(self._by_name(columns))
+        values = self._by_name(columns)
         directions = [
             as_floats(direction, f"the direction of {name}")
             for direction, name in zip(along, self.names, strict=True)
@@ -167,7 +173,7 @@ class Columns:
         ]
         count = _common_count([len(batch) for batch in batches])
         stacked = np.hstack([np.broadcast_to(batch, (count, batch.shape[1])) for batch in batches])
-        derivatives = self._jvp(run, stacked.T).T
+        derivatives = self._jvp(self._run(values), values, stacked.T).T
         return derivatives if is_batch else derivatives[0]
 
     def vjp(self, columns: Sequence[Any], covector: Any) -> list[Array]:
@@ -179,10 +185,11 @@ class Columns:
         Returns:
             (its size,) for each input, or (N, its size) for N covectors.
         """
-        run = self._run(self._by_name(columns), stages=True)
+        values = self._by_name(columns)
+        run = self._run(values, stages=True)
         weights = as_floats(covector, "the covector")
         covectors = vectors(np.atleast_2d(weights), self.size, "the covector")
-        derivatives = np.array([self._vjp(run, entry) for entry in covectors])
+        derivatives = np.array([self._vjp(run, values, entry) for entry in covectors])
         derivatives = derivatives.reshape(len(covectors), sum(self.sizes))
         return np.split(derivatives if weights.ndim == 2 else derivatives[0], self._cuts, axis=-1)
 
@@ -238,20 +245,36 @@ class Columns:
     def _output(self, run: Run) -> Array:
         return np.asarray(self._propagator.outputs(run)[:, self._entries].ravel())
 
-    def _jvp(self, run: Run, directions: Array) -> Array:
-        """Return the derivatives (size, N) of the output along directions (inputs, N)."""
+    def _basis(self, run: Run, values: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Return derivatives (…, inputs) of the state and constants of a run at these inputs."""
         state, constants = self._inputs.basis(run.given)
+        if not (self._has_balls and "x0" in values):
+            return state, constants
+        first = self._spans[self.names.index("x0")].start
+        by_x = self.flow.system.space.frame_map(values["x0"])
+        place = slice(first, first + len(by_x))
+        return _with_columns(state, place, by_x), _with_columns(constants, place, by_x)
+
+    def _jvp(self, run: Run, values: Mapping[str, Array], directions: Array) -> Array:
+        """Return the derivatives (size, N) of the output along directions (inputs, N)."""
+        state, constants = self._basis(run, values)
         derivatives = self._propagator.along(
             run, self._rows, state @ directions, constants @ directions
         )
         return np.asarray(derivatives.reshape(self.size, directions.shape[1]))
 
-    def _vjp(self, run: Run, covector: Array) -> Array:
+    def _vjp(self, run: Run, values: Mapping[str, Array], covector: Array) -> Array:
         """Return the derivatives (inputs,) of covector · output."""
         covectors = np.ascontiguousarray(covector).reshape(self._times, -1)
         by_state, by_constants = self._propagator.back(run, self._rows, covectors)
-        state, constants = self._inputs.basis(run.given)
+        state, constants = self._basis(run, values)
         return np.asarray(by_state @ state + by_constants @ constants)
+
+
+def _with_columns(matrix: Array, place: slice, change: Array) -> Array:
+    """Return a matrix whose columns at `place` are multiplied by another matrix from the right."""
+    columns = [matrix[:, : place.start], matrix[:, place] @ change, matrix[:, place.stop :]]
+    return np.hstack(columns)
 
 
 def _common_count(counts: Sequence[int]) -> int:

@@ -46,7 +46,8 @@ class Inputs:
 
     Attributes:
         names: Names of the inputs with derivatives, in their order.
-        sizes: Number of entries of each input; for a pose, of its tangent.
+        sizes: Number of entries of each input; for a pose, of its tangent, and for a shape with
+            balls, of displacements along its frame.
         known: Names of all inputs.
         own: Values of the inputs in the scene.
     """
@@ -93,9 +94,12 @@ class Inputs:
         self.known = (*self._places, *self._parameters, *self._robot_values)
         self.names = tuple(_checked_names(wrt, self.known))
         sizes = {name: place.stop - place.start for name, place in self._places.items()}
-        sizes |= {"pose0": system.r} | {n: len(v) for n, v in self._robot_values.items()}
+        sizes |= {"pose0": system.r, "x0": system.m}
+        sizes |= {n: len(v) for n, v in self._robot_values.items()}
         self.sizes = {name: sizes.get(name, 1) for name in self.names}
         self._spans = _slices(self.sizes)
+        curved = ("pose0", "x0") if system.space.balls else ("pose0",)
+        self._curved = [name for name in curved if name in self.sizes]
         self._scalars = {n for n, size in self.sizes.items() if size == 1 and n not in self._places}
         self._last: tuple[Given, tuple[Array, Array]] | None = None  # cache of `basis`
 
@@ -148,6 +152,9 @@ class Inputs:
                 state[place] = vector(value, place.stop - place.start, name)
         if not np.isfinite(state).all():
             raise ShapeError(f"the inputs of a flow must be finite, got {brief(dict(values))}")
+        if "x0" in values:
+            place = self._places["x0"]
+            state[place] = self._system.space.normalized(state[place], "x0", near=False)
         return Given(state, constants, robot)
 
     def directions(self, along: Mapping[str, Any], at: Given) -> tuple[Array, Array]:
@@ -165,9 +172,9 @@ class Inputs:
         if self._last is not None and self._last[0] is at:
             return self._last[1]
         state, constants = self._scene_basis
-        if "pose0" in self.sizes and at is not self.own:
+        if self._curved and at is not self.own:
             state = state.copy()
-            self._put_pose(state, at)
+            self._put_tangents(state, at)
         if at.robot:
             constants = constants.copy()
             self._put_robot(constants, {**self._robot_values, **at.robot}, at.robot)
@@ -193,17 +200,23 @@ class Inputs:
         for name, span in self._spans.items():
             if name in self._columns_of:
                 constants[self._numbers_at, span] = self._slopes[:, [self._columns_of[name]]]
-            elif name in self._places and name != "pose0":
+            elif name in self._places and name not in self._curved:
                 state[self._places[name], span] = np.eye(self.sizes[name])
-        if "pose0" in self.sizes:
-            self._put_pose(state, self.own)
+        self._put_tangents(state, self.own)
         self._put_robot(constants, self._robot_values, self._robot_values)
         return state, constants
 
-    def _put_pose(self, state: Array, at: Given) -> None:
-        group, place = self._system.group, self._places["pose0"]
-        poses = np.broadcast_to(at.state[place], (group.dim, group.size))
-        state[place, self._spans["pose0"]] = group.rate(poses, np.eye(group.dim)).T
+    def _put_tangents(self, state: Array, at: Given) -> None:
+        """Write the directions of inputs whose tangents depend on their values."""
+        system = self._system
+        for name in self._curved:
+            place, span = self._places[name], self._spans[name]
+            if name == "x0":
+                state[place, span] = system.space.rate_map(at.state[place])
+                continue
+            group = system.group
+            poses = np.broadcast_to(at.state[place], (group.dim, group.size))
+            state[place, span] = group.rate(poses, np.eye(group.dim)).T
 
     def _put_robot(
         self, constants: Array, now: Mapping[str, Array], changed: Collection[str]

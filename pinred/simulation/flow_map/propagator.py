@@ -20,7 +20,7 @@ from ...integrators.solution import Solution
 from ...kernels.derived_code import tangent_of
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
-from ...kernels.flow_functions import Row, outcome_of, rate_of, sizes_of
+from ...kernels.flow_functions import Row, outcome_of, rate_of, reference_in, sizes_of
 from ...system.coordinates import Indices
 from ...system.state_fields import Outcome, ShapeState, State, map_arrays
 from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address
@@ -49,7 +49,6 @@ class Propagator:
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
         """Prepare the kernels.  Raises InputError if the scene or its method has no derivatives."""
         self.plan, self.method, self.zero_momentum = plan, plan.method, zero_momentum
-        plan.system.space.refuse_balls("flows and their derivatives")
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             raise InputError(
@@ -332,7 +331,8 @@ class Propagator:
         end_state = self._state(flow, t + h, step.y[0], parameters)
         if columns is None or not isinstance(end_state, State):
             return end_state, np.zeros((0, 0))
-        a = np.concatenate([step.y[0, : layout.size], [t + h], end_state.pose])
+        reference = [*[end_state.x] * bool(kernel.system.space.balls), end_state.pose]
+        a = np.concatenate([step.y[0, : layout.size], [t + h], *reference])
         b = np.concatenate([parameters, flow.path])
         a_along = np.zeros((len(a), state.shape[1]))
         a_along[: layout.size] = step.slopes[0][: layout.size]
@@ -379,14 +379,13 @@ class Propagator:
             raise InputError("a step of a scene with prescribed joints begins at t = 0")
 
     def _outcome_points(self, flow: CompiledFlow, span: Span, solution: Solution) -> Array:
-        """Return the output function's arguments at report times: reduced state, time, pose."""
-        t, size = span.start + span.times, self.kernel.layout.size
-        points = np.zeros((len(t), size + 1 + self.kernel.system.group.size))
-        points[:, :size], points[:, size] = solution.y[:, :size], t
-        if self.kernel.layout.base_requested:
+        """Return the outcome's arguments at report times: reduced state, time, reference."""
+        t, kernel = span.start + span.times, self.kernel
+        outputs = np.zeros((len(t), kernel.where.size))
+        if kernel.layout.base_requested or kernel.system.space.balls:
             outputs = flow.outputs(t, solution.y, solution.params)
-            points[:, size + 1 :] = outputs[:, self.kernel.where.fields["pose"]]
-        return points
+        y = solution.y[:, : kernel.layout.size]
+        return np.hstack([y, t[:, None], reference_in(kernel, outputs)])
 
     def _size(self, rows: tuple[Row, ...]) -> int:
         sizes = sizes_of(self.plan.system)

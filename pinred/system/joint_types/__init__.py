@@ -1,7 +1,7 @@
 """Joint types with one or several degrees of freedom: one module for each type.
 
-A joint with several degrees of freedom is a product of hinges and slides if its motion can be
-carried out one axis after the other.  `split_joints` replaces such joints when a model is loaded.
+A joint with several degrees of freedom is a product of hinges, slides and balls if its motion can
+be carried out one after the other.  `split_joints` replaces such joints when a model is loaded.
 This is exact: the massless bodies between the parts add no inertia.  A new type is one module in
 this folder with a `JointType`, which is registered automatically.
 

@@ -1,4 +1,4 @@
-"""JointType: a joint as a product of hinges and slides."""
+"""JointType: a joint as a product of hinges, slides and balls."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pinocchio as pin
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A hinge or slide of a joint.
+    """A hinge, slide or ball of a joint.
 
     Attributes:
         suffix: Suffix of its name: the part of joint "wrist" is "wrist.suffix".  The part that
             keeps the name of the joint has no suffix.
-        joint: Revolute or prismatic joint.
+        joint: Revolute, prismatic or spherical joint.
         placement: Placement on the body of the part before.
         ratio: Displacement per displacement of the part before, if the part follows it; else None.
         rotated: Whether the joint's rate along the part is a component of a vector in the axes of
@@ -32,7 +32,7 @@ class Part:
 
 @dataclass(frozen=True)
 class JointType:
-    """A kind of joints, and the hinges and slides of which they consist.
+    """A kind of joints, and the hinges, slides and balls of which they consist.
 
     Attributes:
         name: Name of the type.
@@ -53,7 +53,7 @@ def part(
 
     Args:
         suffix: Suffix of its name.
-        joint: Revolute or prismatic joint.
+        joint: Revolute, prismatic or spherical joint.
         ratio: Displacement per displacement of the part before, or None.
         rotated: See Part.
     Returns:

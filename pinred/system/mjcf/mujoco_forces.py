@@ -1,7 +1,9 @@
 """Forces in a MuJoCo model: passive ones at shape joints, and actions that are not simulated.
 
 MuJoCo's force at a hinge or slide is −(k₁ y + k₂ y² + k₃ y³) − v (d₁ + d₂ |v| + d₃ v²), with y
-measured from springref, and v the rate.  Dry friction adds at most `frictionloss`.
+measured from springref, and v the rate.  Dry friction adds at most `frictionloss`.  At a ball with
+rotation vector r, the spring's moment is −(k₁ + k₂ |r| + k₃ |r|²) r.  Its axes have equal
+dampers and friction.
 """
 
 from __future__ import annotations
@@ -9,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from ..ball_forces import BallSpring
 from ..force_interface import Force
-from ..passive import BASE, Damper, Friction, Spring
+from ..passive import BASE, Damper, Friction, Spring, rate_labels
 from ..robot_file_contents import LeftOut
-from .mujoco_joints import acts_on_joint
+from .mujoco_joints import acts_on_joint, quaternion
 from .package import mujoco_package
 from .tree import Tree
 from .world import World
@@ -110,13 +113,19 @@ def _forces_at(world: World, joint: int) -> Iterator[Force]:
     name, numbers = world.joint_names[joint], _joint_numbers(world.model, joint)
     (k, *stiffer), (d, *thicker) = numbers["SPRING"], numbers["DAMPER"]
     (most,) = numbers["FRICTIONLOSS"]
+    is_ball = world.kind(joint) == "ball"
     if _is_active(world, {"SPRING": numbers["SPRING"]}) and not _is_plastic(world, joint):
-        rest = float(world.model.qpos_spring[world.model.jnt_qposadr[joint]])
-        yield Spring(name, k, rest, polynomial=_without_zeros(stiffer))
-    if _is_active(world, {"DAMPER": numbers["DAMPER"]}):
-        yield Damper(name, d, polynomial=_without_zeros(thicker))
-    if most > 0.0 and not world.disabled("FRICTIONLOSS"):
-        yield Friction(name, most)
+        rest = world.model.qpos_spring[world.model.jnt_qposadr[joint] :]
+        higher = _without_zeros(stiffer)
+        if is_ball:
+            yield BallSpring(name, k, quaternion(rest), polynomial=higher)
+        else:
+            yield Spring(name, k, float(rest[0]), polynomial=higher)
+    for label in rate_labels(name, 3 if is_ball else 1):
+        if _is_active(world, {"DAMPER": numbers["DAMPER"]}):
+            yield Damper(label, d, polynomial=_without_zeros(thicker))
+        if most > 0.0 and not world.disabled("FRICTIONLOSS"):
+            yield Friction(label, most)
 
 
 def _is_active(world: World, numbers: Mapping[str, Iterable[float]]) -> bool:

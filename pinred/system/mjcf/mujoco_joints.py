@@ -64,8 +64,23 @@ class Joint:
             return pin.Motion(rate * self.axis, np.zeros(3))
         return pin.Motion(rate * np.cross(self.point, self.axis), rate * self.axis)
 
+    def coordinates(self, qpos: Array) -> Array:
+        """Return Pinocchio's coordinates of a slide, hinge or ball, (nq,), from qpos."""
+        if self.kind == "ball":
+            return quaternion(qpos[self.q_at :])
+        return qpos[self.q_at : self.q_at + 1].copy()
+
+    def rates(self, qvel: Array) -> Array:
+        """Return Pinocchio's rates of a slide, hinge or ball, (nv,), from qvel."""
+        return qvel[self.v_at : self.v_at + self.nv].copy()
+
     def model(self) -> pin.JointModel:
-        """Return the Pinocchio joint with the axis of a slide or hinge."""
+        """Return the Pinocchio joint with the axis of a slide or hinge, or of a ball.
+
+        MuJoCo's angular velocity of a ball is in body axes, too.
+        """
+        if self.kind == "ball":
+            return pin.JointModelSpherical()
         return joint_along(PRISMATIC if self.kind == "slide" else REVOLUTE, self.axis)
 
 
@@ -112,3 +127,15 @@ def frame(position: Array, quaternion: Array) -> pin.SE3:
     """Return the frame at a position with orientation (w, x, y, z), a quaternion of any norm."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return pin.SE3(pin.Quaternion(w, x, y, z).toRotationMatrix(), np.array(position))
+
+
+def wxyz(values: Array) -> Array:
+    """Return the leading quaternion (w, x, y, z) of joint coordinates; zero becomes identity."""
+    leading = values[:4]
+    return leading if leading.any() else np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def quaternion(values: Array) -> Array:
+    """Convert MuJoCo's leading quaternion (w, x, y, z) to a unit quaternion (x, y, z, w)."""
+    leading = wxyz(values)
+    return np.asarray(np.roll(leading, -1) / np.linalg.norm(leading))

@@ -14,6 +14,7 @@ from ...common.arrays import Array
 from ...common.errors import ModelError
 from ...lie.group import Group
 from ..locked_joints import LockedJoints
+from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of
 from ..robot_file_contents import Contents, Coupling, Keyframe
 from .compile import compiled
 from .equality_constraints import constraints_of, locked_with_followers
@@ -40,7 +41,12 @@ class MujocoRobot:
 
 
 def read_mujoco(
-    source: Any, *, root: str | None, lock: Mapping[str, float], gravity: Array | None
+    source: Any,
+    *,
+    root: str | None,
+    lock: Mapping[str, float],
+    gravity: Array | None,
+    balls: bool | tuple[str, ...] = False,
 ) -> MujocoRobot:
     """Read the robot from a path, an MjSpec or an MjModel.
 
@@ -49,6 +55,7 @@ def read_mujoco(
         root: Name of the body attached to the world that carries the robot, if several can move.
         lock: Joints to lock, with their values [rad | m].
         gravity: Gravity that replaces the file's, (3,) [m/s²]; None for the file's.
+        balls: Hinges to merge into balls (see `merge_of`).
     Returns:
         The robot.
     Raises:
@@ -59,35 +66,47 @@ def read_mujoco(
     what = str(source) if isinstance(source, (str, Path)) else "the model"
     world = robot_in(compiled(source), root, what)
     file_gravity = gravity_of(world)
-    lock, ties, shared = locked_with_followers(world, lock)
     effective = file_gravity.effective if gravity is None else gravity
+    if balls and lock:
+        whole = tree_of(world, {}, effective).model
+        lock = locked_hinges(whole, balls, lock)
+        merge_of(whole, balls, kept=lock)  # Refuse balls of locked hinges.
+    lock, ties, shared = locked_with_followers(world, lock)
     tree = tree_of(world, lock, effective)
+    constraints = constraints_of(tree)
+    forces = passive_forces(tree)
+    kept = {*lock, *coupled_joints(constraints.couplings)}
+    merge = merge_of(tree.model, balls, passive=forces, kept=kept)
     locked = None
     if lock:
         root_name = "" if tree.root is None else str(tree.model.names[1])
-        raw = tree_of(world, lock, effective, keep_frozen=True).model
+        raw = merge.model(tree_of(world, lock, effective, keep_frozen=True).model)
         ids = {name: joint for joint, name in enumerate(world.joint_names)}
         several = tuple(name for name in lock if world.kind(ids[name]) in ("ball", "free"))
         locked = LockedJoints(raw, lock, ties, root_name=root_name, several=several, shared=shared)
-    constraints = constraints_of(tree)
     refuse_heavy_tendons(tree, moving_tendons(tree))
     fixed = [world.body_names[body] for body in tree.fixed_bodies]
 
     def contents(group: Group) -> Contents:
         return Contents(
-            left_out=tuple(
-                left_out_actions(tree, constraints.outside, gravcomp=file_gravity.is_uneven)
+            left_out=(
+                *left_out_actions(tree, constraints.outside, gravcomp=file_gravity.is_uneven),
+                *merge.left_out(forces),
             ),
-            passive=passive_forces(tree),
-            keyframes=keyframes_of(tree, group, constraints.couplings),
+            passive=merge.forces(forces),
+            keyframes=keyframes_of(tree, group, constraints.couplings, merge),
             couplings=constraints.couplings,
             freed=fixed[0] if fixed and tree.root is None else "",
-            warnings=() if tree.root is None else ignored_rotors(tree.root.joints),
+            warnings=(
+                *(() if tree.root is None else ignored_rotors(tree.root.joints)),
+                *merge.warnings(tree.model),
+            ),
             locked=locked,
+            merged=merge.triples,
         )
 
     name = bytes(world.model.names).split(b"\0", 1)[0].decode(errors="replace")
-    return MujocoRobot(name, tree.model, contents)
+    return MujocoRobot(name, merge.model(tree.model), contents)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +136,7 @@ def gravity_of(world: World) -> Gravity:
 
 
 def keyframes_of(
-    tree: Tree, group: Group, couplings: Sequence[Coupling] = ()
+    tree: Tree, group: Group, couplings: Sequence[Coupling] = (), merge: Merge | None = None
 ) -> dict[str, Keyframe]:
     """Return the keyframes by name; unnamed keyframes are called key0, key1 and so on.
 
@@ -125,6 +144,7 @@ def keyframes_of(
         tree: Robot.
         group: Group of the base.  If the file fixes the base, it rests at the identity.
         couplings: Couplings of followers; the file's values of followers are ignored.
+        merge: Hinges that become balls; None for none.
     """
     followers = {coupling.follower for coupling in couplings}
     joints = [joint for joint in tree.shape if joint.name not in followers]
@@ -132,11 +152,15 @@ def keyframes_of(
     keyframes = {}
     for k in range(model.nkey):
         qpos, qvel = np.array(model.key_qpos[k]), np.array(model.key_qvel[k])
+        x, xdot = (merge or Merge()).values(
+            {joint.name: joint.coordinates(qpos) for joint in joints},
+            {joint.name: joint.rates(qvel) for joint in joints},
+        )
         keyframes[tree.world.name("KEY", k).replace("key ", "key")] = Keyframe(
             pose=group.identity() if root is None else root.pose(qpos),
-            x=np.array([qpos[joint.q_at] for joint in joints]),
+            x=np.concatenate([np.empty(0), *x.values()]),
             xi=np.zeros(group.dim) if root is None else root.twist(qpos, qvel),
-            xdot=np.array([qvel[joint.v_at] for joint in joints]),
+            xdot=np.concatenate([np.empty(0), *xdot.values()]),
             time=float(model.key_time[k]),
         )
     return keyframes

@@ -19,7 +19,7 @@ from ...lie.planar_groups import SE2
 from ...lie.r_se2 import RxSE2
 from ..joints import root_joint
 from . import rotors
-from .mujoco_joints import Joint, frame
+from .mujoco_joints import Joint, frame, quaternion, wxyz
 
 _EXACT = 1e-12  # sines, cosines and lengths [m] below this value count as zero
 # Displacements from the reference configuration at which planar joints are tested [rad | m].
@@ -106,7 +106,7 @@ def _ball(joint: Joint) -> RootMotion:
         before=joint.at_point,
         behind=joint.at_point.inverse(),
         rotors=rotors.of_ball(joint),
-        pose=lambda qpos: _quaternion(qpos[joint.q_at :]),
+        pose=lambda qpos: quaternion(qpos[joint.q_at :]),
         twist=lambda _, qvel: qvel[joint.v_at : joint.v_at + 3].copy(),
     )
 
@@ -125,7 +125,7 @@ def _free(joint: Joint) -> RootMotion:
         before=pin.SE3.Identity(),
         behind=pin.SE3.Identity(),
         rotors=pin.Inertia.Zero(),
-        pose=lambda qpos: np.concatenate([qpos[q : q + 3], _quaternion(qpos[q + 3 :])]),
+        pose=lambda qpos: np.concatenate([qpos[q : q + 3], quaternion(qpos[q + 3 :])]),
         twist=twist,
         in_world=True,
     )
@@ -138,7 +138,7 @@ def _slides_and_ball(joints: Sequence[Joint], gravity: Array) -> RootMotion:
 
     def pose(qpos: Array) -> Array:
         shift = axes @ np.array([qpos[joint.q_at] - joint.q0 for joint in slides])
-        return np.concatenate([shift, _quaternion(qpos[ball.q_at :])])
+        return np.concatenate([shift, quaternion(qpos[ball.q_at :])])
 
     def twist(qpos: Array, qvel: Array) -> Array:
         v = axes @ np.array([qvel[joint.v_at] for joint in slides])
@@ -304,17 +304,5 @@ def _rank(vectors: Sequence[Array]) -> int:
     return int(np.linalg.matrix_rank(np.array(vectors), tol=1e-9))
 
 
-def _wxyz(values: Array) -> Array:
-    """Return the leading quaternion (w, x, y, z) of joint coordinates; zero becomes identity."""
-    quaternion = values[:4]
-    return quaternion if quaternion.any() else np.array([1.0, 0.0, 0.0, 0.0])
-
-
 def _rotation(values: Array) -> Array:
-    return np.asarray(frame(np.zeros(3), _wxyz(values)).rotation)
-
-
-def _quaternion(values: Array) -> Array:
-    """Convert MuJoCo's quaternion (w, x, y, z) to a unit quaternion (x, y, z, w)."""
-    quaternion = _wxyz(values)
-    return np.asarray(np.roll(quaternion, -1) / np.linalg.norm(quaternion))
+    return np.asarray(frame(np.zeros(3), wxyz(values)).rotation)

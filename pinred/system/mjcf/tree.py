@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
-from ...common.errors import InputError, ModelError
+from ...common.errors import InputError
 from ...common.names import listed, quoted
 from ..rebuild import ModelBuilder
 from .mujoco_joints import Joint, frame, joint_of
@@ -84,8 +84,7 @@ def tree_of(
         The tree.
     Raises:
         InputError: A joint to lock is unknown.
-        ModelError: A joint inside the tree has several degrees of freedom, or the base has
-            armature that breaks the symmetry.
+        ModelError: The base has armature that breaks the symmetry.
     """
     tree = Tree(world, gravity, locked=_locked(world, lock), keep_frozen=keep_frozen)
     tree.model.gravity.linear = gravity
@@ -177,16 +176,12 @@ def _add_root(tree: Tree, at: Carrier, joints: list[int]) -> tuple[Carrier, list
 def _add_joint(tree: Tree, at: Carrier, id_: int) -> Carrier:
     """Add one joint of a body; return the carrier of the body after it."""
     joint = joint_of(tree.world, id_)
-    if joint.nv != 1:
-        raise ModelError(
-            f"joint {quoted(joint.name)} is a {joint.kind} joint inside the tree, with {joint.nv} "
-            f"degrees of freedom; lock it (lock=[{quoted(joint.name)}]), or write three "
-            "hinges in its place"
-        )
-    # Use MuJoCo's coordinate for Pinocchio; it is q0 in the reference configuration.
+    # Use MuJoCo's coordinate for Pinocchio; it is q0 in the reference configuration, in which a
+    # ball has the identity.
     place = at.at * joint.at_point * joint.displaced(-joint.q0)
     model = tree.world.model
-    limits = model.jnt_range[id_].reshape(2, 1) if model.jnt_limited[id_] else None
+    is_limited = model.jnt_limited[id_] and joint.nv == 1
+    limits = model.jnt_range[id_].reshape(2, 1) if is_limited else None
     index = tree.builder.add_joint(
         at.joint, joint.model(), place, joint.name, armature=joint.armature, limits=limits
     )

@@ -160,7 +160,10 @@ def _from_geometry(system: System, shapes: Shapes) -> Bodies:
     meshes: dict[Hashable, int] = {}
     drawn: list[Mesh] = []
     skipped: list[int] = []  # joints of the shapes that cannot be drawn
+    between = _between_hinges(system)
     for entry in geometry.geometryObjects:
+        if str(raw.names[entry.parentJoint]) in between:
+            continue
         joint, placement = _joint_of(system, raw, entry)
         kind, size = _primitive(entry.geometry)
         if entry.name in shapes.meshes or kind == "mesh":
@@ -183,6 +186,11 @@ def _from_geometry(system: System, shapes: Shapes) -> Bodies:
     if solids and empty:
         solids += [solid for solid in _from_inertias(system) if solid.joint in empty]
     return Bodies(tuple(solids), tuple(drawn), _remark(len(skipped), shapes.unreadable))
+
+
+def _between_hinges(system: System) -> set[str]:
+    """Return the hinges whose massless bodies a ball has replaced."""
+    return {name for triple in system.contents.merged for name in triple.hinges[:-1]}
 
 
 def _mesh_of(
@@ -322,6 +330,8 @@ def _solid(system: System, world: World, geom: int, meshes: dict[int, int]) -> S
     if colour[3] == 0.0:
         return None
     body = world.body_names[int(model.geom_bodyid[geom])]
+    if not system.model.existFrame(body, pin.FrameType.BODY):  # a massless body between hinges
+        return None
     link = system.model.frames[system.model.getFrameId(body, pin.FrameType.BODY)]
     placement = link.placement * frame(model.geom_pos[geom], model.geom_quat[geom])
     return Solid(link.parentJoint, name, size, np.array(pin.SE3ToXYZQUAT(placement)), colour)

@@ -1,0 +1,139 @@
+"""Forces at ball joints that the user adds: PD control of the attitude, and swing–twist limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from ..common.argument_kinds import checks_arguments
+from ..common.errors import InputError
+from ..common.parameter import Parameter
+from ..system.ball_forces import attitude_of, relative_attitude, rotation_vector
+from ..system.force_interface import finite
+from .force import Limit, Named, Symbols, Terms, limited
+
+_AXES = {"x": 0, "y": 1, "z": 2}
+_NARROWEST = 0.003  # differences of cosines are at most 2, and exp(2/0.003) is finite
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class BallPD(Named):
+    """PD control of a ball towards an attitude R_d: τ = −kp log(R_dᵀ R) − kd σ.
+
+    The torque has a jump where the ball is half a turn away from R_d.
+
+    Attributes:
+        joint: Name of the ball joint.
+        attitude: R_d as a rotation vector, (3,) [rad], or a quaternion (x, y, z, w).
+        kp: Stiffness [N·m/rad].
+        kd: Damping [N·m·s/rad].
+        limit: Bounds on the torques by axis, such as "neck.x", or None.
+        name: Name in messages and results.
+    """
+
+    joint: str
+    attitude: Any
+    kp: float | Parameter
+    kd: float | Parameter
+    limit: Limit | None = None
+    name: str = "ball pd"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "attitude", attitude_of(self.attitude, f"attitude of {self.name}"))
+        for gain in ("kp", "kd"):
+            object.__setattr__(self, gain, finite(getattr(self, gain), f"{gain} of {self.name}"))
+
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
+        """Return the torques as expressions.
+
+        Args:
+            s: Variables of the forces.
+            number: Function that replaces a number by a symbol.
+        Returns:
+            The terms of this force.
+        """
+        q, first = s.ball(self.joint, self.name)
+        error = rotation_vector(*relative_attitude(self.attitude, q))
+        torque = {
+            first + k: -number(self.kp) * error[k] - number(self.kd) * s.xdot[first + k]
+            for k in range(3)
+        }
+        return Terms(torque=limited(self.limit, s, torque, number, self.name))
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class BallLimit(Named):
+    """A smooth potential that limits the swing and the twist of a ball.
+
+    The attitude is a twist about an axis of the child, after a swing that moves this axis.  With
+    the swing angle φ in [0, π] and the twist angle ψ in (−π, π), the potential is
+    k s(cos φ_max − cos φ) + k s(cos ψ_max − cos ψ), where s(y) = w log(1 + exp(y/w)) is a smooth
+    max(0, y).  Beyond a limit the torque approaches k sin φ.
+
+    Attributes:
+        joint: Name of the ball joint.
+        swing: Largest swing angle φ_max [rad]; None: no limit.
+        twist: Largest twist angle |ψ|_max [rad]; None: no limit.
+        axis: Axis of the child about which it twists: "x", "y" or "z".
+        stiffness: Stiffness k [N·m].
+        width: Width w of the transition, in cosines.
+        name: Name in messages and results.
+    """
+
+    joint: str
+    swing: float | None = None
+    twist: float | None = None
+    axis: str = "z"
+    stiffness: float | Parameter = 100.0
+    width: float = 0.05
+    name: str = "ball limit"
+
+    def __post_init__(self) -> None:
+        if self.axis not in _AXES:
+            raise InputError(f"axis of {self.name}: expected x, y or z, got {self.axis!r}")
+        for what in ("swing", "twist"):
+            angle = getattr(self, what)
+            if angle is not None and not 0.0 < angle < float(ca.pi):
+                raise InputError(
+                    f"{what} of {self.name}: expected an angle between 0 and π, got {angle}"
+                )
+        if self.swing is None and self.twist is None:
+            raise InputError(f"{self.name}: give swing, twist, or both")
+        if not _NARROWEST <= self.width < float("inf"):
+            raise InputError(
+                f"width of {self.name}: expected at least {_NARROWEST}, so that exponentials do "
+                f"not overflow, got {self.width}"
+            )
+        object.__setattr__(self, "stiffness", finite(self.stiffness, f"stiffness of {self.name}"))
+
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
+        """Return the potential as an expression.
+
+        Args:
+            s: Variables of the forces.
+            number: Function that replaces a number by a symbol.
+        Returns:
+            The terms of this force.
+        """
+        q, _ = s.ball(self.joint, self.name)
+        along, w = q[_AXES[self.axis]], q[3]
+        twist_square = along * along + w * w  # cos²(φ/2)
+        potential = ca.SX(0)
+        if self.swing is not None:
+            potential += _softplus(ca.cos(self.swing) - (2.0 * twist_square - 1.0), self.width)
+        if self.twist is not None:
+            # cos ψ = (w² − a²)/(w² + a²), which is not defined at a swing of half a turn
+            cosine = (w * w - along * along) / twist_square
+            potential += _softplus(ca.cos(self.twist) - cosine, self.width)
+        return Terms(potential=number(self.stiffness) * potential)
+
+
+def _softplus(y: ca.SX, width: float) -> ca.SX:
+    """Return w log(1 + e^(y/w)), a smooth max(0, y) for differences y of two cosines."""
+    smooth: ca.SX = width * ca.log(1.0 + ca.exp(y / width))
+    return smooth

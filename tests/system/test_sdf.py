@@ -1,0 +1,203 @@
+"""SDF files against Drake, which reads them, with Drake's own mass matrix and forces."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.system.passive import Damper, Friction, Spring
+from pinred.system.read_sdf import read_sdf
+from pinred.system.split_joints import split_joints
+
+HAS_DRAKE = find_spec("pydrake") is not None
+needs_drake = pytest.mark.skipif(not HAS_DRAKE, reason="drake is not installed")
+BODY = (
+    "<inertial><pose>0.1 0.02 -0.03 0.1 0.2 0.3</pose><mass>1.3</mass><inertia><ixx>0.2</ixx>"
+    "<iyy>0.3</iyy><izz>0.4</izz><ixy>0.01</ixy></inertia></inertial>"
+)
+
+
+def link(name: str, pose: str = "0.1 0.2 0.3 0.4 0.5 0.6") -> str:
+    """Return a link with mass."""
+    return f'<link name="{name}"><pose>{pose}</pose>{BODY}</link>'
+
+
+def joint(name: str, kind: str, parent: str, child: str, content: str = "") -> str:
+    """Return a joint off the origin of its child."""
+    return (
+        f'<joint name="{name}" type="{kind}"><pose>0.05 0 0.1 0 0.3 0</pose>'
+        f"<parent>{parent}</parent><child>{child}</child>{content}</joint>"
+    )
+
+
+def axis(xyz: str, inside: str = "", tag: str = "axis") -> str:
+    """Return the axis of a joint."""
+    return f"<{tag}><xyz>{xyz}</xyz>{inside}</{tag}>"
+
+
+def sdf(*elements: str) -> str:
+    """Return a file with one model."""
+    return f'<sdf version="1.9"><model name="m">{"".join(elements)}</model></sdf>'
+
+
+def write(folder: Path, text: str) -> Path:
+    """Write a file; return its path."""
+    path = folder / "arm.sdf"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+LINKS = [link(name, f"0.{k} 0 0.2 0.{k} 0.1 0") for k, name in enumerate("abcdefg")]
+ALL = sdf(
+    *LINKS,
+    joint("pivot", "revolute", "world", "a", axis("0 1 0")),
+    joint("hinge", "revolute", "a", "b", axis("0.6 0.8 0", "<limit><lower>-1</lower></limit>")),
+    joint(
+        "slide", "prismatic", "b", "c", axis("0 0 1", "<dynamics><damping>.3</damping></dynamics>")
+    ),
+    joint("cross", "universal", "a", "d", axis("1 0 0") + axis("0 1 0", tag="axis2")),
+    joint("neck", "ball", "d", "e"),
+    joint(
+        "thread", "screw", "e", "f", axis("0 0 1") + "<screw_thread_pitch>.7</screw_thread_pitch>"
+    ),
+    joint("glue", "fixed", "f", "g"),
+)
+
+
+@needs_drake
+@pytest.mark.parametrize("seed", range(3))
+def test_masses_and_forces_agree_with_drake(tmp_path: Path, seed: int) -> None:
+    """Every joint type, with fixed links, at random states."""
+    path, rng = write(tmp_path, ALL), np.random.default_rng(seed)
+    plant: Any = import_module("pydrake.multibody.plant").MultibodyPlant(0.0)
+    import_module("pydrake.multibody.parsing").Parser(plant).AddModels(str(path))
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    model, q, v, J = read_sdf(path).model, [], [], np.zeros((9, plant.num_velocities()))
+    for name in list(model.names)[1:]:
+        drake, k = plant.GetJointByName(name), model.joints[model.getJointId(name)].idx_v
+        value, rate = (
+            rng.uniform(-1, 1, drake.num_positions()),
+            rng.normal(size=drake.num_velocities()),
+        )
+        plant.SetPositions(
+            context, _place(plant.GetPositions(context), drake.position_start(), value)
+        )
+        rates = _place(plant.GetVelocities(context), drake.velocity_start(), rate)
+        plant.SetVelocities(context, rates)
+        # Drake's angular velocity of a ball is in the axes of its parent.
+        turn = pin.rpy.rpyToMatrix(*value).T if name == "neck" else np.eye(len(rate))
+        J[k : k + len(rate), drake.velocity_start() : drake.velocity_start() + len(rate)] = turn
+        q += [*pin.Quaternion(turn.T).coeffs()] if name == "neck" else [*value]
+        v += [*(turn @ rate)]
+    data, q_, v_ = model.createData(), np.array(q), np.array(v)
+    H = pin.crba(model, data, q_, pin.Convention.WORLD)
+    M = plant.CalcMassMatrix(context)
+    assert np.abs(J.T @ H @ J - M).max() <= 1e-13 * np.abs(M).max()
+    bias = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
+    own = J.T @ pin.nonLinearEffects(model, data, q_, v_)
+    assert np.abs(own - bias).max() <= 1e-12 * np.abs(bias).max()
+
+
+def _place(values: Array, start: int, part: Array) -> Array:
+    values = values.copy()
+    values[start : start + len(part)] = part
+    return values
+
+
+@needs_drake
+def test_joints_have_names_limits_and_damping(tmp_path: Path) -> None:
+    """Fixed links are part of their carriers."""
+    model = read_sdf(write(tmp_path, ALL)).model
+    assert list(model.names)[1:] == [
+        "pivot", "hinge", "slide", "cross", "neck", "thread",
+    ]  # fmt: skip
+    hinge, slide = (model.joints[model.getJointId(name)] for name in ("hinge", "slide"))
+    assert model.lowerPositionLimit[hinge.idx_q] == -1.0
+    assert model.damping[slide.idx_v] == 0.3
+    parts = list(split_joints(model).model.names)[2:]
+    assert parts == ["hinge", "slide", "cross.1", "cross.2", "neck", "thread", "thread.slide"]
+
+
+@needs_drake
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_floating_model_is_loaded_and_simulated(tmp_path: Path, kind: str) -> None:
+    """With springs, dampers and friction."""
+    dynamics = (
+        "<dynamics><damping>.3</damping><friction>.2</friction><spring_stiffness>3</spring_stiffness>"
+        "<spring_reference>.4</spring_reference></dynamics>"
+    )
+    hinge = joint("hinge", kind, "a", "b", axis("0.6 0.8 0", dynamics))
+    system = pinred.load(write(tmp_path, sdf(*LINKS[:2], hinge)))
+    assert system.group.name == "SE3"
+    assert system.shape_names == ("hinge",)
+    assert set(system.passive) == {
+        Spring("hinge", 3.0, 0.4), Damper("hinge", 0.3), Friction("hinge", 0.2),
+    }  # fmt: skip
+    assert pinred.compare(pinred.simulate(system, seed=0, duration=0.2)).passed
+
+
+REFUSED = {
+    "several models": (sdf(*LINKS[:2]), pinred.ModelError, r"several robots \(a, b\)"),
+    "a loop": (
+        sdf(
+            *LINKS[:2],
+            LINKS[2],
+            joint("one", "revolute", "a", "b", axis("1 0 0")),
+            joint("two", "revolute", "a", "c", axis("1 0 0")),
+            joint("three", "revolute", "b", "c", axis("1 0 0")),
+        ),
+        pinred.ModelError,
+        r"closed loops.*'c' is carried by 'three' and by 'two'",
+    ),
+    "revolute2": (
+        sdf(*LINKS[:2], joint("one", "revolute2", "a", "b", axis("1 0 0"))),
+        pinred.LoadError,
+        r"Drake cannot read .*\(revolute2\) not supported for joint 'one'; use revolute, ",
+    ),
+    "no model": ('<sdf version="1.9"/>', pinred.LoadError, "Drake cannot read|no model"),
+    "a follower": (
+        sdf(
+            *LINKS[:3],
+            joint("one", "revolute", "a", "b", axis("1 0 0")),
+            joint(
+                "two", "revolute", "b", "c",
+                axis("1 0 0", '<mimic joint="one"><multiplier>2</multiplier></mimic>'),
+            ),
+        ),
+        pinred.ModelError,
+        r"1 joints that follow others",
+    ),
+}  # fmt: skip
+
+
+@needs_drake
+@pytest.mark.parametrize("name", REFUSED)
+def test_invalid_file_is_refused(tmp_path: Path, name: str) -> None:
+    """By the name of the joint or link."""
+    text, error, words = REFUSED[name]
+    with pytest.raises(error, match=words):
+        pinred.load(write(tmp_path, text))
+
+
+@needs_drake
+def test_body_fixed_to_the_world_floats_with_a_warning(tmp_path: Path) -> None:
+    """As in URDF and MJCF."""
+    text = sdf(LINKS[0], joint("bolt", "fixed", "world", "a"))
+    with pytest.warns(pinred.ModelWarning, match="the file fixes a to the world, but here it is"):
+        assert pinred.load(write(tmp_path, text)).group.name == "SE3"
+
+
+@pytest.mark.skipif(HAS_DRAKE, reason="drake is installed")
+def test_missing_package_is_named(tmp_path: Path) -> None:
+    """With the command that installs it."""
+    with pytest.raises(pinred.MissingPackageError, match=r"SDF is read by Drake.*pinred\[sdf\]"):
+        pinred.load(write(tmp_path, ALL))
