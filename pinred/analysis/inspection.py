@@ -60,11 +60,11 @@ class Inspection:
 
     def __str__(self) -> str:
         system, at, left_out = self.system, self.at, _left_out(self.system)
-        words = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
-        kinds = [f"{joint.name} ({words[joint.kind.name]})" for joint in system.space.joints]
+        kinds = [f"{joint.name} ({joint.kind.motion})" for joint in system.space.joints]
         size = "" if self.reduced_size is None else f" → {self.reduced_size} numbers"
         lines = [
-            f"{system.name}: {_group(system)}, shape of {_shape(system)}, {system.mass:g} kg",
+            f"{system.name}: {_group(system)}, shape of {system.space.size_in_words}, "
+            f"{system.mass:g} kg",
             *_wrapped("joints", kinds),
             *(_wrapped("followers", [*map(str, system.couplings)]) if system.couplings else []),
             f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
@@ -103,7 +103,7 @@ class Inspection:
         ]
         return card(
             system.name,
-            f"{_group(system)}, shape of {_shape(system)}, {system.mass:g} kg, "
+            f"{_group(system)}, shape of {system.space.size_in_words}, {system.mass:g} kg, "
             f"gravity {numbers(system.gravity)} m/s²",
             table("", ["", ""], facts),
             line(f"at x = {numbers(at.x)}:"),
@@ -168,12 +168,6 @@ def _is_flat(red: PointwiseReduction) -> bool:
         if float(np.abs(reduced.curvature).max()) > _ZERO_CURVATURE * terms:
             return False
     return True
-
-
-def _shape(system: System) -> str:
-    """Return the number of shape joints, and the shape's dimension if it differs."""
-    joints = len(system.space.joints)
-    return f"{joints} joints" if joints == system.m else f"{joints} joints (m = {system.m})"
 
 
 def _left_out(system: System) -> list[str]:

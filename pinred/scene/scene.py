@@ -123,6 +123,8 @@ class Scene(SceneFields):
         system, start = self.system, self.start
         rows = [
             (joint.name, numbers(start.x[joint.x]), numbers(start.xdot[joint.v]))
+            if joint.kind.is_ball
+            else (joint.name, float(start.x[joint.x][0]), float(start.xdot[joint.v][0]))
             for joint in system.space.joints
         ]
         forces: tuple[Force, ...] = vars(self)["forces"]

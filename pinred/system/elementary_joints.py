@@ -34,6 +34,7 @@ class ElementaryJoint:
 
     Attributes:
         name: Name of the kind.
+        motion: Name of the motion in tables: "revolute", "prismatic" or "ball".
         kinds: Pinocchio's names of the joints, without "JointModel".
         coordinates: Suffix of each coordinate's label, (nx,).
         rates: Suffix of each rate's label, (m,).
@@ -47,6 +48,7 @@ class ElementaryJoint:
     """
 
     name: str
+    motion: str
     kinds: tuple[str, ...]
     coordinates: tuple[str, ...]
     rates: tuple[str, ...]
@@ -85,10 +87,11 @@ def _ball_rate_map(x: Array) -> Array:
     return E
 
 
-def _scalar(name: str, kinds: tuple[str, ...], unit_name: str) -> ElementaryJoint:
+def _scalar(name: str, motion: str, kinds: tuple[str, ...], unit_name: str) -> ElementaryJoint:
     """Return a kind of joint with one coordinate, whose rate is its derivative."""
     return ElementaryJoint(
         name=name,
+        motion=motion,
         kinds=kinds,
         coordinates=("",),
         rates=("",),
@@ -102,10 +105,11 @@ def _scalar(name: str, kinds: tuple[str, ...], unit_name: str) -> ElementaryJoin
     )
 
 
-HINGE = _scalar("hinge", SO2.joints, "rad")
-SLIDE = _scalar("slide", R.joints, "m")
+HINGE = _scalar("hinge", "revolute", SO2.joints, "rad")
+SLIDE = _scalar("slide", "prismatic", R.joints, "m")
 BALL = ElementaryJoint(
     name="ball",
+    motion="ball",
     kinds=SO3.joints,
     coordinates=(".qx", ".qy", ".qz", ".qw"),
     rates=(".x", ".y", ".z"),

@@ -120,6 +120,12 @@ class ShapeSpace:
                 )
         return [at[k] for k in rates]
 
+    @property
+    def size_in_words(self) -> str:
+        """The number of joints, and the dimension if it differs."""
+        count = len(self.joints)
+        return f"{count} joints" if count == self.m else f"{count} joints (m = {self.m})"
+
     def rates_of(self, coordinate: int) -> tuple[int, ...]:
         """Return the indices of the rates that change a coordinate."""
         (joint,) = (j for j in self.joints if j.x.start <= coordinate < j.x.stop)

@@ -104,10 +104,10 @@ class System:
     def _repr_html_(self) -> str:
         from ..common.html import card, table
 
-        rows = [(joint.name, joint.kind.name, joint.kind.units[0]) for joint in self.space.joints]
+        rows = [(joint.name, joint.kind.motion, joint.kind.units[0]) for joint in self.space.joints]
         summary = (
             f"group {self.group.name} (r = {self.r}) on joint '{self.root_name}', shape of "
-            f"{len(rows)} joints (m = {self.m}), {self.mass:g} kg, gravity "
+            f"{self.space.size_in_words}, {self.mass:g} kg, gravity "
             f"({', '.join(f'{g:g}' for g in self.gravity)}) m/s²"
         )
         if self.couplings:

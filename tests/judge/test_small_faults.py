@@ -85,6 +85,11 @@ FAULTS = {
     "purcell_swimmer": [("mass", 1, 0), ("mass", 3, 0), ("length", 3, 0), ("moment", 2, 2)],
     "three_rods": [("mass", 1, 0), ("mass", 3, 0), ("lever", 3, 0), ("length", 3, 0)],
     "snakeboard": [("mass", 2, 0), ("length", 3, 0), ("moment", 1, 2), ("moment", 4, 2)],
+    "falling_cat_ball": [("mass", 1, 0), ("mass", 2, 0), ("lever", 2, 0), ("moment", 1, 1)],
+    "diver": [("mass", 1, 0), ("mass", 2, 0), ("lever", 3, 2), ("length", 3, 1), ("axis", 2, 1)],
+    "astronaut": [
+        ("mass", 1, 0), ("mass", 3, 0), ("lever", 4, 2), ("length", 2, 2), ("axis", 3, 1),
+    ],
     "floating_arm": [("mass", 1, 0), ("mass", 3, 0), ("lever", 3, 0), ("length", 2, 0)],
 }  # fmt: skip
 
@@ -95,7 +100,14 @@ def test_all_bundled_robots_have_faults() -> None:
 
 
 # Robots whose comparisons take more than 4 s.
-LONG = {"snakeboard", "upright_drone", "satellite_two_arms", "double_spherical_pendulum"}
+LONG = {
+    "astronaut",
+    "diver",
+    "snakeboard",
+    "upright_drone",
+    "satellite_two_arms",
+    "double_spherical_pendulum",
+}
 
 
 @pytest.mark.slow

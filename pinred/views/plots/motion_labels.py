@@ -120,7 +120,8 @@ def labels(motion: MotionSource) -> Labels:
         return labels_of(system)
     indices = tuple(range(len(motion.joints)))
     limbs = tuple(indices[i : i + MOST] for i in range(0, len(indices), MOST))
-    units = (FIELDS["x"].unit,) * len(indices)  # without the robot, units are ambiguous
+    # Without the robot, units are ambiguous.  Balls are drawn by their rotation vectors [rad].
+    units = (FIELDS["x"].unit.removesuffix(" | 1"),) * len(indices)
     return Labels(motion.robot, motion.group, motion.joints, units, limbs)
 
 
