@@ -58,7 +58,8 @@ def test_bundled_robot_matches_catalogue() -> None:
         assert system.mass == pytest.approx(sum(Y.mass for Y in raw.inertias))
         assert system.gravity == pytest.approx(entry.gravity)
         assert system.initial is not None
-        assert system.initial.x.shape == system.initial.xdot.shape == (system.m,)
+        assert system.initial.x.shape == (system.nx,)
+        assert system.initial.xdot.shape == (system.m,)
         assert system.initial.xi.shape == (system.r,)
 
 
