@@ -264,18 +264,18 @@ class Reduction(PointwiseReduction):
         Each quantity is computed at first use, by compiled code instead of Pinocchio.
 
         Args:
-            shapes: Shapes, (..., m) [rad | m].
+            shapes: Shapes, (..., nx) [rad | m], with unit quaternions for balls.
         Returns:
             The field.
         """
         from .connections.shape_field import ShapeField
 
-        self.system.space.refuse_balls("fields over many shapes")
-        label, names = f"shapes of {self.system.name!r}", self.system.shape_names
-        x = vectors(shapes, self.system.m, label, names).copy()
-        flat = x.reshape(math.prod(x.shape[:-1]), self.system.m)
+        system, label = self.system, f"shapes of {self.system.name!r}"
+        x = vectors(shapes, system.nx, label, system.x_names).copy()
+        x = system.space.normalized(x, label)
+        flat = x.reshape(math.prod(x.shape[:-1]), system.nx)
         moves = tuple(frame.moves(flat) for frame in self.frames)
-        return ShapeField(self.system, x, self._potential, moves)
+        return ShapeField(system, x, self._potential, moves)
 
     @property
     def _structure(self) -> Array | None:

@@ -57,21 +57,21 @@ WIDTH = SEEDS  # number of directions that one call evaluates
 _ENTRIES = 2**15  # numbers per block, few enough to fit into the CPU's cache
 
 
-def columns_at(address: int, x: Array, size: int) -> Iterator[tuple[slice, Array]]:
-    """Yield, block by block, the outputs at shapes x, (N, m), for all unit joint rates u.
+def columns_at(address: int, x: Array, size: int, m: int) -> Iterator[tuple[slice, Array]]:
+    """Yield, block by block, the outputs at shapes x, (N, nx), for all unit joint rates u.
 
     Args:
         address: Address of machine code (x, none, u) → outputs (size,), compiled for WIDTH
             directions.
-        x: Shapes, (N, m) [rad | m].
+        x: Shapes, (N, nx) [rad | m].
         size: Number of outputs.
+        m: Number of joint rates.
     Yields:
         The slice of x in this block, and its outputs, (count, max(m, 1), size).  Row k of the
-        second axis belongs to the unit rate of joint k.  Without joints, its only row belongs
+        second axis belongs to the unit rate k.  Without joints, its only row belongs
         to the empty rate u = ().
     """
-    N, m = x.shape
-    columns = max(m, 1)
+    N, columns = len(x), max(m, 1)
     count = max(1, _ENTRIES // (columns * size))
     none, rates, lanes = np.zeros(1), np.zeros((m, WIDTH)), np.empty((size, WIDTH))
     for start in range(0, N, count):
@@ -86,7 +86,7 @@ def columns_at(address: int, x: Array, size: int) -> Iterator[tuple[slice, Array
 def _evaluate(
     address: int, none: Array, x: Array, rates: Array, lanes: Array, outputs: Array
 ) -> None:
-    joints, columns = x.shape[1], outputs.shape[1]
+    joints, columns = len(rates), outputs.shape[1]
     for first in range(0, columns, WIDTH):
         width = min(WIDTH, columns - first)
         rates[:] = 0.0

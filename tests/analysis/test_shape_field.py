@@ -73,12 +73,13 @@ def test_grid_curvature_equals_rnea_derivatives(case: Case) -> None:
 
 @pytest.mark.parametrize("name", [*sorted(bundled_robots()), "solo12", "talos"])
 def test_grid_of_robots_equals_pinocchio(name: str) -> None:
-    """Bundled robots (some with cyclic joints, one without joints), a quadruped, a humanoid."""
+    """Bundled robots (cyclic joints, balls, one without joints), a quadruped, a humanoid."""
     if name in ("solo12", "talos"):
         pytest.importorskip("example_robot_data")
     system = pinred.load(name)
     rng = np.random.default_rng(0)
-    agree(pinred.Reduction(system), rng.uniform(-2.0, 2.0, (3, system.m)))
+    shapes = np.array([system.space.random(rng, 2.0) for _ in range(3)])
+    agree(pinred.Reduction(system), shapes.reshape(3, system.nx))
 
 
 @pytest.mark.parametrize("name", ["satellite_two_arms", "planar_chain5"])

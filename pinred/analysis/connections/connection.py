@@ -7,24 +7,22 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
-import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector, vectors
-from ...common.errors import InputError, SingularInertiaError, SymmetryError
+from ...common.errors import InputError, SymmetryError
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures
 from ...kernels.connection.connection_form import ConnectionForm
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
+from ...system.shape_space import ShapeSpace
 from ...system.system import System
 from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
 from .mechanical_connection import mechanical_code
 from .other_frames import from_link, in_section
+from .singular_shapes import refuse_singular
 from .wheels import Rolling, Wheel, kinematic_form
-
-# Least health of P_b, by whether the form is symmetric.
-_LEAST_HEALTH = {True: 16.0 * np.finfo(float).eps, False: 1e-9}
 
 
 @checks_arguments
@@ -37,7 +35,7 @@ class ConnectionField:
 
     Attributes:
         connection: The connection.
-        x: Shapes, (..., m) [rad | m].
+        x: Shapes, (..., nx) [rad | m].
     """
 
     connection: Connection = field(repr=False)
@@ -55,14 +53,14 @@ class ConnectionField:
 
     @cached_property
     def curvature(self) -> Array:
-        """Curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m)."""
+        """Curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] − c^γ_αβ A_γ, (..., r, m, m)."""
         B, health = self.connection.code.curvature(self._flat)
-        self.connection.refuse_singular(self._flat, health)
+        refuse_singular(self.connection.form, self._flat, health)
         return self._shaped(B)
 
     @property
     def exterior(self) -> Array:
-        """Exterior derivative ∂_αA_β − ∂_βA_α, (..., r, m, m): B of a commutative group."""
+        """Exterior derivative ∂_αA_β − ∂_βA_α − c^γ_αβ A_γ: B of a commutative group."""
         return self._parts[0]
 
     @property
@@ -82,7 +80,7 @@ class ConnectionField:
 
     @property
     def _flat(self) -> Array:
-        return self.x.reshape(-1, self.connection.m)
+        return self.x.reshape(-1, self.connection.nx)
 
     def _shaped(self, array: Array) -> Array:
         return read_only(array.reshape(*self.x.shape[:-1], *array.shape[1:]))
@@ -93,8 +91,10 @@ class ConnectionField:
 class Connection:
     """A local connection on G × B: horizontal motion is ξ = −A(x) ẋ.
 
-    ξ is the body twist of the base, (r,) [linear; angular].  Momenta, drag and fluid also define a
-    metric M on shape space.  Machine code computes the values, validated against Pinocchio.
+    ξ is the body twist of the base, (r,) [linear; angular].  ẋ are rates along the frame of the
+    shape space, (m,): the derivatives of hinges and slides, and the angular velocities of balls in
+    the axes of their children.  Momenta, drag and fluid also define a metric M on shape space.
+    Machine code computes the values, validated against Pinocchio.
 
     Attributes:
         form: Linear form of the velocities (ξ, ẋ) that vanishes on horizontal motions.
@@ -214,7 +214,7 @@ class Connection:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the shape coordinates."""
+        """Labels of the shape rates, which are the joint names for hinges and slides."""
         return self.form.joints
 
     @property
@@ -228,6 +228,16 @@ class Connection:
         return self.form.m
 
     @property
+    def nx(self) -> int:
+        """Number of shape coordinates."""
+        return self.form.nx
+
+    @property
+    def space(self) -> ShapeSpace:
+        """Shape space, with its labels, frame and charts."""
+        return self.form.space
+
+    @property
     def has_metric(self) -> bool:
         """Whether there is a metric on shape space."""
         return self.form.symmetric
@@ -236,7 +246,7 @@ class Connection:
         """Compute the local connection A(x).
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m].
         Returns:
             (r, m).  Raises SingularInertiaError if A is not defined there.
         """
@@ -246,7 +256,7 @@ class Connection:
         """Compute P_b(x): locked inertia, drag of the locked robot, or wheel constraints W_b.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m].
         Returns:
             P_b, (r, r).
         """
@@ -256,17 +266,20 @@ class Connection:
         """Compute the metric M(x).
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m].
         Returns:
             (m, m), symmetric and positive.  Raises InputError if there is no metric.
         """
         return read_only(_require_metric(self.form, self.locals_at(self._one(x))[1])[0])
 
     def curvature(self, x: ArrayLike) -> Array:
-        """Compute the curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], with the bracket of twists.
+        """Compute the curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] − c^γ_αβ A_γ.
+
+        The bracket is that of twists.  c are the structure constants of the shape space's frame,
+        zero without balls.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m].
         Returns:
             (r, m, m), antisymmetric in the last two axes; errors as in `local`.
         """
@@ -277,49 +290,49 @@ class Connection:
         """Return the connection at many shapes, as a field over the leading axes.
 
         Args:
-            shapes: Shapes, (..., m) [rad | m].
+            shapes: Shapes, (..., nx) [rad | m].
         Returns:
             The field.
         """
-        x = vectors(shapes, self.m, f"shapes of {self.form.what}", self.joints).copy()
+        x = self._shapes(shapes, f"shapes of {self.form.what}").copy()
         return ConnectionField(self, read_only(x))
 
     def velocity(self, x: ArrayLike, xdot: ArrayLike) -> Array:
         """Compute the body twist ξ = −A ẋ.
 
         Args:
-            x: Shapes, (..., m) [rad | m].
+            x: Shapes, (..., nx) [rad | m].
             xdot: Shape rates, (..., m) [rad/s | m/s].
         Returns:
             (..., r); errors as in `local`.
         Raises:
             InputError: x and xdot differ in shape.
         """
-        x = vectors(x, self.m, "x", self.joints)
+        x = self._shapes(x, "x")
         xdot = vectors(xdot, self.m, "xdot", self.joints)
-        if x.shape != xdot.shape:
+        if x.shape[:-1] != xdot.shape[:-1]:
             raise InputError(f"x and xdot differ in shape, {x.shape} and {xdot.shape}")
-        xi, _ = self.horizontal(x.reshape(-1, self.m), xdot.reshape(-1, self.m))
+        xi, _ = self.horizontal(x.reshape(-1, self.nx), xdot.reshape(-1, self.m))
         return xi.reshape(*x.shape[:-1], self.r)
 
     def horizontal(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Compute ξ = −A ẋ and ẋᵀ M ẋ; errors as in `local`.
 
         Args:
-            x: Shapes, (N, m) [rad | m].
+            x: Shapes, (N, nx) [rad | m].
             xdot: Shape rates, (N, m) [rad/s | m/s].
         Returns:
             ξ (N, r) and ẋᵀ M ẋ (N,), which is NaN without a metric.
         """
         values = self.code.velocities(x, xdot)
-        self.refuse_singular(x, values.health)
+        refuse_singular(self.form, x, values.health)
         return values.xi, values.square
 
     def horizontal_slopes(self, x: Array, xdot: Array) -> Array:
-        """Compute the exact derivatives of (ξ, ẋᵀ M ẋ) with respect to (x, ẋ).
+        """Compute the exact derivatives of (ξ, ẋᵀ M ẋ) along the frame and with respect to ẋ.
 
         Args:
-            x: Shapes, (N, m) [rad | m].
+            x: Shapes, (N, nx) [rad | m].
             xdot: Shape rates, (N, m) [rad/s | m/s].
         Returns:
             (N, r + 1, 2m), or (N, r, 2m) without a metric.
@@ -330,24 +343,24 @@ class Connection:
         """Compute A, M and P_b; errors as in `local`.
 
         Args:
-            x: Shapes, (N, m) [rad | m].
+            x: Shapes, (N, nx) [rad | m].
         Returns:
             A (N, r, m), M (N, m, m) or None, and P_b (N, r, r).
         """
         terms = self.code.locals(x)
-        self.refuse_singular(x, terms.health)
+        refuse_singular(self.form, x, terms.health)
         return terms.A, terms.M, terms.P
 
     def curvatures_at(self, x: Array) -> Curvatures:
         """Compute both terms of the curvature; errors as in `local`.
 
         Args:
-            x: Shapes, (N, m) [rad | m].
+            x: Shapes, (N, nx) [rad | m].
         Returns:
             The terms, (N, r, m, m) each.
         """
         terms = self.code.curvatures(x)
-        self.refuse_singular(x, terms.health)
+        refuse_singular(self.form, x, terms.health)
         return terms
 
     def refuse_gravity(self) -> None:
@@ -355,43 +368,15 @@ class Connection:
         if self.turned_by_gravity:
             raise SymmetryError(f"momenta are not conserved: {self.turned_by_gravity}")
 
-    def refuse_singular(self, x: Array, health: Array) -> None:
-        """Raise an error at shapes where A is not defined.
-
-        Args:
-            x: Shapes, (N, m) [rad | m].
-            health: Health of P_b at these shapes, (N,).
-        Raises:
-            SingularInertiaError: P_b is singular; the message names the first shape.
-        """
-        size = health if self.form.symmetric else np.abs(health)
-        singular = ~(size > _LEAST_HEALTH[self.form.symmetric])
-        if singular.any():
-            shape = x[int(np.argmax(singular))]
-            raise SingularInertiaError(
-                f"A is not defined at the shape {shape}: {self.form.what} do not determine the "
-                "motion of the body there. Keep the joints away from this shape."
-            )
-
-    def refuse_crossing(self, health: Array) -> None:
-        """Reject paths across singular shapes, where a non-symmetric form's health changes sign.
-
-        Args:
-            health: Health of P_b along the path, (N,).
-        Raises:
-            SingularInertiaError: P_b is singular between two shapes.
-        """
-        if not self.form.symmetric and health.min() < 0.0 < health.max():
-            raise SingularInertiaError(
-                f"the gait crosses shapes at which {self.form.what} do not determine the motion "
-                "of the body. Choose a gait that stays on one side of these shapes."
-            )
-
     def _moved(self, form: ConnectionForm) -> Connection:
         return replace(Connection.of(form), turned_by_gravity=self.turned_by_gravity)
 
     def _one(self, x: ArrayLike) -> Array:
-        return vector(x, self.m, f"shape x of {self.form.what}", self.joints)[None]
+        what = f"shape x of {self.form.what}"
+        return self.space.normalized(vector(x, self.nx, what, self.space.x_names), what)[None]
+
+    def _shapes(self, x: ArrayLike, what: str) -> Array:
+        return self.space.normalized(vectors(x, self.nx, what, self.space.x_names), what)
 
 
 def _require_metric(form: ConnectionForm, M: Array | None) -> Array:

@@ -25,11 +25,10 @@ from ...system.system import System, checked_system
 def mechanical_form(system: System) -> ConnectionForm:
     """Return the symmetric form H(x) that maps velocities (ξ, ẋ) to the momenta (μ, π)."""
     system = checked_system(system, "Connection.mechanical")
-    system.space.refuse_balls("compiled connections")
     return form_of(
         system.group, system.shape_names, system.units, f"the momenta of '{system.name}'",
         partial(momenta, system), partial(mass_matrix, system), symmetric=True, momentum=True,
-        locked=partial(locked, system),
+        locked=partial(locked, system), space=system.space,
     )  # fmt: skip
 
 
@@ -40,11 +39,11 @@ def mechanical_code(system: System) -> ConnectionCode:
 
 
 def centres_of_mass(system: System, x: Array) -> Array:
-    """Return the centre of mass in the root body's frame at shapes x (N, m), (N, 3) [m]."""
-    shape = ca.SX.sym("x", system.m)
+    """Return the centre of mass in the root body's frame at shapes x (N, nx), (N, 3) [m]."""
+    shape = ca.SX.sym("x", system.nx)
 
     def make() -> NativeCode:
-        joints = joint_values(system, [shape[k] for k in range(system.m)])
+        joints = joint_values(system, [shape[k] for k in range(system.nx)])
         com = ca.vertcat(*centre_of_mass(bodies_of(system), joints))
         graph = ca.Function("com", [shape, ca.SX.sym("none")], [ca.densify(com)], {"cse": True})
         code = cached_code(graph.serialize(), "com", lambda: graph)
@@ -57,7 +56,7 @@ def centres_of_mass(system: System, x: Array) -> Array:
 
 def _validate_com(system: System, code: NativeCode) -> None:
     """Compare with Pinocchio's centre of mass at a random shape.  Raises KernelMismatch."""
-    x = np.random.default_rng(0).uniform(-2.0, 2.0, system.m)
+    x = system.space.random(np.random.default_rng(0), 2.0)
     model, data = system.model, system.data
     com = pin.centerOfMass(model, data, system.model_q(system.group.identity(), x))
     reach = sum(float(np.linalg.norm(place.translation)) for place in model.jointPlacements)

@@ -14,6 +14,7 @@ from ...common.errors import IntegrationError, SingularInertiaError
 from ...kernels.evaluate import evaluate
 from ..gaits.gait import Gait
 from .mixed import MixedConnection
+from .singular_shapes import refuse_singular
 
 _RTOL, _ATOL = 5e-14, 1e-15
 _LEAST_HEALTH = 1e-3  # least admissible health of P_b; ±1 is best
@@ -126,7 +127,7 @@ def follow_mixed(
 def _sign_of_health(mixed: MixedConnection, x: Array) -> float:
     """Return the sign of P_b's health at a shape.  Raises SingularInertiaError if it is zero."""
     health = mixed.connection.code.locals(x[None]).health
-    mixed.connection.refuse_singular(x[None], health)
+    refuse_singular(mixed.connection.form, x[None], health)
     return float(np.sign(health[0]))
 
 

@@ -36,7 +36,7 @@ class ShapeField(FrozenArrays):
 
     Attributes:
         system: The system.
-        x: Shapes, (..., m) [rad | m].
+        x: Shapes, (..., nx) [rad | m].
     """
 
     system: System = field(repr=False)
@@ -75,7 +75,7 @@ class ShapeField(FrozenArrays):
 
     @cached_property
     def curvature(self) -> Array:
-        """Curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m)."""
+        """Curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] − c^γ_αβ A_γ, (..., r, m, m)."""
         _ = self._locals  # raises SingularInertiaError
         B, _ = mechanical_code(self.system).curvature(self._shapes)
         for move in self._moves:
@@ -127,15 +127,15 @@ class ShapeField(FrozenArrays):
 
     @property
     def _shapes(self) -> Array:
-        """The shapes as rows, (N, m)."""
-        return self.x.reshape(math.prod(self.x.shape[:-1]), self.system.m)
+        """The shapes as rows, (N, nx)."""
+        return self.x.reshape(math.prod(self.x.shape[:-1]), self.system.nx)
 
     def _as_field(self, array: Array) -> Array:
         return read_only(array.reshape(*self.x.shape[:-1], *array.shape[1:]))
 
 
 def _refuse_singular(system: System, x: Array, H: Array) -> None:
-    """Raise SingularInertiaError, naming the first shape of x (N, m) with a singular H."""
+    """Raise SingularInertiaError, naming the first shape of x (N, nx) with a singular H."""
     least = usual_inertias(system) if system.doubts else np.zeros(system.n)
     suspicious = np.zeros(len(H), dtype=np.bool_)
     _find_small_pivots(H, least, np.empty((system.n, system.n)), suspicious)

@@ -54,6 +54,7 @@ def corrected_integral(
     Returns:
         Integral, phase and relative error.
     """
+    connection.space.refuse_balls("corrected_integral")
     group, disc = connection.group, Disc(gait)
     u = disc.nodes
     x = disc.shapes(u)

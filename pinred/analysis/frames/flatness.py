@@ -140,6 +140,7 @@ def flatness(
         InputError: The limits are invalid.
         SingularInertiaError: A is undefined at a sampled shape.
     """
+    connection.space.refuse_balls("flatness")
     m, n = connection.m, connection.group.linear
     bounds = np.tile([-1.0, 1.0], (m, 1)) if limits is None else as_floats(limits, "limits")
     if bounds.shape != (m, 2) or not np.isfinite(bounds).all() or (np.diff(bounds) <= 0.0).any():

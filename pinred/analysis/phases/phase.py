@@ -22,6 +22,7 @@ from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
+from ..connections.singular_shapes import refuse_crossing, refuse_singular
 from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lift, nodes
@@ -145,6 +146,7 @@ def phase(
             f"phase takes a Connection and a Gait, got {type(connection).__name__} and "
             f"{type(gait).__name__}"
         )
+    connection.space.refuse_balls("phase")
     connection.refuse_gravity()
     if len(gait.turns) == connection.m and (joint := _open_joint(connection, gait)):
         raise InputError(
@@ -309,7 +311,7 @@ def _smooth(connection: Connection, gait: Gait, momentum: bool) -> Iterator[Samp
         if coarse is not None:
             samples = Samples(*(_interleave(a, b) for a, b in zip(coarse, samples, strict=True)))
         coarse = samples
-        connection.refuse_crossing(samples.health)
+        refuse_crossing(connection.form, samples.health)
         segments = PathSegments(
             h=np.full(count // 2, gait.period / (count // 2)),
             a=in_space(connection.group, _interpolated(samples.xi)),
@@ -332,7 +334,7 @@ def _by_arcs(connection: Connection, gait: Gait, momentum: bool) -> Iterator[Sam
             [points[1] / arc.time for points, arc in zip(arc_points, gait.arcs, strict=True)]
         )
         samples = _at(connection, x, xdot, momentum)
-        connection.refuse_crossing(samples.health)
+        refuse_crossing(connection.form, samples.health)
         h = np.repeat([arc.time / per_arc for arc in gait.arcs], per_arc)
         shape = (len(h), STAGES)
         segments = PathSegments(
@@ -353,7 +355,7 @@ _NOTHING = np.zeros((0, STAGES, 6, 6))
 def _at(connection: Connection, x: Array, xdot: Array, momentum: bool) -> Samples:
     """Evaluate the connection at shapes and rates (N, m)."""
     velocities = connection.code.velocities(x, xdot)
-    connection.refuse_singular(x, velocities.health)
+    refuse_singular(connection.form, x, velocities.health)
     inverse: Array = np.zeros((len(x), 0))
     if momentum:
         inverse = np.asarray(np.linalg.inv(connection.locals_at(x)[2]).reshape(len(x), -1))

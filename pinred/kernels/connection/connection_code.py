@@ -80,7 +80,7 @@ class Curvatures:
     """The two terms of the curvature at N shapes, B = exterior − bracket.
 
     Attributes:
-        exterior: ∂_αA_β − ∂_βA_α, (N, r, m, m).
+        exterior: ∂_αA_β − ∂_βA_α − c^γ_αβ A_γ, (N, r, m, m); c is zero without balls.
         bracket: [A_α, A_β], (N, r, m, m).
         health: Distance of P_b from singularity, (N,); see `connection_form.health`.
     """
@@ -94,7 +94,8 @@ class Curvatures:
 class ConnectionCode:
     """Machine code of one connection form.
 
-    Shapes x are (N, m) [rad | m], and shape rates ẋ are (N, m) [rad/s | m/s].
+    Shapes x are (N, nx) [rad | m], and shape rates ẋ are (N, m) [rad/s | m/s], along the frame of
+    the shape space.  Derivatives with respect to x are derivatives along this frame.
     """
 
     form: ConnectionForm
@@ -125,7 +126,7 @@ class ConnectionCode:
         The form must have a metric.
 
         Args:
-            x: Shapes, (N, m).
+            x: Shapes, (N, nx).
             xdot: Shape rates, (N, m).
             xddot: Shape accelerations, (N, m).
             along: Weights λ, (N, m).
@@ -139,18 +140,18 @@ class ConnectionCode:
     def locals(self, x: Array) -> Locals:
         """Compute the matrix of the form, the local connection A, and the metric M."""
         r, m, symmetric = self.form.r, self.form.m, self.form.symmetric
-        x = rows(x, m, "x")
+        x = rows(x, self.form.nx, "x")
         size, metric = (r + m, m) if symmetric else (r, 0)
         matrix, A = np.empty((len(x), size, r + m)), np.empty((len(x), r, m))
         health, M = np.empty(len(x)), np.empty((len(x), metric, metric))
         code = self._code("columns", column_graph, validate_columns, wide=True)
-        for chunk, columns in columns_at(code.address, x, size + r + r * r + 1 + metric):
+        for chunk, columns in columns_at(code.address, x, size + r + r * r + 1 + metric, m):
             _unpack(columns, matrix[chunk], A[chunk], health[chunk], M[chunk])
         return Locals(matrix, A, health, M if symmetric else None)
 
     def curvatures(self, x: Array) -> Curvatures:
         """Compute the two terms of the curvature separately."""
-        x = rows(x, self.form.m, "x")
+        x = rows(x, self.form.nx, "x")
         exterior, bracket = np.zeros((2, len(x), self.form.r, self.form.m, self.form.m))
         health = self._add_curvature(x, exterior, bracket, 1.0)
         return Curvatures(exterior, bracket, health)
@@ -174,15 +175,17 @@ class ConnectionCode:
         constants = self.form.group.ad(np.eye(r))  # [a, i, b]: entry i of [e_a, e_b]
         entries = np.argwhere(constants)
         factors, health = sign * constants[tuple(entries.T)], np.empty(len(x))
-        for chunk, columns in columns_at(code.address, x, r + 1 + r * m):
+        for chunk, columns in columns_at(code.address, x, r + 1 + r * m, m):
             _antisymmetrise(columns, entries, factors, exterior[chunk], bracket[chunk])
+            if self.form.space.balls:
+                structure = self.form.space.structure
+                exterior[chunk] -= np.einsum("ngi,gab->niab", columns[:, :, :r], structure)
             health[chunk] = columns[:, 0, r]
         return health
 
     def _states(self, x: Array, xdot: Array) -> Array:
-        """Return shapes and their rates side by side, (N, 2m)."""
-        m = self.form.m
-        x, xdot = rows(x, m, "x"), rows(xdot, m, "xdot")
+        """Return shapes and their rates side by side, (N, nx + m)."""
+        x, xdot = rows(x, self.form.nx, "x"), rows(xdot, self.form.m, "xdot")
         if len(x) != len(xdot):
             raise ShapeError(f"x and xdot differ in length, {len(x)} and {len(xdot)}")
         return np.hstack([x, xdot])

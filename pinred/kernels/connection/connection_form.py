@@ -5,6 +5,9 @@ drag forces, or the slip of wheels.  Horizontal motions are those on which F van
 so ξ = −A ẋ with A = P_b⁻¹ P_s.  A symmetric form, such as momenta or drag, has m additional rows
 for the shape.  Its full
 matrix G defines a metric on shape space, M = G_ss − Aᵀ P_b A.
+
+Shape rates are components along the frame of the shape space, and derivatives with respect to the
+shape are derivatives along this frame.  Without balls these are ordinary derivatives.
 """
 
 from __future__ import annotations
@@ -16,7 +19,9 @@ import casadi as ca
 
 from ...common.arrays import Array
 from ...lie.group import Group
-from ...reduction.tree.scalars import factor_ldl, solve_factored
+from ...reduction.tree.scalars import factor_ldl, quaternion_rate, solve_factored
+from ...system.elementary_joints import HINGE, SLIDE
+from ...system.shape_space import ShapeSpace, shape_space
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +30,7 @@ class ConnectionForm:
 
     Attributes:
         group: The group G.
-        joints: Names of the shape coordinates, (m,).
-        units: Units of the shape coordinates, (m,).
+        space: Shape space, with coordinates x, (nx,), and rates along its frame, (m,).
         what: Short description of the form, for messages.
         values: Function (x, v) → F(x) v, (r,), or (n,) if the form is symmetric.
         locked: Function x → P_b in column-major order, (r²,).
@@ -37,8 +41,7 @@ class ConnectionForm:
     """
 
     group: Group
-    joints: tuple[str, ...]
-    units: tuple[str, ...]
+    space: ShapeSpace
     what: str
     values: ca.Function
     locked: ca.Function
@@ -54,12 +57,29 @@ class ConnectionForm:
     @property
     def m(self) -> int:
         """Dimension of shape space."""
-        return len(self.joints)
+        return self.space.m
+
+    @property
+    def nx(self) -> int:
+        """Number of shape coordinates."""
+        return self.space.nx
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Labels of the shape rates, (m,)."""
+        return self.space.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of displacements along the frame, (m,)."""
+        return self.space.units
 
     @property
     def key(self) -> bytes:
         """Key of the form's machine code in the cache: the serialised expressions."""
         axes = f"{self.group.name} {self.group.axes} {self.symmetric}"
+        if self.space.balls:
+            axes += f" balls {[(ball.x.start, ball.v.start) for ball in self.space.balls]}"
         return f"{axes} {self.values.serialize()} {self.locked.serialize()}".encode()
 
 
@@ -74,13 +94,14 @@ def form_of(
     symmetric: bool,
     momentum: bool = False,
     locked: Callable[[ca.SX], ca.SX] | None = None,
+    space: ShapeSpace | None = None,
 ) -> ConnectionForm:
     """Create a ConnectionForm from functions of CasADi symbols.
 
     Args:
         group: The group G.
-        joints: Names of the shape coordinates, (m,).
-        units: Units of the shape coordinates, (m,).
+        joints: Labels of the shape rates, (m,).
+        units: Units of the shape rates' displacements, (m,).
         what: Short description of the form, for messages.
         values: Function that returns F(x) v for symbols x and v.
         reference: Function that returns the matrix of F at a shape; see `ConnectionForm`.
@@ -88,17 +109,19 @@ def form_of(
         momentum: Whether F is a momentum.
         locked: Function that returns P_b, (r, r), for a symbol x.  It is useful if it takes fewer
             operations than the default, the derivative of `values`.
+        space: Shape space; by default a product of hinges and slides.
     Returns:
         The form.
     """
-    r, m = group.dim, len(joints)
-    x, v = ca.SX.sym("x", m), ca.SX.sym("v", r + m)
+    if space is None:
+        space = shape_space(joints, [SLIDE if unit == "m" else HINGE for unit in units])
+    r = group.dim
+    x, v = ca.SX.sym("x", space.nx), ca.SX.sym("v", r + space.m)
     F = values(x, v)
     P = ca.jacobian(F[:r], v[:r]) if locked is None else locked(x)
     return ConnectionForm(
         group=group,
-        joints=joints,
-        units=units,
+        space=space,
         what=what,
         values=ca.Function("values", [x, v], [ca.densify(F)]),
         locked=ca.Function("locked", [x], [ca.densify(ca.vec(P))]),
@@ -111,7 +134,7 @@ def form_of(
 def velocity_graph(form: ConnectionForm) -> ca.Function:
     """Return (x, ẋ) → ξ = −A ẋ, (r,), then the health of P_b, then ẋᵀ M ẋ if there is a metric."""
     r, m = form.r, form.m
-    x, xdot = ca.SX.sym("x", m), ca.SX.sym("xdot", m)
+    x, xdot = ca.SX.sym("x", form.nx), ca.SX.sym("xdot", m)
     F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
     P = _locked(form, x)
     xi = -_solved(form, P, F[:r])
@@ -123,10 +146,10 @@ def velocity_graph(form: ConnectionForm) -> ca.Function:
 
 def velocity_slope_graph(form: ConnectionForm) -> ca.Function:
     """Return (x, ẋ) → the derivative of (ξ, ẋᵀ M ẋ) in (x, ẋ), in column-major order."""
-    y = ca.SX.sym("y", 2 * form.m)
+    y = ca.SX.sym("y", form.nx + form.m)
     values = velocity_graph(form)(y, ca.SX.sym("none"))
     without_health = [*range(form.r), *range(form.r + 1, values.numel())]
-    derivative = ca.jacobian(values[without_health], y)
+    derivative = along_frame(form, ca.jacobian(values[without_health], y), y)
     return _function("slope", y, [ca.vec(ca.densify(derivative))])
 
 
@@ -137,7 +160,7 @@ def column_graph(form: ConnectionForm) -> ca.Function:
     matrices F, A and M.
     """
     r, m = form.r, form.m
-    x, u = ca.SX.sym("x", m), ca.SX.sym("u", m)
+    x, u = ca.SX.sym("x", form.nx), ca.SX.sym("u", m)
     P = _locked(form, x)
     F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), u))
     Au = _solved(form, P, F[:r])
@@ -153,10 +176,11 @@ def column_derivative_graph(form: ConnectionForm) -> ca.Function:
     From P_b A u = P_s u, the derivative is P_b⁻¹ ∂F/∂x at the constant velocity (−A u, u).
     """
     r, m = form.r, form.m
-    x, u, xi = ca.SX.sym("x", m), ca.SX.sym("u", m), ca.SX.sym("xi", r)
+    x, u, xi = ca.SX.sym("x", form.nx), ca.SX.sym("u", m), ca.SX.sym("xi", r)
     P = _locked(form, x)
     Au = _solved(form, P, form.values(x, ca.vertcat(ca.SX.zeros(r, 1), u))[:r])
-    by_x = ca.densify(ca.jacobian(form.values(x, ca.vertcat(xi, u))[:r], x))
+    by_x = ca.jacobian(form.values(x, ca.vertcat(xi, u))[:r], x)
+    by_x = ca.densify(along_frame(form, by_x, x))
     derivative = _solved(form, P, ca.substitute(by_x, xi, -Au))
     outputs = [Au, health(form, P), ca.vec(derivative)]
     return _directional_function("column_derivatives", x, u, outputs)
@@ -164,8 +188,8 @@ def column_derivative_graph(form: ConnectionForm) -> ca.Function:
 
 def locked_derivative_graph(form: ConnectionForm) -> ca.Function:
     """Return (x, ω) → ∂(P_b ω)/∂x at constant body twist ω (r,), by columns, (r m,)."""
-    x, omega = ca.SX.sym("x", form.m), ca.SX.sym("omega", form.r)
-    derivative = ca.jacobian(_locked(form, x) @ omega, x)
+    x, omega = ca.SX.sym("x", form.nx), ca.SX.sym("omega", form.r)
+    derivative = along_frame(form, ca.jacobian(_locked(form, x) @ omega, x), x)
     return _function("locked_derivative", ca.vertcat(x, omega), [ca.vec(ca.densify(derivative))])
 
 
@@ -173,19 +197,50 @@ def covariant_graph(form: ConnectionForm) -> ca.Function:
     """Return (x, ẋ, ẍ, λ) → the force f, (m,), then the derivative of λᵀf in (x, ẋ, ẍ), (3m,).
 
     With the Lagrangian ½ ẋᵀMẋ, a motion requires the force f_α = d/dt (M ẋ)_α − ½ ẋᵀ ∂_αM ẋ, which
-    is M times the covariant acceleration.  If M is the reduced metric of inertia and no other
-    forces act, f are the joint torques at zero momentum.
+    is M times the covariant acceleration.  The frame of a ball adds c^γ_αβ ẋ^β (M ẋ)_γ.  If M is
+    the reduced metric of inertia and no other forces act, f are the joint torques at zero momentum.
     """
-    m, none = form.m, ca.SX.sym("none")
-    motion, along = ca.SX.sym("motion", 3 * m), ca.SX.sym("along", m)
-    state, rate = motion[: 2 * m], motion[m:]
-    square = velocity_graph(form)(state, none)[-1]
+    nx, m, none = form.nx, form.m, ca.SX.sym("none")
+    motion, along = ca.SX.sym("motion", nx + 2 * m), ca.SX.sym("along", m)
+    x, xdot, xddot = motion[:nx], motion[nx : nx + m], motion[nx + m :]
+    square = velocity_graph(form)(motion[: nx + m], none)[-1]
     energy_gradient = 0.5 * ca.gradient(square, motion)
-    momentum = energy_gradient[m : 2 * m]
-    momentum_rate = ca.jtimes(momentum, motion, ca.vertcat(rate, ca.SX.zeros(m)))
-    force = momentum_rate - energy_gradient[:m]
-    derivative = ca.gradient(ca.dot(along, force), motion)
+    momentum = energy_gradient[nx : nx + m]
+    state_rate = ca.vertcat(coordinate_rates(form.space, x, xdot), xddot, ca.SX.zeros(m))
+    momentum_rate = ca.jtimes(momentum, motion, state_rate)
+    force = momentum_rate - along_frame(form, energy_gradient[:nx].T, x).T
+    for ball in form.space.balls:
+        force[ball.v] += ca.cross(xdot[ball.v], momentum[ball.v])
+    derivative = along_frame(form, ca.gradient(ca.dot(along, force), motion).T, motion).T
     return _function("covariant", ca.vertcat(motion, along), [force, derivative])
+
+
+def coordinate_rates(space: ShapeSpace, x: ca.SX, xdot: ca.SX) -> ca.SX:
+    """Return the derivatives of the coordinates by time, (nx,), for rates along the frame, (m,)."""
+    rates: list[ca.SX] = []
+    for joint in space.joints:
+        if joint.kind.is_ball:
+            rates += quaternion_rate(ca.vertsplit(x[joint.x]), ca.vertsplit(xdot[joint.v]))
+        else:
+            rates.append(xdot[joint.v])
+    return ca.vertcat(ca.SX(0, 1), *rates)
+
+
+def along_frame(form: ConnectionForm, derivative: ca.SX, x: ca.SX) -> ca.SX:
+    """Convert derivatives with respect to coordinates to derivatives along the frame.
+
+    Args:
+        form: The form, whose shape space has the frame.
+        derivative: Derivatives with respect to x, (k, nx), or to (x, further arguments).
+        x: Symbols whose first entries are the coordinates.
+    Returns:
+        Derivatives along the frame, (k, m), followed by those with respect to further arguments.
+    """
+    if not form.space.balls:
+        return derivative
+    xdot = ca.SX.sym("xdot", form.m)
+    rate_map = ca.jacobian(coordinate_rates(form.space, x[: form.nx], xdot), xdot)
+    return ca.horzcat(derivative[:, : form.nx] @ rate_map, derivative[:, form.nx :])
 
 
 def _locked(form: ConnectionForm, x: ca.SX) -> ca.SX:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def validate_columns(form: ConnectionForm, code: NativeCode) -> None:
     r, m = form.r, form.m
     rows = r + m * form.symmetric
     for x, _ in trial_shapes(form):
-        columns = _evaluate_columns(code, x, rows + r + r * r + 1 + m * form.symmetric)
+        columns = _evaluate_columns(code, m, x, rows + r + r * r + 1 + m * form.symmetric)
         F, Au, P, _, Mu = np.split(columns, np.cumsum([rows, r, r * r, 1]), axis=1)
         A, M, size = _reference_terms(form, x)
         matrix = form.reference(x)
@@ -77,7 +77,7 @@ def validate_column_derivatives(form: ConnectionForm, code: NativeCode) -> None:
     """Compare A with the reference, and ∂A with its differences.  Raises KernelMismatch."""
     r, m = form.r, form.m
     for x, _ in trial_shapes(form):
-        columns = _evaluate_columns(code, x, r + 1 + r * m)[:m]
+        columns = _evaluate_columns(code, m, x, r + 1 + r * m)[:m]
         A, _, size = _reference_terms(form, x)
         dA, _ = _reference_derivatives(form, x)
         _require(form, "A of the curvature", columns[:, :r], A.T, size)
@@ -96,7 +96,7 @@ def validate_locked_derivative(form: ConnectionForm, code: NativeCode) -> None:
         def momentum(y: Array, omega: Array = omega) -> Array:
             return np.asarray(form.reference(y)[:r, :r] @ omega)
 
-        expected = central_differences(momentum, x, _STEP)
+        expected = _differences(form, momentum, x)
         scale = float(np.abs(form.reference(x)[:r, :r]).max() * np.abs(omega).sum()) / _STEP
         _require(form, "the derivative of P_b", values, expected, scale, _TOLERANCE)
 
@@ -112,21 +112,25 @@ def validate_covariant(form: ConnectionForm, code: NativeCode) -> None:
     m = form.m
     for x, rng in trial_shapes(form):
         xdot, xddot, along = rng.normal(size=(3, m))
-        motion = np.concatenate([x, xdot, xddot])
+        rates = np.concatenate([xdot, xddot])
 
-        def weighted_force(motion: Array, along: Array = along) -> Array:
-            values = _evaluate_one(code, np.concatenate([motion, along]), 4 * m)
+        def weighted_force(
+            step: Array, x: Array = x, rates: Array = rates, along: Array = along
+        ) -> Array:
+            motion = [form.space.integrate(x, step[:m]), rates + step[m:], along]
+            values = _evaluate_one(code, np.concatenate(motion), 4 * m)
             return values[:m] @ along[:, None]
 
         _, M, _ = _reference_terms(form, x)
         _, dM = _reference_derivatives(form, x)
         centrifugal = np.einsum("bcg,g,c->b", dM, xdot, xdot)
         centrifugal -= 0.5 * np.einsum("cda,c,d->a", dM, xdot, xdot)
-        values = _evaluate_one(code, np.concatenate([motion, along]), 4 * m)
+        centrifugal += np.einsum("gab,b,g->a", form.space.structure, xdot, M @ xdot)
+        values = _evaluate_one(code, np.concatenate([x, rates, along]), 4 * m)
         force, gradient = np.split(values, [m])
         expected = M @ xddot + centrifugal
         _require(form, "the covariant force", force, expected, 0.0, _TOLERANCE)
-        (expected,) = central_differences(weighted_force, motion, _STEP)
+        (expected,) = central_differences(weighted_force, np.zeros(3 * m), _STEP)
         _require(form, "its derivative", gradient, expected, 0.0, _TOLERANCE)
 
 
@@ -134,7 +138,7 @@ def trial_shapes(form: ConnectionForm) -> Iterator[tuple[Array, np.random.Genera
     """Yield random shapes at which P_b is far from singular, with the generator that drew them."""
     rng, count = np.random.default_rng(0), 0
     for _ in range(_MOST_DRAWS):
-        x = rng.uniform(-2.0, 2.0, form.m)
+        x = form.space.random(rng, 2.0)
         P = form.reference(x)[: form.r, : form.r]
         scale = np.linalg.norm(P, axis=1)
         if not scale.all() or np.linalg.cond(P / scale[:, None]) > 1.0 / _LEAST_CONDITION:
@@ -156,24 +160,35 @@ def _reference_terms(form: ConnectionForm, x: Array) -> tuple[Array, Array, floa
 
 
 def _reference_derivatives(form: ConnectionForm, x: Array) -> tuple[Array, Array]:
-    """Return ∂A, (r, m, m), and ∂M, (m, m, m), from finite differences of the reference."""
+    """Return ∂A, (r, m, m), and ∂M, (m, m, m), along the frame, from finite differences."""
     r, m = form.r, form.m
 
     def terms(y: Array) -> Array:
         A, M, _ = _reference_terms(form, y)
         return np.concatenate([A.ravel(), M.ravel()])
 
-    derivatives = central_differences(terms, x, _STEP)
+    derivatives = _differences(form, terms, x)
     return derivatives[: r * m].reshape(r, m, m), derivatives[r * m :].reshape(m, m, m)
+
+
+def _differences(form: ConnectionForm, function: Callable[[Array], Array], x: Array) -> Array:
+    """Return the derivative of a function of the shape along the frame, (k, m)."""
+    if not form.space.balls:
+        return central_differences(function, x, _STEP)
+
+    def displaced(step: Array) -> Array:
+        return function(form.space.integrate(x, step))
+
+    return central_differences(displaced, np.zeros(form.m), _STEP)
 
 
 def _evaluate_one(code: NativeCode, y: Array, size: int) -> Array:
     return np.asarray(evaluate(code.address, np.zeros(1), y[None], size)[0])
 
 
-def _evaluate_columns(code: NativeCode, x: Array, size: int) -> Array:
+def _evaluate_columns(code: NativeCode, m: int, x: Array, size: int) -> Array:
     """Return the outputs for all unit joint rates at one shape, (max(m, 1), size)."""
-    ((_, outputs),) = columns_at(code.address, x[None], size)
+    ((_, outputs),) = columns_at(code.address, x[None], size, m)
     return np.asarray(outputs[0])
 
 

@@ -138,6 +138,7 @@ def optimise_gait(
             f"optimise_gait takes a Connection, got {type(connection).__name__}; "
             "create one with Connection.mechanical(system)"
         )
+    connection.space.refuse_balls("optimise_gait")
     connection.refuse_gravity()
     if connection.m < 2:
         raise InputError("a loop needs two joints: a single joint can only retrace its path")

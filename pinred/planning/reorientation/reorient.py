@@ -224,6 +224,7 @@ def reorient(
         NoOptimum: No loop within the limits was found.
     """
     system = checked_system(system, "reorient")
+    system.space.refuse_balls("reorient")
     connection, group = Connection.mechanical(system), system.group
     if not group.turns:
         raise InputError(f"the group {group.name} has no rotation")
@@ -297,7 +298,6 @@ def _initial_shape(
         zero = np.zeros(system.m)
         inside = (bounds.shape[:, 0] < 0.0) & (bounds.shape[:, 1] > 0.0)
         return np.where(inside, zero, bounds.middle)
-    system.space.refuse_balls("reorient")
     ordered = order_by_joint(x0, system, "x0")
     start = vector(np.asarray(ordered), system.m, "x0", system.shape_names)
     if ((start <= bounds.shape[:, 0]) | (start >= bounds.shape[:, 1])).any():

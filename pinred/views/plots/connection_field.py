@@ -66,6 +66,7 @@ def field(
         raise InputError(f"field draws a Connection, got {type(source).__name__}")
     if part not in _PARTS:
         raise InputError(f"part must be one of {', '.join(_PARTS)}, got {part!r}")
+    source.space.refuse_balls("a field over two joints")
     names = labels_of_connection(source)
     pair = names.pair(joints, "a field")
     path = None if gait is None else _closed_path(source, gait)
@@ -158,6 +159,7 @@ def curvature(
         LoadError: The robot of a recording cannot be loaded.
     """
     system = _system(source)
+    system.space.refuse_balls("a field over two joints")
     names = labels_of(system)
     pair = names.pair(joints, "a plot of the curvature")
     drawn: Array | None = None
