@@ -163,8 +163,10 @@ class ForceModel:
         self._potential = Numeric(self.potential_function)
         total = ca.vertcat(torque, wrench)
         depends = ca.which_depends(ca.vertcat(total, potential), s.x, 1) if m else []
-        seen = {system.space.rates_of(k) for k in range(system.nx) if depends[k]} if m else set()
-        self.touched = terms.acted | set(self.joints) | {k for rates in seen for k in rates}
+        touching = (
+            {system.space.rates_of(k) for k in range(system.nx) if depends[k]} if m else set()
+        )
+        self.touched = terms.acted | set(self.joints) | {k for rates in touching for k in rates}
         self.sees_attitude, self.sees_place = seen_of_base(system, total, terms.base)
         self.sees_base_momenta = ca.depends_on(total, ca.vertcat(*terms.base[2:]))
         timed = self.sees_place or ca.depends_on(total, s.t)

@@ -221,9 +221,9 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
     )
     coordinates = np.full(system.m, -1)
     coordinates[system.space.scalar_v] = system.space.scalar_x
-    others = {*structure.cyclic, *prescribed, *system.space.ball_v.tolist()}
+    not_active = {*structure.cyclic, *prescribed, *system.space.ball_v.tolist()}
     return Layout(
-        active=tuple(k for k in range(system.m) if k not in others),
+        active=tuple(k for k in range(system.m) if k not in not_active),
         cyclic=structure.cyclic,
         prescribed=prescribed,
         balls=tuple((joint.x.start, joint.v.start) for joint in system.space.balls),

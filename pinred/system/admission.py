@@ -116,11 +116,11 @@ def _admit_shape_joint(model: pin.Model, i: int) -> None:
             "attach it to a moving link or lock it"
         )
     if not is_shape_joint(joint):
-        kind = joint_kind(joint)
+        type_name = joint_kind(joint)
         raise ModelError(
-            f"joint {quoted(name)} is of kind {kind} with {joint.nv} degrees of freedom, which is "
-            "not a product of hinges, slides and balls; replace it by such joints with massless "
-            "bodies between them, or lock it"
+            f"joint {quoted(name)} is of kind {type_name} with {joint.nv} degrees of freedom, "
+            "which is not a product of hinges, slides and balls; replace it by such joints with "
+            "massless bodies between them, or lock it"
         )
 
 
@@ -246,9 +246,13 @@ def _triangle_doubt(model: pin.Model, unit: float) -> str:
     for i in range(1, model.njoints):
         body = model.inertias[i]
         moments = np.linalg.eigvalsh(body.inertia)
-        others = float(moments[0] + moments[1])
-        if moments[2] > others * (1.0 + _TRIANGLE_SLACK) + no_moment(body, unit):
-            excess = f"{100.0 * (moments[2] / others - 1.0):.3g} %" if others > 0.0 else "all of it"
+        smaller_moments = float(moments[0] + moments[1])
+        if moments[2] > smaller_moments * (1.0 + _TRIANGLE_SLACK) + no_moment(body, unit):
+            excess = (
+                f"{100.0 * (moments[2] / smaller_moments - 1.0):.3g} %"
+                if smaller_moments > 0.0
+                else "all of it"
+            )
             bodies.append(f"{_body_words(model, i)} by {excess} ({_shown(moments)})")
     if not bodies:
         return ""
@@ -275,9 +279,9 @@ def _isolated_shapes_doubt(model: pin.Model, shapes: tuple[SingularShape, ...]) 
     # Group shapes that differ only in the value of the last deciding joint.
     values: dict[tuple[str, str], list[str]] = {}
     for shape in shapes:
-        *others, last = [_joint_value_words(model, *entry) for entry in shape.at.items()]
+        *earlier_values, last = [_joint_value_words(model, *entry) for entry in shape.at.items()]
         name, _, value = last.rpartition(" = ")
-        values.setdefault((shape.joint, ", ".join([*others, name])), []).append(value)
+        values.setdefault((shape.joint, ", ".join([*earlier_values, name])), []).append(value)
     sentences = [
         f"joint {quoted(joint)} moves no mass at {names} = {' or '.join(listing)}"
         for (joint, names), listing in values.items()

@@ -178,10 +178,10 @@ def _structure_obstacle(model: pin.Model, joints: tuple[int, int, int]) -> str:
                 f"the body between {quoted(name)} and {quoted(model.names[behind])} has mass "
                 f"{body.mass:g} kg; only a massless body can be left out"
             )
-        others = [str(model.names[n]) for n in model.children[joint] if n != behind]
-        if others:
+        siblings = [str(model.names[n]) for n in model.children[joint] if n != behind]
+        if siblings:
             return (
-                f"the body moved by {quoted(name)} also carries {listed(others)}; attach these "
+                f"the body moved by {quoted(name)} also carries {listed(siblings)}; attach these "
                 f"to the body behind {quoted(model.names[joints[2]])}"
             )
     return ""
@@ -266,7 +266,9 @@ def _with_unique_names(model: pin.Model, triples: Sequence[HingeTriple]) -> list
     names = [triple.name for triple in triples if not triple.why_not]
     unique = []
     for triple in triples:
-        others = {str(name) for name in model.names} - {*triple.hinges}
-        is_taken = triple.name in others or (not triple.why_not and names.count(triple.name) > 1)
+        other_names = {str(name) for name in model.names} - {*triple.hinges}
+        is_taken = triple.name in other_names or (
+            not triple.why_not and names.count(triple.name) > 1
+        )
         unique.append(replace(triple, name=triple.hinges[0]) if is_taken else triple)
     return unique

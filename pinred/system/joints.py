@@ -24,18 +24,18 @@ _INDEPENDENT = 1e-6  # smallest singular value of six linearly independent unit 
 
 def joint_kind(joint: pin.JointModel) -> str:
     """Return Pinocchio's name of a joint type; join the components of a composite with "+"."""
-    kind = str(joint.shortname()).removeprefix("JointModel")
-    if kind != "Composite":
-        return kind
+    type_name = str(joint.shortname()).removeprefix("JointModel")
+    if type_name != "Composite":
+        return type_name
     composite = joint.extract()
     shifted = any(not place.isIdentity() for place in composite.jointPlacements)
-    return kind if shifted else "+".join(map(joint_kind, composite.joints))
+    return type_name if shifted else "+".join(map(joint_kind, composite.joints))
 
 
 def motion_group(joint: pin.JointModel) -> Group | None:
     """Return the symmetry group of a joint's motion, or None if the motion does not form one."""
-    kind = joint_kind(joint)
-    return next((group for group in GROUPS.values() if kind in group.joints), None)
+    type_name = joint_kind(joint)
+    return next((group for group in GROUPS.values() if type_name in group.joints), None)
 
 
 def is_shape_joint(joint: pin.JointModel) -> bool:
@@ -68,7 +68,7 @@ def joint_configuration(joint: pin.JointModel, value: float) -> list[float]:
 def tree_space(model: pin.Model) -> ShapeSpace:
     """Return the manifold of all joints except the root.  They are hinges, slides and balls."""
     joints = [model.joints[i] for i in range(2, model.njoints)]
-    kinds = [kind for joint in joints if (kind := elementary_joint(joint)) is not None]
+    kinds = [elementary for joint in joints if (elementary := elementary_joint(joint)) is not None]
     return shape_space([str(name) for name in model.names[2:]], kinds)
 
 
@@ -78,12 +78,12 @@ def root_joint(group: Group) -> pin.JointModel:
     In the axes of the root link, ℝ slides along x and SO(2) rotates about z.  SE(2) moves in the
     xy plane, and ℝ × SE(2) also moves along z.
     """
-    kinds = [getattr(pin, f"JointModel{kind}")() for kind in group.joints[0].split("+")]
+    kinds = [getattr(pin, f"JointModel{joint}")() for joint in group.joints[0].split("+")]
     if len(kinds) == 1:
         return kinds[0]
     composite = pin.JointModelComposite()
-    for kind in kinds:
-        composite.addJoint(kind)
+    for joint in kinds:
+        composite.addJoint(joint)
     return composite
 
 

@@ -181,10 +181,10 @@ class _Tree:
         }
         for index in range(plant.num_force_elements()):
             element = plant.get_force_element(_index("ForceElement", index))
-            kind = type(element).__name__.partition("_")[0]
-            if kind in names:
-                stiffness, rest = (getattr(element, name)() for name in names[kind])
-                springs.append(Spring(element.joint().name(), stiffness, rest))
+            type_name = type(element).__name__.partition("_")[0]
+            if type_name in names:
+                stiffness, rest_position = (getattr(element, name)() for name in names[type_name])
+                springs.append(Spring(element.joint().name(), stiffness, rest_position))
         return tuple(springs)
 
     def _add_body(self, body: Any, carrier: int, at: pin.SE3) -> None:
@@ -211,13 +211,13 @@ class _Tree:
 
     def _add_joint(self, joint: Any, carrier: int, at: pin.SE3) -> int:
         """Add a joint with its armature, limits, damping and friction; return its index."""
-        kind, nv = _pinocchio_joint(joint), joint.num_velocities()
+        pinocchio_joint, nv = _pinocchio_joint(joint), joint.num_velocities()
         limits = None
-        if kind.nq == nv:
+        if pinocchio_joint.nq == nv:
             limits = [joint.position_lower_limits(), joint.position_upper_limits()]
         armature = np.full(nv, self._rotors().get(int(joint.index()), 0.0))
         index = self._builder.add_joint(
-            carrier, kind, at, joint.name(), armature=armature, limits=limits
+            carrier, pinocchio_joint, at, joint.name(), armature=armature, limits=limits
         )
         self._builder.model.addJointFrame(index)
         damping = np.broadcast_to(joint.default_damping_vector(), nv)
@@ -237,21 +237,21 @@ class _Tree:
 
 def _pinocchio_joint(joint: Any) -> pin.JointModel:
     """Return Pinocchio's joint with the motion of one of Drake's.  Raises ModelError."""
-    kind = joint.type_name()
-    if kind == "revolute":
+    type_name = joint.type_name()
+    if type_name == "revolute":
         return joint_along(REVOLUTE, np.array(joint.revolute_axis()), _ALIGNED)
-    if kind == "prismatic":
+    if type_name == "prismatic":
         return joint_along(PRISMATIC, np.array(joint.translation_axis()), _ALIGNED)
-    if kind == "ball_rpy":
+    if type_name == "ball_rpy":
         return pin.JointModelSpherical()
-    if kind == "universal":
+    if type_name == "universal":
         return pin.JointModelUniversal(*np.eye(3)[:2])
-    if kind == "screw":
+    if type_name == "screw":
         pitch = joint.screw_pitch() / (2.0 * np.pi)
         return pin.JointModelHelicalUnaligned(_screw_axis(joint), pitch)
     raise ModelError(
-        f"joint {quoted(joint.name())} is of type {kind}, which pinred does not read from SDF; "
-        f"use {_JOINTS}"
+        f"joint {quoted(joint.name())} is of type {type_name}, which pinred does not read from "
+        f"SDF; use {_JOINTS}"
     )
 
 
@@ -264,8 +264,8 @@ def _screw_axis(joint: Any) -> Array:
     q = plant.GetPositions(context)
     q[joint.position_start()] = 1.0
     plant.SetPositions(context, q)
-    moved = _pose(joint.frame_on_child().CalcPose(context, joint.frame_on_parent()))
-    axis = pin.log3(moved.rotation)
+    displacement = _pose(joint.frame_on_child().CalcPose(context, joint.frame_on_parent()))
+    axis = pin.log3(displacement.rotation)
     return np.asarray(axis / np.linalg.norm(axis))
 
 

@@ -130,9 +130,9 @@ def sweep(
         else:
             joint = Eliminated(inner, [], step)
             for freedom, momentum in zip(freedoms, _momenta(groups, link, pi, lanes), strict=True):
-                rest, solved_rate = eliminate_rate(freedom, joint.inner, momentum)
+                remainder, solved_rate = eliminate_rate(freedom, joint.inner, momentum)
                 groups.eliminate(i, freedom, joint.inner, solved_rate.drive)
-                joint = Eliminated(rest, [*joint.rates, solved_rate], step)
+                joint = Eliminated(remainder, [*joint.rates, solved_rate], step)
         joints[i] = joint
         width = len(link.lanes) if len(links[link.parent].lanes) == 1 else 1
         _add(inertia[link.parent], carried(joint.inner, outer), lanes, width)
@@ -190,8 +190,8 @@ def sweep(
             for k, ratio in groups.terms[j]:
                 pidot[k] = add(pidot[k], mul(ratio, own_force))
                 if k in rates:
-                    own = lanes.lane(along, lane, len(link.lanes))
-                    momenta[k] = add(momenta[k], mul(ratio, own))
+                    lane_momentum = lanes.lane(along, lane, len(link.lanes))
+                    momenta[k] = add(momenta[k], mul(ratio, lane_momentum))
     return Swept(linear, angular, xdot, momenta, pidot)
 
 
@@ -243,8 +243,10 @@ def _move_ball(
     linear = [add(linear_row(joint.inner, k, v, before), groups.momentum(i, k)) for k in range(3)]
     armature = [mul(body.armature, rate) for rate in sigma]
     if link.lanes[0] in groups.driven_balls:
-        rows = [angular_row(joint.inner, k, v, before) for k in range(3)]
-        angular = [add(h, groups.momentum(i, k, angular=True)) for k, h in enumerate(rows)]
+        momenta_at_rest = [angular_row(joint.inner, k, v, before) for k in range(3)]
+        angular = [
+            add(h, groups.momentum(i, k, angular=True)) for k, h in enumerate(momenta_at_rest)
+        ]
         momentum = plus(angular, armature)
     else:
         momentum = _momenta(groups, link, pi, lanes)

@@ -165,8 +165,8 @@ def _from_geometry(system: System, shapes: Shapes) -> Bodies:
         if str(raw.names[entry.parentJoint]) in between:
             continue
         joint, placement = _joint_of(system, raw, entry)
-        kind, size = _primitive(entry.geometry)
-        if entry.name in shapes.meshes or kind == "mesh":
+        solid_kind, size = _primitive(entry.geometry)
+        if entry.name in shapes.meshes or solid_kind == "mesh":
             found = _mesh_of(entry, shapes.meshes)
             if found is None:
                 skipped.append(joint)
@@ -174,13 +174,13 @@ def _from_geometry(system: System, shapes: Shapes) -> Bodies:
             key, mesh = found
             if meshes.setdefault(key, len(drawn)) == len(drawn):
                 drawn.append(mesh())
-            kind, size = "mesh", (float(meshes[key]),)
+            solid_kind, size = "mesh", (float(meshes[key]),)
         place = np.array(pin.SE3ToXYZQUAT(placement))
-        if not kind or not np.abs([*size, *place]).max() <= FARTHEST:
+        if not solid_kind or not np.abs([*size, *place]).max() <= FARTHEST:
             skipped.append(joint)
             continue
         colour = tuple(float(c) for c in entry.meshColor)
-        solids.append(Solid(joint, kind, size, place, colour))  # type: ignore[arg-type]
+        solids.append(Solid(joint, solid_kind, size, place, colour))  # type: ignore[arg-type]
     # Bodies of which no shape can be drawn are ellipsoids.
     empty = {*skipped} - {solid.joint for solid in solids}
     if solids and empty:
@@ -317,12 +317,12 @@ def mjcf_shapes(system: System, path: Path) -> Bodies:
 
 def _solid(system: System, world: World, geom: int, meshes: dict[int, int]) -> Solid | None:
     """Convert a geom, or return None if it is not drawn; `meshes` (id → index) is extended."""
-    model, kind = world.model, int(world.model.geom_type[geom])
+    model, geometry = world.model, int(world.model.geom_type[geom])
     size: tuple[float, ...]
-    if kind in _MESHES:
+    if geometry in _MESHES:
         name, size = "mesh", (float(meshes.setdefault(int(model.geom_dataid[geom]), len(meshes))),)
-    elif kind in _SHAPES:
-        name, count = _SHAPES[kind]
+    elif geometry in _SHAPES:
+        name, count = _SHAPES[geometry]
         size = tuple(map(float, model.geom_size[geom, :count]))
     else:
         return None
