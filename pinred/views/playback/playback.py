@@ -20,7 +20,7 @@ from ...system.joints import axes_of
 from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
-from .momentum_sphere import MomentumSphere, momentum_sphere
+from .momentum_in_body import MomentumSphere, momentum_sphere
 from .view_options import View
 
 MOST_FRAMES = 100_000
