@@ -85,8 +85,9 @@ class HingeTriple:
     def _angles_at(self, R: Array, second: float) -> Array:
         """Return angles of the hinges for a rotation, (3, 3), and the angle of the second hinge."""
         a1, a2, a3 = self.axes
-        turned, target = pin.exp3(a2 * second) @ a3, R @ a3
-        sine, cosine = a1 @ np.cross(turned, target), np.cross(a1, turned) @ np.cross(a1, target)
+        # The first hinge turns one of these vectors, normal to its axis, into the other.
+        before, after = np.cross(a1, pin.exp3(a2 * second) @ a3), np.cross(a1, R @ a3)
+        sine, cosine = a1 @ np.cross(before, after), before @ after
         in_lock = np.hypot(sine, cosine) <= _IN_LOCK**2
         first = 0.0 if in_lock else float(np.arctan2(sine, cosine))
         rest = pin.exp3(a2 * second).T @ pin.exp3(a1 * first).T @ R

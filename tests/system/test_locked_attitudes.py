@@ -94,16 +94,10 @@ def test_merged_ball_is_locked_through_its_hinges(
 
 
 @pytest.mark.parametrize("case", VALUES)
-@pytest.mark.parametrize("group", ["SE3", "SE2"])
-def test_ball_of_a_model_is_locked_with_its_subtree(group: str, case: str) -> None:
-    """The raw model that values of other locked joints vary has the same carriers."""
-    free = ball_tree(3, 6, group, armature=False, balls=0.4)
-    parents = list(free.model.parents)[2:]
-    ball = next(
-        str(free.model.names[i])
-        for i in range(2, free.model.njoints)
-        if free.model.joints[i].nq == 4 and i in parents
-    )
+@pytest.mark.parametrize("ball", ["j0", "j4"])
+def test_ball_of_a_model_is_locked_with_its_subtree(ball: str, case: str) -> None:
+    """The chain is j0 (ball), j2, j4 (ball), j5; other joints move beside it."""
+    free = ball_tree(9, 6, armature=False, balls=0.4)
     lock = {ball: VALUES[case]}
     locked = pinred.load(free.model, lock=lock)
     assert_locked(free, locked, lock)
@@ -166,9 +160,9 @@ def attitude_error(triple: HingeTriple, attitude: Array) -> float:
 def test_angles_of_hinges_reach_every_attitude(seed: int) -> None:
     """Also near and in gimbal lock, where the first angle is zero; angles of one turn return."""
     rng = np.random.default_rng(seed)
-    for triple in hinge_triples(hinged_tree(seed)):
-        lock = float(np.arctan2(triple.axes[0] @ triple.axes[2], -np.linalg.det(triple.axes)))
-        lock += np.pi / 2
+    for triple in (t for t in hinge_triples(hinged_tree(seed)) if not t.why_not):
+        first, second, third = triple.axes
+        lock = float(np.arctan2(np.cross(third, first) @ second, third @ first))
         for offset in (0.0, 1e-14, 1e-12, 1e-8, 1e-4, 0.3, 1.0):
             angles = np.array([rng.uniform(-1, 1), lock + offset, rng.uniform(-1, 1)])
             assert attitude_error(triple, triple.attitude(angles)) < 3e-13
@@ -217,7 +211,7 @@ def test_recording_restores_locked_attitudes(tmp_path: Path) -> None:
     lock: dict[str, Any] = {"left_shoulder": [0.1, 0.2, 0.3], "hips": [0.0, 0.1, 0.2, 1.0]}
     for locked, sizes in ((lock, [3, 4, 1]), ({"hips_x": 0.3}, None)):
         system = pinred.load("diver", lock=locked, parameters={"hips_x.lock": 0.5})
-        traj = pinred.simulate(system, seed=1, duration=0.01, times=[0.01])
+        traj = pinred.simulate(system, seed=1, duration=0.01, times=[0.01], engine="pinocchio")
         path = tmp_path / "motion.npz"
         traj.save(path)
         with np.load(path) as content:
@@ -239,7 +233,7 @@ def test_recording_restores_locked_attitudes(tmp_path: Path) -> None:
         ({"left_hip": [0.1, np.nan, 0]}, "'left_hip': expected a rotation vector of 3 finite"),
         ({"left_hip": [0.1, 0.2]}, "'left_hip' must be finite: a number, or for a ball"),
         ({"left_knee": [0.1, 0, 0]}, r"'left_knee' is not a ball: expected one number.*\[0.1"),
-        ({"hip": [0.1, 0, 0]}, "no joint 'hip'; the joints are left_hip_y"),
+        ({"hip": [0.1, 0, 0]}, "no joint 'hip'; the joints are left_hip, left_knee"),
     ],
 )
 def test_wrong_value_of_a_lock_is_refused(lock: dict[str, Any], message: str) -> None:
