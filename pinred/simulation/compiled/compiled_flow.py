@@ -151,7 +151,9 @@ class CompiledFlow:
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""
         layout = self.kernel.layout
-        return entry_name(self.kernel.system, layout.active, layout.cyclic, entry)
+        return entry_name(
+            self.kernel.system, layout.active, layout.cyclic, entry, layout.constant_pi
+        )
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:
@@ -243,7 +245,6 @@ def _set_up(
             f"{plan.method.name} needs a constant angular momentum, but gravity or a wrench "
             "changes it. Use another method, such as Gauss."
         )
-    cyclic = list(layout.cyclic)
     attitude = given.pose[:, system.group.linear :]
     state = [*layout.shape_entries(x, start.pi), attitude[:, : base.attitude]]
     if base.down:
@@ -258,8 +259,8 @@ def _set_up(
     parameters = _fill(
         np.empty((N, layout.parameters)),
         [
-            start.fixed[:, : base.spin], start.pi[:, cyclic], gravity[..., list(layout.gravity)],
-            bodies, path[:, : layout.com_path], numbers,
+            start.fixed[:, : base.spin], start.pi[:, layout.constant_pi],
+            gravity[..., list(layout.gravity)], bodies, path[:, : layout.com_path], numbers,
         ],
     )  # fmt: skip
     y0 = np.concatenate(state, axis=1)
