@@ -240,12 +240,15 @@ class Plan:
             "there. Use DOP853, or smooth forces",
         )
 
-    def kind(self, *, zero_momentum: bool, generic: bool = False) -> Kind:
+    def kind(
+        self, *, zero_momentum: bool, generic: bool = False, all_momenta: bool = False
+    ) -> Kind:
         """Return the equations with or without angular momentum, cached.
 
         Args:
             zero_momentum: Whether the initial angular momentum of the base is exactly zero.
             generic: Whether variable parameters of the robot may take any value.
+            all_momenta: Whether constant momenta of symmetric balls are integrated, too.
         Returns:
             The equations.
         """
@@ -258,14 +261,16 @@ class Plan:
         lifted_balls = self.method.symplectic and bool(self.system.space.balls)
         any_gravity = generic and varied is not None and varied.gravity_name() == "gravity"
         freed = self.freed(generic=generic)
+        # Lifted balls have conjugate momenta, none of which is constant.
+        symmetric = () if lifted_balls or all_momenta else acting.symmetric_balls
 
         def make() -> Kind:
             axes = tuple(np.flatnonzero(acting.gravity).tolist())
             structure = Structure(
                 zero_momentum=zero,
                 cyclic=acting.cyclic,
-                rotors=() if lifted_balls else rotors_among(acting.symmetric_balls),
-                axial=() if lifted_balls else axial_among(acting.symmetric_balls),
+                rotors=rotors_among(symmetric),
+                axial=axial_among(symmetric),
                 gravity=(0, 1, 2) if axes and any_gravity else axes,
                 base=self.wanted,
                 lifted=lifted,
@@ -275,7 +280,9 @@ class Plan:
             return Kind(self.system, self.forces, structure)
 
         return once(
-            acting, (Kind, zero, self.wanted, lifted, lifted_balls, freed, any_gravity), make
+            acting,
+            (Kind, zero, self.wanted, lifted, lifted_balls, freed, any_gravity, all_momenta),
+            make,
         )
 
     def freed(self, *, generic: bool = False) -> Freed:
