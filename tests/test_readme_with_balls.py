@@ -288,10 +288,11 @@ def casadi(d: Diver) -> None:
 
 
 def equilibria(d: Diver) -> None:
-    """A diver with sprung joints rotates steadily about an axis."""
-    sprung = {"forces": [pinred.forces.BallSpring(j.name, 500.0) for j in d.system.space.balls]}
-    found = pinred.relative_equilibria(d.system, momentum=5.0, **sprung)
-    assert len(found) >= 3
+    """A diver with sprung joints rotates steadily, and the simulation keeps the shape."""
+    springs = [pinred.forces.BallSpring(j.name, 500.0) for j in d.system.space.balls]
+    found = pinred.relative_equilibria(d.system, momentum=5.0, forces=springs, starts=8, limit=8)
+    traj = pinred.simulate(found[0].scene(duration=0.2))
+    np.testing.assert_allclose(traj.x, np.broadcast_to(found[0].x, traj.x.shape), atol=1e-9)
 
 
 def stability(d: Diver) -> None:
@@ -301,7 +302,7 @@ def stability(d: Diver) -> None:
 
 def flow(d: Diver) -> None:
     """The derivative by the rate of a ball equals a difference of two runs."""
-    how = {"x0": d.x, "momentum": 0, "duration": 0.1, "rtol": 1e-12}
+    how: dict[str, Any] = {"x0": d.x, "momentum": 0, "duration": 0.1, "rtol": 1e-12}
     run, h = pinred.flow(d.system, wrt=["xdot0"], of=["xdot"], **how), 1e-5
     slope = run.jacobian(xdot0=d.xdot)["xdot0"][:, 4]
     ahead, behind = (run(xdot0=d.xdot + step * np.eye(9)[4]) for step in (h, -h))
