@@ -77,7 +77,6 @@ def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> Connecti
     Raises:
         InputError: `pose` returns a wrong number of coordinates.
     """
-    form.space.refuse_balls("in_section")
     group, m = form.group, form.m
     y = ca.SX.sym("x", m)
     h = ca.Function("h", [y], [ca.densify(pose(y))])
