@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -192,6 +193,20 @@ def test_frames_with_balls() -> None:
     assert errors[1] < 0.1 * errors[0]
 
 
+def test_section_over_rotation_vectors_conjugates_phase() -> None:
+    """In a frame h(w) that turns with the ball, the phase is h(w₀)⁻¹ g h(w₀)."""
+    A, gait = spherical_pair(), random_gait(np.random.default_rng(6), 3)
+
+    def pose(w: ca.SX) -> ca.SX:
+        half = 0.5 * w[0]
+        return ca.vertcat(0.2 * w[1], w[2], 0.0, ca.sin(half), 0.0, 0.0, ca.cos(half))
+
+    g, moved = (pinred.phase(C, gait, tolerance=1e-12).pose for C in (A, A.in_section(pose)))
+    w = ca.SX.sym("w", 3)
+    h = np.asarray(ca.Function("h", [w], [pose(w)])(gait.at(0.0)[0])).ravel()
+    close(moved, A.group.compose(A.group.inverse(h), A.group.compose(g, h)), 1e-11)
+
+
 def test_centre_of_robots_without_balls_shifts_gaits() -> None:
     """A centre of hinges adds to the gait; without centre the connection is the same object."""
     A = pinred.Connection.mechanical(pinred.load("three_rods"))
@@ -204,3 +219,5 @@ def test_centre_of_robots_without_balls_shifts_gaits() -> None:
         shifted.in_chart([0.0, 0.0])
     with pytest.raises(pinred.InputError, match="neck"):
         A.in_chart({"neck": 0.1})
+    with pytest.raises(pinred.InputError, match="without a centre"):
+        shifted.seen_from(A.joints[0])

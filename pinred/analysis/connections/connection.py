@@ -194,19 +194,20 @@ class Connection:
         Raises:
             InputError: The connection has no system, or the link is not admissible.
         """
-        if self.system is None:
-            raise InputError("seen_from: expected a connection that was created from a System")
+        if self.system is None or self.chart is not None:
+            raise InputError("seen_from: expected a connection of a System, without a centre")
         return self._moved(from_link(self.form, self.system, link))
 
     def in_section(self, pose: Callable[[ca.SX], ca.SX]) -> Connection:
         """Return the same connection in the frame h(x): A′ = Ad_{h⁻¹} A − h⁻¹∂h.
 
         Args:
-            pose: Function of CasADi symbols x (m,) that returns the pose coordinates of h, (size,).
+            pose: Function of CasADi symbols (m,) that returns the pose coordinates of h, (size,).
         Returns:
             The connection.
         """
-        return self._moved(in_section(self.form, pose))
+        chart = self.in_chart()
+        return replace(self._moved(in_section(chart.form, pose)), chart=chart.chart)
 
     def in_chart(self, centre: ArrayLike | Mapping[str, ArrayLike] | None = None) -> Connection:
         """Return the same connection in rotation vectors w of balls: x = centre · exp(w).
@@ -389,8 +390,7 @@ class Connection:
             raise SymmetryError(f"momenta are not conserved: {self.turned_by_gravity}")
 
     def _moved(self, form: ConnectionForm) -> Connection:
-        moved = Connection.of(form)
-        return replace(moved, turned_by_gravity=self.turned_by_gravity, chart=self.chart)
+        return replace(Connection.of(form), turned_by_gravity=self.turned_by_gravity)
 
     def _one(self, x: ArrayLike) -> Array:
         what = f"shape x of {self.form.what}"

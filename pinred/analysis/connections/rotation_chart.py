@@ -43,6 +43,11 @@ class RotationChart(FrozenArrays):
     space: ShapeSpace
     centre: Array
 
+    @property
+    def words(self) -> str:
+        """What the coordinates are, for messages."""
+        return "in rotation vectors" if self.space.balls else "about a centre"
+
     def shapes(self, w: Array) -> Array:
         """Return the shapes x, (..., nx), of coordinates w, (..., m)."""
         return self.space.integrate(self.centre, w)
@@ -91,8 +96,8 @@ class RotationChart(FrozenArrays):
             return ca.reshape(form.locked(self._shape(self._terms(w), w)), r, r)
 
         return form_of(
-            form.group, form.joints, form.units, f"{form.what}, in rotation vectors", values,
-            reference, symmetric=form.symmetric, momentum=form.momentum, locked=locked,
+            form.group, form.joints, form.units, f"{form.what}, {self.words}", values, reference,
+            symmetric=form.symmetric, momentum=form.momentum, locked=locked,
         )  # fmt: skip
 
     def _terms(self, w: ca.SX) -> list[_BallTerms]:
