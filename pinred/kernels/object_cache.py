@@ -33,6 +33,7 @@ from ..common.cpu_target import cpu_target
 from ..common.errors import CacheWarning, InputError
 from ..common.files import sweep, temporary
 from ..common.version import __version__
+from .file_trust import find_distrust, find_open_parent
 from .signing_key import TEMPORARY, fingerprint, signing_key
 
 LIMIT = 256 * 2**20  # default maximum size of all entries [bytes]
@@ -45,7 +46,6 @@ _SIGNATURE = 32  # bytes of the HMAC-SHA256 of header and payload, stored betwee
 _KEY = re.compile(r"[0-9a-f]{64}")
 # Key of the object, and fingerprint of the signing key; earlier versions wrote no fingerprint.
 _ENTRY = re.compile(r"([0-9a-f]{64})(?:\.[0-9a-f]{16})?\.o")
-_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 _warned: set[tuple[str, str]] = set()  # (folder, kind) of each warning that was already issued
 # Number of bytes that may be written before the folder is listed again, by folder and limit.
@@ -253,14 +253,14 @@ class ObjectCache:
             yield None
             return
         try:
-            why = _distrust(os.fstat(folder))
+            why = find_distrust(os.fstat(folder))
             if why:
                 self._warn_once(
                     "trust",
                     f"the cache '{self.folder}' is not used, it {why}; machine code is only "
                     "read where nobody else can write: chmod go-w, or set PINRED_CACHE_DIR",
                 )
-            elif above := _find_open_parent(self.folder):
+            elif above := find_open_parent(self.folder):
                 self._warn_once("above", f"the cache '{self.folder}' is in {above}")
             yield None if why else folder
         finally:
@@ -288,33 +288,6 @@ def _file_name(key: str) -> str:
     return f"{key}.{fingerprint()}.o"
 
 
-def _distrust(status: os.stat_result) -> str:
-    """Return why another user could have written a file or folder, or "" if none could."""
-    if status.st_uid != os.geteuid():
-        return f"belongs to user {status.st_uid}"
-    if status.st_mode & _OTHERS:
-        return f"can be written by others (mode {stat.S_IMODE(status.st_mode):04o})"
-    return ""
-
-
-def _find_open_parent(folder: Path) -> str:
-    """Return a warning about a parent folder that other users can replace, or "" without one.
-
-    A folder with the sticky bit, such as /tmp, is safe: users cannot move each other's files there.
-    """
-    for above in folder.absolute().parents:
-        with suppress(OSError):
-            status = above.stat()
-            if status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX:
-                return (
-                    f"'{above}', where everyone can write (mode "
-                    f"{stat.S_IMODE(status.st_mode):04o}): others can replace the cache "
-                    "folder, and its entries are then not used; set PINRED_CACHE_DIR to a "
-                    "private folder"
-                )
-    return ""
-
-
 def _read(folder: int, name: str, key: str) -> bytes:
     """Read the payload of an entry and update its time of use.
 
@@ -335,7 +308,7 @@ def _read(folder: int, name: str, key: str) -> bytes:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             raise _DistrustError("it is not a regular file")
-        if why := _distrust(status):
+        if why := find_distrust(status):
             raise _DistrustError(f"it {why}")
         with os.fdopen(descriptor, "rb", closefd=False) as file:
             payload = _verify(file, status.st_size, key)
