@@ -276,4 +276,4 @@ def flow_at(problem: Problem, point: Points, xdot: Array, xi: Array) -> Compiled
         problem.scene, x0=problem.shapes(point.x)[0], xdot0=xdot, xi0=xi,
         pose0=pose_of(problem, point.n[0]),
     )  # fmt: skip
-    return CompiledFlow.of_plan(plan_of(scene))
+    return CompiledFlow.of_plan(plan_of(scene), all_momenta=True)
