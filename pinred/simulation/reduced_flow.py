@@ -123,13 +123,20 @@ class Integrate(Protocol):
         """
 
 
-def entry_name(system: System, active: Sequence[int], cyclic: Sequence[int], entry: int) -> str:
+def entry_name(
+    system: System,
+    active: Sequence[int],
+    cyclic: Sequence[int],
+    driven: Sequence[int],
+    entry: int,
+) -> str:
     """Return the name of an entry of a reduced state, for messages.
 
     Args:
         system: The system.
         active: Indices of the hinges and slides whose positions and momenta come first.
         cyclic: Indices of the cyclic joints, whose positions follow; then come the balls.
+        driven: Indices of the prescribed joints, which have no entry.
         entry: Index of the entry.
     Returns:
         A noun phrase.
@@ -139,7 +146,7 @@ def entry_name(system: System, active: Sequence[int], cyclic: Sequence[int], ent
     entries += [f"the momentum of joint '{names[k]}'" for k in active]
     entries += [f"the position of joint '{names[k]}'" for k in cyclic]
     for quantity, count in (("momentum", 3), ("attitude", 4)):
-        for joint in system.space.balls:
+        for joint in (j for j in system.space.balls if j.v.start not in driven):
             entries += [f"the {quantity} of ball joint '{joint.name}'"] * count
     root = f"the motion of the root joint '{system.root_name}'"
     return entries[entry] if entry < len(entries) else root

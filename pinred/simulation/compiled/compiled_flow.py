@@ -151,7 +151,9 @@ class CompiledFlow:
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""
         layout = self.kernel.layout
-        return entry_name(self.kernel.system, layout.active, layout.cyclic, entry)
+        return entry_name(
+            self.kernel.system, layout.active, layout.cyclic, layout.prescribed, entry
+        )
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:
