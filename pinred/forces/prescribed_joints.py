@@ -5,7 +5,7 @@ A hinge or slide follows a Signal, and a ball follows an Attitude.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -105,15 +105,23 @@ def prescribed_motion(
     Returns:
         Columns of coordinates, four for a ball, and of rates and accelerations, three for a ball.
     """
-    written = [plan.written(s.t, s.within, number) for plan in prescribed.values()]
-    if not any(isinstance(value, tuple) for value in written):
-        return differentiated(ca.vertcat(*written), s.t)
-    motions = [v if isinstance(v, tuple) else differentiated(v, s.t) for v in written]
+    signals = [plan for plan in prescribed.values() if isinstance(plan, Signal)]
+    if len(signals) == len(prescribed):
+        return differentiated([plan.written(s.t, s.within, number) for plan in signals], s.t)
+    motions = [motion_of(plan, s, number) for plan in prescribed.values()]
     x, xdot, xddot = (ca.vertcat(*columns) for columns in zip(*motions, strict=True))
     return x, xdot, xddot
 
 
-def differentiated(x: ca.SX, t: ca.SX) -> Motion:
-    """Return an expression of time and its first two derivatives."""
+def motion_of(plan: Plan, s: Symbols, number: Callable[[Any], Any]) -> Motion:
+    """Return coordinates, rates and accelerations of one joint that follows a plan."""
+    if isinstance(plan, Attitude):
+        return plan.written(s.t, s.within, number)
+    return differentiated([plan.written(s.t, s.within, number)], s.t)
+
+
+def differentiated(values: Sequence[ca.SX], t: ca.SX) -> Motion:
+    """Return expressions of time as a column, and its first two derivatives."""
+    x = ca.vertcat(*values)
     xdot = ca.jacobian(x, t)
     return x, xdot, ca.jacobian(xdot, t)

@@ -62,7 +62,7 @@ class Layout:
         cyclic: Cyclic joints.
         prescribed: Prescribed joints, three rates for a ball.
         prescribed_x: Indices in x of the prescribed joints.
-        balls: Ball joints that are integrated, each with the indices of its first coordinate and its first rate.
+        balls: Integrated ball joints, each with the indices of its first coordinate and first rate.
         lifted_balls: Whether the quaternions of balls have conjugate momenta.
         coordinates: Index in x of the coordinate of each rate, (m,); −1 for rates of balls.
         base: Numbers of integrated and constant entries of the base.

@@ -29,7 +29,7 @@ from .toml.force_kinds import FORCE
 from .toml.method_tables import METHOD, METHOD_NAMES
 from .toml.parameter_tables import NamedNumbers
 from .toml.schema import ByName, Either, Flag, Key, ListOf, Node, Text, Whole
-from .toml.signal_tables import NUMBER, NUMBERS, POSITIVE, SHAPE, SIGNAL
+from .toml.signal_tables import NUMBER, NUMBERS, PLAN, POSITIVE, SHAPE
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
 Level: TypeAlias = float | Parameter
@@ -182,7 +182,7 @@ class SceneFields:
         formats="forces of pinred.forces",
     ))  # fmt: skip
     prescribed: Mapping[str, JointPlan] = field(default_factory=dict, metadata=_option(
-        ByName(SIGNAL),
+        ByName(PLAN),
         "joints with a prescribed motion [rad | m]: a number, or a function of time such as "
         "0.4*sin(t); a ball has three of these as a rotation vector, or a quaternion",
         formats="{joint: Signal, number, or formula in t; Attitude or three of these for a ball}",

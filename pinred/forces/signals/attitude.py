@@ -211,7 +211,7 @@ def _exponential(w: ca.SX) -> ca.SX:
     return ca.vertcat(scale * w, real)
 
 
-def parse_attitude(value: Sequence[Any]) -> Attitude:
+def parse_attitude(value: Sequence[Any] | Array) -> Attitude:
     """Return three signals of a rotation vector, or a quaternion of numbers, as an Attitude."""
     if len(value) == 4:
         return Attitude(_NO_ROTATION, value)
