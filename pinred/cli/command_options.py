@@ -365,11 +365,12 @@ def _method(arguments: argparse.Namespace) -> str:
 
 def add_source(sub: argparse.ArgumentParser) -> None:
     """Add the options that name a connection and a gait."""
+    from ..planning.gait_file import GAIT_FILE
     from ..scene.load_options import LOAD
 
     text = "gait file (.toml), or robot: a name (see `pinred robots`) or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)
-    add_options(sub, {"group": LOAD.keys["group"]})
+    add_options(sub, {"group": LOAD.keys["group"], "centre": GAIT_FILE.keys["centre"]})
     add_parameters(sub)
     add = option_adder(sub)
     add("--gait FILE", "recorded joint data (.csv, .npz) of a robot")
@@ -392,15 +393,17 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
     from ..analysis.connections.connection import Connection
     from ..analysis.gaits.gait import Gait
     from ..common.names import joint_index
-    from ..planning.gait_file import GaitFile, load_gait
+    from ..planning.gait_file import GAIT_FILE, GaitFile, load_gait
     from ..system.load import load
 
     if Path(arguments.source).suffix == ".toml":
-        refuse_of_robots(arguments, arguments.source, "group", "gait", "circle", "parameter")
+        names = ("group", "gait", "circle", "parameter", "centre")
+        refuse_of_robots(arguments, arguments.source, *names)
         return load_gait(arguments.source)
     parameters = parameters_in(arguments.parameter)
     system = load(arguments.source, group=arguments.group, parameters=parameters)
-    connection = Connection.mechanical(system)
+    stated = options_in(arguments, {"centre": GAIT_FILE.keys["centre"]})
+    connection = Connection.mechanical(system).in_chart(stated.get("centre"))
     file, circle = arguments.gait, arguments.circle
     if (file is None) == (circle is None) and (gait or file is not None):
         raise InputError("a robot needs a gait: pass --gait FILE or --circle J1,J2,RADIUS")

@@ -78,7 +78,7 @@ def _compute_grid(
 
     if samples < 2:
         raise InputError(f"--samples must be at least 2, got {samples}")
-    connection.space.refuse_balls("a field over two joints")
+    connection = connection.in_chart()
     names = list(connection.joints)
     pair = labels_of_connection(connection).pair(joints, "a field")
     fixed = np.zeros(connection.m) if at is None else vector(at, connection.m, "--at", names)

@@ -5,7 +5,7 @@ Two classes implement ReducedFlow: CompiledFlow and PinocchioFlow.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -127,8 +127,9 @@ def entry_name(
     system: System,
     active: Sequence[int],
     cyclic: Sequence[int],
-    driven: Sequence[int],
     entry: int,
+    constant: Collection[int] = (),
+    driven: Collection[int] = (),
 ) -> str:
     """Return the name of an entry of a reduced state, for messages.
 
@@ -136,8 +137,9 @@ def entry_name(
         system: The system.
         active: Indices of the hinges and slides whose positions and momenta come first.
         cyclic: Indices of the cyclic joints, whose positions follow; then come the balls.
-        driven: Indices of the prescribed joints, which have no entry.
         entry: Index of the entry.
+        constant: Indices of the momenta of balls that are not entries, because they are constant.
+        driven: Indices of the prescribed joints, which have no entry.
     Returns:
         A noun phrase.
     """
@@ -145,8 +147,13 @@ def entry_name(
     entries = [f"the position of joint '{names[k]}'" for k in active]
     entries += [f"the momentum of joint '{names[k]}'" for k in active]
     entries += [f"the position of joint '{names[k]}'" for k in cyclic]
-    for quantity, count in (("momentum", 3), ("attitude", 4)):
-        for joint in (j for j in system.space.balls if j.v.start not in driven):
-            entries += [f"the {quantity} of ball joint '{joint.name}'"] * count
+    balls = [joint for joint in system.space.balls if joint.v.start not in driven]
+    for joint in balls:
+        rates = range(joint.v.start, joint.v.stop)
+        entries += [
+            f"the momentum of ball joint '{joint.name}'" for k in rates if k not in constant
+        ]
+    for joint in balls:
+        entries += [f"the attitude of ball joint '{joint.name}'"] * 4
     root = f"the motion of the root joint '{system.root_name}'"
     return entries[entry] if entry < len(entries) else root

@@ -195,4 +195,4 @@ class PinocchioFlow:
 
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""
-        return entry_name(self._system, self._free, [], self._driven, entry)
+        return entry_name(self._system, self._free, [], entry, driven=self._driven)
