@@ -18,9 +18,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-
-_ORDER, _DIGITS = 26, 30
-_Series = list[list[Decimal]]  # Taylor coefficients of several entries, [entry][power]
+from taylor_series import DIGITS, ORDER, Series, cross, decimals, dot, half_product, sum_at
 
 
 @dataclass(frozen=True)
@@ -72,16 +70,16 @@ class Gyrostat:
             to the body (4,), and "rates" in the axes of the body (3,).
         """
         with localcontext() as context:
-            context.prec = _DIGITS
+            context.prec = DIGITS
             i, a = Decimal(self.rotor), Decimal(self.armature)
             inverse = _inverse(self._inertia())
-            w, s = _decimals(omega), _decimals(rates)
+            w, s = decimals(omega), decimals(rates)
             ell = [i * (p + r) + a * r for p, r in zip(w, s, strict=True)]
             J = self._inertia()
-            L = [_dot(row, w) + i / (i + a) * e for row, e in zip(J, ell, strict=True)]
-            unit = _decimals(attitude)
-            length = _dot(unit, unit).sqrt()
-            state = [*L, *ell, *_decimals([0, 0, 0, 1]), *(c / length for c in unit)]
+            L = [dot(row, w) + i / (i + a) * e for row, e in zip(J, ell, strict=True)]
+            unit = decimals(attitude)
+            length = dot(unit, unit).sqrt()
+            state = [*L, *ell, *decimals([0, 0, 0, 1]), *(c / length for c in unit)]
             for _ in range(steps):
                 state = self._step(state, inverse, Decimal(duration) / steps)
             w, s = self._velocities(state[:3], state[3:6], inverse)
@@ -90,12 +88,12 @@ class Gyrostat:
 
     def _inertia(self) -> list[list[Decimal]]:
         i, a = Decimal(self.rotor), Decimal(self.armature)
-        m, n = _decimals(self.masses)
-        d, moments = _decimals(self.distance), _decimals(self.moments)
+        m, n = decimals(self.masses)
+        d, moments = decimals(self.distance), decimals(self.moments)
         reduced, own = m * n / (m + n), i * a / (i + a)
         return [
             [
-                (moments[j] + own + reduced * _dot(d, d)) * (j == k) - reduced * d[j] * d[k]
+                (moments[j] + own + reduced * dot(d, d)) * (j == k) - reduced * d[j] * d[k]
                 for k in range(3)
             ]
             for j in range(3)
@@ -106,17 +104,17 @@ class Gyrostat:
     ) -> tuple[list[Decimal], list[Decimal]]:
         i, a = Decimal(self.rotor), Decimal(self.armature)
         rest = [p - i / (i + a) * e for p, e in zip(L, ell, strict=True)]
-        w = [_dot(row, rest) for row in inverse]
+        w = [dot(row, rest) for row in inverse]
         return w, [(e - i * c) / (i + a) for e, c in zip(ell, w, strict=True)]
 
     def _step(
         self, state: list[Decimal], inverse: list[list[Decimal]], h: Decimal
     ) -> list[Decimal]:
         """Return the state after a step of the Taylor series."""
-        y: _Series = [[c] for c in state]
-        w: _Series = [[] for _ in range(3)]
-        s: _Series = [[] for _ in range(3)]
-        for n in range(_ORDER):
+        y: Series = [[c] for c in state]
+        w: Series = [[] for _ in range(3)]
+        s: Series = [[] for _ in range(3)]
+        for n in range(ORDER):
             now = [c[n] for c in y[:6]]
             for series, values in zip(
                 (w, s), self._velocities(now[:3], now[3:], inverse), strict=True
@@ -124,39 +122,13 @@ class Gyrostat:
                 for column, value in zip(series, values, strict=True):
                     column.append(value)
             rates = [
-                *_cross(y[:3], w, n), *_cross(s, y[3:6], n),
-                *_half_product(y[6:10], w, n, after=True),
-                *_half_product(y[10:], s, n, after=False),
+                *cross(y[:3], w, n), *cross(s, y[3:6], n),
+                *half_product(y[6:10], w, n, after=True),
+                *half_product(y[10:], s, n, after=False),
             ]  # fmt: skip
             for column, rate in zip(y, rates, strict=True):
                 column.append(rate / (n + 1))
-        return [sum((c * h**k for k, c in enumerate(column)), Decimal(0)) for column in y]
-
-
-def _decimals(values: Any) -> list[Decimal]:
-    return [Decimal(float(value)) for value in values]
-
-
-def _dot(a: list[Decimal], b: list[Decimal]) -> Decimal:
-    return sum((p * q for p, q in zip(a, b, strict=True)), Decimal(0))
-
-
-def _product(a: list[Decimal], b: list[Decimal], n: int) -> Decimal:
-    """Return Taylor coefficient n of a product."""
-    return sum((a[k] * b[n - k] for k in range(n + 1)), Decimal(0))
-
-
-def _cross(a: _Series, b: _Series, n: int) -> list[Decimal]:
-    pairs = ((1, 2), (2, 0), (0, 1))
-    return [_product(a[j], b[k], n) - _product(a[k], b[j], n) for j, k in pairs]
-
-
-def _half_product(q: _Series, v: _Series, n: int, *, after: bool) -> list[Decimal]:
-    """Return coefficient n of ½ q ∘ v, or of ½ v ∘ q, for a quaternion q (x, y, z, w)."""
-    turn = _cross(q[:3], v, n) if after else _cross(v, q[:3], n)
-    along = [_product(q[3], c, n) + t for c, t in zip(v, turn, strict=True)]
-    real = -sum((_product(c, e, n) for c, e in zip(q[:3], v, strict=True)), Decimal(0))
-    return [c / 2 for c in (*along, real)]
+        return sum_at(y, h)
 
 
 def _inverse(A: list[list[Decimal]]) -> list[list[Decimal]]:
