@@ -5,7 +5,7 @@ rate and acceleration of a signal are the function and its first two derivatives
 three signals does the same for a ball joint.
 """
 
-from .forces.signals.attitude import Attitude
+from .forces.signals.attitude_signal import Attitude
 from .forces.signals.formulas import Constant, Expression, Fourier
 from .forces.signals.signal import Signal
 from .forces.signals.tabulated import Hold, Linear, Spline

@@ -21,7 +21,7 @@ from ..common.errors import InputError, PinredError
 from ..common.names import brief, nearest, quoted
 from ..common.parameter import Parameter
 from ..forces.signals import Attitude, Constant, Expression, Signal
-from ..forces.signals.attitude import parse_attitude
+from ..forces.signals.attitude_signal import parse_attitude
 from ..integrators.methods import METHODS, Method
 from ..system.coordinates import Configuration, Velocity
 from ..system.coupling import following

@@ -4,7 +4,7 @@ A signal is a prescribed joint motion, the reference of a controller, or a torqu
 and acceleration of a signal are the function and its first two derivatives.
 """
 
-from .attitude import Attitude
+from .attitude_signal import Attitude
 from .formulas import Constant, Expression, Fourier
 from .signal import Signal
 from .tabulated import Hold, Linear, Spline

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...common.errors import PinredError
 from ...forces.signals import Attitude, Constant, Expression, Fourier, Hold, Linear, Signal, Spline
-from ...forces.signals.attitude import parse_attitude
+from ...forces.signals.attitude_signal import parse_attitude
 from ...forces.signals.tabulated import ENDS
 from .csv_columns import read_columns
 from .file_place import Place, naming
