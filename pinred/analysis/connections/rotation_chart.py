@@ -64,11 +64,6 @@ class RotationChart(FrozenArrays):
         """Return the rates σ = J(w) ẇ along the frame, (..., m)."""
         return np.asarray((self.rate_maps(w) @ wdot[..., None])[..., 0])
 
-    def torques(self, w: Array, torques: Array) -> Array:
-        """Return the torques along the frame, (..., m), from those on the coordinates, Jᵀτ."""
-        J = np.swapaxes(self.rate_maps(w), -1, -2)
-        return np.asarray(np.linalg.solve(J, torques[..., None])[..., 0])
-
     def open_ball(self, start: Array, end: Array) -> str:
         """Return a ball whose attitudes at two coordinates (m,) differ, or ""."""
         for ball in self.space.balls:
