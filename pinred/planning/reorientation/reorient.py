@@ -40,6 +40,7 @@ from .turning_loop import fine_path, turning_loop
 
 CYCLES = (1, 2, 3, 4, 6, 8, 12, 16)  # numbers of cycles that are tried
 _REMAINING = 1e-10  # largest error of the final attitude, per cycle [rad]
+_TIMES = 512  # number of samples at which the rotation vectors of balls are checked
 _SECONDS = 2.0  # default duration of a cycle [s]
 
 
@@ -253,12 +254,15 @@ def _create_plan(
     remaining = float(np.linalg.norm(aim.error(end)[0]))
     if not remaining <= n * _REMAINING:
         raise StartFailed(f"the final attitude misses the target by {remaining:.1e} rad")
+    chart = request.connection.chart
+    if chart is not None and (ball := chart.ball_beyond(gait.samples(_TIMES)[0])):
+        raise StartFailed(f"the rotation vector of ball joint '{ball}' reaches 2π")
     shape_margins = margins(request.connection, gait, _shape_limits(request.bounds))
     return TurnPlan(
         system=request.system, aim=aim, gait=gait.lasting(seconds / n), cycles=n, duration=seconds,
         pose=end, remaining=remaining, momentum=request.momentum,
         left=final_twist(request.connection, request.momentum, request.start, end),
-        chart=request.connection.chart,
+        chart=chart,
         margins=shape_margins | peaks.margins(request.bounds, seconds),
     )  # fmt: skip
 
