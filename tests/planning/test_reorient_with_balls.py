@@ -47,5 +47,4 @@ def test_hinge_and_ball_turn_tumbling_base() -> None:
     )  # fmt: skip
     assert plan.remaining <= 1e-10
     assert plan.missed <= 1e-10
-    twist = plan.trajectory.at(plan.duration).xi
-    np.testing.assert_allclose(twist, plan.left, atol=1e-10)
+    np.testing.assert_allclose(plan.trajectory.xi[-1], plan.left, atol=1e-10)

@@ -78,10 +78,6 @@ def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
         w, rate, _ = motion(u)
         return rate if chart is None else chart.rates(w, rate)
 
-    def efforts(u: Array) -> Array:
-        w, rate, bend = motion(u)
-        tau = torques(connection, w, rate, bend)
-        return tau if chart is None else chart.frame_forces(w, tau)
-
     u = np.linspace(0.0, 1.0, _TIMES * cycles + 1)
-    return Peaks(find_extremes(speeds, u)[1], find_extremes(efforts, u)[1])
+    torque = find_extremes(lambda u: torques(connection, *motion(u)), u)[1]
+    return Peaks(find_extremes(speeds, u)[1], torque)
