@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector
 from ..common.errors import (
-    ChoiceError,
     InputError,
     LeftOutWarning,
     LoadError,
@@ -24,14 +23,14 @@ from ..common.errors import (
     ModelWarning,
 )
 from ..common.files import is_file
-from ..common.names import brief, listed, quoted
+from ..common.names import brief, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
-from ..lie.spatial_groups import SE3
 from . import catalogue
+from .choose_root import on_root
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
-from .joints import RootChain, is_shape_joint, motion_group, places_on_root, root_chain, root_joint
+from .joints import motion_group, places_on_root, root_chain
 from .locked_joints import LockedJoints, frozen_configurations, lock_values
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls
 from .mjcf.package import is_mujoco
@@ -42,7 +41,7 @@ from .read_sdf import read_sdf
 from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_file_contents import Contents, Coupling, Origin
-from .robot_files import is_mjcf, outermost, read_text, read_xml
+from .robot_files import is_mjcf, outermost, read_text, read_xml, text_in_file
 from .split_joints import split_joints
 from .system import System
 from .urdf_elements import mimic_couplings
@@ -54,7 +53,7 @@ if TYPE_CHECKING:
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
 _HUGE = 1e100  # largest accepted gravity, because products of larger numbers overflow [m/s²]
-_CALLER = 3  # stack level of the caller of `load` for warnings, outside the check of arguments
+_CALLER = 4  # stack level of the caller of `load` for warnings, outside the check of arguments
 
 
 @dataclass(frozen=True)
@@ -84,8 +83,9 @@ class _Robot:
 
 @checks_arguments
 def load(
-    source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec,
+    source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec | None = None,
     *,
+    text: str | None = None,
     group: str | Group | None = None,
     lock: Iterable[str] | Mapping[str, float] = (),
     gravity: ArrayLike | None = None,
@@ -105,6 +105,8 @@ def load(
         source: Name of a bundled robot or of one in example-robot-data; path of a URDF or MJCF
             file; pin.Model, which is copied; pin.RobotWrapper or pair (model, visual_model),
             whose shapes playback shows; mujoco.MjModel; or mujoco.MjSpec.
+        text: Content of a URDF, MJCF or SDF file instead of a source, such as ROS's parameter
+            robot_description.  Relative paths in it are searched in `meshes` only.
         group: Symmetry group: "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, it follows
             from the file.  A free, planar or spherical root joint sets the group, and the link
             above it is the ground.  So does any first moving joint whose link above is massless
@@ -134,6 +136,9 @@ def load(
         InputError: The group, a joint, the root or another argument is not valid.
         MissingPackageError: The source is MJCF and mujoco is not installed.
     """
+    if (source is None) == (text is None):
+        given = "neither" if text is None else "both"
+        raise InputError(f"load: expected either a source or text=, got {given}")
     requested = group_named(group) if isinstance(group, str) else group
     if requested is not None and not isinstance(requested, Group):
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {brief(group)}")
@@ -142,36 +147,58 @@ def load(
     new_gravity = None if gravity is None else _checked_gravity(gravity)
     locked, merged = lock_values(lock), requested_balls(balls)
     folders = mesh_folders(meshes)
+    if text is None:
+        system = _load_source(source, requested, locked, new_gravity, root, merged, folders)
+    else:
+        with text_in_file(text) as path:
+            system = _load_source(path, requested, locked, new_gravity, root, merged, folders)
+        # The file is gone, so the text itself is the origin.
+        vars(system)["origin"] = Origin("", locked, root, folders, text)
+    _report(system, strict=strict)
+    return with_parameters(system, {} if parameters is None else parameters)
+
+
+def _load_source(
+    source: Any,
+    group: Group | None,
+    locked: Mapping[str, float],
+    gravity: Array | None,
+    root: str | None,
+    balls: bool | tuple[str, ...],
+    folders: tuple[str, ...],
+) -> System:
+    """Load a source other than a text; the arguments are those of `load`, checked."""
     if mjcf_kind := _mjcf_kind(source):
         if folders:
             raise InputError(
                 "meshes= applies to URDF only; an MJCF file contains the paths of its meshes"
             )
-        system = _load_mujoco(
-            source, mjcf_kind, requested, locked, new_gravity, root=root, balls=merged
+        return _load_mujoco(source, mjcf_kind, group, locked, gravity, root=root, balls=balls)
+    visuals = with_visuals(source)
+    if visuals is not None:
+        source = visuals.model
+    if not isinstance(source, (str, Path, pin.Model)):
+        raise InputError(
+            "load takes a name, a path, a pin.Model, a pin.RobotWrapper, (model, "
+            f"visual_model), an MjModel or an MjSpec, got {type(source).__name__}"
         )
-    else:
-        visuals = with_visuals(source)
-        if visuals is not None:
-            source = visuals.model
-        if not isinstance(source, (str, Path, pin.Model)):
-            raise InputError(
-                "load takes a name, a path, a pin.Model, a pin.RobotWrapper, (model, "
-                f"visual_model), an MjModel or an MjSpec, got {type(source).__name__}"
-            )
-        if folders and isinstance(source, pin.Model):
-            raise InputError(
-                "meshes= applies to robots from files only; shapes of a model are passed with it"
-            )
-        if root is not None:
-            raise InputError(
-                f"root={quoted(root)} applies to MJCF only; in a URDF file or a model one link "
-                "carries the robot"
-            )
-        robot = _read(source, requested, locked, folders)
-        bundled = catalogue.bundled_robots().get(str(source))
-        merged = merged or (merged is False and bundled is not None and bundled.balls)
-        system = _load_model(robot, locked, new_gravity, visuals, merged)
+    if folders and isinstance(source, pin.Model):
+        raise InputError(
+            "meshes= applies to robots from files only; shapes of a model are passed with it"
+        )
+    if root is not None:
+        raise InputError(
+            f"root={quoted(root)} applies to MJCF only; in a URDF file or a model one link "
+            "carries the robot"
+        )
+    robot = _read(source, group, locked, folders)
+    bundled = catalogue.bundled_robots().get(str(source))
+    balls = balls or (balls is False and bundled is not None and bundled.balls)
+    return _load_model(robot, locked, gravity, visuals, balls)
+
+
+def _report(system: System, *, strict: bool) -> None:
+    """Warn about actions left out and about doubts, or refuse doubts if `strict`."""
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
@@ -182,7 +209,6 @@ def load(
         if strict:
             raise ModelError(f"{quoted(system.name)} is refused because of strict=True: {doubt}")
         warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=_CALLER)
-    return with_parameters(system, {} if parameters is None else parameters)
 
 
 def _mjcf_kind(source: object) -> str:
@@ -208,7 +234,7 @@ def _load_mujoco(
 ) -> System:
     """Load a MuJoCo source of a `kind` (see `_mjcf_kind`); other arguments: see `load`."""
     robot = read_mujoco(source, root=root, lock=locked, gravity=gravity, balls=balls)
-    model, name, origin = _on_root(robot.model, group, None), robot.name, None
+    model, name, origin = on_root(robot.model, group, None), robot.name, None
     if kind == "path":
         name = Path(source).stem
         origin = Origin(str(Path(source).absolute()), locked, root)
@@ -270,7 +296,7 @@ def _load_model(
     raw = merge.model(split.model)
     bare = rebuild(raw, frozen=frozen_configurations(raw, locked))
     chain = root_chain(bare)
-    model = _on_root(bare, robot.group, chain)
+    model = on_root(bare, robot.group, chain)
     locked_joints = None
     if locked:
         ties, shared = ties_of(locked, all_couplings, names)
@@ -340,56 +366,3 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
         pin.loadRotorParameters(model, str(robot.rotors), False)
         model.armature = model.rotorInertia * model.rotorGearRatio**2
     return model, couplings
-
-
-def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pin.Model:
-    """Return the model with a root joint of the requested group: its current root, or a new one.
-
-    Args:
-        raw: Model.
-        group: Requested group, or None for the group of the current root.
-        chain: Consecutive joints at the root that form one joint, if any.
-    Raises:
-        ChoiceError: It is unclear whether the root link is fixed or floats.
-        ModelError: The current root moves in another group.
-    """
-    root_group = _root_group(raw) if chain is None else chain.group
-    if root_group is None:
-        if group is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
-            raise ChoiceError(_unclear_root(raw), "group", ("SE3",))
-        return rebuild(raw, root=root_joint(group or SE3))
-    if group in (None, root_group):
-        return raw if chain is None else rebuild(raw, root=root_joint(root_group), chain=chain)
-    joints = list(raw.names)[1 : 2 if chain is None else chain.last + 1]
-    locked = "' or '".join(joints)
-    way_out = f"load it with group='{root_group}', or lock '{locked}'"
-    if chain is None and raw.joints[1].nv == 1:
-        way_out += ", or give the massless link above it a mass so that it can float"
-    raise ModelError(
-        f"group {group} was requested, but the root joint '{'+'.join(joints)}' of the model has "
-        f"group {root_group}; {way_out}"
-    )
-
-
-def _unclear_root(raw: pin.Model) -> str:
-    """Return the error message that asks whether a massless root link is fixed or floats."""
-    links = [f.name for f in raw.frames if f.parentJoint == 0 and f.type == pin.FrameType.BODY]
-    carried = [raw.names[i] for i in range(1, raw.njoints) if raw.parents[i] == 0]
-    link = f"the root link {quoted(links[0])}" if links else "the root"
-    return (
-        f"{link} has no mass and carries several joints ({listed(carried)}): does it stand, or "
-        "float? group='SE3' lets it float; as a ground it must carry one joint: lock the others, "
-        "or give it a mass"
-    )
-
-
-def _root_group(raw: pin.Model) -> Group | None:
-    """Return the group of the root joint in a model, or None if it needs a new root."""
-    if raw.njoints < 2:
-        return None
-    group = motion_group(raw.joints[1])
-    if not is_shape_joint(raw.joints[1]):
-        return group
-    anchored = raw.inertias[0].mass == 0.0
-    carries_all = all(raw.parents[i] != 0 for i in range(2, raw.njoints))
-    return group if anchored and carries_all else None
