@@ -6,7 +6,8 @@ import argparse
 from typing import Any
 
 from ..common.errors import InputError
-from .command_options import add_source, numbers_in, option_adder, source_of
+from .command_options import add_source, option_adder, source_of
+from .option_values import numbers_in
 from .output_files import describe_file, save_figure
 
 _SAMPLES = 200  # default number of grid points along each joint

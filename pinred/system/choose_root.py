@@ -1,4 +1,4 @@
-"""Choice of the root joint: the one of the model, or a new one of the requested group."""
+"""Choose the root joint of a robot: its current root, or a new one of the requested group."""
 
 from __future__ import annotations
 

@@ -30,9 +30,15 @@ from . import catalogue
 from .choose_root import on_root
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
-from .joints import motion_group, places_on_root, root_chain
-from .locked_joints import LockedJoints, frozen_configurations, lock_values
-from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls
+from .joints import is_ball, motion_group, places_on_root, root_chain
+from .locked_joints import (
+    LockedJoints,
+    LockValue,
+    frozen_configurations,
+    lock_values,
+    separate_attitudes,
+)
+from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
@@ -87,7 +93,7 @@ def load(
     *,
     text: str | None = None,
     group: str | Group | None = None,
-    lock: Iterable[str] | Mapping[str, float] = (),
+    lock: Iterable[str] | Mapping[str, ArrayLike] = (),
     gravity: ArrayLike | None = None,
     root: str | None = None,
     strict: bool = False,
@@ -112,8 +118,9 @@ def load(
             above it is the ground.  So does any first moving joint whose link above is massless
             and carries all other links.  Otherwise the group is SE3: the root link floats on a new
             root joint.  Consecutive joints at the root count as one joint if they move in a group.
-        lock: Joints to lock at zero, or mapping from joint to its locked value [rad | m].
-            Followers of a locked joint are locked with it.
+        lock: Joints to lock at zero, or mapping from joint to its locked value [rad | m].  The
+            value of a ball is a rotation vector [rad] or a quaternion (x, y, z, w).  Followers of a
+            locked joint are locked with it.
         gravity: Gravity in the world frame, (3,) [m/s²].  If None, the robot's gravity
             (Pinocchio's 9.81 along −z for a URDF).
         root: For MJCF, the body of the world that carries the robot, if several can move.
@@ -161,7 +168,7 @@ def load(
 def _load_source(
     source: Any,
     group: Group | None,
-    locked: Mapping[str, float],
+    locked: Mapping[str, LockValue],
     gravity: Array | None,
     root: str | None,
     balls: bool | tuple[str, ...],
@@ -226,7 +233,7 @@ def _load_mujoco(
     source: Any,
     kind: str,
     group: Group | None,
-    locked: Mapping[str, float],
+    locked: Mapping[str, LockValue],
     gravity: Array | None,
     *,
     root: str | None,
@@ -247,7 +254,7 @@ def _load_mujoco(
 def _read(
     source: str | Path | pin.Model,
     group: Group | None,
-    locked: Mapping[str, float],
+    locked: Mapping[str, LockValue],
     folders: tuple[str, ...],
 ) -> _Robot:
     """Read a robot from a name, a URDF file or a model; the arguments are those of `load`."""
@@ -278,7 +285,7 @@ def _read(
 
 def _load_model(
     robot: _Robot,
-    lock: Mapping[str, float],
+    lock: Mapping[str, LockValue],
     gravity: Array | None,
     visuals: Visuals | None,
     balls: bool | tuple[str, ...],
@@ -287,14 +294,18 @@ def _load_model(
     split = split_joints(robot.raw)
     names = list(split.model.names)
     all_couplings = (*robot.couplings, *split.couplings)
-    lock = locked_hinges(split.model, balls, split.locked(lock))
-    locked, couplings = with_followers(lock, all_couplings, names)
+    requested = split.locked(lock)
+    lock = locked_hinges(split.model, balls, requested)
+    balls = unlocked_balls(split.model, balls, requested)
+    ball_names = [n for i, n in enumerate(names) if i and is_ball(split.model.joints[i])]
+    values, attitudes = separate_attitudes(lock, ball_names, names)
+    locked, couplings = with_followers(values, all_couplings, names)
     hinges = [n for n in names[1:] if split.model.joints[split.model.getJointId(n)].nv == 1]
     forces = passive_contents(split.model, hinges, locked, (), robot.springs).passive
     kept = {*locked, *coupled_joints(couplings)}
     merge = merge_of(split.model, balls, passive=forces, kept=kept)
     raw = merge.model(split.model)
-    bare = rebuild(raw, frozen=frozen_configurations(raw, locked))
+    bare = rebuild(raw, frozen=frozen_configurations(raw, locked, attitudes))
     chain = root_chain(bare)
     model = on_root(bare, robot.group, chain)
     locked_joints = None
@@ -303,7 +314,7 @@ def _load_model(
         places = {} if chain is None else places_on_root(bare, chain)
         several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
         locked_joints = LockedJoints(
-            raw, locked, ties, places, str(model.names[1]), several, shared
+            raw, locked, ties, places, str(model.names[1]), several, attitudes, shared
         )
     shape = merge.with_hinges(list(model.names)[2:])
     passive = passive_contents(split.model, shape, locked, split.sliding, robot.springs)
