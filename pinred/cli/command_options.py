@@ -262,7 +262,31 @@ def _spring(text: str) -> tuple[float, float]:
     return stiffness, rest
 
 
-def _plan(text: str) -> float | str:
+def _plan(text: str) -> Any:
+    """Parse the motion of a joint: a number, a formula, or three of these for a ball."""
+    from ..signals import Attitude
+
+    text, has_centre, centre = text.partition("@")
+    parts = _split_outside_brackets(text)
+    values = [_number_or_formula(part) for part in parts]
+    if has_centre:
+        return Attitude(values, [float(number) for number in centre.split(",")])
+    return values if len(values) > 1 else values[0]
+
+
+def _split_outside_brackets(text: str) -> list[str]:
+    """Split a text at the commas that are not inside of brackets."""
+    parts, depth = [""], 0
+    for letter in text:
+        depth += (letter in "([") - (letter in ")]")
+        if letter == "," and not depth:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return parts
+
+
+def _number_or_formula(text: str) -> float | str:
     try:
         return float(text)
     except ValueError:
@@ -298,7 +322,7 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
         entries, "spring", _spring, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
     ),
     "J=PLAN": lambda entries, name: assigned_in(
-        entries, name, _plan, "JOINT=NUMBER or JOINT=FORMULA"
+        entries, name, _plan, "JOINT=NUMBER, JOINT=FORMULA, or BALL=W1,W2,W3[@C1,C2,C3]"
     ),
     "AXIS": lambda text, name: text if text in ("x", "y", "z") else numbers_in(text, name),
     _LIMITS: _limits_in,

@@ -120,6 +120,13 @@ class ShapeSpace:
                 )
         return [at[k] for k in rates]
 
+    def coordinates_of_joints(self, rates: Sequence[int]) -> list[int]:
+        """Return the indices in x of whole joints, from the indices of all their rates."""
+        if not self.balls:
+            return list(rates)
+        at = {joint.v.start: joint.x for joint in self.joints}
+        return [k for v in rates if v in at for k in range(at[v].start, at[v].stop)]
+
     @property
     def size_in_words(self) -> str:
         """The number of joints, and the dimension if it differs."""
