@@ -100,21 +100,18 @@ for n, moment in enumerate(moments, start=1):
     np.testing.assert_allclose(np.abs(end), [0.0, np.pi, 0.0], atol=1e-6)
     T, arm = float(traj.t[-1]), traj.scene.prescribed["left_shoulder"]
 
-    def slope(t: float, y: Any, arm: Any = arm) -> Any:
+    def _slope(t: float, y: Any, arm: Any = arm) -> Any:
         I, A = at_arm(np.pi + float(arm.vector[0].value(t)))
         omega = np.linalg.solve(I, y[:3]) - A @ arm.rate(t)
         return np.append(np.cross(y[:3], omega), y[:3] @ omega / L)
 
     t = np.linspace(0.0, T, 2001)
-    motion = solve_ivp(slope, (0.0, T), [0.0, L, 0.0, 0.0], "DOP853", t, rtol=1e-8, atol=1e-8)
+    motion = solve_ivp(_slope, (0.0, T), [0.0, L, 0.0, 0.0], "DOP853", t, rtol=1e-8, atol=1e-8)
     twists = np.unwrap(np.arctan2(motion.y[0], motion.y[1]))
     solid_angle = simpson(motion.y[2] / L * np.gradient(twists, t, edge_order=2), t)
     somersaults = (motion.y[3, -1] - solid_angle) / (2.0 * np.pi)
-    print(
-        f"dive 51{round(2.0 * somersaults)}{2 * n}: {T:.4f} s, {somersaults:.6f} somersaults",
-        end="",
-    )
-    print(f", {abs(twists[-1]) / (2.0 * np.pi):.6f} twists")
+    print(f"dive 51{round(2.0 * somersaults)}{2 * n}: {T:.4f} s, {somersaults:.6f} somersaults, "
+          f"{abs(twists[-1]) / (2.0 * np.pi):.6f} twists")  # fmt: skip
     np.testing.assert_allclose([somersaults % 1.0, twists[-1]], [0.5, -2.0 * np.pi * n], atol=1e-4)
 
 report = pinred.compare(traj)  # ABA knows nothing of the reduction
