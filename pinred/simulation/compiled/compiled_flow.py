@@ -138,6 +138,29 @@ class CompiledFlow:
         fields = {name: where.read_field(name, outputs, system) for name in where.fields}
         return state_class(t=t.copy(), **fields)
 
+    def states_of_members(self, t: Array, y: Array) -> State | ShapeState:
+        """Compute full states of N members, with the bits of `states` for each.
+
+        Args:
+            t: Times of all members, (T,) [s].
+            y: Reduced states, (N, T, k).
+        Returns:
+            The states, with arrays (N, T, …).
+        """
+        kernel, system, where = self.kernel, self.kernel.system, self.kernel.where
+        (count, times), layout = y.shape[:2], kernel.layout
+        inputs = y.reshape(count * times, -1)[:, : layout.size]
+        if not layout.clock:
+            inputs = np.concatenate([inputs, np.tile(t, count)[:, None]], axis=1)
+        constants = np.concatenate([self.parameters, self.path], axis=1)
+        if times > 1:
+            constants = np.repeat(constants, times, axis=0)
+        outputs = evaluate(kernel.outputs.address, constants, inputs, where.size)
+        outputs = outputs.reshape(count, times, where.size)
+        state_class = State if layout.base_requested else ShapeState
+        fields = {name: where.read_field(name, outputs, system) for name in where.fields}
+        return state_class(t=np.broadcast_to(t, (count, times)), **fields)
+
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
         """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if needed."""
         return evaluate(self.kernel.rate.address, parameters, y, y.shape[1])

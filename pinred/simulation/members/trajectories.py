@@ -25,6 +25,9 @@ from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory
 from ..trajectory_files import robot_arrays, write_zarr
 
+# Largest number of states that are computed together, limited to bound the memory.
+_ROWS = 2**15
+
 if TYPE_CHECKING:
     from ..compiled.compiled_flow import CompiledFlow
 
@@ -68,6 +71,11 @@ class Batch:
     evaluations: NDArray[np.int64]
     failures: list[Failure]
     wall: float
+
+    def rows_at_once(self, times: int) -> list[slice]:
+        """Return slices of the members whose states at so many times are computed together."""
+        count = max(1, _ROWS // max(times, 1))
+        return [slice(k, k + count) for k in range(0, len(self.members), count)]
 
 
 @checks_arguments
@@ -164,8 +172,24 @@ class Trajectories(OverTime):
     @cached_property
     def outputs(self) -> State | ShapeState:
         """States of all members at the report times, (N, T, …), computed at first access."""
-        members = [self._states(member) for member in range(len(self))]
-        return replace(map_arrays(lambda *values: np.stack(values), *members), t=self.t)
+        count, times = len(self), len(self.t)
+        missing = _missing_states(self.system, self.t, wanted=self._wanted)
+        fields = {
+            name: np.full((count, *values.shape), np.nan)
+            for name, values in arrays_of(missing).items()
+            if name != "t"
+        }
+        for batch in self._batches:
+            assert batch.flow is not None
+            for rows in batch.rows_at_once(times):
+                states = batch.flow[rows].states_of_members(self.t, batch.y[rows])
+                for name, values in fields.items():
+                    values[batch.members[rows]] = getattr(states, name)
+        for member in self._single:
+            states = self._states(member)
+            for name, values in fields.items():
+                values[member] = getattr(states, name)
+        return type(missing)(t=self.t, **fields)
 
     def __getitem__(self, member: int) -> Trajectory:
         """Return the motion of one member.
