@@ -58,6 +58,7 @@ from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch
 from .common.errors import LeftOutWarning as LeftOutWarning
 from .common.errors import LoadError as LoadError
+from .common.errors import LoopWarning as LoopWarning
 from .common.errors import MissingPackageError as MissingPackageError
 from .common.errors import ModelError as ModelError
 from .common.errors import ModelWarning as ModelWarning

@@ -9,6 +9,8 @@ The parameters are, in this order: the angular momentum of the base if it is con
 of the cyclic joints, the gravity components that act [m/s²], the variable body parameters, the
 centre-of-mass path if forces depend on it, and the force parameters.  A joint is cyclic if no
 term depends on its angle and no force acts on it; then its momentum is constant.
+
+With closed loops, π is the impetus (see reduction/tree/loop_constraints.py).
 """
 
 from __future__ import annotations
@@ -21,10 +23,11 @@ from ..forces.force_model import ForceModel
 from ..forces.force_numbers import numbers_in
 from ..reduction.base_parts import root_of
 from ..reduction.tree.all_joints import joint_rates, joint_values, shape_gradient
-from ..reduction.tree.articulated_sweep import sweep
+from ..reduction.tree.articulated_sweep import Swept, sweep
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import total_mass, with_free
 from ..reduction.tree.identical_branches import Lanes
+from ..reduction.tree.loop_constraints import solve_with_loops
 from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import (
     Scalar,
@@ -51,7 +54,7 @@ class ReducedGraph:
         forces: Forces on the system, or None.
         layout: Layout of the reduced state and of the parameters.
         x: Shape, (nx,).
-        pi: Canonical momenta, (m,).
+        pi: Canonical momenta, (m,); the impetus if the system has closed loops.
         base: Expressions of the base.
         xi: Body twist relative to the centre of mass, (r,).
         xdot: Shape rate, (m,).
@@ -103,10 +106,21 @@ class ReducedGraph:
         # No term depends on the angle of a cyclic joint, so set it to zero.
         angles: list[Scalar] = [0.0 if k in cyclic_x else x for k, x in enumerate(self.x)]
         rates = dict(zip(prescribed, motion[len(prescribed) :], strict=True))
-        result = sweep(
-            self._bodies, joint_values(system, angles), self.pi, mu, group.axes, armature, rates,
-            lanes, system.coupled,
-        )  # fmt: skip
+        # Constraint terms are not packed into lanes, so sweep all branches of robots with loops.
+        lanes = lanes if system.closure is None else None
+
+        def sweep_from(pi: list[Scalar], momentum: bool) -> Swept:
+            return sweep(
+                self._bodies, joint_values(system, angles), pi, mu if momentum else [0.0] * len(mu),
+                group.axes, armature, rates, lanes, system.coupled,
+            )  # fmt: skip
+
+        self._canonical_pi, loop_rates = self.pi, [0.0] * m
+        if system.closure is None:
+            result = sweep_from(self.pi, True)
+        else:
+            terms = solve_with_loops(system, self._bodies, self.x, self.pi, sweep_from)
+            result, self._canonical_pi, loop_rates = terms.swept, terms.pi, terms.rates
         self.xi: list[Scalar] = [
             [*result.root_linear, *result.root_angular][axis] for axis in group.axes
         ]
@@ -114,6 +128,7 @@ class ReducedGraph:
         self._prescribed_pi = {k: result.pi[k] for k in prescribed}
         torque, wrench = self._forces(mu)
         pidot = [add(p, t) for p, t in zip(result.pidot, torque, strict=True)]
+        pidot = [add(p, t) for p, t in zip(pidot, loop_rates, strict=True)]
         self.pidot = self._add_shape_loads(pidot, wrench)
         weight = self.base.body_weight()
         self._base_rate = self.base.rates(self.xi, self.com(), wrench, weight)
@@ -208,7 +223,7 @@ class ReducedGraph:
         """
         system, k = self.system, self.system.group.linear
         com, positions = self.com(), [self.x[j] for j in self.layout.prescribed_x]
-        momenta = [self._prescribed_pi.get(j, self.pi[j]) for j in range(system.m)]
+        momenta = [self._prescribed_pi.get(j, self._canonical_pi[j]) for j in range(system.m)]
         about = self._mu[k:]
         energy = mul(0.5, add(dot(self.xi[k:], about), dot(self.xdot, momenta)))
         energy = add(energy, self._potential(com))

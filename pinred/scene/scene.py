@@ -24,6 +24,7 @@ from . import input_formats
 from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .joint_values import order_by_joint
+from .loop_states import close_state
 from .option_checks import (
     check_keyframe,
     check_span,
@@ -70,7 +71,7 @@ class Scene(SceneFields):
     """
 
     def __post_init__(self) -> None:
-        checked_system(self.system, "a scene")
+        checked_system(self.system, "a scene", loops=True)
         self._apply_robot_parameters()
         self._check_conflicts()
         if self.seed is not None:
@@ -311,6 +312,11 @@ class Scene(SceneFields):
             xi = default.xi if self.xi0 is None else xi
         self._require_state()
         refuse_vague(x, system)
+        if system.loops:
+            stated = (self.x0 is not None or self.q0 is not None), (
+                self.xdot0 is not None or self.v0 is not None
+            )
+            x, xdot = close_state(system, x, xdot, stated=stated)
         x, xdot = self.with_prescribed(x[None], xdot[None])
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
@@ -322,7 +328,8 @@ class Scene(SceneFields):
         space = self.system.space
         x0: Any = self.x0
         if x0 is None:
-            return space.neutral
+            closure = self.system.closure
+            return space.neutral if closure is None else closure.x
         return space.normalized(vector(x0, space.nx, "x0", space.x_names), "x0", near=False)
 
     def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:

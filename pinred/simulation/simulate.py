@@ -122,7 +122,7 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
         if option not in names:
             raise InputError(f"{what} has no option '{option}'; the options are {', '.join(names)}")
     if not isinstance(scene, Scene):
-        return Scene(system=checked_system(scene, what), **options)
+        return Scene(system=checked_system(scene, what, loops=True), **options)
     parameters = options.get("parameters")
     if isinstance(parameters, Mapping):  # keep the parameters that the options do not replace
         options = {**options, "parameters": joined(scene.parameters, parameters)}

@@ -33,6 +33,7 @@ from .coordinates import InitialState
 from .coupling import ties_of, with_followers
 from .joints import RootChain, is_shape_joint, motion_group, places_on_root, root_chain, root_joint
 from .locked_joints import LockedJoints, frozen_configurations, lock_values
+from .loops.loop import Loop, parse_loops
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
@@ -94,6 +95,7 @@ def load(
     meshes: str | Path | Iterable[str | Path] = (),
     parameters: Mapping[str, ArrayLike] | None = None,
     balls: bool | Iterable[str] = False,
+    loops: Iterable[Loop | Mapping[str, str]] = (),
 ) -> System:
     """Load a robot as symmetry group times shape.
 
@@ -126,11 +128,13 @@ def load(
             hinge; True: all that meet at one point at right angles, without bodies between them,
             and whose armature, springs, damping and friction are equal.  `inspect` lists them.
             Bundled robots with balls merge theirs by default; an empty list keeps the hinges.
+        loops: Closed kinematic loops between links or frames, besides those of the file: `Loop`
+            values, or mappings with their attributes.
     Returns:
         System of the robot.
     Raises:
         LoadError: The source does not exist or cannot be read.
-        ModelError: pinred cannot reduce the model.
+        ModelError: pinred cannot reduce the model, or a loop does not close.
         InputError: The group, a joint, the root or another argument is not valid.
         MissingPackageError: The source is MJCF and mujoco is not installed.
     """
@@ -140,7 +144,7 @@ def load(
     if not (root is None or isinstance(root, str)):
         raise InputError(f"root must be the name of a body, got {brief(root)}")
     new_gravity = None if gravity is None else _checked_gravity(gravity)
-    locked, merged = lock_values(lock), requested_balls(balls)
+    locked, merged, added = lock_values(lock), requested_balls(balls), parse_loops(loops)
     folders = mesh_folders(meshes)
     if mjcf_kind := _mjcf_kind(source):
         if folders:
@@ -148,7 +152,7 @@ def load(
                 "meshes= applies to URDF only; an MJCF file contains the paths of its meshes"
             )
         system = _load_mujoco(
-            source, mjcf_kind, requested, locked, new_gravity, root=root, balls=merged
+            source, mjcf_kind, requested, locked, new_gravity, root=root, balls=merged, loops=added
         )
     else:
         visuals = with_visuals(source)
@@ -171,7 +175,8 @@ def load(
         robot = _read(source, requested, locked, folders)
         bundled = catalogue.bundled_robots().get(str(source))
         merged = merged or (merged is False and bundled is not None and bundled.balls)
-        system = _load_model(robot, locked, new_gravity, visuals, merged)
+        added = (*(() if bundled is None else bundled.loops), *added)
+        system = _load_model(robot, locked, new_gravity, visuals, merged, added)
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
@@ -205,6 +210,7 @@ def _load_mujoco(
     *,
     root: str | None,
     balls: bool | tuple[str, ...],
+    loops: tuple[Loop, ...],
 ) -> System:
     """Load a MuJoCo source of a `kind` (see `_mjcf_kind`); other arguments: see `load`."""
     robot = read_mujoco(source, root=root, lock=locked, gravity=gravity, balls=balls)
@@ -215,6 +221,7 @@ def _load_mujoco(
     model.name = name
     root_group = motion_group(model.joints[1])
     contents = Contents() if root_group is None else robot.contents(root_group)
+    contents = replace(contents, loops=parse_loops((*contents.loops, *loops)))
     return System(model, name=name, origin=origin, contents=contents)
 
 
@@ -256,6 +263,7 @@ def _load_model(
     gravity: Array | None,
     visuals: Visuals | None,
     balls: bool | tuple[str, ...],
+    loops: tuple[Loop, ...],
 ) -> System:
     """Lock and merge joints of a robot, choose its root joint, and return its system."""
     split = split_joints(robot.raw)
@@ -290,6 +298,7 @@ def _load_model(
         couplings=couplings,
         locked=locked_joints,
         merged=merge.triples,
+        loops=loops,
     )
     initial = robot.initial
     if initial is not None:

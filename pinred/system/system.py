@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -13,8 +14,9 @@ from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
-from ..common.errors import InputError, ModelError, ShapeError
+from ..common.errors import InputError, ModelError, ShapeError, UnsupportedOperationError
 from ..common.memo import once_a_thread
+from ..common.names import listed
 from ..lie.group import Group
 from .admission import admit, check_joints
 from .coordinates import (
@@ -29,6 +31,8 @@ from .coordinates import (
 from .coupling import Coupled, coupled, following
 from .force_interface import Force
 from .joints import tree_space
+from .loops.closure import Closure, close_loops
+from .loops.loop import Loop
 from .rebuild import depth_first
 from .robot_file_contents import Contents, Coupling, Keyframe, LeftOut, Origin
 from .shape_space import ShapeSpace
@@ -55,6 +59,7 @@ class System:
         space: Manifold of the shape: coordinates, rates, labels and units of the shape joints.
         tree: Manifold of all joints except the root, followers included.
         coupled: Dependence of follower joints on the shape; None without followers.
+        closure: A closed shape and the independent equations of the loops; None without loops.
         doubts: Warnings, one sentence each, about inertias that no real body has and about
             isolated shapes at which the mass matrix is singular.
     """
@@ -68,6 +73,7 @@ class System:
     space: ShapeSpace = field(init=False, repr=False)
     tree: ShapeSpace = field(init=False, repr=False)
     coupled: Coupled | None = field(init=False, repr=False)
+    closure: Closure | None = field(init=False, repr=False, default=None)
     doubts: tuple[str, ...] = field(init=False, repr=False)
     _order: JointOrder | None = field(init=False, repr=False)
     _map: CoordinateMap = field(init=False, repr=False)
@@ -93,6 +99,8 @@ class System:
             _order=joint_order,
             _map=coordinate_map(model, admission.group, tree),
         )
+        if self.loops:
+            vars(self)["closure"] = close_loops(self)
 
     def __getstate__(self) -> dict[str, Any]:
         # Work spaces and kernels belong to this process; other processes create their own.
@@ -164,6 +172,44 @@ class System:
     def followers(self) -> tuple[str, ...]:
         """Names of the follower joints, in the order of the couplings."""
         return tuple(coupling.follower for coupling in self.couplings)
+
+    @property
+    def loops(self) -> tuple[Loop, ...]:
+        """Constraints that close kinematic loops."""
+        return self.contents.loops
+
+    @property
+    def shape_dim(self) -> int:
+        """Dimension of the manifold of closed shapes: m, less the rank of the loops."""
+        return self.m if self.closure is None else self.m - self.closure.rank
+
+    def refuse_loops(self, what: str) -> None:
+        """Reject closed loops where only trees are supported.
+
+        Args:
+            what: Beginning of the error message.
+        Raises:
+            UnsupportedOperationError: The robot has closed loops.
+        """
+        if self.loops:
+            names = listed([loop.name for loop in self.loops], 6)
+            raise UnsupportedOperationError(
+                f"{what}: closed loops are not supported here, and '{self.name}' has the loops "
+                f"{names}; remove them, or lock the joints between them"
+            )
+
+    def open_tree(self) -> System:
+        """Return the same tree without its loops; the system itself without loops."""
+        if not self.loops:
+            return self
+
+        def make() -> System:
+            tree = copy(self)
+            contents = replace(self.contents, loops=())
+            vars(tree).update(contents=contents, closure=None)
+            return tree
+
+        return self.workspace("open tree", make)
 
     def refuse_follower(self, name: str, what: str) -> None:
         """Reject a follower joint, which is not a shape coordinate.
@@ -382,9 +428,22 @@ class System:
         return np.broadcast_to(a, (*lead, sizes[0])), np.broadcast_to(b, (*lead, sizes[1]))
 
 
-def checked_system(value: object, what: str) -> System:
-    """Return `value` if it is a System; otherwise raise InputError, which explains `load`."""
+def checked_system(value: object, what: str, *, loops: bool = False) -> System:
+    """Return `value` if it is a System; otherwise raise InputError, which explains `load`.
+
+    Args:
+        value: The system.
+        what: Name of the caller in messages.
+        loops: Whether the caller supports closed loops.
+    Returns:
+        The system.
+    Raises:
+        InputError: The value is not a System.
+        UnsupportedOperationError: The system has closed loops that the caller does not support.
+    """
     if isinstance(value, System):
+        if not loops:
+            value.refuse_loops(what)
         return value
     shown = repr(value) if isinstance(value, str) else type(value).__name__
     raise InputError(f"{what} takes a System, got {shown}; pinred.load(…) returns one")
