@@ -31,7 +31,7 @@ from ..simulation.trajectory import Trajectory
 from .audit import audit_trajectory, measurement_error
 from .distances import Distance, FullMotion, Size
 from .equation_errors import equation_errors
-from .loop_constraints import loop_errors
+from .loop_errors import loop_errors
 from .reference_solution import FINEST, PERTURBATION, FullState
 from .step_defects import Defects, compute_defects
 from .time_budget import AbaStopped, TimeBudget, default_budget

@@ -5,9 +5,10 @@ all joints move. Multipliers keep each follower coupled to its leaders, a_f − 
 
     a = a₀ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J a₀,   a₀ and M⁻¹Jᵀ computed with Pinocchio's ABA.
 
-Closed loops are further constraints, J(q) a + J̇ v = 0, whose rows may be redundant; least squares
-then give the multipliers.  One linear system for accelerations and multipliers is solved instead if the mass matrix of the
-uncoupled tree is singular, or if accelerations are prescribed. Without couplings ABA is used alone.
+Closed loops are further constraints, J(q) a + J̇ v = 0. Their rows may be redundant, so least
+squares give the multipliers. One linear system for accelerations and multipliers is solved instead
+if the mass matrix of the uncoupled tree is singular, or if accelerations are prescribed. Without
+couplings and loops ABA is used alone.
 Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8.
 """
 
@@ -22,7 +23,7 @@ from ..common.arrays import Array
 from ..system.loops.kinematics import LoopKinematics
 from ..system.singular_mass_matrix import SingularShapes, singular_shapes
 from ..system.system import System
-from .loop_constraints import RANK
+from .loop_errors import RANK
 
 
 class CouplingConstraints:

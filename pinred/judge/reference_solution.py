@@ -25,7 +25,7 @@ from .coupling_constraints import CouplingConstraints
 from .distances import Distance, FullMotion, Size
 from .full_coordinates import Configuration, root_motion
 from .hairer_integrators import Hairer
-from .loop_constraints import closed
+from .loop_errors import closed
 from .system_totals import SystemTotals
 from .time_budget import AbaStopped, TimeBudget
 

@@ -126,7 +126,9 @@ class Report(FrozenArrays):
         """
         n = self.told
         loops = {"gap of loops": self.loop_gap, "rate of the gap [relative]": self.loop_rate}
-        drifts = {name: (value, self.drift_bound) for name, value in loops.items() if value is not None}
+        drifts = {
+            name: (value, self.drift_bound) for name, value in loops.items() if value is not None
+        }
         return {
             "equations of motion [relative]": (self.equations, self.equations_bound),
             "defect of a step [relative]": (self.defect, self.defect_bound),

@@ -16,9 +16,9 @@ from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
-from ..system.loops.closure import loop_jacobian
 from ..system.scale import moved_masses, radius_of_gyration
 from ..system.variants import in_gravity, with_numbers
+from .loops_by_pinocchio import with_closed_loops
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -214,7 +214,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     q, data = system.model_q(pose, x), system.data
     H = mass_matrix_at(system, model, data, pose, x)
     v, mu = _with_known_momentum(kernel, H, v)
-    v, impetus, nu = _with_closed_loops(system, x, H, v, rng)
+    v, impetus, nu = with_closed_loops(system, x, H, v, rng)
     pi = H[r:] @ v
     R = group.Ad(pose)[k:, k:]
     down = R.T @ gravity / np.linalg.norm(gravity) if counts.down else np.zeros(0)
@@ -354,25 +354,6 @@ def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Arr
     mu = H[:r] @ v
     mu[:k] = 0.0
     return v, mu
-
-
-def _with_closed_loops(
-    system: System, x: Array, H: Array, v: Array, rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
-    """Project v on velocities that keep loops closed, with the same body momentum.
-
-    Returns:
-        The velocity (n,), the impetus (m,) for random multipliers, and the multipliers (k,).
-    """
-    r = system.r
-    if system.closure is None:
-        return v, H[r:] @ v, np.empty(0)
-    J = np.zeros((system.closure.rank, len(v)))
-    J[:, r:] = loop_jacobian(system, x)[system.closure.rows]
-    response = np.linalg.solve(H, J.T)
-    v = v - response @ np.linalg.solve(J @ response, J @ v)
-    nu = rng.normal(size=len(J))
-    return v, (H @ v + J.T @ nu)[r:], nu
 
 
 def _span(forces: ForceModel | None) -> tuple[float, float]:

@@ -6,7 +6,7 @@ comparison allows the round-off of these terms.  ReferenceState computes their m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
@@ -19,11 +19,10 @@ from ..common.errors import InputError, KernelMismatch, ModelError
 from ..forces.force_values import ForceInputs
 from ..lie.rotations import conjugate, quaternion_product
 from ..reduction.potential import translations
-from ..reduction.tree.loop_constraints import GAUGE_RATE
 from ..system.joints import axes_of
-from ..system.loops.closure import loop_jacobian, loop_jacobian_rate
 from ..system.scale import ill_scaled
 from .loads_by_pinocchio import LoadsByPinocchio
+from .loops_by_pinocchio import closed_solver, impetus_terms
 from .reference_state import ReferenceState, random_state
 
 if TYPE_CHECKING:
@@ -214,9 +213,9 @@ def _validate_acceleration(
     free = at.free
     inertia = H[np.ix_(free, free)]
     coupling = H[np.ix_(free, prescribed)] @ at.accelerations
-    pidot = pidot - _impetus_terms(system, at, v[r:])
+    pidot = pidot - impetus_terms(system, at.x, v[r:], at.nu)
     rates = np.concatenate([mudot, pidot]) - (C + C.T) @ v
-    solve = _solver(system, at, v[r:], inertia)
+    solve = closed_solver(system, at.x, v[r:], inertia)
     acceleration = solve(rates[free] - coupling)
     # Use RNEA: ABA loses digits at a light base, whose inverse inertia amplifies round-off.
     bias = system.on_shape(pin.nonLinearEffects(model, data, q, full))
@@ -225,34 +224,6 @@ def _validate_acceleration(
     terms += np.abs(H[:, free]) @ np.abs(expected)
     terms += np.abs(H[:, prescribed]) @ np.abs(at.accelerations)
     _checker(kernel)("acceleration", acceleration, expected, at.solved_terms(terms)[free])
-
-
-def _impetus_terms(system: System, at: ReferenceState, xdot: Array) -> Array:
-    """Return ṗ less the rates of the canonical momenta and less Jᵀν̇, (m,); see LoopTerms."""
-    if system.closure is None:
-        return np.zeros(system.m)
-    rows = system.closure.rows
-    rate = loop_jacobian_rate(system, at.x, xdot)[rows]
-    return np.asarray((rate - GAUGE_RATE * loop_jacobian(system, at.x)[rows]).T @ at.nu)
-
-
-def _solver(
-    system: System, at: ReferenceState, xdot: Array, inertia: Array
-) -> Callable[[Array], Array]:
-    """Return the map from generalised forces to accelerations that keep loops closed."""
-    if system.closure is None:
-        return lambda force: np.asarray(np.linalg.solve(inertia, force))
-    r, rows = system.r, system.closure.rows
-    J = np.zeros((len(rows), len(inertia)))
-    J[:, r:] = loop_jacobian(system, at.x)[rows]
-    bias = loop_jacobian_rate(system, at.x, xdot)[rows] @ xdot
-    response = np.linalg.solve(inertia, J.T)
-
-    def solve(force: Array) -> Array:
-        free = np.linalg.solve(inertia, force)
-        return np.asarray(free - response @ np.linalg.solve(J @ response, J @ free + bias))
-
-    return solve
 
 
 def _velocity_of_rate(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:

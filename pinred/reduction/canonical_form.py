@@ -66,9 +66,15 @@ class CanonicalForm:
         return com_derivative(self._system, x)
 
     def velocity(self, x: Array, momentum: Array) -> Array:
-        """Solve H v = (μ, π) for v = (ξ, ẋ).  Raises SingularInertiaError.
+        """Solve H v = (μ, π) for v = (ξ, ẋ).
 
-        With closed loops, π is an impetus and v keeps the loops closed.
+        Args:
+            x: Shape, (m,).
+            momentum: (μ, π), (n,); with closed loops, π is an impetus.
+        Returns:
+            Velocity v, (n,), which keeps loops closed.
+        Raises:
+            SingularInertiaError: The mass matrix is singular.
         """
         if self._system.closure is not None:
             return self._closed_velocity(x, momentum)[0]
@@ -81,6 +87,8 @@ class CanonicalForm:
             x: Shape, (m,).
             xdot: Shape rate at this momentum, (m,).
             momentum: (μ, p), (n,), with the impetus p.
+        Returns:
+            The terms; zeros without loops.
         """
         if self._system.closure is None:
             return np.zeros(len(xdot))

@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, vector
+from ..common.arrays import Array
 from ..common.errors import (
     ChoiceError,
     InputError,
@@ -47,6 +47,7 @@ from .robot_files import is_mjcf, outermost, read_text, read_xml
 from .split_joints import split_joints
 from .system import System
 from .urdf_elements import mimic_couplings
+from .variants import checked_gravity
 from .visuals import Visuals, mesh_folders, with_visuals
 
 if TYPE_CHECKING:
@@ -54,7 +55,6 @@ if TYPE_CHECKING:
 
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
-_HUGE = 1e100  # largest accepted gravity, because products of larger numbers overflow [m/s²]
 _CALLER = 3  # stack level of the caller of `load` for warnings, outside the check of arguments
 
 
@@ -95,7 +95,7 @@ def load(
     meshes: str | Path | Iterable[str | Path] = (),
     parameters: Mapping[str, ArrayLike] | None = None,
     balls: bool | Iterable[str] = False,
-    loops: Iterable[Loop | Mapping[str, str]] = (),
+    loops: str | Iterable[Loop | Mapping[str, str]] = (),
 ) -> System:
     """Load a robot as symmetry group times shape.
 
@@ -129,7 +129,7 @@ def load(
             and whose armature, springs, damping and friction are equal.  `inspect` lists them.
             Bundled robots with balls merge theirs by default; an empty list keeps the hinges.
         loops: Closed kinematic loops between links or frames, besides those of the file: `Loop`
-            values, or mappings with their attributes.
+            values, mappings with their attributes, or a text FRAME=FRAME:KIND,….
     Returns:
         System of the robot.
     Raises:
@@ -143,7 +143,7 @@ def load(
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {brief(group)}")
     if not (root is None or isinstance(root, str)):
         raise InputError(f"root must be the name of a body, got {brief(root)}")
-    new_gravity = None if gravity is None else _checked_gravity(gravity)
+    new_gravity = None if gravity is None else checked_gravity(gravity)
     locked, merged, added = lock_values(lock), requested_balls(balls), parse_loops(loops)
     folders = mesh_folders(meshes)
     if mjcf_kind := _mjcf_kind(source):
@@ -308,13 +308,6 @@ def _load_model(
         model.gravity.linear = gravity
     model.name = robot.name
     return System(model, robot.name, initial, robot.origin, contents)
-
-
-def _checked_gravity(value: ArrayLike) -> Array:
-    gravity = vector(value, 3, "gravity")
-    if np.abs(gravity).max() > _HUGE:
-        raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
-    return gravity
 
 
 def is_path(name: str) -> bool:

@@ -145,9 +145,14 @@ class ModelParameters:
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Select the parameters by name.  Raises InputError if two set the same property.
+        """Select the parameters by name.
 
-        Raises UnsupportedOperationError if the robot has closed loops.
+        Args:
+            system: The robot.
+            names: Names of the parameters.
+        Raises:
+            InputError: Two parameters set the same property.
+            UnsupportedOperationError: The robot has closed loops.
         """
         if names:
             system.refuse_loops("robot parameters")

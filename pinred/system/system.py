@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
-from ..common.errors import InputError, ModelError, ShapeError, UnsupportedOperationError
+from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
-from ..common.names import listed
 from ..lie.group import Group
 from .admission import admit, check_joints
 from .coordinates import (
@@ -28,13 +27,12 @@ from .coordinates import (
     coordinate_map,
     reordered,
 )
-from .coupling import Coupled, coupled, following
-from .force_interface import Force
+from .coupling import Coupled, coupled
+from .from_file import FromFile
 from .joints import tree_space
 from .loops.closure import Closure, close_loops
-from .loops.loop import Loop
 from .rebuild import depth_first
-from .robot_file_contents import Contents, Coupling, Keyframe, LeftOut, Origin
+from .robot_file_contents import Contents, Origin
 from .shape_space import ShapeSpace
 
 T = TypeVar("T")
@@ -42,7 +40,7 @@ T = TypeVar("T")
 
 @checks_arguments
 @dataclass(frozen=True, eq=False)
-class System:
+class System(FromFile):
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
     Follower joints (`couplings`) are joints of the model and have entries in q and v, but they
@@ -164,39 +162,9 @@ class System:
         return self.space.units
 
     @property
-    def couplings(self) -> tuple[Coupling, ...]:
-        """Couplings of follower joints to their leaders, from the file."""
-        return self.contents.couplings
-
-    @property
-    def followers(self) -> tuple[str, ...]:
-        """Names of the follower joints, in the order of the couplings."""
-        return tuple(coupling.follower for coupling in self.couplings)
-
-    @property
-    def loops(self) -> tuple[Loop, ...]:
-        """Constraints that close kinematic loops."""
-        return self.contents.loops
-
-    @property
     def shape_dim(self) -> int:
         """Dimension of the manifold of closed shapes: m, less the rank of the loops."""
         return self.m if self.closure is None else self.m - self.closure.rank
-
-    def refuse_loops(self, what: str) -> None:
-        """Reject closed loops where only trees are supported.
-
-        Args:
-            what: Beginning of the error message.
-        Raises:
-            UnsupportedOperationError: The robot has closed loops.
-        """
-        if self.loops:
-            names = listed([loop.name for loop in self.loops], 6)
-            raise UnsupportedOperationError(
-                f"{what}: closed loops are not supported here, and '{self.name}' has the loops "
-                f"{names}; remove them, or lock the joints between them"
-            )
 
     def open_tree(self) -> System:
         """Return the same tree without its loops; the system itself without loops."""
@@ -210,18 +178,6 @@ class System:
             return tree
 
         return self.workspace("open tree", make)
-
-    def refuse_follower(self, name: str, what: str) -> None:
-        """Reject a follower joint, which is not a shape coordinate.
-
-        Args:
-            name: Name of the joint.
-            what: Beginning of the error message.
-        Raises:
-            InputError: The joint is a follower.
-        """
-        if words := following(name, self.couplings):
-            raise InputError(f"{what}: {words}; use the joint that it follows")
 
     @property
     def root_name(self) -> str:
@@ -237,25 +193,6 @@ class System:
     def parameters(self) -> Mapping[str, float | Array]:
         """Robot parameters that were set after loading, by name (see Scene.parameters)."""
         return MappingProxyType(vars(self).get("_parameters", {}))
-
-    @property
-    def left_out(self) -> tuple[LeftOut, ...]:
-        """Actions in the file that are not simulated, by kind."""
-        return self.contents.left_out
-
-    @property
-    def passive(self) -> tuple[Force, ...]:
-        """Springs, dampers and dry friction at shape joints, from the file.
-
-        The types are forces.Spring, Damper and Friction.  Springs and dampers act in scenes with
-        passive=True.  Friction acts only if the scene sets its width.
-        """
-        return self.contents.passive
-
-    @property
-    def keyframes(self) -> Mapping[str, Keyframe]:
-        """Named states in the file."""
-        return self.contents.keyframes
 
     @property
     def gravity(self) -> Array:

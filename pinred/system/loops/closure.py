@@ -7,8 +7,9 @@ with pivoting chooses independent equations.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -17,11 +18,15 @@ from scipy.linalg import qr
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError, ModelError
 from ...common.names import listed, quoted
+from ...lie.group import Group
+from ..coordinates import InitialState
+from ..coupling import Coupled
+from ..robot_file_contents import Keyframe
+from ..shape_space import ShapeSpace
 from .kinematics import LoopKinematics, loop_ends
 from .loop import Loop
 
-if TYPE_CHECKING:
-    from ..system import System
+T = TypeVar("T")
 
 CLOSED = 1e-10  # largest gap of a closed loop, relative to its length [1 | rad]
 _RANK = 1e-9  # smallest pivot of independent equations, relative to the largest
@@ -56,35 +61,93 @@ class Closure(FrozenArrays):
         return len(self.rows)
 
 
-def loop_kinematics(system: System) -> LoopKinematics:
+class LoopedSystem(Protocol):
+    """The members of System on which loops depend; System imports this module."""
+
+    @property
+    def model(self) -> pin.Model: ...  # noqa: D102
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+    @property
+    def loops(self) -> tuple[Loop, ...]: ...  # noqa: D102
+
+    @property
+    def closure(self) -> Closure | None: ...  # noqa: D102
+
+    @property
+    def group(self) -> Group: ...  # noqa: D102
+
+    @property
+    def space(self) -> ShapeSpace: ...  # noqa: D102
+
+    @property
+    def tree(self) -> ShapeSpace: ...  # noqa: D102
+
+    @property
+    def coupled(self) -> Coupled | None: ...  # noqa: D102
+
+    @property
+    def initial(self) -> InitialState | None: ...  # noqa: D102
+
+    @property
+    def keyframes(self) -> Mapping[str, Keyframe]: ...  # noqa: D102
+
+    @property
+    def r(self) -> int: ...  # noqa: D102
+
+    @property
+    def m(self) -> int: ...  # noqa: D102
+
+    @property
+    def shape_dim(self) -> int: ...  # noqa: D102
+
+    @property
+    def units(self) -> tuple[str, ...]: ...  # noqa: D102
+
+    def workspace(self, key: Hashable, make: Callable[[], T]) -> T: ...  # noqa: D102
+
+    def on_shape(self, forces: Array) -> Array: ...  # noqa: D102
+
+    def joint_rates(self, v: Array) -> Array: ...  # noqa: D102
+
+    def model_q(self, pose: Array, x: Array) -> Array: ...  # noqa: D102
+
+
+def loop_kinematics(system: LoopedSystem) -> LoopKinematics:
     """Return the loop constraints of a system, one object per thread."""
     return system.workspace(LoopKinematics, lambda: LoopKinematics(system.model, system.loops))
 
 
-def loop_values(system: System, x: Array) -> Array:
+def loop_values(system: LoopedSystem, x: Array) -> Array:
     """Return φ(x), (c,) [m | 1], at shape x (nx,)."""
     return loop_kinematics(system).values(_configuration(system, x))
 
 
-def loop_jacobian(system: System, x: Array) -> Array:
+def loop_jacobian(system: LoopedSystem, x: Array) -> Array:
     """Return the Jacobian of the loops along the shape rates, (c, m)."""
     J = loop_kinematics(system).jacobian(_configuration(system, x))
     return system.on_shape(J)[:, system.r :]
 
 
-def loop_jacobian_rate(system: System, x: Array, xdot: Array) -> Array:
+def loop_jacobian_rate(system: LoopedSystem, x: Array, xdot: Array) -> Array:
     """Return the time derivative of the Jacobian at shape rate ẋ (m,), (c, m)."""
     v = system.joint_rates(np.concatenate([np.zeros(system.r), xdot]))
     rate = loop_kinematics(system).jacobian_rate(_configuration(system, x), v)
     return system.on_shape(rate)[:, system.r :]
 
 
-def close_loops(system: System) -> Closure:
+def close_loops(system: LoopedSystem) -> Closure:
     """Assemble the loops of a system, and choose independent equations.
 
     The assembly starts at the initial shape, the keyframes and the zero shape, in this order, and
     then at random shapes.
 
+    Args:
+        system: The system, with loops.
+    Returns:
+        A closed shape, and independent equations.
     Raises:
         InputError: A frame is unknown, belongs to the world, or a loop closes nothing.
         ModelError: A loop does not close; the message names the loop and its gap.
@@ -105,17 +168,20 @@ def close_loops(system: System) -> Closure:
     return Closure(x, rows, equations, length, least)
 
 
-def assemble(system: System, x: Array, length: float) -> tuple[Array, Array]:
+def assemble(
+    system: LoopedSystem, x: Array, length: float, free: Array | None = None
+) -> tuple[Array, Array]:
     """Move joints until the loops close, with damped Gauss–Newton steps of least size.
 
     Args:
         system: The system.
         x: Initial shape, (nx,) [rad | m].
         length: Size of the loops [m].
+        free: Whether each joint may move, (m,); None if all may.
     Returns:
         The shape, (nx,), and the remaining gap of each loop, (loops,), relative to `length`.
     """
-    units = _units(system, length)
+    units = _units(system, length) * (1.0 if free is None else free)
     gap = loop_gaps(system, x, length)
     for _ in range(_MOST_STEPS):
         residual, jacobian = _linearised(system, x, length)
@@ -134,21 +200,38 @@ def assemble(system: System, x: Array, length: float) -> tuple[Array, Array]:
     return x, gap
 
 
-def describe_gap(system: System, gaps: Array, length: float) -> str:
+def describe_gap(system: LoopedSystem, gaps: Array, length: float) -> str:
     """Return a sentence that names the loop with the largest gap."""
     k = int(np.argmax(gaps))
-    return f"loop {quoted(system.loops[k].name)} has a gap of {gaps[k] * length:.3g} m (angles count as lever arms of {length:.3g} m)"
+    name = quoted(system.loops[k].name)
+    return f"loop {name} has a gap of {gaps[k] * length:.3g} m (angles times {length:.3g} m)"
 
 
-def project_rates(system: System, x: Array, xdot: Array, metric: Array) -> Array:
-    """Return the rates nearest to ẋ (m,), in the kinetic metric (m, m), that keep loops closed."""
+def project_rates(
+    system: LoopedSystem, x: Array, xdot: Array, metric: Array, free: Array | None = None
+) -> Array | None:
+    """Return the rates nearest to given rates that keep the loops closed.
+
+    Args:
+        system: The system.
+        x: Closed shape, (nx,) [rad | m].
+        xdot: Rates, (m,).
+        metric: Kinetic metric in which distances are measured, (m, m).
+        free: Whether each rate may change, (m,); None if all may.
+    Returns:
+        The rates, (m,); None if the free rates cannot keep the loops closed.
+    """
     assert system.closure is not None
-    J = loop_jacobian(system, x)[system.closure.rows]
-    response = np.linalg.solve(metric, J.T)
-    return np.asarray(xdot - response @ np.linalg.solve(J @ response, J @ xdot))
+    J, rates = loop_jacobian(system, x)[system.closure.rows], xdot.copy()
+    moves = np.ones(len(xdot), dtype=bool) if free is None else free
+    if free is not None and np.linalg.matrix_rank(J[:, moves], tol=1e-9) < len(J):
+        return None
+    response = np.linalg.solve(metric[np.ix_(moves, moves)], J[:, moves].T)
+    rates[moves] -= response @ np.linalg.solve(J[:, moves] @ response, J @ xdot)
+    return rates
 
 
-def singularity(system: System, x: Array) -> float:
+def singularity(system: LoopedSystem, x: Array) -> float:
     """Return the smallest singular value of the scaled independent equations at shape x (nx,).
 
     The value is relative to generic shapes; it is zero where equations become dependent.
@@ -159,7 +242,7 @@ def singularity(system: System, x: Array) -> float:
     return float(np.linalg.svd(J, compute_uv=False).min() / closure.least)
 
 
-def loop_rates(system: System) -> frozenset[int]:
+def loop_rates(system: LoopedSystem) -> frozenset[int]:
     """Return the indices of the shape rates that move a loop."""
     moving: list[int] = []
     for loop in system.loops:
@@ -171,7 +254,7 @@ def loop_rates(system: System) -> frozenset[int]:
     return frozenset(np.flatnonzero(system.coupled.G[moving].any(axis=0)).tolist())
 
 
-def _path(system: System, joint: int) -> set[int]:
+def _path(system: LoopedSystem, joint: int) -> set[int]:
     """Return the joints from a joint to the root."""
     path = set[int]()
     while joint:
@@ -180,7 +263,7 @@ def _path(system: System, joint: int) -> set[int]:
     return path
 
 
-def _check_loop(system: System, loop: Loop) -> None:
+def _check_loop(system: LoopedSystem, loop: Loop) -> None:
     a, b = loop_ends(system.model, loop)
     for end in (a, b):
         if end.joint == 0:
@@ -195,11 +278,11 @@ def _check_loop(system: System, loop: Loop) -> None:
         )
 
 
-def _configuration(system: System, x: Array) -> Array:
+def _configuration(system: LoopedSystem, x: Array) -> Array:
     return system.model_q(system.group.identity(), x)
 
 
-def _length(system: System) -> float:
+def _length(system: LoopedSystem) -> float:
     """Return the size of the loops: the largest distance of a joint or end from its parent [m]."""
     placements = [system.model.jointPlacements[i] for i in range(2, system.model.njoints)]
     for loop in system.loops:
@@ -207,21 +290,21 @@ def _length(system: System) -> float:
     return max(float(np.linalg.norm(M.translation)) for M in placements) or 1.0
 
 
-def _units(system: System, length: float) -> Array:
+def _units(system: LoopedSystem, length: float) -> Array:
     return np.array([length if unit == "m" else 1.0 for unit in system.units])
 
 
-def _weights(system: System, length: float) -> Array:
+def _weights(system: LoopedSystem, length: float) -> Array:
     return np.where(loop_kinematics(system).is_length, 1.0 / length, 1.0)
 
 
-def _scaled_jacobian(system: System, x: Array, length: float) -> Array:
+def _scaled_jacobian(system: LoopedSystem, x: Array, length: float) -> Array:
     J = loop_jacobian(system, x) * _weights(system, length)[:, None]
     return np.asarray(J * _units(system, length))
 
 
-def loop_gaps(system: System, x: Array, length: float) -> Array:
-    """Return the gap of each loop, (loops,): root sum square of distance over length, and angle."""
+def loop_gaps(system: LoopedSystem, x: Array, length: float) -> Array:
+    """Return the gap of each loop, (loops,): norm of its distance over `length` and angle."""
     gaps = []
     places = loop_kinematics(system).placements(_configuration(system, x))
     for loop, X in zip(system.loops, places, strict=True):
@@ -240,7 +323,7 @@ def _angle(loop: Loop, R: Array) -> float:
     return float(np.arctan2(across, R[k, k]))
 
 
-def _linearised(system: System, x: Array, length: float) -> tuple[Array, Array]:
+def _linearised(system: LoopedSystem, x: Array, length: float) -> tuple[Array, Array]:
     """Return the scaled residuals (c,), and their Jacobian (c, m), for one step of the assembly.
 
     Rotations use the rotation vector or the angle, which point to the closed shape from any
@@ -266,7 +349,7 @@ def _linearised(system: System, x: Array, length: float) -> tuple[Array, Array]:
     return residual, J
 
 
-def _assemble_from_any(system: System, length: float) -> Array:
+def _assemble_from_any(system: LoopedSystem, length: float) -> Array:
     rng, best, fewest = np.random.default_rng(0), None, np.inf
     starts = [] if system.initial is None else [system.initial.x]
     starts += [keyframe.x for keyframe in system.keyframes.values()]
@@ -286,7 +369,7 @@ def _assemble_from_any(system: System, length: float) -> Array:
     )
 
 
-def _independent_rows(system: System, x: Array, length: float) -> tuple[Array, float]:
+def _independent_rows(system: LoopedSystem, x: Array, length: float) -> tuple[Array, float]:
     """Return independent equations of the largest rank at closed shapes near x."""
     rng, units = np.random.default_rng(0), _units(system, length)
     best: tuple[int, float, Array] = (-1, 0.0, np.empty(0, dtype=int))
@@ -306,7 +389,7 @@ def _independent_rows(system: System, x: Array, length: float) -> tuple[Array, f
     return best[2].astype(np.intp), best[1]
 
 
-def describe_loops(system: System) -> str:
+def describe_loops(system: LoopedSystem) -> str:
     """Return loops, equations, rank and dimension of the shape in words; empty without loops."""
     closure = system.closure
     if closure is None:
@@ -315,4 +398,3 @@ def describe_loops(system: System) -> str:
         f"{listed([str(loop) for loop in system.loops])}; {closure.equations} equations of rank "
         f"{closure.rank}, shape of dimension {system.shape_dim}"
     )
-

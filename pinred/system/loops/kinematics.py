@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -46,6 +47,11 @@ class LoopEnd:
 def loop_ends(model: pin.Model, loop: Loop) -> tuple[LoopEnd, LoopEnd]:
     """Find the two frames of a loop in a model.
 
+    Args:
+        model: Pinocchio model.
+        loop: The loop.
+    Returns:
+        Frames a and b.
     Raises:
         InputError: A frame is unknown, or its name is ambiguous.
     """
@@ -88,7 +94,7 @@ class LoopKinematics:
         self._ends = [loop_ends(model, loop) for loop in loops]
         self._root = int(model.joints[1].nv)
         first = np.cumsum([0, *(loop.equations for loop in loops)]).tolist()
-        self.rows = [slice(a, b) for a, b in zip(first[:-1], first[1:], strict=True)]
+        self.rows = [slice(a, b) for a, b in pairwise(first)]
         self.is_length = np.zeros(first[-1], dtype=bool)
         for rows in self.rows:
             self.is_length[rows.start : rows.start + 3] = True

@@ -63,13 +63,16 @@ def parse_loops(loops: object) -> tuple[Loop, ...]:
     """Convert loops of a call, a file or the command line to Loop values.
 
     Args:
-        loops: Loop values, or mappings with the keys of a Loop.
+        loops: Loop values, or mappings with the keys of a Loop; or a text A=B:KIND,…, where a
+            missing kind is "3d".
     Returns:
         The loops.
     Raises:
         InputError: An entry is not a loop, or two loops have the same name.
     """
-    if isinstance(loops, (str, Loop)) or not isinstance(loops, Iterable):
+    if isinstance(loops, str):
+        loops = [_loop_from_text(word) for word in loops.split(",") if word]
+    if isinstance(loops, Loop) or not isinstance(loops, Iterable):
         raise InputError(f"loops: expected a list of Loop, got {brief(loops)}")
     parsed = tuple(_parse_loop(entry) for entry in loops)
     names = [loop.name for loop in parsed]
@@ -77,6 +80,17 @@ def parse_loops(loops: object) -> tuple[Loop, ...]:
         if names.count(name) > 1:
             raise InputError(f"loops: two loops have the name {quoted(name)}; rename one of them")
     return parsed
+
+
+def _loop_from_text(text: str) -> Loop:
+    frames, _, kind = text.partition(":")
+    first, _, second = frames.partition("=")
+    if not (first and second) or (kind and kind not in KINDS):
+        raise InputError(
+            f"loops: expected FRAME=FRAME or FRAME=FRAME:KIND with a kind of {', '.join(KINDS)}, "
+            f"got {brief(text)}"
+        )
+    return Loop(frame_a=first, frame_b=second, kind=kind or "3d")  # type: ignore[arg-type]
 
 
 def _parse_loop(entry: Any) -> Loop:

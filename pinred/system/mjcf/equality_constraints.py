@@ -15,7 +15,7 @@ import pinocchio as pin
 from ...common.errors import ModelError
 from ..coupling import ties_of, with_constants, with_followers
 from ..locked_joints import Tie
-from ..loops.loop import Loop
+from ..loops.loop import Loop, LoopKind
 from ..robot_file_contents import Coupling
 from .linear_laws import (
     Constraint,
@@ -53,8 +53,8 @@ def constraints_of(tree: Tree) -> Constraints:
     """Return the constraints that act on a robot, and add the frames of loops to its model.
 
     Raises:
-        ModelError: A constraint attaches the robot to the world, fixes a joint, contradicts another one, or couples
-            joints by a law that is not linear.
+        ModelError: A constraint attaches the robot to the world, fixes a joint, contradicts another
+            one, or couples joints by a law that is not linear.
     """
     couplings: list[Coupling] = []
     outside: list[str] = []
@@ -160,12 +160,14 @@ def _loop(tree: Tree, constraint: Constraint) -> Loop:
         zip(_bodies(tree, constraint), placements, strict=True), start=1
     ):
         carrier, name = tree.carriers[body], f"{constraint.name} {number}"
-        kind = pin.FrameType.OP_FRAME
+        frame_type = pin.FrameType.OP_FRAME
         tree.model.addFrame(
-            pin.Frame(name, carrier.joint, 0, carrier.at * placement, kind), False
+            pin.Frame(name, carrier.joint, 0, carrier.at * placement, frame_type), False
         )
         names.append(name)
-    return Loop(*names, "3d" if constraint.kind == "connect" else "6d", constraint.name)
+    first, second = names
+    kind: LoopKind = "3d" if constraint.kind == "connect" else "6d"
+    return Loop(first, second, kind, constraint.name)
 
 
 def _is_ground(tree: Tree, body: int) -> bool:
