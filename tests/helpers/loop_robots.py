@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pinocchio as pin
 
@@ -11,7 +13,9 @@ from pinred.system.loops.loop import Loop, LoopKind
 FOUR_BAR = {"crank": 0.4, "coupler": 0.9, "rocker": 0.8, "frame": 1.0}  # lengths [m]
 
 
-def four_bar(*, kind: LoopKind = "3d") -> tuple[pin.Model, list[Loop]]:
+def four_bar(
+    kind: LoopKind = "3d", lengths: Mapping[str, float] = FOUR_BAR
+) -> tuple[pin.Model, list[Loop]]:
     """Return a four-bar linkage whose frame floats in the plane, and its loop.
 
     The crank and the rocker are hinged to the frame; the coupler is hinged to the crank.
@@ -23,33 +27,34 @@ def four_bar(*, kind: LoopKind = "3d") -> tuple[pin.Model, list[Loop]]:
     joints = {"frame": base}
     for name, parent, x in (
         ("crank", "frame", 0.0),
-        ("coupler", "crank", FOUR_BAR["crank"]),
-        ("rocker", "frame", FOUR_BAR["frame"]),
+        ("coupler", "crank", lengths["crank"]),
+        ("rocker", "frame", lengths["frame"]),
     ):
         at = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
         joints[name] = model.addJoint(joints[parent], pin.JointModelRZ(), at, name)
     for k, (name, joint) in enumerate(joints.items()):
-        length, mass = FOUR_BAR[name], 3.0 / (k + 1)
+        length, mass = lengths[name], 3.0 / (k + 1)
         lever = np.array([0.5 * length, 0.0, 0.0])
         inertia = pin.Inertia(mass, lever, mass * length**2 / 12.0 * np.diag([0.1, 1.0, 1.0]))
         model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        model.addJointFrame(joint)
         tip = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
         frame = pin.Frame(f"{name}_tip", joint, 0, tip, pin.FrameType.OP_FRAME)
         model.addFrame(frame)
     return model, [Loop("coupler_tip", "rocker_tip", kind, "tips")]
 
 
-def crank_angles(crank: float) -> tuple[float, float]:
+def crank_angles(crank: float, branch: float = -1.0) -> tuple[float, float]:
     """Return the angles of coupler and rocker of the four-bar at a crank angle, in closed form.
 
-    The tip is the intersection of two circles above the line from the crank's tip to the rocker.
+    The tips meet where two circles intersect: below the line from the crank's tip to the rocker's
+    hinge on branch −1, above it on branch 1.
     """
     a, b, c, d = (FOUR_BAR[name] for name in ("crank", "coupler", "rocker", "frame"))
     tip = a * np.exp(1j * crank)
     across = d - tip
-    length, direction = abs(across), np.angle(across)
-    inner = np.arccos((length**2 + b**2 - c**2) / (2.0 * length * b))
-    end = tip + b * np.exp(1j * (direction + inner))
+    inner = np.arccos((abs(across) ** 2 + b**2 - c**2) / (2.0 * abs(across) * b))
+    end = tip + b * np.exp(1j * (np.angle(across) + branch * inner))
     return float(np.angle(end - tip) - crank), float(np.angle(end - d))
 
 
@@ -98,7 +103,7 @@ def _inertia(rng: np.random.Generator, mass: float) -> pin.Inertia:
 
 GRIPPER = """
 <mujoco model="gripper">
-  <option gravity="0 0 0"/>
+  <option gravity="0 0 0"><flag contact="disable"/></option>
   <worldbody>
     <body name="palm" pos="0 0 0">
       <freejoint name="float"/>
