@@ -25,7 +25,8 @@ class LoopErrors:
 
     Attributes:
         gap: Largest |φ|, in units of the size of the loops or 1 rad; None without loops.
-        rate: Largest |φ̇|, relative to the sum of its terms; None without loops.
+        rate: Largest |φ̇|, relative to its largest value if all joints moved at the fastest rate;
+            None without loops.
     """
 
     gap: float | None = None
@@ -43,7 +44,9 @@ def loop_errors(system: System, states: State) -> LoopErrors:
         J = kinematics.jacobian(q)
         gap = max(gap, float((np.abs(kinematics.values(q)) / unit).max()))
         rates = np.maximum(rates, np.abs(J @ v) / unit)
-        terms = np.maximum(terms, np.abs(J) @ np.abs(v) / unit)
+        # The joints of a loop may rest exactly, so the unit is the fastest rate of any joint.
+        fastest = float(np.abs(v[system.r :]).max(initial=0.0))
+        terms = np.maximum(terms, np.abs(J).sum(axis=1) * fastest / unit)
     largest = float(terms.max())
     return LoopErrors(gap, float(rates.max()) / largest if largest > 0.0 else 0.0)
 

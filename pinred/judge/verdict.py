@@ -65,8 +65,8 @@ class Report(FrozenArrays):
             simulation includes, or empty.
         loop_gap: Largest violation of a closed loop, in units of its size or 1 rad; None without
             loops.
-        loop_rate: Largest rate of violation of a closed loop, relative to its terms; None without
-            loops.
+        loop_rate: Largest rate of the violation of a closed loop, relative to that of an open tree
+            at the same speed; None without loops.
     """
 
     robot: str
