@@ -19,6 +19,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--ghost", "show full ABA too (scene files only)")
     add("--speed S", "initial playback speed", float, 1.0)
     add("--pair J1,J2", "two joints for the axes of the shape panel")
+    add("--sphere JOINT", "draw the momentum sphere of a joint's body, or of 'base'")
     add("--meshes FOLDER", "folder with the meshes of a URDF; repeatable", action="append")
     add("--no-meshes", "draw bodies from their inertias instead of meshes")
     add("--port P", "port of the web server (default: a free one)", int)
@@ -36,7 +37,10 @@ def run(arguments: argparse.Namespace) -> int:
     out = None if arguments.out is None else Path(arguments.out)
     fps = default_fps(out) if arguments.fps is None else arguments.fps
     meshes = arguments.meshes or not arguments.no_meshes
-    view = View(ghost=arguments.ghost, speed=arguments.speed, fps=fps, pair=pair, meshes=meshes)
+    view = View(
+        ghost=arguments.ghost, speed=arguments.speed, fps=fps, pair=pair,
+        sphere=arguments.sphere, meshes=meshes,
+    )  # fmt: skip
     if out is not None:
         from ..common.files import check_path
         from ..views.playback.film import SUFFIXES

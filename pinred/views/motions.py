@@ -38,6 +38,8 @@ def play(
         fps: Frames per second of playback.
         pair: Names of two joints for the axes of the shape panel. If None, the two that move most
             without full rotations.
+        sphere: Name of a joint, or "base": draw the sphere on which its body sees the conserved
+            angular momentum.
         meshes: Draw the shapes of the robot's file; False draws ellipsoids of its inertias. Folders
             are searched for meshes.
         **options: The options of View, listed above.
@@ -64,6 +66,7 @@ def save_html(traj: Trajectory, path: str | Path, **options: Unpack[ViewOptions]
         speed: Seconds of the motion in one second of playback, initially.
         fps: Frames per second of playback.
         pair: Names of two joints for the axes of the shape panel, see `play`.
+        sphere: Body whose momentum sphere is drawn, see `play`.
         meshes: Draw the shapes of the robot's file, see `play`.
         **options: The options of View, listed above.
     Returns:
@@ -98,6 +101,7 @@ def save_film(
         speed: Seconds of the motion in one second of the film.
         fps: Frames per second of the film.
         pair: Names of two joints for the axes of the shape panel, see `play`.
+        sphere: Body whose momentum sphere is drawn, see `play`.
         meshes: Draw the shapes of the robot's file, see `play`.
         **options: The options of View, listed above.
     Returns:

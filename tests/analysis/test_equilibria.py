@@ -14,9 +14,10 @@ from spinning_robots import gyrostat, rods
 from trees import random_model
 
 import pinred
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.amended_energy import AmendedEnergy
 from pinred.analysis.equilibria.equilibrium_problem import problem_of
 from pinred.analysis.equilibria.find import equilibrium_at
+from pinred.analysis.equilibria.points import Points
 from pinred.analysis.equilibria.search import _quarters
 from pinred.common.arrays import Array
 from pinred.forces import Damper, PotentialEnergy

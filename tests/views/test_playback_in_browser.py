@@ -21,7 +21,9 @@ from PIL import Image
 import pinred
 from pinred.views.playback.film import find_ffmpeg, write_gif
 from pinred.views.playback.headless_browser import Browser
+from pinred.views.playback.playback import playback
 from pinred.views.playback.server import Player
+from pinred.views.playback.view_options import View
 
 pytestmark = pytest.mark.browser
 Picture = NDArray[np.int16]
@@ -105,6 +107,35 @@ def test_complaints_and_requests_are_detected(screen: Browser, tmp_path: Path) -
     assert "http://192.0.2.1/a.png" in requests(screen)
     blank = picture(screen)
     assert count_different(blank, blank) == 0
+
+
+def test_balls_and_momentum_sphere_are_drawn(screen: Browser, tmp_path: Path) -> None:
+    """Markers are at the ball joints, and the arrow's tip is on the path of the sphere."""
+    traj = pinred.simulate(pinred.load("diver"), seed=1, duration=1.0)
+    path = tmp_path / "diver.html"
+    pinred.save_html(traj, path, sphere="hips")
+    show(screen, path.as_uri())
+    shown = playback(traj, View(sphere="hips"))
+    assert shown.sphere is not None
+    screen.run("pinred.seek(0.5)")
+    frame = int(np.argmin(np.abs(shown.t - 0.5)))
+    for joint in (2, 3, 4):
+        at = screen.run(f"pinred.node('Ball joints', '{joint}').position.toArray()")
+        np.testing.assert_allclose(at, shown.placements[frame, joint, :3], atol=1e-5)
+    # The arrow points along its own y axis; turn this direction into the axes of the sphere.
+    tip = """(() => {
+        const sphere = pinred.node('Momentum sphere', '<object>');
+        const arrow = pinred.node('Momentum', '<object>');
+        const up = sphere.position.clone().set(0, 1, 0).applyQuaternion(arrow.quaternion);
+        return up.applyQuaternion(sphere.quaternion.clone().conjugate()).toArray();
+    })()"""
+    np.testing.assert_allclose(screen.run(tip), shown.sphere.path[frame], atol=1e-5)
+    full = picture_at(screen, 0.5)
+    switch(screen, Ball_joints=False)
+    assert count_different(full, picture_at(screen, 0.5)) > 50
+    switch(screen, Momentum_sphere=False)
+    assert count_different(full, picture_at(screen, 0.5)) > 1000
+    assert complaints(screen) == []
 
 
 @pytest.mark.slow

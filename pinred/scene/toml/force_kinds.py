@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias
 from ...forces import kinds
 from ...forces.force import Force
 from ...forces.wrench import AXES
-from .schema import ByName, Flag, Key, ListOf, Node, Table, Tagged, Text
+from .schema import ByName, Either, Flag, Key, ListOf, Node, Table, Tagged, Text
 from .signal_tables import ACTION, NUMBER, NUMBERS, PER_JOINT, POSITIVE, SIGNAL
 
 FunctionFormat: TypeAlias = Literal["of the shape", "by joint", "on the base"]
@@ -81,6 +81,9 @@ _COMMON: KeyTexts = {
 }
 _JOINT = (Text((), "the name of a joint"), "name of the joint")
 _TO = (Text((), "the name of a joint"), "name of a second joint, at the other end")
+_BALL = (Text((), "the name of a ball joint"), "name of the ball joint")
+_ATTITUDE = "rotation vector [rad] or quaternion (x, y, z, w)"
+_STIFFNESS = Either((NUMBER, ListOf(ListOf(NUMBER, 3), 3)))
 _CONTROL: KeyTexts = {
     "reference": (ByName(SIGNAL), "desired motion of each joint [rad | m]"),
     "kp": (PER_JOINT, "gain of the position error"),
@@ -117,6 +120,49 @@ FORCES: dict[str, ForceKind] = {
             "width": (POSITIVE, "joint rate over which the torque changes sign [rad/s | m/s]"),
         },
         defaults={"width": ""},
+    ),
+    "ball_spring": _force_kind(
+        kinds.BallSpring,
+        "a spring at a ball joint, with the angle θ and the rotation vector r from rest",
+        {
+            "joint": _BALL,
+            "stiffness": (
+                _STIFFNESS,
+                "stiffness k [N·m/rad]; for the laws vector and trace also a symmetric matrix, "
+                "in the axes of the child",
+            ),
+            "rest": (NUMBERS, f"attitude without torque: {_ATTITUDE}"),
+            "law": (
+                Text(kinds.BallSpring.LAWS),
+                "potential: angle ½ k θ², cosine k (1 − cos θ), vector ½ rᵀ K r, or trace "
+                "tr (G (1 − R))",
+            ),
+            "polynomial": (NUMBERS, "k₂, k₃, … of the law angle: torque −(k + k₂ θ + k₃ θ² + …) r"),
+        },
+        defaults={"rest": "no rotation"},
+    ),
+    "ball_pd": _force_kind(
+        kinds.BallPD,
+        "a PD controller of the attitude of a ball joint",
+        {
+            "joint": _BALL,
+            "attitude": (NUMBERS, f"desired attitude: {_ATTITUDE}"),
+            "kp": (NUMBER, "gain of the attitude error [N·m/rad]"),
+            "kd": (NUMBER, "gain of the rate [N·m·s/rad]"),
+            "limit": (PER_JOINT, "largest torque about each axis [N·m], such as neck.x"),
+        },
+    ),
+    "ball_limit": _force_kind(
+        kinds.BallLimit,
+        "a smooth potential that limits the swing and the twist of a ball joint",
+        {
+            "joint": _BALL,
+            "swing": (POSITIVE, "largest swing angle, less than π [rad]"),
+            "twist": (POSITIVE, "largest twist angle, less than π [rad]"),
+            "axis": (Text(("x", "y", "z")), "axis of the child about which it twists"),
+            "stiffness": (NUMBER, "stiffness k [N·m]"),
+            "width": (POSITIVE, "width of the transition, in cosines"),
+        },
     ),
     "potential": _force_kind(
         kinds.PotentialEnergy,

@@ -214,8 +214,9 @@ class _Builder:
         return {name: parameter.symbol for name, parameter in self.parameters.items()}
 
     def _shape(self, x: Any) -> dict[str, Any]:
-        """Return the shape as {joint: entry}, mimic joints included."""
-        return {name: x[k] for k, name in enumerate(self.symbols.every_name)}
+        """Return the shape as {label: entry}, mimic joints included."""
+        labels = (*self.symbols.x_names, *self.symbols.followers)
+        return {name: x[k] for k, name in enumerate(labels)}
 
     def _explain(self, error: PinredError, options: Mapping[str, Any]) -> NoReturn:
         """Raise an error of Scene again, with the place of the key that caused it."""

@@ -51,11 +51,18 @@ class CompiledFlow:
     path: Array
 
     @classmethod
-    def of_plan(cls, plan: Plan) -> CompiledFlow:
-        """Return the flow of a plan from its initial state."""
+    def of_plan(cls, plan: Plan, *, all_momenta: bool = False) -> CompiledFlow:
+        """Return the flow of a plan from its initial state.
+
+        Args:
+            plan: The plan.
+            all_momenta: Whether constant momenta of symmetric balls are integrated, too.
+        """
         states = plan.scene.given
         start = _initial_conditions(plan, states, NO_DIFFERENCES)
-        return _set_up(plan, states, start, NO_DIFFERENCES, zero=not start.about.any())[0]
+        zero = not start.about.any()
+        kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
+        return _set_up(plan, states, start, NO_DIFFERENCES, kernel)[0]
 
     def __getitem__(self, members: object) -> CompiledFlow:
         """Return the flow of the selected member or members."""
@@ -151,7 +158,9 @@ class CompiledFlow:
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""
         layout = self.kernel.layout
-        return entry_name(self.kernel.system, layout.active, layout.cyclic, entry)
+        return entry_name(
+            self.kernel.system, layout.active, layout.cyclic, entry, layout.constant_pi
+        )
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:
@@ -160,17 +169,20 @@ def rate_address(kernel: Kernel, method: Method) -> int:
     return (kernel.rate if lanes == 1 else wide_rate(kernel, lanes)).address
 
 
-def kernel_of(plan: Plan, *, zero_momentum: bool, generic: bool = False) -> Kernel:
+def kernel_of(
+    plan: Plan, *, zero_momentum: bool, generic: bool = False, all_momenta: bool = False
+) -> Kernel:
     """Return the kernel of a plan, built once while it is among the most recent of its System.
 
     Args:
         plan: The plan.
         zero_momentum: Whether the initial angular momentum of the base is exactly zero.
         generic: Whether the variable parameters of the robot may take any value.
+        all_momenta: Whether constant momenta of symmetric balls are integrated, too.
     Returns:
         The kernel; plans of the same structure and force expressions share it.
     """
-    kind = plan.kind(zero_momentum=zero_momentum, generic=generic)
+    kind = plan.kind(zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta)
     system, structure, forces = kind.system, kind.structure, kind.forces
     # Texts have cached hashes, unlike structures.
     key = once(kind, Kernel, lambda: repr((structure, None if forces is None else forces.key)))
@@ -203,7 +215,8 @@ def flows_of(
                 conditions = InitialConditions(*(rows[indices] for rows in vars(start).values()))
                 states, parameters = given[chunk][indices], own[chunk][indices]
                 members[zero].append(first + indices)
-                flows[zero].append(_set_up(plan, states, conditions, parameters, zero=zero))
+                kernel = kernel_of(plan, zero_momentum=zero, generic=parameters.robot is not None)
+                flows[zero].append(_set_up(plan, states, conditions, parameters, kernel))
     return [
         (np.concatenate(members[zero]), _stacked(chunks))
         for zero, chunks in flows.items()
@@ -232,18 +245,16 @@ def _initial_conditions(plan: Plan, given: GivenStates, own: MemberParameters) -
 
 
 def _set_up(
-    plan: Plan, given: GivenStates, start: InitialConditions, own: MemberParameters, *, zero: bool
+    plan: Plan, given: GivenStates, start: InitialConditions, own: MemberParameters, kernel: Kernel
 ) -> CompiledFlow:
     """Return the flow of N members, all with or all without angular momentum."""
     x, N, system = given.x, len(given.x), plan.system
-    kernel = kernel_of(plan, zero_momentum=zero, generic=own.robot is not None)
     layout, base = kernel.layout, kernel.layout.base
     if plan.method.steady_momentum and base.momentum:
         raise InputError(
             f"{plan.method.name} needs a constant angular momentum, but gravity or a wrench "
             "changes it. Use another method, such as Gauss."
         )
-    cyclic = list(layout.cyclic)
     attitude = given.pose[:, system.group.linear :]
     state = [*layout.shape_entries(x, start.pi), attitude[:, : base.attitude]]
     if base.down:
@@ -258,8 +269,8 @@ def _set_up(
     parameters = _fill(
         np.empty((N, layout.parameters)),
         [
-            start.fixed[:, : base.spin], start.pi[:, cyclic], gravity[..., list(layout.gravity)],
-            bodies, path[:, : layout.com_path], numbers,
+            start.fixed[:, : base.spin], start.pi[:, layout.constant_pi],
+            gravity[..., list(layout.gravity)], bodies, path[:, : layout.com_path], numbers,
         ],
     )  # fmt: skip
     y0 = np.concatenate(state, axis=1)

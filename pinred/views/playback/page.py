@@ -24,6 +24,7 @@ from .view_options import View
 
 # The page contains the viewer, so it must contain the viewer's licences.
 _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")
+_SCRIPTS = ("panel.js", "overlays.js", "player.js")
 
 
 def page(source: MotionSource, view: View) -> bytes:
@@ -40,7 +41,7 @@ def page(source: MotionSource, view: View) -> bytes:
         "%BLOB%": base64.b64encode(bytes(blob.data)).decode("ascii"),
         "%MESHCAT%": _meshcat("viewer/dist/main.min.js"),
         "%LICENCES%": "\n".join(map(_meshcat, _LICENCES)),
-        "%PLAYER%": _resource("panel.js") + _resource("player.js"),
+        "%PLAYER%": "".join(map(_resource, _SCRIPTS)),
     }
     template = re.split("(%[A-Z]+%)", _resource("page.html"))
     return "".join(contents.get(text, text) for text in template).encode("utf-8")
@@ -95,6 +96,14 @@ def _head(
             "apart": blob.add(film.ghost.apart),
             "aside": placed["aside"],
         }
+    sphere = None
+    if film.sphere is not None:
+        sphere = {
+            "joint": film.sphere.joint,
+            "body": film.sphere.body,
+            "path": blob.add(film.sphere.path),
+        }
+    balls = {joint.name for joint in film.system.space.balls}
     return placed | {
         "title": film.system.name or "robot",
         "note": bodies.note,
@@ -112,6 +121,8 @@ def _head(
             "largest": largest,
         },
         "ghost": ghost,
+        "balls": [k for k, name in enumerate(film.system.model.names) if name in balls],
+        "sphere": sphere,
         "meshes": [
             {"vertices": blob.add(mesh.vertices), "faces": blob.add(mesh.faces, "u4")}
             for mesh in bodies.meshes

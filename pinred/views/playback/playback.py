@@ -20,6 +20,7 @@ from ...system.joints import axes_of
 from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
+from .momentum_in_body import MomentumSphere, momentum_sphere
 from .view_options import View
 
 MOST_FRAMES = 100_000
@@ -56,6 +57,7 @@ class Playback(FrozenArrays):
         ellipsoid: Symmetric matrices that map the unit ball to the homogeneous ellipsoid with the
             mass and the locked inertia of the system, (F, 3, 3) [m].
         momentum: The momentum arrow.
+        sphere: The momentum in the axes of a body, if requested.
         ghost: The full simulation, if requested.
     """
 
@@ -67,6 +69,7 @@ class Playback(FrozenArrays):
     com: Array
     ellipsoid: Array
     momentum: Momentum
+    sphere: MomentumSphere | None
     ghost: Ghost | None
 
 
@@ -79,8 +82,8 @@ def playback(source: MotionSource, view: View) -> Playback:
     Returns:
         The quantities at all frames.
     Raises:
-        InputError: The base was left out, there are too many frames or fewer than two, or a ghost
-            is requested for a recording, which contains no forces.
+        InputError: The base was left out, there are too many frames or fewer than two, a ghost is
+            requested for a recording, which contains no forces, or there is no momentum sphere.
         LoadError: The robot of a recording cannot be loaded.
     """
     states = _frames(source, view)
@@ -93,7 +96,7 @@ def playback(source: MotionSource, view: View) -> Playback:
                 "the trajectory or its scene file with ghost=True"
             )
         ghost = _ghost(source, states.t, placements)
-    return _playback(source.system, states, placements, ghost)
+    return _playback(source.system, states, placements, view.sphere, ghost)
 
 
 def _frames(source: MotionSource, view: View) -> State:
@@ -157,7 +160,9 @@ def _ghost(traj: Trajectory, t: Array, placements: Array) -> Ghost:
     return Ghost(placements=reference, apart=distance.max(axis=1))
 
 
-def _playback(system: System, states: State, placements: Array, ghost: Ghost | None) -> Playback:
+def _playback(
+    system: System, states: State, placements: Array, body: str | None, ghost: Ghost | None
+) -> Playback:
     q, v = system.sorted_q(states.q), system.sorted_v(states.v)
     model, data = system.model, system.model.createData()
     com, ellipsoid = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
@@ -165,6 +170,8 @@ def _playback(system: System, states: State, placements: Array, ghost: Ghost | N
         pin.ccrba(model, data, q[k], v[k])
         com[k] = data.com[0]
         ellipsoid[k] = _ellipsoid(data.Ig.inertia, data.Ig.mass)
+    momentum = conserved_momentum(system, q, v)
+    sphere = None if body is None else momentum_sphere(system, body, placements, momentum.vector)
     return Playback(
         system=system,
         t=states.t.copy(),
@@ -173,7 +180,8 @@ def _playback(system: System, states: State, placements: Array, ghost: Ghost | N
         placements=placements,
         com=com,
         ellipsoid=ellipsoid,
-        momentum=conserved_momentum(system, q, v),
+        momentum=momentum,
+        sphere=sphere,
         ghost=ghost,
     )
 

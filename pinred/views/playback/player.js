@@ -78,7 +78,7 @@
   const ghost = ghostPoses ? robot("Ghost", () => shade) : [];
 
   // -- overlays -----------------------------------------------------------------------------
-  const flat = (color) => new THREE.MeshBasicMaterial({ color });
+  const draws = overlays(THREE, radius), { flat, rod } = draws;
   function seenThrough(object, order) {
     object.traverse((part) => {
       if (part.material) Object.assign(part.material, { depthTest: false, transparent: true });
@@ -86,18 +86,9 @@
     });
     return object;
   }
-  const rod = (r) => new THREE.CylinderGeometry(r, r, 1, 16).translate(0, 0.5, 0);
 
-  const hull = new THREE.Group(); // transparent, because the robot is inside; with three equators
-  hull.add(new THREE.Mesh(new THREE.SphereGeometry(1, 48, 32), new THREE.MeshPhongMaterial({
-    color: 0x56b4e9, opacity: 0.13, transparent: true, depthWrite: false })));
-  for (const axis of ["X", "Y", "Z"]) {
-    const round = Array.from({ length: 97 }, (_, k) =>
-      new THREE.Vector3(Math.cos(Math.PI * k / 48), Math.sin(Math.PI * k / 48), 0));
-    const ring = new THREE.BufferGeometry().setFromPoints(round)[`rotate${axis}`](Math.PI / 2);
-    hull.add(new THREE.Line(ring, new THREE.LineBasicMaterial({
-      color: 0x1f6fa8, opacity: 0.55, transparent: true })));
-  }
+  const hull = new THREE.Group();
+  hull.add(draws.shell(0x56b4e9, 0.13), ...draws.rings(0x1f6fa8));
   hull.matrixAutoUpdate = false;
   put(hull, "Locked inertia");
 
@@ -107,14 +98,15 @@
   arrow.add(shaft, tip);
   put(seenThrough(arrow, 3), "Momentum");
 
-  const frame = new THREE.Group();
-  [[1, 0, 0, 0xcc3311], [0, 1, 0, 0x009e73], [0, 0, 1, 0x0055cc]].forEach(([x, y, z, color]) => {
-    const axis = new THREE.Mesh(rod(0.013 * radius), flat(color));
-    axis.scale.y = 0.5 * radius;
-    axis.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), new THREE.Vector3(x, y, z));
-    frame.add(axis);
-  });
+  const frame = draws.axes(0.5 * radius, 0.013 * radius);
   put(seenThrough(frame, 2), "Base frame");
+
+  const balls = head.balls.map((joint) => {
+    const marker = draws.marker();
+    return [joint, put(seenThrough(marker, 2), "Ball joints", `${joint}`)];
+  });
+  const sphere = head.sphere && draws.sphere(array(head.sphere.path));
+  if (sphere) put(sphere, "Momentum sphere");
 
   const trail = new THREE.Group(), track = new THREE.BufferGeometry();
   track.setAttribute("position", new THREE.BufferAttribute(com, 3));
@@ -199,6 +191,14 @@
       arrow.quaternion.setFromUnitVectors(up, vector.divideScalar(size));
       shaft.scale.y = Math.max(1e-9, length - 0.17 * radius);
       tip.position.y = length - 0.085 * radius;
+    }
+    for (const [joint, marker] of balls) {
+      marker.position.copy(reduced[joint].position);
+      marker.quaternion.copy(reduced[joint].quaternion);
+    }
+    if (sphere) {
+      sphere.position.fromArray(mix(tail, 3, k, s));
+      sphere.quaternion.copy(reduced[head.sphere.joint].quaternion);
     }
     frame.position.copy(reduced[1].position);
     frame.quaternion.copy(reduced[1].quaternion);
@@ -319,6 +319,8 @@
   }
   toggle("Locked inertia", "locked inertia", "#56b4e9", true, set("Locked inertia"));
   if (!still) toggle("Momentum", "momentum", "#d55e00", true, set("Momentum"));
+  if (sphere) toggle("Momentum sphere", `momentum seen from ${head.sphere.body}`, "#aa3377", true, set("Momentum sphere"));
+  if (balls.length) toggle("Ball joints", "ball joints", "#7b4fa3", true, set("Ball joints"));
   toggle("Base frame", "base frame", "#009e73", true, set("Base frame"));
   toggle("CoM trail", "centre of mass and its trail", "#111", true, set("CoM trail"));
   if (picture)

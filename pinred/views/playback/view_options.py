@@ -27,6 +27,8 @@ class View:
         fps: Frames per second of playback; the page interpolates between them.
         pair: Names of two joints for the axes of the shape panel. If None, the two that move most
             without full rotations.
+        sphere: Name of a joint, or "base": draw the sphere on which its body sees the conserved
+            angular momentum.
         meshes: Draw the shapes of the robot's file; False draws ellipsoids of its inertias. Folders
             are searched for meshes of a URDF, in addition to those of `load`.
     """
@@ -35,6 +37,7 @@ class View:
     speed: float = 1.0
     fps: float = FPS
     pair: Sequence[str] | None = None
+    sphere: str | None = None
     meshes: bool | str | Path | Sequence[str | Path] = True
 
     def __post_init__(self) -> None:
@@ -58,6 +61,7 @@ class ViewOptions(TypedDict, total=False):
     speed: float
     fps: float
     pair: Sequence[str] | None
+    sphere: str | None
     meshes: bool | str | Path | Sequence[str | Path]
 
 

@@ -47,7 +47,7 @@ def field(
     """Draw a component of a connection's curvature over two joints, with its zero contour.
 
     Args:
-        source: The connection.
+        source: The connection; rotation vectors are the coordinates of balls (`in_chart`).
         joints: Names or indices of two joints; the first two if None.
         component: v1 … ω3 (or w3), or an index in the body twist. If None, the
             rotation with the largest values.
@@ -66,7 +66,7 @@ def field(
         raise InputError(f"field draws a Connection, got {type(source).__name__}")
     if part not in _PARTS:
         raise InputError(f"part must be one of {', '.join(_PARTS)}, got {part!r}")
-    source.space.refuse_balls("a field over two joints")
+    source = source.in_chart()
     names = labels_of_connection(source)
     pair = names.pair(joints, "a field")
     path = None if gait is None else _closed_path(source, gait)
