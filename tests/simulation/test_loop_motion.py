@@ -23,6 +23,7 @@ from pinred.common.errors import (
 from pinred.kernels import validation
 from pinred.system.loops.closure import loop_values
 from pinred.system.loops.loop import Loop, LoopKind
+from pinred.views.playback.shape_panel import shape_panel
 
 
 def linkage() -> pinred.System:
@@ -202,6 +203,16 @@ def test_motion_through_a_singular_shape_ends_with_an_error() -> None:
         IntegrationError, match=r"equations of the loops '?tips'? .*become dependent"
     ):
         pinred.simulate(scene, duration=2.0, method=pinred.DOP853(max_steps=2000))
+
+
+def test_playback_draws_the_path_without_a_curvature_field(tmp_path: Path) -> None:
+    """Shapes off the closed ones have no curvature."""
+    traj = pinred.simulate(linkage(), x0={"crank": 1.0}, xdot0={"crank": 2.0}, duration=0.2)
+    panel = shape_panel(traj.system, traj.x, traj.xdot)
+    assert panel is not None
+    assert not panel.field.size
+    pinred.save_html(traj, tmp_path / "motion.html")
+    assert (tmp_path / "motion.html").stat().st_size > 0
 
 
 REFUSED: dict[str, Callable[[pinred.System], object]] = {
