@@ -245,3 +245,24 @@ def test_half_turns_of_child_are_coverings() -> None:
     rotations = {tuple(np.round(np.abs(s.balls[0].right), 9)) for s in coverings}
     assert len(rotations) == 4
     assert all(np.ptp(np.abs(s.balls[0].left)) == pytest.approx(1.0) for s in coverings)
+
+
+def test_body_with_spherical_rotor_is_as_stable_as_without() -> None:
+    """The body moves as if alone, and the momentum of the rotor precesses at the spin ω."""
+    moments, masses, rotor = np.array([[0.4, 0.5, 0.7], [0.2, 0.2, 0.2]]), (2.0, 1.0), 0.2
+    d = np.array([0.1, 0.2, -0.3])
+    system = joined_bodies(moments, np.array([-d, np.zeros(3)]))
+    reduced = masses[0] * masses[1] / sum(masses)
+    alone = np.diag(moments[0]) + reduced * (d @ d * np.eye(3) - np.outer(d, d))
+    principal = np.linalg.eigvalsh(alone)
+    found = pinred.relative_equilibria(system, momentum=1.0, starts=30)
+    assert len(found) == 3
+    for own, point in zip(principal[::-1], found, strict=True):
+        first, last = (I for I in principal if own != I)
+        spin = 1.0 / (own + rotor)
+        square = (own - first) * (own - last) / (first * last) * spin**2
+        if square > 0.0:
+            np.testing.assert_allclose(point.stability.frequencies, sorted([spin, square**0.5]))
+        else:
+            assert point.stability.verdict == "unstable"
+            assert point.stability.growth == pytest.approx((-square) ** 0.5, rel=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from gyrostat import Gyrostat
 
 import pinred
 from pinred.forces import BallSpring, Torque, Wrench
+from pinred.judge.audit import audit_trajectory
+from pinred.judge.axial_momenta import axial_momentum_drifts
 from pinred.lie.rotations import quaternion_exp, rotation
 from pinred.simulation import plan as plans
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -220,3 +223,18 @@ def test_explain_and_inspect_report_symmetric_balls(capsys: pytest.CaptureFixtur
     assert "body of revolution on joint: its momentum about (0, 0, 1) is constant" in str(
         pinred.inspect(top())
     )
+
+
+@pytest.mark.parametrize("make", [lambda: joined_bodies(MOMENTS, ROTOR), top])
+def test_audit_finds_changes_of_constant_momenta(make: Any) -> None:
+    """A rotation rate that grows by 1e-6 about the axis of symmetry after half of the motion."""
+    traj = pinred.simulate(make(), **START, duration=1.0, rtol=1e-12, atol=1e-13)
+    balls, states = traj.plan.acting.symmetric_balls, traj.states
+    drifts = axial_momentum_drifts(traj.system, balls, states)
+    assert len(drifts) == (3 if balls[0].axis is None else 1)
+    assert np.abs(drifts).max() <= 1e-13
+    v = states.v.copy()
+    v[len(v) // 2 :, -1] += 1e-6
+    drifts = axial_momentum_drifts(traj.system, balls, replace(states, v=v))
+    assert np.abs(drifts).max() >= 1e-7
+    assert audit_trajectory(traj, states).momenta.shape[1] == 6 + len(drifts)

@@ -21,7 +21,7 @@ from ...common.arrays import Array, FrozenArrays, vector
 from ...common.errors import InputError
 from ...kernels.connection.connection_code import ConnectionCode
 from ...kernels.connection.connection_form import ConnectionForm, form_of
-from ...lie.rotations import left_jacobian, quaternion_exp
+from ...lie.rotations import TAU, left_jacobian, quaternion_exp
 from ...scene.joint_values import order_by_joint
 from ...system.shape_space import ShapeSpace
 from ...system.system import System
@@ -64,12 +64,36 @@ class RotationChart(FrozenArrays):
         """Return the rates σ = J(w) ẇ along the frame, (..., m)."""
         return np.asarray((self.rate_maps(w) @ wdot[..., None])[..., 0])
 
+    def frame_forces(self, w: Array, forces: Array) -> Array:
+        """Return the components along the frame, J⁻ᵀ f, of forces f along w, (..., m)."""
+        transposed = np.swapaxes(self.rate_maps(w), -1, -2)
+        return np.asarray(np.linalg.solve(transposed, forces[..., None])[..., 0])
+
+    def coordinate_rates(self, w: Array, rates: Array) -> Array:
+        """Return ẇ = J⁻¹ σ for rates σ along the frame, (..., m)."""
+        return np.asarray(np.linalg.solve(self.rate_maps(w), rates[..., None])[..., 0])
+
+    def power_gradients(self, w: Array, forces: Array, wdot: Array) -> Array:
+        """Return the derivatives of the power uᵀ J(w) ẇ by w, for frame forces u, (..., m)."""
+        gradients = np.zeros_like(w)
+        for ball in self.space.balls:
+            vectors = (array[..., ball.v] for array in (w, forces, wdot))
+            gradients[..., ball.v] = _power_gradients(*vectors)
+        return gradients
+
     def open_ball(self, start: Array, end: Array) -> str:
         """Return a ball whose attitudes at two coordinates (m,) differ, or ""."""
         for ball in self.space.balls:
             first, last = quaternion_exp(start[ball.v]), quaternion_exp(end[ball.v])
             gap = min(np.linalg.norm(first - last), np.linalg.norm(first + last))
             if not 2.0 * gap <= _CLOSED:
+                return ball.name
+        return ""
+
+    def ball_beyond(self, w: Array) -> str:
+        """Return a ball whose rotation vector reaches 2π at coordinates (N, m), or ""."""
+        for ball in self.space.balls:
+            if not np.linalg.norm(w[:, ball.v], axis=1).max() < TAU:
                 return ball.name
         return ""
 
@@ -167,6 +191,39 @@ def _series(s: ca.SX, first: int) -> ca.SX:
     for k in reversed(range(_TERMS)):
         total = 1.0 / factorial(2 * k + first) - s * total
     return total
+
+
+def _power_gradients(w: Array, u: Array, v: Array) -> Array:
+    """Return ∂/∂w of uᵀ J(w) v = u·v − b w·(v × u) + c ((u·w)(w·v) − s u·v), s = |w|², (..., 3)."""
+
+    def dot(x: Array, y: Array) -> Array:
+        return np.asarray(np.sum(x * y, axis=-1, keepdims=True))
+
+    s, across = dot(w, w), np.cross(v, u)
+    small, k = s < _SMALL, np.arange(_TERMS)
+    outer = np.where(small, _SMALL, s)
+    theta = np.sqrt(outer)
+    sine, inner = np.sin(theta) / theta, np.where(small, -s, 0.0)
+    closed_b = (1.0 - np.cos(theta)) / outer
+    closed_c = (1.0 - sine) / outer
+    slope_of_sine = (np.cos(theta) - sine) / (2.0 * outer)
+
+    def term(first: int, closed: Array, closed_slope: Array) -> tuple[Array, Array]:
+        """Return Σ (−s)^k / (2k + first)! and its derivative by s."""
+        terms = np.array([1.0 / factorial(2 * int(j) + first) for j in k])
+        series = inner**k @ terms
+        slope = -(inner ** k[:-1]) @ (k[1:] * terms[1:])
+        choose = small[..., 0]
+        return (
+            np.where(choose, series, closed[..., 0])[..., None],
+            np.where(choose, slope, closed_slope[..., 0])[..., None],
+        )
+
+    b, slope_b = term(2, closed_b, (0.5 * sine - closed_b) / outer)
+    c, slope_c = term(3, closed_c, (-slope_of_sine - closed_c) / outer)
+    uw, wv, uv = dot(u, w), dot(w, v), dot(u, v)
+    along_w = -slope_b * dot(w, across) + slope_c * (uw * wv - s * uv) - c * uv
+    return np.asarray(2.0 * along_w * w - b * across + c * (u * wv + v * uw))
 
 
 Centre = ArrayLike | Mapping[str, ArrayLike]

@@ -19,6 +19,7 @@ from .second_variation import SecondVariation
 Verdict: TypeAlias = Literal["stable", "unstable", "undecided"]
 _SIGNIFICANT = 10.0  # growth rates above this multiple of their error count as unstable
 _ROUND_OFF = 1e-14  # error of the matrix, relative to its norm
+_NEAR_ZERO = 1e-4  # largest split of a double eigenvalue at zero, relative to the norm
 _NO_GROWTH = 1e-9  # largest growth of an undamped oscillation, relative to the norm
 
 
@@ -94,8 +95,11 @@ def assess_stability(
     values, left, right = eigen(on_leaf)
     errors = eigenvalue_errors(left, right, _ROUND_OFF * norm(on_leaf))
     is_transverse = np.ones(len(values), dtype=bool)
-    if second.dimension:  # Each direction of the family adds a double eigenvalue at zero.
-        is_transverse[np.argsort(np.abs(values))[: 2 * second.dimension]] = False
+    if second.dimension:
+        # Each direction of the family adds a double eigenvalue at zero.  If its symmetries do not
+        # commute, as rotations of a spherical rotor, fewer eigenvalues are zero.
+        nearest = np.argsort(np.abs(values))[: 2 * second.dimension]
+        is_transverse[nearest] = np.abs(values[nearest]) > _NEAR_ZERO * norm(on_leaf)
     values, errors = values[is_transverse], errors[is_transverse]
     left, right = left[:, is_transverse], right[:, is_transverse]
     growths = values.real
