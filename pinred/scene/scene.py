@@ -366,7 +366,7 @@ class Scene(SceneFields):
             return x, xdot
         x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
         motion = model.prescribed(0.0, model.numbers_from(0.0, self.end))
-        x[:, self.system.space.coordinates_of(joints)] = motion.x
+        x[:, self.system.space.coordinates_of_joints(joints)] = motion.x
         xdot[:, joints] = motion.xdot
         return x, xdot
 
