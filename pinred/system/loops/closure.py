@@ -16,7 +16,7 @@ import pinocchio as pin
 from scipy.linalg import qr
 
 from ...common.arrays import Array, FrozenArrays
-from ...common.errors import InputError, ModelError
+from ...common.errors import InputError, ModelError, UnsupportedOperationError
 from ...common.names import listed, quoted
 from ...lie.group import Group
 from ..coordinates import InitialState
@@ -153,7 +153,11 @@ def close_loops(system: LoopedSystem) -> Closure:
         ModelError: A loop does not close; the message names the loop and its gap.
         UnsupportedOperationError: The robot has balls.
     """
-    system.space.refuse_balls("closed loops")
+    if system.space.balls:
+        raise UnsupportedOperationError(
+            f"closed loops: ball joints are not supported in robots with loops, and "
+            f"'{system.name}' has some. Replace each by three hinges, or remove the loops."
+        )
     for loop in system.loops:
         _check_loop(system, loop)
     length = _length(system)
