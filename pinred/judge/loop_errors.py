@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.arrays import Array
-from ..system.loops.closure import assemble
 from ..system.loops.kinematics import LoopKinematics
+from ..system.loops.loop_assembly import assemble
 from ..system.state_fields import State
 from ..system.system import System
 

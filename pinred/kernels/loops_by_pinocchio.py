@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..reduction.tree.loop_constraints import GAUGE_RATE
-from ..system.loops.closure import loop_jacobian, loop_jacobian_rate
+from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 
 if TYPE_CHECKING:
     from ..system.system import System

@@ -14,7 +14,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..system.joints import axes_of
-from ..system.loops.closure import loop_rates
+from ..system.loops.loop_closure import loop_rates
 from ..system.scale import radius_of_gyration
 from ..system.system import System
 from .pointwise_reduction import PointwiseReduction

@@ -13,7 +13,8 @@ from ..common.arrays import Array
 from ..common.errors import InputError, LoopWarning
 from ..common.names import quoted
 from ..reduction.pointwise_reduction import PointwiseReduction
-from ..system.loops.closure import CLOSED, assemble, describe_gap, loop_gaps, project_rates
+from ..system.loops.loop_assembly import CLOSED, assemble, describe_gap, loop_gaps
+from ..system.loops.loop_closure import project_rates
 from ..system.system import System
 
 _NOTICEABLE = 1e-6  # change of an initial state that is reported [relative]

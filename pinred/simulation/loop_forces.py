@@ -13,8 +13,9 @@ from ..common.arrays import Array, read_only
 from ..common.errors import IntegrationError
 from ..common.names import listed
 from ..reduction.inertia_split import symmetric
-from ..system.loops.closure import loop_kinematics, singularity
 from ..system.loops.kinematics import rotation_axes
+from ..system.loops.loop_closure import singularity
+from ..system.loops.looped_system import loop_kinematics
 from ..system.state_fields import State
 from ..system.system import System
 from .plan import Plan

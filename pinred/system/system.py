@@ -30,7 +30,8 @@ from .coordinates import (
 from .coupling import Coupled, coupled
 from .from_file import FromFile
 from .joints import tree_space
-from .loops.closure import Closure, close_loops
+from .loops.loop_closure import close_loops
+from .loops.looped_system import Closure
 from .rebuild import depth_first
 from .robot_file_contents import Contents, Origin
 from .shape_space import ShapeSpace

@@ -21,8 +21,8 @@ from pinred.common.errors import (
     UnsupportedOperationError,
 )
 from pinred.kernels import validation
-from pinred.system.loops.closure import loop_values
 from pinred.system.loops.loop import Loop, LoopKind
+from pinred.system.loops.looped_system import loop_values
 from pinred.views.playback.shape_panel import shape_panel
 
 

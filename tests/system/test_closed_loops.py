@@ -13,9 +13,9 @@ from loop_robots import crank_angles, four_bar, gripper, random_loops
 import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError, ModelError, UnsupportedOperationError
-from pinred.system.loops.closure import loop_values
 from pinred.system.loops.kinematics import LoopKinematics
 from pinred.system.loops.loop import KINDS, Loop, parse_loops
+from pinred.system.loops.looped_system import loop_values
 
 
 @pytest.mark.parametrize("kind", ["3d", "z"])
