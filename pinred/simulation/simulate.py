@@ -20,6 +20,7 @@ from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
+from .loop_forces import refuse_singular_loops
 from .motion import follow
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ReducedFlow, Segments
@@ -122,7 +123,7 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
         if option not in names:
             raise InputError(f"{what} has no option '{option}'; the options are {', '.join(names)}")
     if not isinstance(scene, Scene):
-        return Scene(system=checked_system(scene, what), **options)
+        return Scene(system=checked_system(scene, what, loops=True), **options)
     parameters = options.get("parameters")
     if isinstance(parameters, Mapping):  # keep the parameters that the options do not replace
         options = {**options, "parameters": joined(scene.parameters, parameters)}
@@ -144,9 +145,11 @@ def _pinocchio(plan: Plan, progress: Progress | None, again: _Again) -> Trajecto
 def _compiled(plan: Plan, progress: Progress | None, again: _Again) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
+    from .compiled.thinned_segments import thinned
 
-    flow, through = CompiledFlow.of_plan(plan), None
-    if plan.passes_stops:
+    flow = CompiledFlow.of_plan(plan)
+    through: Callable[[], Segments] | None = thinned(flow, plan, progress)
+    if through is None and plan.passes_stops:
         from .compiled.through_stops import through_stops
 
         through = through_stops(flow, plan, progress)
@@ -171,6 +174,7 @@ def _integrate_plan(
     started = time.perf_counter()
     motion = follow(plan, flow, integrate, through)
     wall = time.perf_counter() - started
+    refuse_singular_loops(plan.system, motion)
     run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
     terminal_crossing = motion.ended_by
     scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
