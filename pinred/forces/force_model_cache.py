@@ -15,8 +15,9 @@ from ..system.model_parameters import ModelParameters
 from ..system.system import System
 from ..system.variants import nominal
 from .force import Force
+from .force_keys import NotKeyedError, key_of_force
 from .force_model import ForceModel
-from .kinds import Damper, Friction, Spring
+from .kinds import Spring
 from .signals import Constant, Expression, Signal
 
 _REMEMBERED = 16  # largest number of cached models per system
@@ -53,10 +54,7 @@ def cached_force_model(
     sprung = [_spring(name, pair) for name, pair in springs.items()]
     key = (
         tuple(sprung),
-        *(
-            force if isinstance(force, (Spring, Damper, Friction)) else id(force)
-            for force in forces
-        ),
+        *map(_key_of_force, forces),
         *((name, _key_of(signal)) for name, signal in prescribed.items()),
         freed,
         links,
@@ -68,6 +66,16 @@ def cached_force_model(
 
     model, _ = recent(owner, key, make, _REMEMBERED, cached_force_model)
     return model if system is owner else model.on(system)
+
+
+def _key_of_force(force: Force) -> Hashable:
+    """Return the key of a force; its identity if it may change in place."""
+    try:
+        key = key_of_force(force)
+        hash(key)
+    except (NotKeyedError, TypeError):
+        return id(force)
+    return key
 
 
 def _key_of(signal: Signal) -> Hashable:

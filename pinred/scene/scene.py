@@ -14,6 +14,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, positive, read_only, vector, vector_or_zero, whole
 from ..common.default_marker import is_given
 from ..common.errors import InputError
+from ..common.memo import recent
 from ..common.names import brief, one_of
 from ..forces.force import Force
 from ..integrators.methods import Method
@@ -36,6 +37,7 @@ from .random_state import random_state
 from .scene_options import ENGINES as ENGINES
 from .scene_options import OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields
 from .scene_options import Engine as Engine
+from .scene_structure import CHECKED, MOST_STRUCTURES, Shared, structure_key
 from .tolerances import MOMENTUM_MARGIN, TIGHTEST, check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
@@ -70,11 +72,27 @@ class Scene(SceneFields):
     """
 
     def __post_init__(self) -> None:
-        checked_system(self.system, "a scene")
-        self._apply_robot_parameters()
-        self._check_conflicts()
+        owner, key = checked_system(self.system, "a scene"), structure_key(self)
+        if key is None:
+            shared = self._check_structure()
+        else:
+            shared = recent(owner, key, self._check_structure, MOST_STRUCTURES, Shared)
+            forces = list_forces(self.forces)
+            vars(self).update(shared.options)
+            self._keep("forces", forces)
+            self._keep("prescribed", dict(self.prescribed))
+        self._keep("_shared", shared)
         if self.seed is not None:
             self._keep("seed", whole(self.seed, "seed", 0))
+        for name in ("x0", "xdot0"):
+            value = order_by_joint(getattr(self, name), self.system, name)
+            self._keep(name, value)
+        self._keep("_given", self._resolve())
+
+    def _check_structure(self) -> Shared:
+        """Check all options except the numbers of the initial state; return these options."""
+        self._apply_robot_parameters()
+        self._check_conflicts()
         if not one_of(self.outputs, OUTPUTS):
             raise InputError(
                 f"outputs must be one of {', '.join(OUTPUTS)}, got {brief(self.outputs)}"
@@ -89,15 +107,13 @@ class Scene(SceneFields):
         if method != "auto":
             check_tolerances(method, self.rtol, self.atol)
         self._keep("method", method)
-        for name in ("x0", "xdot0"):
-            value = order_by_joint(getattr(self, name), self.system, name)
-            self._keep(name, value)
         if self.duration is not None:
             self._keep("duration", positive(self.duration, "duration"))
         times = compute_report_times(self.times, self.duration, self.system)
         self._keep("_times", read_only(times))
         self._check_forces()
-        self._keep("_given", self._resolve())
+        options = vars(self)
+        return Shared({name: options[name] for name in CHECKED})
 
     def _check_conflicts(self) -> None:
         """Raise InputError if options of the initial state contradict each other."""
@@ -149,6 +165,12 @@ class Scene(SceneFields):
     def start(self) -> Start:
         """The complete initial state.  Raises SingularInertiaError or InputError."""
         return start_of(self.system, self.given)
+
+    @property
+    def shared(self) -> Shared:
+        """The options that the scene shares with others, and what plans computed from them."""
+        shared: Shared = vars(self)["_shared"]
+        return shared
 
     @property
     def given(self) -> GivenStates:
