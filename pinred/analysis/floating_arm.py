@@ -24,6 +24,7 @@ from ..common.errors import InputError
 from ..common.names import joint_index, listed, nearest, quoted
 from ..system.system import System, checked_system
 from .arm_workspace import Workspace, workspace_of
+from .connections.rotation_chart import RotationChart
 from .full_reduction import Reduction
 
 Axes = Literal["local", "world"]
@@ -95,7 +96,6 @@ class FloatingArm:
         if not set(task) <= set(range(6)) or len(set(task)) != len(task):
             raise InputError(f"task must be distinct rows of a twist, from 0 to 5, got {self.task}")
         object.__setattr__(self, "task", tuple(int(row) for row in task))
-        system.space.refuse_balls("floating arms")
         object.__setattr__(self, "_reduction", Reduction(system))
         object.__setattr__(self, "_id", system.model.getFrameId(self.frame))
 
@@ -105,7 +105,7 @@ class FloatingArm:
         """Compute the generalised Jacobian J_g = J_s − J_b A.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             axes: "local" or "world".
             pose: Pose of the base; None: the identity. Only world axes depend on it.
         Returns:
@@ -124,7 +124,7 @@ class FloatingArm:
         The rate of the entries of the hand's twist is J_g ẍ + J̇_g ẋ.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xdot: Shape rate, (m,) [rad/s | m/s].
             axes: "local" or "world".
             pose: Pose of the base; None: the identity.
@@ -151,7 +151,7 @@ class FloatingArm:
         """Compute the twist J_b I⁻¹ μ of the hand with locked joints.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             mu: Body momentum, (r,) [N s | N m s].
             axes: "local" or "world".
             pose: Pose of the base; None: the identity.
@@ -167,7 +167,7 @@ class FloatingArm:
         """Compute the pose of the hand in the world frame.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             pose: Pose of the base; None: the identity.
         Returns:
             The pose.
@@ -181,7 +181,7 @@ class FloatingArm:
         """Compute the singular values of the task rows of J_g, and the twist with the least value.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             The values and directions.
         Raises:
@@ -200,13 +200,13 @@ class FloatingArm:
         """Compute the determinant of `singularity` at many shapes.
 
         Args:
-            shapes: Shapes, (..., m) [rad | m].
+            shapes: Shapes, (..., nx) [rad | m | 1].
         Returns:
             (...,) determinants.
         """
         system = self.system
-        x = vectors(shapes, system.m, "shapes", system.shape_names)
-        flat = x.reshape(-1, system.m)
+        x = vectors(shapes, system.nx, "shapes", system.x_names)
+        flat = system.space.normalized(x, "shapes").reshape(-1, system.nx)
         r, g = system.r, system.group.identity()
         A = self._reduction.grid(flat).local_connection
         J = np.array([self._jacobian(shape, g, "local") for shape in flat]).reshape(-1, 6, system.n)
@@ -222,11 +222,12 @@ class FloatingArm:
     ) -> Array:
         """Find the values of one joint at which the arm is singular (the determinant changes sign).
 
-        The number of joints must equal the number of task rows.
+        The number of joint rates must equal the number of task rows. For an axis of a ball, such as
+        "neck.x", the values are angles of a rotation about this axis after the attitude in `x`.
 
         Args:
-            joint: Name of the joint.
-            x: Shape with the values of the other joints, (m,) [rad | m].
+            joint: Name of the joint, or of an axis of a ball.
+            x: Shape with the values of the other joints, (nx,) [rad | m | 1].
             limits: Range of the joint (low, high) [rad | m].
         Returns:
             (K,) values of the joint [rad | m].
@@ -235,14 +236,17 @@ class FloatingArm:
         """
         system = self.system
         k = joint_index(joint, system.shape_names, "singular_values_of")
-        start = vector(x, system.m, "x", system.shape_names)
+        start, space = self._at(x, None)[0], system.space
         low, high = float(limits[0]), float(limits[1])
         if not low < high:
             raise InputError(f"limits must be (low, high), got {limits}")
 
         def shape_at(fraction: float) -> Array:
+            value = low + fraction * (high - low)
+            if k in space.ball_v:
+                return space.integrate(start, value * np.eye(space.m)[k])
             shape = start.copy()
-            shape[k] = low + fraction * (high - low)
+            shape[space.coordinates_of([k])] = value
             return shape
 
         return read_only(low + (high - low) * self._roots(shape_at))
@@ -250,22 +254,27 @@ class FloatingArm:
     def singular_along(self, start: ArrayLike, end: ArrayLike) -> Array:
         """Find the singular points on a straight path, by sign changes of the determinant.
 
+        A ball rotates about one axis.
+
         Args:
-            start: First shape, (m,) [rad | m].
-            end: Last shape, (m,) [rad | m].
+            start: First shape, (nx,) [rad | m | 1].
+            end: Last shape, (nx,) [rad | m | 1].
         Returns:
             (K,) fractions of the path, in [0, 1].
         """
         system = self.system
-        a = vector(start, system.m, "start", system.shape_names)
-        b = vector(end, system.m, "end", system.shape_names)
-        return read_only(self._roots(lambda fraction: a + fraction * (b - a)))
+        a, b = (
+            system.space.normalized(vector(shape, system.nx, name, system.x_names), name)
+            for shape, name in ((start, "start"), (end, "end"))
+        )
+        step = system.space.difference(a, b)
+        return read_only(self._roots(lambda fraction: system.space.integrate(a, fraction * step)))
 
     def null_space(self, x: ArrayLike, *, of: Literal["base", "attitude"] = "base") -> Array:
         """Return joint rates that do not move the base: the kernel of A.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             of: "base" for position and attitude of the base, "attitude" for its rotation only.
         Returns:
             (m, k): orthonormal joint rates, one per column.
@@ -297,7 +306,8 @@ class FloatingArm:
         joints must equal the number of task rows.
 
         Args:
-            limits: (low, high) of each joint [rad | m]; None: a full turn.
+            limits: (low, high) of each joint [rad | m], for balls of each component of the rotation
+                vector; None: a full turn.
             samples: For one or two joints, the number of grid values of each; for more joints, the
                 number of straight lines in random directions through their box.
             seed: Seed of the random directions.
@@ -316,15 +326,18 @@ class FloatingArm:
         bounds = vectors(joint_limits, 2, "limits")
         if bounds.shape != (system.m, 2) or not (bounds[:, 0] < bounds[:, 1]).all():
             raise InputError(f"limits must be (low, high) for each of {system.m} joints")
+        chart = RotationChart(system.space, system.space.neutral)
         return workspace_of(
-            self._radius, self._radius_gradient, self.determinants, bounds,
+            lambda w: self._radius(chart.shapes(w)),
+            lambda w: chart.rate_maps(w).T @ self._radius_gradient(chart.shapes(w)),
+            lambda w: self.determinants(chart.shapes(w)), bounds,
             whole(samples, "samples", 2), whole(seed, "seed", 0),
         )  # fmt: skip
 
     def _radius(self, shapes: Array) -> Array:
-        """Return the distances (...,) [m] between hand and centre of mass at shapes (..., m)."""
+        """Return the distances (...,) [m] between hand and centre of mass at shapes (..., nx)."""
         system, model, data = self.system, self.system.model, self.system.data
-        flat, g = shapes.reshape(-1, system.m), system.group.identity()
+        flat, g = shapes.reshape(-1, system.nx), system.group.identity()
         distances = np.empty(len(flat))
         for k, x in enumerate(flat):
             q = system.model_q(g, x)
@@ -367,7 +380,7 @@ class FloatingArm:
     def _at(self, x: ArrayLike, pose: ArrayLike | None) -> tuple[Array, Array]:
         """Validate a shape and a pose."""
         system = self.system
-        shape = vector(x, system.m, "x", system.shape_names)
+        shape = system.space.normalized(vector(x, system.nx, "x", system.x_names), "x")
         return shape, system.group.identity() if pose is None else system.group.pose(pose)
 
     def _jacobian(self, x: Array, g: Array, axes: str) -> Array:

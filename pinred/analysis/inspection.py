@@ -15,6 +15,7 @@ from ..reduction.curvature import bracket_term
 from ..reduction.cyclic_joints import cyclic_joints
 from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape
 from ..reduction.potential import broken_by_gravity
+from ..reduction.symmetric_balls import SymmetricBall, symmetric_balls
 from ..scene.passive_forces import passive_left_out
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
@@ -40,6 +41,7 @@ class Inspection:
             zero momentum.
         casimirs: Casimirs of the body momentum, as formulas.
         cyclic: Joints on which neither inertia nor potential depends.
+        symmetric_balls: Balls whose momentum about an axis of symmetry of their body is constant.
         symmetries: Descriptions of the conserved quantities.
         skipped: Descriptions of the quantities that a simulation does not integrate.
         full_size: Number of variables that a full simulation integrates.
@@ -53,6 +55,7 @@ class Inspection:
     flat: bool
     casimirs: tuple[str, ...]
     cyclic: tuple[str, ...]
+    symmetric_balls: tuple[SymmetricBall, ...]
     symmetries: tuple[str, ...]
     skipped: tuple[str, ...]
     full_size: int
@@ -129,7 +132,7 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     red = PointwiseReduction(checked_system(system, "inspect"))
     at = red.at(system.space.neutral if x is None else x)
     names = system.shape_names
-    cyclic = tuple(names[k] for k in cyclic_joints(red))
+    cyclic, balls = tuple(names[k] for k in cyclic_joints(red)), symmetric_balls(system)
     size: int | None
     # A generic motion has momentum, so do not use a plan that is simplified for zero momentum.
     generic = Scene(system=system, x0=at.x, xi0=np.ones(system.r))
@@ -146,7 +149,8 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
         flat=_is_flat(red),
         casimirs=tuple(map(str, casimirs(system))),
         cyclic=cyclic,
-        symmetries=tuple(_symmetries(system, cyclic, symmetry_error)),
+        symmetric_balls=balls,
+        symmetries=tuple(_symmetries(system, cyclic, balls, symmetry_error)),
         skipped=(*not_needed, "meshes: not read"),
         full_size=system.model.nq + system.model.nv,
         reduced_size=size,
@@ -201,7 +205,12 @@ def _group(system: System) -> str:
     )
 
 
-def _symmetries(system: System, cyclic: tuple[str, ...], symmetry_error: str) -> list[str]:
+def _symmetries(
+    system: System,
+    cyclic: tuple[str, ...],
+    balls: tuple[SymmetricBall, ...],
+    symmetry_error: str,
+) -> list[str]:
     """Return the conserved quantities as lines of text."""
     if symmetry_error:
         return [symmetry_error]
@@ -212,7 +221,7 @@ def _symmetries(system: System, cyclic: tuple[str, ...], symmetry_error: str) ->
     lines = [f"{system.group.name}: conserves {conserved}"]
     if cyclic:
         lines.append(f"cyclic joints, whose momentum is constant: {', '.join(cyclic)}")
-    return lines
+    return [*lines, *(f"{ball} is constant" for ball in balls)]
 
 
 def _wrapped(title: str, entries: tuple[str, ...] | list[str]) -> list[str]:

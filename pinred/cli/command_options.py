@@ -9,10 +9,20 @@ import argparse
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from ..common.names import quoted
+from .option_values import (
+    assigned_in,
+    by_joint_in,
+    floats_in,
+    lock_in,
+    numbers_in,
+    plan_in,
+    shape_in,
+    spring_in,
+)
 
 if TYPE_CHECKING:
     from ..planning.gait_file import GaitFile
@@ -21,7 +31,6 @@ if TYPE_CHECKING:
     from ..scene.toml.schema import Key
     from ..system.system import System
 
-T = TypeVar("T")
 ROBOT = "robot: a name (see `pinred robots`), or a URDF or MJCF file"
 
 
@@ -110,7 +119,7 @@ def add_repeated(sub: argparse.ArgumentParser, usage: str, text: str) -> None:
 def parameters_in(entries: Sequence[str]) -> dict[str, Any]:
     """Parse texts NAME=VALUE into {name: number or list of numbers}.  Raises InputError."""
     usage = "NAME=NUMBER, or NAME=V1,V2,…"
-    values = assigned_in(entries, "parameter", _floats, usage, noun="")
+    values = assigned_in(entries, "parameter", floats_in, usage, noun="")
     return {name: value[0] if len(value) == 1 else value for name, value in values.items()}
 
 
@@ -188,98 +197,6 @@ def scene_with(system: System, seed: int | None, **options: Any) -> Scene:
     return scene
 
 
-def numbers_in(text: str | None, option: str) -> list[float] | None:
-    """Parse the numbers in a text V1,V2,…; None stays None.  Raises InputError."""
-    if text is None:
-        return None
-    try:
-        return _floats(text) if text else []
-    except ValueError:
-        raise InputError(
-            f"--{option} takes numbers separated by commas, got {quoted(text)}"
-        ) from None
-
-
-def assigned_in(
-    entries: Sequence[str], option: str, read: Callable[[str], T], usage: str, noun: str = "joint "
-) -> dict[str, T]:
-    """Parse texts NAME=VALUE.
-
-    Args:
-        entries: The texts.
-        option: Name of the option, for messages.
-        read: Converts the text of a value; raises ValueError if it is invalid.
-        usage: Accepted formats, for messages.
-        noun: Kind of object that a name denotes, for messages.
-    Returns:
-        The values by name.
-    Raises:
-        InputError: A text has another format, or a name occurs twice.
-    """
-    values: dict[str, T] = {}
-    for entry in entries:
-        name, _, text = entry.partition("=")
-        if name in values:
-            raise InputError(f"--{option} has {noun}{quoted(name)} twice")
-        try:
-            values[name] = read(text if name else "")
-        except ValueError:
-            raise InputError(f"--{option} takes {usage}, got {quoted(entry)}") from None
-    return values
-
-
-def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
-    """Parse V1,V2,… into numbers, or J1=V1,… into {joint: number}.  Raises InputError."""
-    if "=" not in text:
-        return numbers_in(text, option) or []
-    return assigned_in(text.split(","), option, float, "numbers, or JOINT=NUMBER for each")
-
-
-def shape_in(text: str, option: str) -> list[float] | dict[str, float | list[float]]:
-    """Parse like `by_joint_in`, where J=V1,V2,V3 has the numbers of a ball."""
-    if "=" not in text:
-        return numbers_in(text, option) or []
-    entries: list[str] = []
-    for word in text.split(","):
-        if "=" in word or not entries:
-            entries.append(word)
-        else:
-            entries[-1] += f",{word}"
-    usage = "numbers, or JOINT=NUMBER for each, or JOINT=V1,V2,V3 for a ball"
-    return assigned_in(entries, option, _number_or_list, usage)
-
-
-def _number_or_list(text: str) -> float | list[float]:
-    return _floats(text) if "," in text else float(text)
-
-
-def _floats(text: str) -> list[float]:
-    return [float(word) for word in text.split(",")]
-
-
-def _spring(text: str) -> tuple[float, float]:
-    stiffness, rest = _floats(text if "," in text else f"{text},0")
-    return stiffness, rest
-
-
-def _plan(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        if not text:
-            raise
-        return text
-
-
-def _lock_in(text: str, _: str) -> dict[str, float]:
-    """Parse a text J1,J2=VALUE,… into {joint: value}, with zero for joints without a value."""
-    lock: dict[str, float] = {}
-    for entry in text.split(",") if text else ():
-        name, _, value = entry.partition("=")
-        lock[name] = (numbers_in(value, "lock") or [0.0])[0]
-    return lock
-
-
 def _limits_in(text: str, option: str) -> float | list[float] | dict[str, float]:
     values = by_joint_in(text, option)
     if not values:
@@ -292,13 +209,13 @@ _LIMITS = "R, R1,R2,… or J1=R1,…"
 _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "V1,V2,…": numbers_in,
     "V1,V2,… or J1=V1,…": shape_in,
-    "J1,J2=VALUE,…": _lock_in,
+    "J1,J2=VALUE,…": lock_in,
     "all or B1,B2,…": lambda text, _: True if text == "all" else text.split(",") if text else [],
     "J=K,REST": lambda entries, _: assigned_in(
-        entries, "spring", _spring, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
+        entries, "spring", spring_in, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
     ),
     "J=PLAN": lambda entries, name: assigned_in(
-        entries, name, _plan, "JOINT=NUMBER or JOINT=FORMULA"
+        entries, name, plan_in, "JOINT=NUMBER or JOINT=FORMULA"
     ),
     "AXIS": lambda text, name: text if text in ("x", "y", "z") else numbers_in(text, name),
     _LIMITS: _limits_in,
@@ -341,11 +258,12 @@ def _method(arguments: argparse.Namespace) -> str:
 
 def add_source(sub: argparse.ArgumentParser) -> None:
     """Add the options that name a connection and a gait."""
+    from ..planning.gait_file import GAIT_FILE
     from ..scene.load_options import LOAD
 
     text = "gait file (.toml), or robot: a name (see `pinred robots`) or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)
-    add_options(sub, {"group": LOAD.keys["group"]})
+    add_options(sub, {"group": LOAD.keys["group"], "centre": GAIT_FILE.keys["centre"]})
     add_parameters(sub)
     add = option_adder(sub)
     add("--gait FILE", "recorded joint data (.csv, .npz) of a robot")
@@ -368,15 +286,17 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
     from ..analysis.connections.connection import Connection
     from ..analysis.gaits.gait import Gait
     from ..common.names import joint_index
-    from ..planning.gait_file import GaitFile, load_gait
+    from ..planning.gait_file import GAIT_FILE, GaitFile, load_gait
     from ..system.load import load
 
     if Path(arguments.source).suffix == ".toml":
-        refuse_of_robots(arguments, arguments.source, "group", "gait", "circle", "parameter")
+        names = ("group", "gait", "circle", "parameter", "centre")
+        refuse_of_robots(arguments, arguments.source, *names)
         return load_gait(arguments.source)
     parameters = parameters_in(arguments.parameter)
     system = load(arguments.source, group=arguments.group, parameters=parameters)
-    connection = Connection.mechanical(system)
+    stated = options_in(arguments, {"centre": GAIT_FILE.keys["centre"]})
+    connection = Connection.mechanical(system).in_chart(stated.get("centre"))
     file, circle = arguments.gait, arguments.circle
     if (file is None) == (circle is None) and (gait or file is not None):
         raise InputError("a robot needs a gait: pass --gait FILE or --circle J1,J2,RADIUS")

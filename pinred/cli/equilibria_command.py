@@ -10,13 +10,12 @@ from ..common.errors import InputError
 from .command_options import (
     add_options,
     add_robot,
-    by_joint_in,
-    numbers_in,
     option_adder,
     options_in,
     system_of,
 )
 from .motion_files import show_motion
+from .option_values import by_joint_in, numbers_in
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:

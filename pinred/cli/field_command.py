@@ -6,7 +6,8 @@ import argparse
 from typing import Any
 
 from ..common.errors import InputError
-from .command_options import add_source, numbers_in, option_adder, source_of
+from .command_options import add_source, option_adder, source_of
+from .option_values import numbers_in
 from .output_files import describe_file, save_figure
 
 _SAMPLES = 200  # default number of grid points along each joint
@@ -78,7 +79,7 @@ def _compute_grid(
 
     if samples < 2:
         raise InputError(f"--samples must be at least 2, got {samples}")
-    connection.space.refuse_balls("a field over two joints")
+    connection = connection.in_chart()
     names = list(connection.joints)
     pair = labels_of_connection(connection).pair(joints, "a field")
     fixed = np.zeros(connection.m) if at is None else vector(at, connection.m, "--at", names)

@@ -18,12 +18,13 @@ _SAMPLES = 400  # number of samples of a cycle in a file
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..planning.gait_file import OPTIMISE
+    from ..planning.gait_file import GAIT_FILE, OPTIMISE
     from ..scene.load_options import LOAD
 
     text = "gait file (.toml) with connection and objective, or robot: a name or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)
-    add_options(sub, {"group": LOAD.keys["group"], **OPTIMISE.keys})
+    keys = {"group": LOAD.keys["group"], "centre": GAIT_FILE.keys["centre"], **OPTIMISE.keys}
+    add_options(sub, keys)
     add_parameters(sub)
     add = option_adder(sub)
     add("--any-winding", "let the winding number vary")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from .command_options import add_robot, numbers_in, system_of
+from .command_options import add_robot, system_of
+from .option_values import numbers_in
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:

@@ -45,6 +45,7 @@ COMMANDS = {  # {command: description}
     "field": "draw the connection of a robot over two joints",
     "robots": "list the robots that can be loaded by name",
     "cache": "show the compiled kernels on disk",
+    "doctor": "check the installation, and say what is missing and how to get it",
     "stress": "check the accuracy in numerically hard cases",
     "corpus": "try all robot descriptions in some folders",
     "bench": "measure speed and accuracy",

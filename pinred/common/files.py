@@ -8,7 +8,6 @@ and may be removed.
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import os
 import re
@@ -50,7 +49,8 @@ def is_special(path: Path) -> bool:
 
 
 _NAME = re.compile(r"\.pinred-[0-9a-f]{16}\.tmp")
-_NO_LINKS = os.O_NOFOLLOW | os.O_CLOEXEC
+# Windows lacks both flags.
+_NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
             name, os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_LINKS, mode, dir_fd=folder
         )
         with suppress(OSError):  # without file locks, `sweep` removes no files
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            _lock(descriptor, wait=True)
         if os.fstat(descriptor).st_nlink:
             break
         os.close(descriptor)  # another process removed the file before it was locked
@@ -101,6 +101,15 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
         with suppress(OSError):
             os.unlink(name, dir_fd=folder)
         os.close(descriptor)
+
+
+def _lock(descriptor: int, *, wait: bool) -> None:
+    """Lock a file.  Raises OSError if it is locked, or if the system has no such locks."""
+    try:
+        import fcntl
+    except ImportError as missing:
+        raise OSError("this system has no advisory file locks") from missing
+    fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def sweep(folder: int) -> None:
@@ -119,7 +128,7 @@ def _remove_if_unlocked(folder: int, name: str) -> None:
     with suppress(OSError):
         descriptor = os.open(name, os.O_RDWR | os.O_NONBLOCK | _NO_LINKS, dir_fd=folder)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock(descriptor, wait=False)
             os.unlink(name, dir_fd=folder)
         finally:
             os.close(descriptor)

@@ -11,7 +11,8 @@ import casadi as ca
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.parameter import Parameter
-from ..system.ball_forces import attitude_of, relative_attitude, rotation_vector
+from ..system.attitude import attitude_of
+from ..system.ball_forces import relative_attitude, rotation_vector
 from ..system.force_interface import finite
 from .force import Limit, Named, Symbols, Terms, limited
 

@@ -6,7 +6,7 @@ The measurements that controllers received are checked, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from ..common.arrays import Array
 from ..simulation.balances import energy_balance, momentum_balance
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import State
+from .axial_momenta import axial_momentum_drifts
 from .reference_solution import FullState
 from .step_defects import full_states
 
@@ -37,9 +38,10 @@ class Audit:
         energies: Change of energy less work, (T,). The unit is the largest kinetic energy about
             the centre of mass. It is at least the work of a rotation by 1 rad, or of a translation
             by the robot's size, against gravity and springs.
-        momenta: Change of each conserved momentum component, (T, r). The unit is √(2mT), times
-            the radius of gyration for angular ones. About a pivot it is at least the momentum that
-            gravity transfers over a swing of 1 rad.
+        momenta: Change of each conserved momentum component, (T, r + k). The unit is √(2mT),
+            times the radius of gyration for angular ones. About a pivot it is at least the momentum
+            that gravity transfers over a swing of 1 rad.  The last k are constant momenta of
+            symmetric bodies on balls (see `axial_momentum_drifts`).
         fields: Largest difference of pose, twist, momenta and energy from Pinocchio's at q and v.
     """
 
@@ -64,7 +66,9 @@ def audit_trajectory(traj: Trajectory, states: State) -> Audit:
     impulse = None
     if traj.plan.acting.momentum_changes:
         impulse = momentum_balance(traj.plan, traj.motion, states).impulse
-    return audit_states(FullState(traj.scene), states, work, impulse)
+    audit = audit_states(FullState(traj.scene), states, work, impulse)
+    drifts = axial_momentum_drifts(traj.system, traj.plan.acting.symmetric_balls, states)
+    return replace(audit, momenta=np.column_stack([audit.momenta, *drifts]))
 
 
 def audit_states(full: FullState, states: State, work: Array, impulse: Array | None) -> Audit:

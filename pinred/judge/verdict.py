@@ -46,7 +46,8 @@ class Report(FrozenArrays):
         defect: Largest relative defect of a step, evaluated with ABA.
         energy_drift: Largest |E − E₀ − work| relative to the kinetic energy.
         momentum_drift: Largest change of conserved momentum relative to √(2mT), times the radius
-            of gyration for angular momentum, which is taken about the centre of mass.
+            of gyration for angular momentum, which is taken about the centre of mass.  It includes
+            constant momenta of symmetric bodies on balls.
         field_error: Largest relative difference of pose, twist, momenta and energy from
             Pinocchio's values at q and v.
         reference_error: Distance between the two reference solutions of order 8 and 5, relative

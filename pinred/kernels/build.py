@@ -100,7 +100,9 @@ def build_kernel(
     with explain_ill_scaling(system):
         validate_kernel(kernel)
         if structure.freed:  # also validate with other values of the variable parameters
-            other = perturb_parameters(system, structure.freed, structure.cyclic)
+            other = perturb_parameters(
+                system, structure.freed, (*structure.cyclic, *structure.rotors, *structure.axial)
+            )
             other_forces = None if forces is None else forces.on(other)
             validate_kernel(replace(kernel, system=other, forces=other_forces))
     return kernel

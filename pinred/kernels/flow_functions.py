@@ -55,8 +55,9 @@ def rate_of(kernel: Kernel) -> Differentiable:
 def initial_conditions_of(kernel: Kernel, given: TwistOrMomentum) -> Differentiable:
     """Return the map from an initial state to the reduced initial conditions.
 
-    The map takes ((pose, x, ẋ, ξ or μ), constants) to (y₀, spin and cyclic momenta, c₀, v₀).  The
-    constants are the kernel's parameters without spin and cyclic momenta (see ReducedGraph).
+    The map takes ((pose, x, ẋ, ξ or μ), constants) to (y₀, constant momenta, c₀, v₀), with the
+    momenta of the base, the cyclic joints and the rotors.  The constants are the kernel's other
+    parameters (see ReducedGraph).
     Positions and rates of prescribed joints are replaced by their prescribed values at time zero.
 
     Args:
@@ -174,7 +175,7 @@ def _initial_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
     reduced: list[Any] = [
         *_shape_entries(layout, xs, momenta), *attitude[: counts.attitude], *down,
         *_entries(about)[: counts.momentum], *[0.0] * (counts.push + layout.clock),
-        *_entries(fixed)[: counts.spin], *(momenta[i] for i in layout.cyclic),
+        *_entries(fixed)[: counts.spin], *(momenta[i] for i in layout.constant_pi),
         *_entries(c0), *_entries(v0),
     ]  # fmt: skip
     return ca.Function(
@@ -192,7 +193,7 @@ def _shape_entries(layout: Layout, x: list[ca.SX], pi: list[ca.SX]) -> list[ca.S
             positions += q
             momenta += [4.0 * p for p in quaternion_rate(q, pi[v : v + 3])]
         return [*positions, *momenta, *cyclic]
-    balls = [*(pi[k] for k in layout.ball_v), *(c for q in attitudes for c in q)]
+    balls = [*(pi[k] for k in layout.ball_pi), *(c for q in attitudes for c in q)]
     return [*positions, *momenta, *cyclic, *balls]
 
 
@@ -299,7 +300,7 @@ def _validate_initial_conditions(
     start = initial_conditions_kernel(system, given, layout.freed)(
         pose[None], x[None], xdot[None], motion[None]
     )
-    cyclic, counts = list(layout.cyclic), layout.base
+    counts = layout.base
     gravity = np.zeros(3)
     gravity[list(layout.gravity)] = constants[: len(layout.gravity)]
     down = np.zeros(0)
@@ -308,7 +309,7 @@ def _validate_initial_conditions(
     expected = np.concatenate([
         *layout.shape_entries(x, start.pi[0]), pose[k:][: counts.attitude], down,
         start.about[0, : counts.momentum], np.zeros(counts.push + layout.clock),
-        start.fixed[0, : counts.spin], start.pi[0, cyclic], start.c0[0], start.v0[0],
+        start.fixed[0, : counts.spin], start.pi[0, layout.constant_pi], start.c0[0], start.v0[0],
     ])  # fmt: skip
     values = np.empty(len(expected))
     call_value(native.address, state, constants, values)

@@ -5,6 +5,9 @@ no folder or file that another user could have written, and follows no links.  A
 only if its header and key agree and its signature was made with the user's signing key.  Code of
 an invalid entry is never run; it is compiled again.  A fault of the cache causes a CacheWarning
 and a recompilation, never an error.
+
+Several signing keys may share a folder, as containers with separate homes do.  The file name of an
+entry contains a fingerprint of its signing key, so each key has its own entries.
 """
 
 from __future__ import annotations
@@ -26,10 +29,12 @@ from typing import BinaryIO, NamedTuple
 import llvmlite.binding as llvm
 from platformdirs import user_cache_path
 
+from ..common.cpu_target import cpu_target
 from ..common.errors import CacheWarning, InputError
 from ..common.files import sweep, temporary
 from ..common.version import __version__
-from .signing_key import signing_key
+from .file_trust import find_distrust, find_open_parent
+from .signing_key import TEMPORARY, fingerprint, signing_key
 
 LIMIT = 256 * 2**20  # default maximum size of all entries [bytes]
 _WRITERS = 8  # number of processes that may write at once without exceeding the limit
@@ -39,8 +44,8 @@ _MAGIC = b"pinred\x00\n"
 _HEADER = struct.Struct("<8sI64sQ")  # magic, version, key, length of the payload
 _SIGNATURE = 32  # bytes of the HMAC-SHA256 of header and payload, stored between them
 _KEY = re.compile(r"[0-9a-f]{64}")
-_ENTRY = re.compile(r"([0-9a-f]{64})\.o")
-_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+# Key of the object, and fingerprint of the signing key; earlier versions wrote no fingerprint.
+_ENTRY = re.compile(r"([0-9a-f]{64})(?:\.[0-9a-f]{16})?\.o")
 
 _warned: set[tuple[str, str]] = set()  # (folder, kind) of each warning that was already issued
 # Number of bytes that may be written before the folder is listed again, by folder and limit.
@@ -54,11 +59,13 @@ class CacheEntry(NamedTuple):
         key: Key of the object.
         size: Size of the object's file [bytes].
         last_use: Time of the last use of the object, in seconds since the Unix epoch.
+        file: Name of the object's file.
     """
 
     key: str
     size: int
     last_use: float
+    file: str
 
 
 class _DistrustError(Exception):
@@ -69,7 +76,7 @@ def cache_key(*parts: bytes | str) -> str:
     """Compute the key of an object.
 
     The key also depends on the environment of the compilation: the sources of the engine, the
-    versions of pinred, CasADi and llvmlite, and the CPU.
+    versions of pinred, CasADi and llvmlite, and the CPU that code is compiled for.
 
     Args:
         parts: Values that identify the object.
@@ -77,7 +84,8 @@ def cache_key(*parts: bytes | str) -> str:
         64 hexadecimal digits.
     """
     digest = sha256()
-    for part in (*parts, *_environment()):
+    cpu = cpu_target()
+    for part in (*parts, *_environment(), cpu.name, cpu.features):
         data = part.encode() if isinstance(part, str) else part
         digest.update(b"s" if isinstance(part, str) else b"b")
         digest.update(struct.pack("<Q", len(data)) + data)
@@ -96,8 +104,6 @@ def _environment() -> tuple[str | bytes, ...]:
         version("llvmlite"),
         sources.digest(),
         llvm.get_process_triple(),
-        llvm.get_host_cpu_name(),
-        llvm.get_host_cpu_features().flatten(),
     )
 
 
@@ -131,17 +137,19 @@ class ObjectCache:
     def get(self, key: str) -> bytes | None:
         """Read an object.
 
-        An entry that cannot be trusted is removed with a CacheWarning.
+        An entry that cannot be trusted is removed with a CacheWarning.  Entries of other signing
+        keys are neither read nor removed.
 
         Args:
             key: Key of the object.
         Returns:
             The object, or None if there is no trusted entry.
         """
-        name = _file_name(key)
+        _check_key(key)
         with self._open(make=False) as folder:
             if folder is None:
                 return None
+            name = _file_name(key)
             try:
                 return _read(folder, name, key)
             except FileNotFoundError:
@@ -149,6 +157,8 @@ class ObjectCache:
             except (_DistrustError, OSError) as why:
                 _remove(folder, name)
                 problem = why
+        if name.endswith(f"{TEMPORARY}.o"):  # each process has warned that it cannot store its key
+            return None
         _warn(f"'{self.folder / name}' is not used and is removed: {problem}")
         return None
 
@@ -162,7 +172,7 @@ class ObjectCache:
             key: Key of the object.
             code: The object.
         """
-        name = _file_name(key)
+        _check_key(key)
         header = _HEADER.pack(_MAGIC, _VERSION, key.encode(), len(code))
         if len(header) + _SIGNATURE + len(code) > self.limit:
             return
@@ -170,7 +180,7 @@ class ObjectCache:
             with self._open(make=True) as folder:
                 if folder is not None:
                     entry = header + _signature(header, code) + code
-                    _write(folder, name, entry)
+                    _write(folder, _file_name(key), entry)
                     self._trim(folder, len(entry))
         except OSError as error:
             self._warn_once("write", f"compiled code is not stored in '{self.folder}': {error}")
@@ -201,7 +211,7 @@ class ObjectCache:
             if folder is None:
                 return 0
             sweep(folder)
-            return sum(_remove(folder, f"{entry.key}.o") for entry in _entries(folder))
+            return sum(_remove(folder, entry.file) for entry in _entries(folder))
 
     def _trim(self, folder: int, written: int) -> None:
         """Remove old entries above the limit; list the folder only if the limit may be exceeded."""
@@ -216,7 +226,7 @@ class ObjectCache:
         for entry in entries:
             if total <= target:
                 break
-            if _remove(folder, f"{entry.key}.o"):
+            if _remove(folder, entry.file):
                 total -= entry.size
         _room[folder_limit] = (self.limit - total) // _WRITERS
 
@@ -243,14 +253,14 @@ class ObjectCache:
             yield None
             return
         try:
-            why = _distrust(os.fstat(folder))
+            why = find_distrust(os.fstat(folder))
             if why:
                 self._warn_once(
                     "trust",
                     f"the cache '{self.folder}' is not used, it {why}; machine code is only "
                     "read where nobody else can write: chmod go-w, or set PINRED_CACHE_DIR",
                 )
-            elif above := _find_open_parent(self.folder):
+            elif above := find_open_parent(self.folder):
                 self._warn_once("above", f"the cache '{self.folder}' is in {above}")
             yield None if why else folder
         finally:
@@ -268,37 +278,14 @@ def _warn(text: str) -> None:
     warnings.warn(text, CacheWarning, stacklevel=4)
 
 
-def _file_name(key: str) -> str:
+def _check_key(key: str) -> None:
     if not _KEY.fullmatch(key):
         raise InputError(f"key: expected 64 hexadecimal digits, as from cache_key, got {key!r}")
-    return f"{key}.o"
 
 
-def _distrust(status: os.stat_result) -> str:
-    """Return why another user could have written a file or folder, or "" if none could."""
-    if status.st_uid != os.geteuid():
-        return f"belongs to user {status.st_uid}"
-    if status.st_mode & _OTHERS:
-        return f"can be written by others (mode {stat.S_IMODE(status.st_mode):04o})"
-    return ""
-
-
-def _find_open_parent(folder: Path) -> str:
-    """Return a warning about a parent folder that other users can replace, or "" without one.
-
-    A folder with the sticky bit, such as /tmp, is safe: users cannot move each other's files there.
-    """
-    for above in folder.absolute().parents:
-        with suppress(OSError):
-            status = above.stat()
-            if status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX:
-                return (
-                    f"'{above}', where everyone can write (mode "
-                    f"{stat.S_IMODE(status.st_mode):04o}): others can replace the cache "
-                    "folder, and its entries are then not used; set PINRED_CACHE_DIR to a "
-                    "private folder"
-                )
-    return ""
+def _file_name(key: str) -> str:
+    """Return the name of an entry written with this user's signing key."""
+    return f"{key}.{fingerprint()}.o"
 
 
 def _read(folder: int, name: str, key: str) -> bytes:
@@ -321,7 +308,7 @@ def _read(folder: int, name: str, key: str) -> bytes:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             raise _DistrustError("it is not a regular file")
-        if why := _distrust(status):
+        if why := find_distrust(status):
             raise _DistrustError(f"it {why}")
         with os.fdopen(descriptor, "rb", closefd=False) as file:
             payload = _verify(file, status.st_size, key)
@@ -386,7 +373,7 @@ def _files(folder: int, pattern: re.Pattern[str]) -> Iterator[tuple[str, os.stat
 
 def _entries(folder: int) -> list[CacheEntry]:
     entries = [
-        CacheEntry(name.removesuffix(".o"), status.st_size, status.st_mtime_ns / 1e9)
+        CacheEntry(name[:64], status.st_size, status.st_mtime_ns / 1e9, name)
         for name, status in _files(folder, _ENTRY)
     ]
     return sorted(entries, key=lambda entry: entry.last_use)

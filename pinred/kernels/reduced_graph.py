@@ -5,10 +5,14 @@ The graph omits all terms that a scene does not need.  The reduced state is
     y = (x, π) of the active joints, x of the cyclic joints, π and quaternions of the balls,
         the integrated entries of the base, and the time, if any term depends on it.
 
-The parameters are, in this order: the angular momentum of the base if it is constant, the momenta
-of the cyclic joints, the gravity components that act [m/s²], the variable body parameters, the
+The parameters are, in this order: the angular momentum of the base if it is constant, the constant
+momenta of joints, the gravity components that act [m/s²], the variable body parameters, the
 centre-of-mass path if forces depend on it, and the force parameters.  A joint is cyclic if no
 term depends on its angle and no force acts on it; then its momentum is constant.
+
+A spherical rotor is a ball whose body has equal moments of inertia and its centre of mass at the
+ball.  Its momentum π in its own axes is constant.  The other bodies feel only ℓ = R π, its momentum
+in the axes of its parent, so the sweep works in these axes, with R = 1.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from ..forces.force_numbers import numbers_in
 from ..reduction.base_parts import root_of
 from ..reduction.tree.all_joints import joint_rates, joint_values, shape_gradient
 from ..reduction.tree.articulated_sweep import sweep
-from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.body_frames import bodies_of, with_rotors
 from ..reduction.tree.free_bodies import total_mass, with_free
 from ..reduction.tree.identical_branches import Lanes
 from ..reduction.tree.momenta import centre_of_mass
@@ -33,7 +37,9 @@ from ..reduction.tree.scalars import (
     cross,
     dot,
     mul,
+    quaternion_matrix,
     quaternion_rate,
+    quaternion_rate_in_parent,
     sub,
     total,
 )
@@ -77,7 +83,8 @@ class ReducedGraph:
         self.system, self.forces, self._lanes = system, forces, lanes
         self._freed = structure.freed
         self._body_numbers = [ca.SX.sym(f"Y{k}") for k in range(structure.freed.size)]
-        self._bodies = with_free(bodies_of(system), structure.freed, self._body_numbers)
+        bodies = with_free(bodies_of(system), structure.freed, self._body_numbers)
+        self._bodies = with_rotors(bodies, [system.joints[v] - 1 for v in structure.rotors])
         self._mass = total_mass(self._bodies) if structure.freed.inertias else system.mass
         group, m = system.group, system.m
         self.layout = layout_of(system, structure, forces)
@@ -102,15 +109,17 @@ class ReducedGraph:
         armature = float(system.model.armature[0])  # nonzero only for single-axis roots
         # No term depends on the angle of a cyclic joint, so set it to zero.
         angles: list[Scalar] = [0.0 if k in cyclic_x else x for k, x in enumerate(self.x)]
+        momenta = self._align_rotors(angles)
         rates = dict(zip(prescribed, motion[len(prescribed) :], strict=True))
         result = sweep(
-            self._bodies, joint_values(system, angles), self.pi, mu, group.axes, armature, rates,
+            self._bodies, joint_values(system, angles), momenta, mu, group.axes, armature, rates,
             lanes, system.coupled,
         )  # fmt: skip
         self.xi: list[Scalar] = [
             [*result.root_linear, *result.root_angular][axis] for axis in group.axes
         ]
         self.xdot: list[Scalar] = result.xdot
+        self._rotor_rates = self._turn_rotor_rates()
         self._prescribed_pi = {k: result.pi[k] for k in prescribed}
         torque, wrench = self._forces(mu)
         pidot = [add(p, t) for p, t in zip(result.pidot, torque, strict=True)]
@@ -127,7 +136,7 @@ class ReducedGraph:
             [self.pi[k] for k in layout.active],
             *(self._lifted_momenta if lifted else ()),
             [self.x[k] for k in layout.cyclic_x],
-            [self.pi[k] for k in (() if lifted else layout.ball_v)],
+            [self.pi[k] for k in (() if lifted else layout.ball_pi)],
             [self.x[k] for k in (() if lifted else layout.ball_x)],
             self.base.b,
             [self._t] * layout.clock,
@@ -136,7 +145,7 @@ class ReducedGraph:
     @cached_property
     def parameters(self) -> ca.SX:
         """The parameters, (parameters,)."""
-        momenta = [self.pi[k] for k in self.layout.cyclic]
+        momenta = [self.pi[k] for k in self.layout.constant_pi]
         physical = [*self._gravity, *self._body_numbers, *self._com_path]
         return _column(self.base.spin, momenta, physical, self._numbers)
 
@@ -155,6 +164,26 @@ class ReducedGraph:
             ]
             momenta.append(p)
         return momenta
+
+    def _align_rotors(self, x: list[Scalar]) -> list[Scalar]:
+        """Set the attitudes R of the rotors in x to 1; return the momenta with ℓ = R π."""
+        momenta = list(self.pi)
+        for at, v in self.layout.balls:
+            if v in self.layout.rotors:
+                R = quaternion_matrix(x[at : at + 4])
+                momenta[v : v + 3] = [dot(row, self.pi[v : v + 3]) for row in R]
+                x[at : at + 4] = [0.0, 0.0, 0.0, 1.0]
+        return momenta
+
+    def _turn_rotor_rates(self) -> dict[int, list[Scalar]]:
+        """Turn the rates of the rotors into their own axes; return those in the parents' axes."""
+        rates: dict[int, list[Scalar]] = {}
+        for at, v in self.layout.balls:
+            if v in self.layout.rotors:
+                rates[v] = self.xdot[v : v + 3]
+                columns = zip(*quaternion_matrix(self.x[at : at + 4]), strict=True)
+                self.xdot[v : v + 3] = [dot(list(column), rates[v]) for column in columns]
+        return rates
 
     def _lifted_momentum_rates(self) -> list[list[Scalar]]:
         """Return ṗ = 2 (q ∘ F)/|q|² + ½ p ∘ σ for each ball, with F = π̇ − π × σ."""
@@ -184,7 +213,10 @@ class ReducedGraph:
         """Return the vector field as a Function (y, parameters) → dy/dt."""
         layout, lifted = self.layout, self.layout.lifted_balls
         attitudes = [
-            quaternion_rate(self.x[x : x + 4], self.xdot[v : v + 3]) for x, v in layout.balls
+            quaternion_rate_in_parent(self.x[x : x + 4], self._rotor_rates[v])
+            if v in self._rotor_rates
+            else quaternion_rate(self.x[x : x + 4], self.xdot[v : v + 3])
+            for x, v in layout.balls
         ]
         rate = _column(
             [self.xdot[k] for k in layout.active],
@@ -192,7 +224,7 @@ class ReducedGraph:
             [self.pidot[k] for k in layout.active],
             *(self._lifted_momentum_rates() if lifted else ()),
             [self.xdot[k] for k in layout.cyclic],
-            [self.pidot[k] for k in (() if lifted else layout.ball_v)],
+            [self.pidot[k] for k in (() if lifted else layout.ball_pi)],
             *(() if lifted else attitudes),
             self._base_rate,
             [1.0] * layout.clock,

@@ -211,7 +211,6 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     spin = R @ mu[k:] if counts.spin else np.zeros(0)
     push = rng.normal(size=counts.push)
     b = np.concatenate([pose[len(pose) - counts.attitude :], down, mu[r - counts.momentum :], push])
-    cyclic = list(layout.cyclic)
     com_path = np.append(rng.normal(size=2 * k), falling(system))
     com = np.array(data.Ycrb[1].lever)
     if forces is not None:
@@ -221,7 +220,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
         if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
             return None
     body_parameters = free_numbers(system, layout.freed)
-    parameters = [spin, pi[cyclic], gravity[list(layout.gravity)], body_parameters]
+    parameters = [spin, pi[layout.constant_pi], gravity[list(layout.gravity)], body_parameters]
     parameters += [com_path[: layout.com_path], force_parameters]
     return ReferenceState(
         system=system,

@@ -6,6 +6,7 @@ stored in the user's data folder, which no other user can read.
 
 from __future__ import annotations
 
+import hmac
 import os
 import secrets
 import stat
@@ -20,6 +21,7 @@ from platformdirs import user_data_path
 from ..common.errors import CacheWarning
 from ..common.files import temporary
 
+TEMPORARY = "0" * 16  # fingerprint of a signing key that could not be stored
 _NAME = "cache_key"
 _LOCK = Lock()
 _SIZE = 32  # length of the key [bytes]
@@ -33,16 +35,29 @@ def signing_key() -> bytes:
     stored, a CacheWarning is issued and this process uses a temporary key.
     """
     with _LOCK:
-        return _load_key(user_data_path("pinred"))
+        return _load_key(user_data_path("pinred"))[0]
+
+
+def fingerprint() -> str:
+    """Return 16 hexadecimal digits that identify the signing key without revealing it.
+
+    All keys that could not be stored share the fingerprint TEMPORARY, so that processes without a
+    stored key overwrite each other's entries instead of filling the cache.
+    """
+    key = signing_key()
+    with _LOCK:
+        is_stored = _load_key(user_data_path("pinred"))[1]
+    return hmac.digest(key, b"fingerprint", "sha256").hex()[:16] if is_stored else TEMPORARY
 
 
 @cache
-def _load_key(path: Path) -> bytes:
+def _load_key(path: Path) -> tuple[bytes, bool]:
+    """Return the key, and whether it is stored in a folder."""
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
-            return _read_key(folder) or _create_key(folder, path)
+            return _read_key(folder) or _create_key(folder, path), True
         finally:
             os.close(folder)
     except OSError as error:
@@ -50,7 +65,7 @@ def _load_key(path: Path) -> bytes:
             f"the key of the kernel cache cannot be stored in '{path}' "
             f"({error.strerror or error}); other processes must compile kernels again"
         )
-        return secrets.token_bytes(_SIZE)
+        return secrets.token_bytes(_SIZE), False
 
 
 def _read_key(folder: int) -> bytes | None:

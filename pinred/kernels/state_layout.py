@@ -31,6 +31,8 @@ class Structure:
     Attributes:
         zero_momentum: Whether the momentum of the base is exactly zero.
         cyclic: Indices of the cyclic joints.
+        rotors: Indices of the first rates of the spherical rotors.
+        axial: Indices of the rates of balls along an axis of symmetry of their body.
         gravity: Indices of the axes of the root joint's fixed frame along which gravity acts on the
             shape or rotates a pivoted base.
         base: Whether the outputs contain the state of the base.
@@ -46,6 +48,8 @@ class Structure:
     lifted: bool = False
     lifted_balls: bool = False
     freed: Freed = NOTHING
+    rotors: tuple[int, ...] = ()
+    axial: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,13 +59,16 @@ class Layout:
     Joints are given by the indices of their rates.  The reduced state is, in this order: positions
     and momenta of the active joints, positions of the cyclic joints, momenta and then quaternions
     of the balls, the base, and the time.  Lifted balls count as active: their quaternions follow
-    the positions, and their conjugate momenta follow the momenta.
+    the positions, and their conjugate momenta follow the momenta.  Constant momenta of balls, whose
+    body is symmetric, are parameters, as are those of cyclic joints.
 
     Attributes:
         active: Hinges and slides whose positions and momenta are integrated.
         cyclic: Cyclic joints.
         prescribed: Prescribed joints.
         balls: Ball joints, each with the indices of its first coordinate and its first rate.
+        rotors: Indices of the first rates of the spherical rotors, which are balls, too.
+        axial: Indices of the rates of balls along an axis of symmetry of their body.
         lifted_balls: Whether the quaternions of balls have conjugate momenta.
         coordinates: Index in x of the coordinate of each rate, (m,); −1 for rates of balls.
         base: Numbers of integrated and constant entries of the base.
@@ -79,6 +86,8 @@ class Layout:
     cyclic: tuple[int, ...]
     prescribed: tuple[int, ...]
     balls: tuple[tuple[int, int], ...]
+    rotors: tuple[int, ...]
+    axial: tuple[int, ...]
     lifted_balls: bool
     coordinates: tuple[int, ...]
     base: BaseParts
@@ -116,6 +125,16 @@ class Layout:
         return [v + k for _, v in self.balls for k in range(3)]
 
     @cached_property
+    def ball_pi(self) -> list[int]:
+        """Indices in π of the momenta of balls in y, which are not constant."""
+        return [k for k in self.ball_v if k not in self.constant_pi]
+
+    @cached_property
+    def constant_pi(self) -> list[int]:
+        """Indices in π of the constant momenta: of cyclic joints, rotors, axes of symmetry."""
+        return [*self.cyclic, *(v + k for v in self.rotors for k in range(3)), *self.axial]
+
+    @cached_property
     def pairs(self) -> int:
         """Number of positions in y that are followed by as many conjugate momenta."""
         return len(self.active) + (4 * len(self.balls) if self.lifted_balls else 0)
@@ -128,7 +147,7 @@ class Layout:
     @cached_property
     def base_at(self) -> int:
         """Index in y of the first base entry."""
-        return self.balls_at + (0 if self.lifted_balls else 7 * len(self.balls))
+        return self.balls_at + (0 if self.lifted_balls else len(self.ball_pi) + len(self.ball_x))
 
     def shape_entries(self, x: Array, pi: Array) -> list[Array]:
         """Return the entries of y before the base.
@@ -148,7 +167,7 @@ class Layout:
             ]
         blocks = [*positions, *momenta, x[..., self.cyclic_x]]
         if self.balls and not self.lifted_balls:
-            blocks += [pi[..., self.ball_v], x[..., self.ball_x]]
+            blocks += [pi[..., self.ball_pi], x[..., self.ball_x]]
         return blocks
 
     @cached_property
@@ -169,7 +188,7 @@ class Layout:
     @property
     def gravity_at(self) -> int:
         """Index in the parameters of the first gravity component."""
-        return self.base.spin + len(self.cyclic)
+        return self.base.spin + len(self.constant_pi)
 
     @property
     def com_path_at(self) -> int:
@@ -227,6 +246,8 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
         cyclic=structure.cyclic,
         prescribed=prescribed,
         balls=tuple((joint.x.start, joint.v.start) for joint in system.space.balls),
+        rotors=structure.rotors,
+        axial=structure.axial,
         lifted_balls=structure.lifted_balls,
         coordinates=tuple(coordinates.tolist()),
         base=base,

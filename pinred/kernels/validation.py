@@ -192,7 +192,7 @@ def _validate_acceleration(
     active, first = list(layout.active), layout.pairs
     pidot = np.zeros(system.m)
     pidot[active] = rate[first : first + len(active)]
-    pidot[layout.ball_v] = _ball_momentum_rates(kernel, at, rate)
+    pidot[layout.ball_pi] = _ball_momentum_rates(kernel, at, rate)
     pidot += H[:k, r:].T @ wrench[:k] / system.mass
     # Centre the model, because the round-off of Pinocchio's Coriolis matrix grows with the
     # distance from the origin.
@@ -245,17 +245,17 @@ def _velocity_of_rate(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
 def _ball_rates(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
     """Return the rates of balls along their axes, from the rates ½ q σ of their quaternions."""
     layout = kernel.layout
-    first = len(layout.active) if layout.lifted_balls else layout.balls_at + len(layout.ball_v)
+    first = len(layout.active) if layout.lifted_balls else layout.balls_at + len(layout.ball_pi)
     rates = rate[first : first + len(layout.ball_x)].reshape(-1, 4)
     q = at.x[layout.ball_x].reshape(-1, 4)
     return np.asarray(2.0 * quaternion_product(conjugate(q), rates)[:, :3].ravel())
 
 
 def _ball_momentum_rates(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
-    """Return the rates of the canonical momenta of balls along their axes."""
+    """Return the rates of the canonical momenta of balls along their axes, without rotors."""
     layout = kernel.layout
     if not layout.lifted_balls:
-        return rate[layout.balls_at : layout.balls_at + len(layout.ball_v)]
+        return rate[layout.balls_at : layout.balls_at + len(layout.ball_pi)]
     first, count = len(layout.active), len(layout.ball_x)
     momenta = slice(layout.pairs + first, layout.pairs + first + count)
     q, qdot = at.x[layout.ball_x], rate[first : first + count]

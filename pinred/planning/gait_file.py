@@ -16,7 +16,7 @@ from ..analysis.gaits.gait import Gait
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector_or_zero
 from ..common.errors import InputError
-from ..scene.scene_options import SCENE_OPTIONS
+from ..scene.scene_options import BY_JOINT, SCENE_OPTIONS
 from ..scene.toml.documents import read_document, robot_in
 from ..scene.toml.file_place import naming
 from ..scene.toml.keys import ROBOT
@@ -256,6 +256,12 @@ GAIT_FILE = Table(
         "base": Key(
             Text((), "the name of a link"), "link that serves as the base", default="the root"
         ),
+        "centre": replace(
+            SCENE_OPTIONS["x0"],
+            text="shape about which gaits are given; a ball has a rotation vector or a quaternion",
+            default="at rest",
+            command=f"--centre {BY_JOINT}",
+        ),
         "gait": Key(Tagged("kind", GAITS, "a gait"), "the closed path"),
         "momentum": replace(SCENE_OPTIONS["momentum"], default="0"),
         "optimise": Key(OPTIMISE, OPTIMISE.words),
@@ -278,7 +284,7 @@ class GaitFile:
 
     Attributes:
         system: The system.
-        connection: The connection.
+        connection: The connection, in rotation vectors about `centre` if there are ball joints.
         gait: The gait, or None.
         momentum: Initial body momentum, (r,).
         optimise: Options in the file for `optimise_gait`, by name.
@@ -324,6 +330,8 @@ def load_gait(path: str | Path) -> GaitFile:
     if "base" in document:
         with naming(place / "base"):
             connection = connection.seen_from(document["base"])
+    with naming(place / "centre", "centre: "):
+        connection = connection.in_chart(document.get("centre"))
     gait = None
     if "gait" in document:
         with naming(place / "gait"):

@@ -19,7 +19,7 @@ from ..lie.rotations import quaternion_exp
 from ..system.shape_space import PlacedJoint
 from ..system.system import System
 
-_WIDTHS = {"x0": (3, 4), "xdot0": (3,)}  # numbers of entries of a ball's value
+_RATES = "xdot0"  # option whose values are rates; all other options are shapes
 
 
 def order_by_joint(value: Any, system: System, what: str) -> Any:
@@ -30,7 +30,7 @@ def order_by_joint(value: Any, system: System, what: str) -> Any:
             last axis of three or four.  Axes of balls may be named on their own, such as
             "neck.x".  Any value that is not a mapping is returned unchanged.
         system: System with the joints.
-        what: Name of the option: "x0" for shapes, "xdot0" for rates.
+        what: Name of the option: "xdot0" for rates, any other name for shapes.
     Returns:
         (nx,) or (N, nx) for shapes, (m,) or (N, m) for rates; joints that are not named are at
         rest.
@@ -40,7 +40,7 @@ def order_by_joint(value: Any, system: System, what: str) -> Any:
     """
     if not isinstance(value, Mapping):
         return value
-    space, of_shape = system.space, what == "x0"
+    space, of_shape = system.space, what != _RATES
     labels = space.x_names if of_shape else space.names
     balls = {joint.name: joint for joint in space.balls}
     columns: dict[tuple[int, int], Array] = {}
@@ -78,10 +78,10 @@ def _place(joint: PlacedJoint, of_shape: bool) -> tuple[int, int]:
 
 def _of_ball(numbers: Array, joint: PlacedJoint, what: str) -> Array:
     """Return the quaternion, (..., 4), or the rates, (..., 3), of a ball."""
-    widths: Sequence[int] = _WIDTHS[what]
+    widths: Sequence[int] = (3,) if what == _RATES else (3, 4)
     if numbers.ndim == 0 or numbers.shape[-1] not in widths:
         expected = "a rotation vector of 3 numbers or a quaternion (x, y, z, w)"
-        if what != "x0":
+        if what == _RATES:
             expected = "an angular velocity of 3 numbers, in the axes of the child"
         raise ShapeError(
             f"{what}['{joint.name}'] is a ball joint: expected {expected}, got shape "
@@ -89,7 +89,7 @@ def _of_ball(numbers: Array, joint: PlacedJoint, what: str) -> Array:
         )
     if not np.isfinite(numbers).all():
         raise ShapeError(f"{what}['{joint.name}'] must be finite, got {numbers}")
-    if what != "x0":
+    if what == _RATES:
         return numbers
     if numbers.shape[-1] == 3:
         return quaternion_exp(numbers)
@@ -107,9 +107,9 @@ def _refuse_parts(
 ) -> None:
     """Reject a table that sets the same entries twice or only some entries of a quaternion."""
     for name, joint in balls.items():
-        whole = first, last = _place(joint, what == "x0")
+        whole = first, last = _place(joint, what != _RATES)
         parts = [p for p in columns if p != whole and first <= p[0] < last]
-        if parts and (whole in columns or what == "x0"):
+        if parts and (whole in columns or what != _RATES):
             raise InputError(
                 f"{what}: set joint '{name}' as a whole, as {what}={{'{name}': …}}, not by its "
                 "entries"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..lie.groups import GROUPS
 from .toml.schema import ByName, Either, Flag, Key, ListOf, Table, Text
-from .toml.signal_tables import NUMBER
+from .toml.signal_tables import NUMBER, NUMBERS
 
 LOAD = Table(
     {
@@ -21,8 +21,14 @@ LOAD = Table(
             command="--gravity V1,V2,…",
         ),
         "lock": Key(
-            Either((ListOf(Text((), "the name of a joint")), ByName(NUMBER))),
-            "joints to lock at zero, or at the values stated by name [rad | m]",
+            Either(
+                (
+                    ListOf(Text((), "the name of a joint")),
+                    ByName(Either((NUMBER, NUMBERS))),
+                )
+            ),
+            "joints to lock at zero, or at the values stated by name [rad | m]; a ball has a "
+            "rotation vector or a quaternion (x, y, z, w)",
             default="none",
             command="--lock J1,J2=VALUE,…",
         ),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from ..kernels.state_layout import Layout
 from ..reduction.potential import falling
+from ..reduction.symmetric_balls import SymmetricBall, axial_among, rotors_among
 from ..scene.initial_state import large_angles
 from .compiled.compiled_flow import has_no_momentum
 from .plan import Plan
@@ -13,6 +15,7 @@ def explain(plan: Plan) -> str:
     lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=has_no_momentum(plan))]
     lines.append(f"integrated: {integrated(plan)}")
     lines += seen_and_integrated(plan)
+    lines += [f"constant: {ball}" for ball in _integrated_constants(plan)]
     lines += varying(plan)
     if note := large_angles(plan.scene.given.x[0], plan.system):
         lines.append(f"note: {note}")
@@ -39,6 +42,17 @@ def seen_and_integrated(plan: Plan) -> list[str]:
     elif observed and not plan.acting.momentum_changes:
         lines.append("constant: momentum, because torques do not change it")
     return lines
+
+
+def _integrated_constants(plan: Plan) -> list[SymmetricBall]:
+    """Return the symmetric balls whose constant momentum is nevertheless integrated."""
+    layout = plan.kind(zero_momentum=has_no_momentum(plan)).layout
+    return [ball for ball in plan.acting.symmetric_balls if not _is_parameter(layout, ball)]
+
+
+def _is_parameter(layout: Layout, ball: SymmetricBall) -> bool:
+    """Return whether the constant momentum of a symmetric ball is a parameter of the kernel."""
+    return not {*rotors_among([ball]), *axial_among([ball])}.isdisjoint(layout.constant_pi)
 
 
 def varying(plan: Plan, *, generic: bool = False) -> list[str]:
@@ -118,6 +132,11 @@ def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
     if plan.acting.cyclic:
         cyclic = ", ".join(names[k] for k in plan.acting.cyclic)
         lines.append(f"momenta of the cyclic joints, which are constant: {cyclic}")
+    lines += [
+        f"{ball}, which is constant"
+        for ball in plan.acting.symmetric_balls
+        if _is_parameter(layout, ball)
+    ]
     if not system.m:
         lines.append("shape: there is none")
     elif not plan.acting.gravity.any() and forces is None:

@@ -22,6 +22,13 @@ from ..integrators.methods import Method
 from ..kernels.state_layout import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.potential import acting_gravity, pivot_weight
+from ..reduction.symmetric_balls import (
+    SymmetricBall,
+    always_symmetric,
+    axial_among,
+    rotors_among,
+    symmetric_balls_of,
+)
 from ..reduction.tree.free_bodies import NOTHING, Freed, freed_of
 from ..scene.scene import Scene
 from ..system.model_parameters import ModelParameters
@@ -106,6 +113,7 @@ class Acting:
             (3,) [m/s²].
         momentum_changes: Whether a force changes the angular momentum of the base.
         cyclic: Indices of the joints whose momentum is constant.
+        symmetric_balls: Balls whose momentum about an axis of symmetry is constant.
         driven: Indices of the prescribed joints.
         free: Indices of all other joints.
     """
@@ -116,6 +124,7 @@ class Acting:
     gravity: Array
     momentum_changes: bool
     cyclic: tuple[int, ...]
+    symmetric_balls: tuple[SymmetricBall, ...]
     driven: tuple[int, ...]
     free: tuple[int, ...]
 
@@ -234,12 +243,15 @@ class Plan:
             "there. Use DOP853, or smooth forces",
         )
 
-    def kind(self, *, zero_momentum: bool, generic: bool = False) -> Kind:
+    def kind(
+        self, *, zero_momentum: bool, generic: bool = False, all_momenta: bool = False
+    ) -> Kind:
         """Return the equations with or without angular momentum, cached.
 
         Args:
             zero_momentum: Whether the initial angular momentum of the base is exactly zero.
             generic: Whether variable parameters of the robot may take any value.
+            all_momenta: Whether constant momenta of symmetric balls are integrated, too.
         Returns:
             The equations.
         """
@@ -252,12 +264,16 @@ class Plan:
         lifted_balls = self.method.symplectic and bool(self.system.space.balls)
         any_gravity = generic and varied is not None and varied.gravity_name() == "gravity"
         freed = self.freed(generic=generic)
+        # Lifted balls have conjugate momenta, none of which is constant.
+        symmetric = () if lifted_balls or all_momenta else acting.symmetric_balls
 
         def make() -> Kind:
             axes = tuple(np.flatnonzero(acting.gravity).tolist())
             structure = Structure(
                 zero_momentum=zero,
                 cyclic=acting.cyclic,
+                rotors=rotors_among(symmetric),
+                axial=axial_among(symmetric),
                 gravity=(0, 1, 2) if axes and any_gravity else axes,
                 base=self.wanted,
                 lifted=lifted,
@@ -267,7 +283,9 @@ class Plan:
             return Kind(self.system, self.forces, structure)
 
         return once(
-            acting, (Kind, zero, self.wanted, lifted, lifted_balls, freed, any_gravity), make
+            acting,
+            (Kind, zero, self.wanted, lifted, lifted_balls, freed, any_gravity, all_momenta),
+            make,
         )
 
     def freed(self, *, generic: bool = False) -> Freed:
@@ -345,15 +363,18 @@ def _acting(system: System, forces: ForceModel | None, varied: ModelParameters |
     weighed = forces is not None and forces.weighed
     driven = forces.joints if forces is not None else ()
     pushed = forces is not None and forces.has_wrench
-    cyclic = cyclic_of(system, touched_by(forces), pushed=pushed)
+    touched = touched_by(forces)
+    cyclic = cyclic_of(system, touched, pushed=pushed)
+    balls = symmetric_balls_of(system, touched)
     if varied is not None:
-        # Cyclic joints and balanced pivots must stay so for all values of variable parameters.
+        # Symmetries and balanced pivots must remain for all values of variable parameters.
         perturbed_system = varied.system(varied.perturbed(np.random.default_rng(0)))
         if not weight.any() and pivot_weight(perturbed_system).any():
             gravity = system.model.jointPlacements[1].rotation.T @ system.gravity
             weight = system.mass * gravity
-        always = cyclic_of(perturbed_system, touched_by(forces), pushed=pushed)
+        always = cyclic_of(perturbed_system, touched, pushed=pushed)
         cyclic = tuple(k for k in cyclic if k in always)
+        balls = always_symmetric(balls, symmetric_balls_of(perturbed_system, touched))
     if weighed and weight.any():
         raise SymmetryError(
             f"gravity rotates the base of '{system.name}', so its accelerations depend on more "
@@ -366,6 +387,7 @@ def _acting(system: System, forces: ForceModel | None, varied: ModelParameters |
         gravity=gravity,
         momentum_changes=bool(weight.any()) or pushed,
         cyclic=cyclic,
+        symmetric_balls=balls,
         driven=driven,
         free=tuple(k for k in range(system.m) if k not in driven),
     )

@@ -30,13 +30,13 @@ from ..system.catalogue import bundled_robots
 from ..system.load import is_path
 from ..system.state_fields import FIELDS, Axis, ShapeState, State
 from .over_time import OverTime
-from .trajectory_files import parameters_in, save
+from .trajectory_files import lock_in, parameters_in, save
 
 if TYPE_CHECKING:
     from ..system.system import System
 
 _ORIGIN = (
-    "source", "lock_joints", "lock_values", "gravity", "root",
+    "source", "lock_joints", "lock_sizes", "lock_values", "gravity", "root",
     "parameter_names", "parameter_sizes", "parameter_values",
 )  # fmt: skip
 # Largest accepted difference between q and the configuration of pose and shape [rad | m].
@@ -215,12 +215,9 @@ def _load_robot(
     if not confirmed:
         source = _find_trusted_source(path, source)
     try:
-        names = map(str, origin.get("lock_joints", ()))
-        values = map(float, origin.get("lock_values", ()))
-        lock = dict(zip(names, values, strict=True))
         root = str(origin["root"]) if "root" in origin else None
         return load(
-            source, group=group, lock=lock, gravity=origin.get("gravity"), root=root,
+            source, group=group, lock=lock_in(origin), gravity=origin.get("gravity"), root=root,
             parameters=parameters_in(origin),
         )  # fmt: skip
     except (PinredError, ValueError, TypeError) as error:

@@ -5,7 +5,7 @@ Two classes implement ReducedFlow: CompiledFlow and PinocchioFlow.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -123,7 +123,13 @@ class Integrate(Protocol):
         """
 
 
-def entry_name(system: System, active: Sequence[int], cyclic: Sequence[int], entry: int) -> str:
+def entry_name(
+    system: System,
+    active: Sequence[int],
+    cyclic: Sequence[int],
+    entry: int,
+    constant: Collection[int] = (),
+) -> str:
     """Return the name of an entry of a reduced state, for messages.
 
     Args:
@@ -131,6 +137,7 @@ def entry_name(system: System, active: Sequence[int], cyclic: Sequence[int], ent
         active: Indices of the hinges and slides whose positions and momenta come first.
         cyclic: Indices of the cyclic joints, whose positions follow; then come the balls.
         entry: Index of the entry.
+        constant: Indices of the momenta of balls that are not entries, because they are constant.
     Returns:
         A noun phrase.
     """
@@ -138,8 +145,13 @@ def entry_name(system: System, active: Sequence[int], cyclic: Sequence[int], ent
     entries = [f"the position of joint '{names[k]}'" for k in active]
     entries += [f"the momentum of joint '{names[k]}'" for k in active]
     entries += [f"the position of joint '{names[k]}'" for k in cyclic]
-    for quantity, count in (("momentum", 3), ("attitude", 4)):
-        for joint in system.space.balls:
-            entries += [f"the {quantity} of ball joint '{joint.name}'"] * count
+    balls = system.space.balls
+    for joint in balls:
+        rates = range(joint.v.start, joint.v.stop)
+        entries += [
+            f"the momentum of ball joint '{joint.name}'" for k in rates if k not in constant
+        ]
+    for joint in balls:
+        entries += [f"the attitude of ball joint '{joint.name}'"] * 4
     root = f"the motion of the root joint '{system.root_name}'"
     return entries[entry] if entry < len(entries) else root

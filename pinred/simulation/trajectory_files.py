@@ -13,6 +13,7 @@ from ..common.errors import OutputError
 from ..common.files import check_path, write_atomic
 from ..common.names import quoted_path
 from ..common.optional_packages import optional_package
+from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY
 from ..system.state_fields import FIELDS, arrays_of, axis_labels
 from ..system.system import System
@@ -25,8 +26,9 @@ def save(traj: OverTime, path: str | Path) -> None:
     """Write the states of a motion at its report times; no partial file remains after a failure.
 
     .npz contains one array for each field of State, with time as first axis, and `robot`, `group`
-    and `joints`.  The arrays `source`, `lock_joints`, `lock_values`, `gravity`, `root` and
-    `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the robot.
+    and `joints`.  The arrays `source`, `lock_joints`, `lock_sizes`, `lock_values`, `gravity`,
+    `root` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the
+    robot.
     .csv has a row for each time and columns such as `pose.x`, `x.hinge` and `energy`.
     .zarr is a folder with the arrays of .npz, and texts as its attributes.
 
@@ -73,12 +75,52 @@ def robot_arrays(system: System) -> dict[str, Any]:
         "joints": np.array(system.shape_names, dtype=str),
         **({"coordinates": np.array(system.x_names, dtype=str)} if system.space.balls else {}),
         "source": np.array("" if origin is None else origin.source),
-        "lock_joints": np.array(list(lock), dtype=str),
-        "lock_values": np.array(list(lock.values()), dtype=float),
+        **_lock_arrays(lock),
         "gravity": system.gravity,
         **root,
         **_parameter_arrays(parameters),
     }
+
+
+def _lock_arrays(lock: Mapping[str, LockValue]) -> dict[str, Any]:
+    """Return the names and values of locked joints, and the sizes unless all are 1."""
+    entries = [np.atleast_1d(value) for value in lock.values()]
+    sizes = np.array([len(array) for array in entries], dtype=int)
+    return {
+        "lock_joints": np.array(list(lock), dtype=str),
+        "lock_values": np.concatenate([np.empty(0), *entries]),
+        **({"lock_sizes": sizes} if (sizes > 1).any() else {}),
+    }
+
+
+def lock_in(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the locked joints in the arrays of a file, {joint: number or list of numbers}.
+
+    Args:
+        content: Arrays of a file by name.  Without sizes, each joint has one number.
+    Returns:
+        The values of the locked joints.
+    Raises:
+        ValueError: The lengths of the names, sizes and values do not match.
+    """
+    names = np.atleast_1d(content.get("lock_joints", ()))
+    sizes = content.get("lock_sizes", np.ones(len(names), dtype=int))
+    arrays = _split("locked joints", names, sizes, content.get("lock_values", ()))
+    return {
+        name: float(values[0]) if len(values) == 1 else values.tolist()
+        for name, values in arrays.items()
+    }
+
+
+def _split(what: str, names: Any, sizes: Any, values: Any) -> dict[str, Any]:
+    """Split values, (sum of sizes,), into an array for each name.  Raises ValueError."""
+    names = [str(name) for name in np.atleast_1d(names)]
+    sizes = [int(size) for size in np.atleast_1d(sizes)]
+    values = np.ravel(np.asarray(values, dtype=float))
+    if len(names) != len(sizes) or min(sizes, default=1) < 1 or sum(sizes) != len(values):
+        raise ValueError(f"the names, sizes and values of its {what} are inconsistent")
+    arrays = np.split(values, np.cumsum(sizes)[:-1]) if names else []
+    return dict(zip(names, arrays, strict=True))
 
 
 def _parameter_arrays(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -103,13 +145,10 @@ def parameters_in(content: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: The lengths of the names, sizes and values do not match.
     """
-    names = [str(name) for name in np.atleast_1d(content.get("parameter_names", ()))]
-    sizes = [int(size) for size in np.atleast_1d(content.get("parameter_sizes", ()))]
-    values = np.ravel(np.asarray(content.get("parameter_values", ()), dtype=float))
-    if len(names) != len(sizes) or min(sizes, default=1) < 1 or sum(sizes) != len(values):
-        raise ValueError("the names, sizes and values of its parameters are inconsistent")
-    arrays = np.split(values, np.cumsum(sizes)[:-1]) if names else []
-    return dict(zip(names, arrays, strict=True))
+    names, sizes, values = (
+        content.get(f"parameter_{what}", ()) for what in ("names", "sizes", "values")
+    )
+    return _split("parameters", names, sizes, values)
 
 
 def _write_csv(traj: OverTime, file: BinaryIO) -> None:

@@ -21,7 +21,8 @@ from ..lie.groups import GROUPS
 from .coupling import Coupled
 from .joints import axes_of, is_prismatic, is_shape_joint, joint_kind, motion_group
 from .massless_motions import largest_step, no_moment
-from .singular_mass_matrix import SingularShape, singular_shapes
+from .scaled_inertia import SingularShape
+from .singular_mass_matrix import singular_shapes
 
 _UNIT = 1e-9  # tolerance for the unit length of an axis and the orthogonality of a rotation
 _MOST_FREEDOMS = 400
@@ -292,7 +293,9 @@ def _isolated_shapes_doubt(model: pin.Model, shapes: tuple[SingularShape, ...]) 
 
 
 def _joint_value_words(model: pin.Model, name: str, value: float) -> str:
-    unit = "m" if is_prismatic(model.joints[model.getJointId(name)]) else "rad"
+    # The name of an entry of a ball's rotation vector is not that of a joint.
+    slides = model.existJointName(name) and is_prismatic(model.joints[model.getJointId(name)])
+    unit = "m" if slides else "rad"
     return f"{quoted(name)} = {value:.6g} {unit}"
 
 

@@ -25,7 +25,7 @@ from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError
 from ..common.names import brief, plain
 from ..common.parameter import Parameter
-from ..lie.rotations import quaternion_exp
+from .attitude import attitude_of
 from .force_interface import Force, Symbols, Terms, finite
 
 if TYPE_CHECKING:
@@ -33,31 +33,6 @@ if TYPE_CHECKING:
 
 # Added to the squared length of the vector part of a quaternion, so that its root has a derivative.
 _TINY = 1e-300
-
-
-def attitude_of(value: Any, what: str) -> Array:
-    """Return the unit quaternion (x, y, z, w) of an attitude.
-
-    Args:
-        value: Rotation vector, (3,) [rad], or quaternion (x, y, z, w) of any length.
-        what: Name of the value in messages.
-    Returns:
-        The quaternion, (4,).
-    Raises:
-        InputError: The value is neither, is not finite, or is zero.
-    """
-    numbers = as_floats(value, what)
-    if numbers.shape not in ((3,), (4,)) or not np.isfinite(numbers).all():
-        raise InputError(
-            f"{what}: expected a rotation vector of 3 finite numbers or a quaternion "
-            f"(x, y, z, w), got {brief(value)}"
-        )
-    if numbers.shape == (3,):
-        return read_only(quaternion_exp(numbers))
-    length = float(np.linalg.norm(numbers))
-    if not length > 0.0:
-        raise InputError(f"{what}: expected a quaternion other than zero, got {brief(value)}")
-    return read_only(numbers / length)
 
 
 def relative_attitude(rest: Array, q: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -22,6 +22,9 @@ from .massless_motions import largest_step
 
 _MEET = 1e-9  # largest distance between axes that meet, relative to the robot's largest step
 _RIGHT_ANGLE = 1e-5  # largest cosine of a right angle, for angles such as 1.5708 in files
+_ROUND_OFF = 1e-14  # largest round-off of an attitude [rad]
+_IN_LOCK = 1e-13  # largest sine between the first and third axes in gimbal lock
+_CORRECTIONS = 5  # largest number of Newton's steps for axes near right angles
 _SEPARATORS = "_-.:/ "
 
 
@@ -57,8 +60,61 @@ class HingeTriple:
 
     def attitude(self, angles: Array) -> Array:
         """Return the quaternion (x, y, z, w) of the ball for the angles of the hinges, (3,)."""
+        return np.asarray(pin.Quaternion(self._rotation(angles)).normalized().coeffs())
+
+    def angles(self, attitude: Array) -> Array:
+        """Return angles of the hinges, (3,) [rad], at which the ball has an attitude.
+
+        Of the two solutions, return the one with the smaller angles.  In gimbal lock the first
+        angle is zero.  Near it, axes that are not exactly at right angles miss some attitudes by up
+        to their error, at most 2e-5 rad; the angles are then those of a nearby attitude.
+
+        Args:
+            attitude: Unit quaternion (x, y, z, w), (4,).
+        """
+        R = pin.Quaternion(np.asarray(attitude, dtype=float)).toRotationMatrix()
+        a1, a2, a3 = self.axes
+        # With right angles, a1ᵀ R a3 = p cos β + s sin β = cos (β − φ) for p = a1·a3 = cos φ.
+        phi = np.arctan2(a1 @ np.cross(a2, a3), a1 @ a3)
+        tilt = np.arctan2(np.linalg.norm(np.cross(a1, R @ a3)), a1 @ R @ a3)
+        solutions = [self._refined(self._angles_at(R, phi + t), R) for t in (tilt, -tilt)]
+        errors = [self._error(angles, R) for angles in solutions]
+        passing = [k for k in range(2) if errors[k] <= 2.0 * min(errors) + _ROUND_OFF]
+        return min((solutions[k] for k in passing), key=lambda angles: float(angles @ angles))
+
+    def _angles_at(self, R: Array, second: float) -> Array:
+        """Return angles of the hinges for a rotation, (3, 3), and the angle of the second hinge."""
+        a1, a2, a3 = self.axes
+        # The first hinge turns one of these vectors, normal to its axis, into the other.
+        before, after = np.cross(a1, pin.exp3(a2 * second) @ a3), np.cross(a1, R @ a3)
+        sine, cosine = a1 @ np.cross(before, after), before @ after
+        in_lock = np.hypot(sine, cosine) <= _IN_LOCK**2
+        first = 0.0 if in_lock else float(np.arctan2(sine, cosine))
+        rest = pin.exp3(a2 * second).T @ pin.exp3(a1 * first).T @ R
+        vee = np.array([rest[2, 1] - rest[1, 2], rest[0, 2] - rest[2, 0], rest[1, 0] - rest[0, 1]])
+        return np.array([first, second, np.arctan2(a3 @ vee, np.trace(rest) - 1.0)])
+
+    def _refined(self, angles: Array, R: Array) -> Array:
+        """Correct angles for axes that are not exactly at right angles, with Newton's method."""
+        for _ in range(_CORRECTIONS):
+            error = self._error(angles, R)
+            if error <= _ROUND_OFF:
+                break
+            columns = np.transpose([self.rate(angles, rate) for rate in np.eye(3)])
+            step = np.linalg.lstsq(columns, pin.log3(self._rotation(angles).T @ R), rcond=None)[0]
+            if not self._error(angles + step, R) < error:
+                break
+            angles = angles + step
+        return angles
+
+    def _rotation(self, angles: Array) -> Array:
+        """Return the rotation, (3, 3), of the ball for the angles of the hinges, (3,)."""
         turns = [pin.exp3(axis * angle) for axis, angle in zip(self.axes, angles, strict=True)]
-        return np.asarray(pin.Quaternion(turns[0] @ turns[1] @ turns[2]).normalized().coeffs())
+        return np.asarray(turns[0] @ turns[1] @ turns[2])
+
+    def _error(self, angles: Array, R: Array) -> float:
+        """Return the angle [rad] between the attitude at given angles and a rotation, (3, 3)."""
+        return float(np.linalg.norm(pin.log3(self._rotation(angles).T @ R)))
 
     def rate(self, angles: Array, rates: Array) -> Array:
         """Return the angular velocity in the child's axes, (3,), for angles and rates, (3,)."""

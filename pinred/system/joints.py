@@ -43,6 +43,12 @@ def is_shape_joint(joint: pin.JointModel) -> bool:
     return elementary_joint(joint) is not None
 
 
+def is_ball(joint: pin.JointModel) -> bool:
+    """Return whether the coordinates of a joint are a unit quaternion (x, y, z, w)."""
+    kind = elementary_joint(joint)
+    return kind is not None and kind.is_ball
+
+
 def is_prismatic(joint: pin.JointModel) -> bool:
     """Return whether a joint is prismatic (metres), not revolute (radians)."""
     group = motion_group(joint)

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector
 from ..common.errors import (
-    ChoiceError,
     InputError,
     LeftOutWarning,
     LoadError,
@@ -24,16 +23,22 @@ from ..common.errors import (
     ModelWarning,
 )
 from ..common.files import is_file
-from ..common.names import brief, listed, quoted
+from ..common.names import brief, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
-from ..lie.spatial_groups import SE3
 from . import catalogue
+from .choose_root import on_root
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
-from .joints import RootChain, is_shape_joint, motion_group, places_on_root, root_chain, root_joint
-from .locked_joints import LockedJoints, frozen_configurations, lock_values
-from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls
+from .joints import is_ball, motion_group, places_on_root, root_chain
+from .locked_joints import (
+    LockedJoints,
+    LockValue,
+    frozen_configurations,
+    lock_values,
+    separate_attitudes,
+)
+from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
@@ -87,7 +92,7 @@ def load(
     source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec,
     *,
     group: str | Group | None = None,
-    lock: Iterable[str] | Mapping[str, float] = (),
+    lock: Iterable[str] | Mapping[str, ArrayLike] = (),
     gravity: ArrayLike | None = None,
     root: str | None = None,
     strict: bool = False,
@@ -110,8 +115,9 @@ def load(
             above it is the ground.  So does any first moving joint whose link above is massless
             and carries all other links.  Otherwise the group is SE3: the root link floats on a new
             root joint.  Consecutive joints at the root count as one joint if they move in a group.
-        lock: Joints to lock at zero, or mapping from joint to its locked value [rad | m].
-            Followers of a locked joint are locked with it.
+        lock: Joints to lock at zero, or mapping from joint to its locked value [rad | m].  The
+            value of a ball is a rotation vector [rad] or a quaternion (x, y, z, w).  Followers of a
+            locked joint are locked with it.
         gravity: Gravity in the world frame, (3,) [m/s²].  If None, the robot's gravity
             (Pinocchio's 9.81 along −z for a URDF).
         root: For MJCF, the body of the world that carries the robot, if several can move.
@@ -200,7 +206,7 @@ def _load_mujoco(
     source: Any,
     kind: str,
     group: Group | None,
-    locked: Mapping[str, float],
+    locked: Mapping[str, LockValue],
     gravity: Array | None,
     *,
     root: str | None,
@@ -208,7 +214,7 @@ def _load_mujoco(
 ) -> System:
     """Load a MuJoCo source of a `kind` (see `_mjcf_kind`); other arguments: see `load`."""
     robot = read_mujoco(source, root=root, lock=locked, gravity=gravity, balls=balls)
-    model, name, origin = _on_root(robot.model, group, None), robot.name, None
+    model, name, origin = on_root(robot.model, group, None), robot.name, None
     if kind == "path":
         name = Path(source).stem
         origin = Origin(str(Path(source).absolute()), locked, root)
@@ -221,7 +227,7 @@ def _load_mujoco(
 def _read(
     source: str | Path | pin.Model,
     group: Group | None,
-    locked: Mapping[str, float],
+    locked: Mapping[str, LockValue],
     folders: tuple[str, ...],
 ) -> _Robot:
     """Read a robot from a name, a URDF file or a model; the arguments are those of `load`."""
@@ -252,7 +258,7 @@ def _read(
 
 def _load_model(
     robot: _Robot,
-    lock: Mapping[str, float],
+    lock: Mapping[str, LockValue],
     gravity: Array | None,
     visuals: Visuals | None,
     balls: bool | tuple[str, ...],
@@ -261,23 +267,27 @@ def _load_model(
     split = split_joints(robot.raw)
     names = list(split.model.names)
     all_couplings = (*robot.couplings, *split.couplings)
-    lock = locked_hinges(split.model, balls, split.locked(lock))
-    locked, couplings = with_followers(lock, all_couplings, names)
+    requested = split.locked(lock)
+    lock = locked_hinges(split.model, balls, requested)
+    balls = unlocked_balls(split.model, balls, requested)
+    ball_names = [n for i, n in enumerate(names) if i and is_ball(split.model.joints[i])]
+    values, attitudes = separate_attitudes(lock, ball_names, names)
+    locked, couplings = with_followers(values, all_couplings, names)
     hinges = [n for n in names[1:] if split.model.joints[split.model.getJointId(n)].nv == 1]
     forces = passive_contents(split.model, hinges, locked, (), robot.springs).passive
     kept = {*locked, *coupled_joints(couplings)}
     merge = merge_of(split.model, balls, passive=forces, kept=kept)
     raw = merge.model(split.model)
-    bare = rebuild(raw, frozen=frozen_configurations(raw, locked))
+    bare = rebuild(raw, frozen=frozen_configurations(raw, locked, attitudes))
     chain = root_chain(bare)
-    model = _on_root(bare, robot.group, chain)
+    model = on_root(bare, robot.group, chain)
     locked_joints = None
     if locked:
         ties, shared = ties_of(locked, all_couplings, names)
         places = {} if chain is None else places_on_root(bare, chain)
         several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
         locked_joints = LockedJoints(
-            raw, locked, ties, places, str(model.names[1]), several, shared
+            raw, locked, ties, places, str(model.names[1]), several, attitudes, shared
         )
     shape = merge.with_hinges(list(model.names)[2:])
     passive = passive_contents(split.model, shape, locked, split.sliding, robot.springs)
@@ -340,56 +350,3 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
         pin.loadRotorParameters(model, str(robot.rotors), False)
         model.armature = model.rotorInertia * model.rotorGearRatio**2
     return model, couplings
-
-
-def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pin.Model:
-    """Return the model with a root joint of the requested group: its current root, or a new one.
-
-    Args:
-        raw: Model.
-        group: Requested group, or None for the group of the current root.
-        chain: Consecutive joints at the root that form one joint, if any.
-    Raises:
-        ChoiceError: It is unclear whether the root link is fixed or floats.
-        ModelError: The current root moves in another group.
-    """
-    root_group = _root_group(raw) if chain is None else chain.group
-    if root_group is None:
-        if group is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
-            raise ChoiceError(_unclear_root(raw), "group", ("SE3",))
-        return rebuild(raw, root=root_joint(group or SE3))
-    if group in (None, root_group):
-        return raw if chain is None else rebuild(raw, root=root_joint(root_group), chain=chain)
-    joints = list(raw.names)[1 : 2 if chain is None else chain.last + 1]
-    locked = "' or '".join(joints)
-    way_out = f"load it with group='{root_group}', or lock '{locked}'"
-    if chain is None and raw.joints[1].nv == 1:
-        way_out += ", or give the massless link above it a mass so that it can float"
-    raise ModelError(
-        f"group {group} was requested, but the root joint '{'+'.join(joints)}' of the model has "
-        f"group {root_group}; {way_out}"
-    )
-
-
-def _unclear_root(raw: pin.Model) -> str:
-    """Return the error message that asks whether a massless root link is fixed or floats."""
-    links = [f.name for f in raw.frames if f.parentJoint == 0 and f.type == pin.FrameType.BODY]
-    carried = [raw.names[i] for i in range(1, raw.njoints) if raw.parents[i] == 0]
-    link = f"the root link {quoted(links[0])}" if links else "the root"
-    return (
-        f"{link} has no mass and carries several joints ({listed(carried)}): does it stand, or "
-        "float? group='SE3' lets it float; as a ground it must carry one joint: lock the others, "
-        "or give it a mass"
-    )
-
-
-def _root_group(raw: pin.Model) -> Group | None:
-    """Return the group of the root joint in a model, or None if it needs a new root."""
-    if raw.njoints < 2:
-        return None
-    group = motion_group(raw.joints[1])
-    if not is_shape_joint(raw.joints[1]):
-        return group
-    anchored = raw.inertias[0].mass == 0.0
-    carries_all = all(raw.parents[i] != 0 for i in range(2, raw.njoints))
-    return group if anchored and carries_all else None

@@ -9,17 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats, entries_of
 from ..common.errors import InputError
 from ..common.names import brief, listed, quoted
+from .attitude import attitude_of
 from .joints import joint_configuration
 
+# Value of a locked joint [rad | m].  The attitude of a ball is a rotation vector of three numbers
+# [rad], or a quaternion (x, y, z, w) of any length; zero is the attitude at rest.
+LockValue: TypeAlias = float | tuple[float, ...]
 
-def lock_values(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
+
+def lock_values(lock: Iterable[str] | Mapping[str, ArrayLike]) -> dict[str, LockValue]:
     """Return {joint to lock: value}; a value defaults to zero.  Raises InputError."""
     if isinstance(lock, str):
         raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
@@ -31,21 +38,83 @@ def lock_values(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
     if not all(isinstance(name, str) for name in names):
         raise InputError(f"lock must contain names of joints, got {brief(names)}")
     values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(names, 0.0)
-    for name, value in values.items():
-        number = as_floats(value, f"lock: the value for joint {quoted(name)}")
-        if number.ndim or not np.isfinite(number):
+    return {str(name): _lock_value(name, value) for name, value in values.items()}
+
+
+def _lock_value(name: str, value: ArrayLike) -> LockValue:
+    """Return a number, or the three or four finite numbers of an attitude."""
+    what = f"lock: the value for joint {quoted(name)}"
+    numbers = as_floats(value, what)
+    if numbers.shape in ((3,), (4,)):
+        attitude_of(numbers, what)
+        return tuple(numbers.tolist())
+    if numbers.ndim or not np.isfinite(numbers):
+        raise InputError(
+            f"{what} must be finite: a number, or for a ball a rotation vector of 3 numbers or a "
+            f"quaternion (x, y, z, w); got {brief(value)}"
+        )
+    return float(numbers)
+
+
+def lock_attitude(name: str, value: LockValue, remedy: str = "") -> Array:
+    """Return the unit quaternion (x, y, z, w) at which a ball is locked, (4,).
+
+    Args:
+        name: Name of the ball.
+        value: Value at which the ball is locked.
+        remedy: Another way to lock the ball, for the message.
+    Raises:
+        InputError: The value is a number other than zero.
+    """
+    if isinstance(value, tuple):
+        return attitude_of(value, f"lock: the value for joint {quoted(name)}")
+    if value != 0.0:
+        raise InputError(
+            f"lock: joint {quoted(name)} is a ball: expected 0, a rotation vector [x, y, z] in rad "
+            f"or a quaternion [x, y, z, w], got {value:g}{remedy}"
+        )
+    return np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def separate_attitudes(
+    lock: Mapping[str, LockValue], balls: Collection[str], joints: Collection[str]
+) -> tuple[dict[str, float], dict[str, Array]]:
+    """Separate the attitudes of balls from the values of other joints.
+
+    Args:
+        lock: Values of joints to lock.
+        balls: Names of ball joints.
+        joints: Names of all joints.
+    Returns:
+        Values of all joints to lock [rad | m], zero for balls; and the unit quaternions (x, y, z,
+        w) of the locked balls, {ball: (4,)}.
+    Raises:
+        InputError: A ball has a number other than zero, or another joint has several numbers.
+    """
+    attitudes = {name: lock_attitude(name, lock[name]) for name in lock if name in balls}
+    values: dict[str, float] = {}
+    for name, value in lock.items():
+        if isinstance(value, tuple) and name in joints and name not in balls:
             raise InputError(
-                f"lock: the value for joint {quoted(name)} must be finite, got {brief(value)}"
+                f"lock: joint {quoted(name)} is not a ball: expected one number [rad | m], got "
+                f"{brief(list(value))}"
             )
-    return {str(name): float(value) for name, value in values.items()}
+        values[name] = 0.0 if isinstance(value, tuple) else value
+    return values, attitudes
 
 
-def frozen_configurations(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
+def frozen_configurations(
+    raw: pin.Model, locked: Mapping[str, float], attitudes: Mapping[str, Array]
+) -> dict[int, Array]:
     """Return Pinocchio's configurations of the joints to lock, {joint index: (nq,)}.
 
+    Args:
+        raw: Model with the joints.
+        locked: Values of all joints to lock [rad | m].
+        attitudes: Unit quaternions of the balls to lock, {ball: (4,)}.
     Raises:
-        InputError: A joint is unknown, or has several degrees of freedom and a value other than
-            zero.
+        InputError: A joint is unknown, or has several degrees of freedom, is not a ball, and has a
+            value other than zero.
     """
     configurations: dict[int, Array] = {}
     neutral = pin.neutral(raw)
@@ -62,6 +131,8 @@ def frozen_configurations(raw: pin.Model, locked: Mapping[str, float]) -> dict[i
         q = neutral[joint.idx_q : joint.idx_q + joint.nq].copy()
         if joint.nv == 1:
             q[:] = joint_configuration(joint, value)
+        elif name in attitudes:
+            q[:] = attitudes[name]
         configurations[joint.id] = q
     return configurations
 
@@ -110,12 +181,13 @@ class LockedJoints:
 
     Attributes:
         raw: Model that contains all joints whose value may vary, before they are locked.
-        frozen: Values of all locked joints [rad | m].
+        frozen: Values of all locked joints [rad | m]; zero for balls.
         ties: Ties of locked joints to their leaders, {follower: tie}.
         root: Joints of the raw model that the root joint replaces, {joint: placement of its body
             on the root joint}.  Empty if the root was added, or is a joint of the raw model.
         root_name: Name of the root joint.
-        several: Locked joints with several degrees of freedom, whose coordinates are fixed at zero.
+        several: Locked joints with several degrees of freedom, whose coordinates are fixed.
+        attitudes: Unit quaternions (x, y, z, w) of locked balls, {ball: (4,)}.
         shared: Locked joints in couplings with several leaders, whose values are fixed.
         names: Locked joints whose values may vary as parameters.
     """
@@ -126,6 +198,7 @@ class LockedJoints:
     root: Mapping[str, pin.SE3] = field(default_factory=dict)
     root_name: str = ""
     several: tuple[str, ...] = ()
+    attitudes: Mapping[str, Array] = field(default_factory=dict)
     shared: tuple[str, ...] = ()
     names: tuple[str, ...] = field(init=False)
 
@@ -138,6 +211,11 @@ class LockedJoints:
         if name in self.ties:
             leader = self.ties[name].leader
             return f"it follows '{leader}', with which it is locked; vary '{leader}.lock'"
+        if name in self.attitudes:
+            return (
+                "it is a ball, whose attitude cannot vary; "
+                f"load(lock={{'{name}': [x, y, z]}}) again"
+            )
         if name in self.several:
             return "it has several degrees of freedom, so it can only be locked at zero"
         if name in self.shared:
@@ -194,6 +272,8 @@ class LockedJoints:
                 q[k] = joint_configuration(joint, value)
                 twist = at.toActionMatrix() @ np.asarray(motion.S).ravel() * slope
                 twists[leader] = twists.get(leader, 0.0) + twist
+            elif name in self.attitudes:
+                q[joint.idx_q : joint.idx_q + joint.nq] = self.attitudes[name]
             joint.calc(motion, q)
             places[i] = Carried(under.joint, at, at * motion.M, twists)
         return places

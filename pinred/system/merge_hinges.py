@@ -16,6 +16,7 @@ from .coordinates import InitialState
 from .force_interface import Force
 from .hinge_triples import HingeTriple, hinge_triples
 from .joints import root_chain
+from .locked_joints import LockValue, lock_attitude
 from .passive import MERGED, Damper, Friction, JointForce, Spring
 from .rebuild import NewJoint, rebuild
 from .robot_file_contents import Coupling, LeftOut
@@ -267,29 +268,50 @@ def _named(raw: pin.Model, triples: Sequence[HingeTriple], name: str) -> HingeTr
 
 
 def locked_hinges(
-    raw: pin.Model, balls: bool | tuple[str, ...], lock: Mapping[str, float]
-) -> dict[str, float]:
+    raw: pin.Model, balls: bool | tuple[str, ...], lock: Mapping[str, LockValue]
+) -> dict[str, LockValue]:
     """Replace each ball to lock by its hinges, which then stay hinges.
+
+    A value for a hinge takes precedence over that of its ball.
 
     Args:
         raw: Model with the hinges.
         balls: See `merge_of`.
-        lock: Values of joints or balls to lock [rad | m].
+        lock: Values of joints or balls to lock.
     Returns:
-        Values of joints of `raw` to lock [rad | m].
+        Values of joints of `raw` to lock.
     Raises:
-        InputError: A ball has a value other than zero.
+        InputError: A ball has a number other than zero.
     """
-    if balls is False or all(raw.existJointName(name) for name in lock):
+    if balls is False:
         return dict(lock)
-    hinges = {t.name: t.hinges for t in hinge_triples(raw) if not t.why_not}
-    values: dict[str, float] = {}
+    triples = {triple.name: triple for triple in hinge_triples(raw) if not triple.why_not}
+    values: dict[str, LockValue] = {}
+    hinges: dict[str, LockValue] = {}
     for name, value in lock.items():
-        parts = (name,) if raw.existJointName(name) else hinges.get(name, (name,))
-        if len(parts) > 1 and value != 0.0:
-            raise InputError(
-                f"lock: the ball {quoted(name)} can only be locked at zero; lock its hinges "
-                f"instead: {listed(parts)}"
-            )
-        values |= dict.fromkeys(parts, value)
-    return values
+        # A ball may have the name of its first hinge, which a number then locks.
+        is_joint = raw.existJointName(name) and not isinstance(value, tuple)
+        if is_joint or name not in triples:
+            values[name] = value
+            continue
+        triple = triples[name]
+        attitude = lock_attitude(name, value, f"; or lock its hinges: {listed(triple.hinges)}")
+        # The identity has the angles zero, without round-off.
+        angles = triple.angles(attitude) if attitude[:3].any() else np.zeros(3)
+        hinges |= dict(zip(triple.hinges, angles.tolist(), strict=True))
+    return hinges | values
+
+
+def unlocked_balls(
+    raw: pin.Model, balls: bool | tuple[str, ...], lock: Collection[str]
+) -> bool | tuple[str, ...]:
+    """Return the option balls of `load` without the names of balls that are locked.
+
+    Args:
+        raw: Model with the hinges.
+        balls: See `merge_of`.
+        lock: Names of joints or balls to lock.
+    """
+    if isinstance(balls, bool):
+        return balls
+    return tuple(name for name in balls if name not in lock or raw.existJointName(name))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import signal
 import struct
 import sys
@@ -28,8 +27,8 @@ def main() -> None:
     os.dup2(2, 1)
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # end at once, even inside a library
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    _limit(resource.RLIMIT_AS, request["memory"])
-    _limit(resource.RLIMIT_CORE, 0)
+    _limit("RLIMIT_AS", request["memory"])
+    _limit("RLIMIT_CORE", 0)
     sys.path[:] = request["path"]
     import coal
 
@@ -47,8 +46,11 @@ def main() -> None:
         output.flush()
 
 
-def _limit(what: int, value: int) -> None:
+def _limit(name: str, value: int) -> None:
     """Lower a resource limit of this process."""
+    import resource  # Windows has no such module
+
+    what = getattr(resource, name)
     hard = resource.getrlimit(what)[1]
     lowest = value if hard == resource.RLIM_INFINITY else min(value, hard)
     resource.setrlimit(what, (lowest, hard))

@@ -11,7 +11,7 @@ from ..common.arrays import Array, FrozenArrays
 from ..common.names import plain
 from .force_interface import Force
 from .hinge_triples import HingeTriple
-from .locked_joints import LockedJoints
+from .locked_joints import LockedJoints, LockValue
 from .visuals import Visuals
 
 
@@ -21,14 +21,14 @@ class Origin:
 
     Attributes:
         source: Name of the robot, or absolute path of its file.
-        lock: Values of the locked joints, {joint: value} [rad | m].
+        lock: Values of the locked joints as requested, {joint: value}.
         root: Body of an MJCF file that was chosen as the root, if any.
         meshes: Additional folders in which meshes are searched; the folders above the file are
             always searched.
     """
 
     source: str
-    lock: Mapping[str, float]
+    lock: Mapping[str, LockValue]
     root: str | None = None
     meshes: tuple[str, ...] = ()
 

@@ -19,6 +19,7 @@ from ..common.names import listed, quoted
 from . import joint_types
 from .joint_types.joint_type import JointType, Part
 from .joints import is_shape_joint, motion_group, root_chain
+from .locked_joints import LockValue
 from .rebuild import NewJoint, rebuild
 from .robot_file_contents import Coupling
 
@@ -52,18 +53,18 @@ class SplitModel:
     couplings: tuple[Coupling, ...]
     sliding: tuple[str, ...]
 
-    def locked(self, lock: Mapping[str, float]) -> dict[str, float]:
+    def locked(self, lock: Mapping[str, LockValue]) -> dict[str, LockValue]:
         """Replace each joint that was split by its independent parts.
 
         Args:
-            lock: Values of joints to lock [rad | m].
+            lock: Values of joints to lock.
         Returns:
-            Values of joints of `model` to lock [rad | m].
+            Values of joints of `model` to lock.
         Raises:
             InputError: A joint with several independent parts has a value other than zero.
         """
         followers = {coupling.follower for coupling in self.couplings}
-        values: dict[str, float] = {}
+        values: dict[str, LockValue] = {}
         for name, value in lock.items():
             parts = [part for part in self.parts.get(name, (name,)) if part not in followers]
             if len(parts) > 1 and value != 0.0:

@@ -9,9 +9,10 @@ from spinning_robots import gyrostat, heavy_gyrostat
 
 import pinred
 from pinred.analysis.equilibria import search
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.amended_energy import AmendedEnergy
 from pinred.analysis.equilibria.equilibrium_problem import problem_of
 from pinred.analysis.equilibria.find import equilibrium_at
+from pinred.analysis.equilibria.points import Points
 from pinred.analysis.stability import stability_verdict as verdict
 from pinred.analysis.stability.reduced_state import _casimir_gradients
 from pinred.analysis.stability.second_variation import (

@@ -16,10 +16,11 @@ from spinning_robots import rods
 from test_branches import HUB, LENGTH, MASS, SLIM, WIDE, G, governor, squared_momentum_at
 
 import pinred
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.amended_energy import AmendedEnergy
 from pinred.analysis.equilibria.distinct_points import DistinctPoints, Orbit
 from pinred.analysis.equilibria.equilibrium_problem import Problem, problem_of
 from pinred.analysis.equilibria.morse_sum import _degree, euler_characteristic
+from pinred.analysis.equilibria.points import Points
 from pinred.analysis.equilibria.shape_symmetries import symmetries_of
 from pinred.common.arrays import Array
 

@@ -14,9 +14,10 @@ from spinning_robots import gyrostat, rods
 from trees import random_model
 
 import pinred
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.amended_energy import AmendedEnergy
 from pinred.analysis.equilibria.equilibrium_problem import problem_of
 from pinred.analysis.equilibria.find import equilibrium_at
+from pinred.analysis.equilibria.points import Points
 from pinred.analysis.equilibria.search import _quarters
 from pinred.common.arrays import Array
 from pinred.forces import Damper, PotentialEnergy
@@ -402,7 +403,7 @@ def test_minimum_of_many_joints_is_independent_of_seed() -> None:
 def test_starting_points_of_humanoid_are_limited() -> None:
     """Only the requested number of the 4³² shapes with quarter turns is generated."""
     rng = np.random.default_rng(0)
-    assert _quarters(32, 25, rng).shape == (25, 32)
+    assert _quarters(32, 0, 25, rng).shape == (25, 32)
     assert _quarters(64, 25, rng).shape == (25, 64)
     assert len(np.unique(_quarters(2, 16, rng), axis=0)) == 16
     assert _quarters(0, 5, rng).shape == (1, 0)

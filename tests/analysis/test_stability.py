@@ -12,8 +12,9 @@ from strategies import seeds
 from trees import random_model
 
 import pinred
-from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.amended_energy import AmendedEnergy
 from pinred.analysis.equilibria.find import flow_at
+from pinred.analysis.equilibria.points import Points
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
 from pinred.analysis.stability.second_variation import second_variation
 from pinred.common.arrays import Array

@@ -146,3 +146,31 @@ def test_plot_refers_to_field_and_phase_commands(
     code, _, err = run(capsys, *words)
     assert code == 2
     assert f"draw it with `{command}`" in err
+
+
+def test_commands_take_loops_of_balls_about_a_centre(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The axes of a ball have labels; `phase` and `field` take the same centre as Python."""
+    centre, out = ("--centre", "spine=0,0.2,0.1"), tmp_path / "field.npz"
+    words = ("falling_cat_ball", "--circle", "spine.y,spine.z,1.2", *centre)
+    code, text, _ = run(capsys, "phase", *words)
+    assert code == 0
+    cat = pinred.Connection.mechanical(pinred.load("falling_cat_ball"))
+    about = cat.in_chart({"spine": [0.0, 0.2, 0.1]})
+    circle = pinred.Gait.fourier([0.0] * 3, [[0.0, 1.2, 0.0]], [[0.0, 0.0, 1.2]])
+    p = pinred.phase(about, circle)
+    assert number(text, "turn +N rad") == pytest.approx(p.screw.angle, rel=1e-11)
+    code, _, _ = run(
+        capsys, "field", "falling_cat_ball", *centre, "--samples", "3", "--out", str(out)
+    )
+    assert code == 0
+    with np.load(out) as file:
+        np.testing.assert_array_equal(file["curvature"], about.grid(file["x"]).curvature)
+    picture = tmp_path / "field.png"
+    code, _, _ = run(capsys, "field", *words, "--out", str(picture))
+    assert code == 0
+    assert picture.stat().st_size > 10_000
+    code, _, err = run(capsys, "phase", "falling_cat_ball", "--circle", "spine.y,spine.w,1.2")
+    assert code != 0
+    assert "the joints are spine.x, spine.y, spine.z" in err

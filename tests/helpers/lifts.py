@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 import pinred
@@ -37,11 +38,31 @@ def pose_after_cycle(
     return g
 
 
-def by_pinocchio(system: pinred.System, gait: pinred.Gait, momentum: Array) -> Array:
-    """Return the pose after one cycle for an initial body momentum (r,)."""
+def at_rotation_vectors(
+    system: pinred.System, centre: Array, w: Array, wdot: Array
+) -> tuple[Array, Array]:
+    """Return the shape centre · exp(w), (nx,), and its rates, (m,), by Pinocchio's exponential."""
+    x, rates = np.array(centre), wdot.copy()
+    x[system.space.scalar_x] += w[system.space.scalar_v]
+    for ball in system.space.balls:
+        R = pin.Quaternion(centre[ball.x]).matrix() @ pin.exp3(w[ball.v])
+        x[ball.x] = pin.Quaternion(R).coeffs()
+        rates[ball.v] = pin.Jexp3(w[ball.v]) @ wdot[ball.v]
+    return x, rates
+
+
+def by_pinocchio(
+    system: pinred.System, gait: pinred.Gait, momentum: Array, centre: Array | None = None
+) -> Array:
+    """Return the pose after one cycle for an initial body momentum (r,).
+
+    With a centre, (nx,), the gait is given in rotation vectors of balls about it.
+    """
     red, group = pinred.Reduction(system), system.group
 
     def velocity(g: Array, x: Array, xdot: Array) -> Array:
+        if centre is not None:
+            x, xdot = at_rotation_vectors(system, centre, x, xdot)
         split = red.split(x)
         mu = group.Ad(g).T @ momentum
         return -split.local_connection @ xdot + np.linalg.solve(split.locked_inertia, mu)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from native_functions import build, callable_of
 
 from pinred.common.arrays import Array
+from pinred.common.cpu_target import cpu_target
 from pinred.common.errors import InputError, UnsupportedOperationError
 from pinred.kernels.machine import native
 from pinred.kernels.machine.native import compile_object, load_object
@@ -157,7 +158,8 @@ def test_empty_and_unused_inputs() -> None:
 def test_nested_sines_equal_casadi(angles: int, fma: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Batches of any size in sequence, of sines, cosines, or both."""
     if not fma:
-        monkeypatch.setattr(native, "_has_fma", lambda: False)
+        plain = cpu_target()._replace(fma=False)
+        monkeypatch.setattr(native, "cpu_target", lambda: plain)
     x = ca.SX.sym("x", angles)
     sines, cosines = ca.sin(x), ca.cos(x[: (angles + 1) // 2])
     inner = sines * 3.0 + ca.sum1(cosines)

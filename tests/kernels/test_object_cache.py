@@ -13,6 +13,7 @@ import pytest
 from pinred.common.errors import CacheWarning, InputError
 from pinred.kernels import object_cache
 from pinred.kernels.object_cache import CacheEntry, ObjectCache, cache_key
+from pinred.kernels.signing_key import fingerprint
 
 KEY, OTHER = cache_key("one"), cache_key("two")
 CODE = bytes(range(256)) * 9
@@ -30,7 +31,7 @@ def filled(folder: Path) -> tuple[ObjectCache, Path]:
     """Return a cache with one entry, and its file."""
     cache = ObjectCache(folder)
     cache.put(KEY, CODE)
-    return cache, folder / f"{KEY}.o"
+    return cache, folder / f"{KEY}.{fingerprint()}.o"
 
 
 def test_get_returns_what_put_wrote(folder: Path) -> None:
@@ -140,7 +141,7 @@ def test_get_rejects_foreign_entries(filled: tuple[ObjectCache, Path]) -> None:
     file.write_bytes(data[:8] + (3).to_bytes(4, "little") + data[12:])
     assert_rejected(cache, file, "format is 3")
     cache.put(OTHER, CODE)
-    (file.parent / f"{OTHER}.o").rename(file)
+    (file.parent / f"{OTHER}.{fingerprint()}.o").rename(file)
     assert_rejected(cache, file, "another key")
 
 
@@ -257,7 +258,7 @@ def test_put_removes_least_recently_used(folder: Path) -> None:
     cache = ObjectCache(folder, limit=3 * (HEADER + 100) + 50)
     for age, key in enumerate(keys[:3]):
         cache.put(key, bytes(100))
-        os.utime(folder / f"{key}.o", (1000.0 + age, 1000.0 + age))
+        os.utime(folder / f"{key}.{fingerprint()}.o", (1000.0 + age, 1000.0 + age))
     assert [entry.key for entry in cache.entries()] == keys[:3]
     assert cache.get(keys[0]) == bytes(100)
     assert [entry.key for entry in cache.entries()] == [keys[1], keys[2], keys[0]]

@@ -171,3 +171,29 @@ x0 = {{ alpha1 = 0.4, alpha2 = 0.5 }}
         _ = file.path
     tumbling = read(tmp_path, f"momentum = [0.0, 0.0, 0.01]\n{text}")
     close(tumbling.reorient["momentum"], [0.0, 0.0, 0.01])
+
+
+def test_gait_file_of_ball_gives_phase_of_python(tmp_path: Path) -> None:
+    """Axes have labels, the centre a joint name, and recorded data has one column for each axis."""
+    head = "robot = 'falling_cat_ball'\ncentre = {spine = [0.1, -0.4, 0.2]}\n"
+    moves = "moves = [{'spine.y' = 0.7}, {'spine.z' = 0.9}, {'spine.y' = -0.7, 'spine.z' = -0.9}]"
+    file = read(tmp_path, f"{head}[gait]\nkind = 'strokes'\nstart = [0.1, 0.0, 0.3]\n{moves}\n")
+    assert file.connection.joints == ("spine.x", "spine.y", "spine.z")
+    corners = [[0.1, 0.0, 0.3], [0.1, 0.7, 0.3], [0.1, 0.7, 1.2]]
+    cat = pinred.Connection.mechanical(pinred.load("falling_cat_ball"))
+    quaternion = cat.space.integrate(cat.space.neutral, np.array([0.1, -0.4, 0.2]))
+    expected = pinred.phase(cat.in_chart(quaternion), pinred.Gait.waypoints(corners)).pose
+    close(pinred.phase(file.connection, file.path).pose, expected, 1e-12)
+    assert np.abs(pinred.phase(cat, file.path).pose - expected).max() > 1e-2
+    points = np.stack([np.linspace(0.0, 1.0, 41), *np.zeros((3, 41))], axis=1)
+    points[:, 2] = np.cos(2.0 * np.pi * points[:, 0])
+    points[:, 3] = np.sin(2.0 * np.pi * points[:, 0])
+    np.savetxt(
+        tmp_path / "loop.csv", points, "%.17g", ",", header="t,spine.x,spine.y,spine.z", comments=""
+    )
+    file = read(tmp_path, f"{head}[gait]\nkind = 'recorded'\nfile = 'loop.csv'\n")
+    circle = pinred.Gait.fourier([0.0] * 3, [[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]])
+    exact = pinred.phase(cat.in_chart(quaternion), circle).pose
+    close(pinred.phase(file.connection, file.path).pose, exact, 1e-4)
+    with pytest.raises(pinred.InputError, match=r"line 2: centre: no shape joint 'neck'"):
+        read(tmp_path, f"{head.replace('spine', 'neck')}")

@@ -10,7 +10,7 @@ import pytest
 
 import pinred
 from pinred import InputError
-from pinred.cli.command_options import shape_in
+from pinred.cli.option_values import shape_in
 
 FILE = """
 robot = "diver"

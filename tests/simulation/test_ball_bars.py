@@ -128,4 +128,4 @@ def test_attitudes_of_flat_rotor_equal_closed_form() -> None:
     spin = xi[3:] + sigma  # of the rotor in space, constant
     found = quaternion_product(traj.pose[:, 3:], traj.x)
     expected = quaternion_exp(traj.t[:, None] * spin)
-    assert np.abs(rotation(found) - rotation(expected)).max() <= 1e-11
+    assert np.abs(rotation(found) - rotation(expected)).max() <= 1e-12

@@ -11,9 +11,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from ball_trees import ball_tree, joined_bodies
+from taylor_series import two_bodies
 
 import pinred
 from pinred import InputError, ShapeError
+from pinred.forces import BallSpring
 from pinred.lie.rotations import quaternion_exp, quaternion_log, quaternion_product, rotation
 
 METHODS = ["DOP853", "Tsit5", "Radau", "AdaptiveGauss", "RKMK4(0.005)", "Gauss(0.02, 8)"]
@@ -110,32 +112,25 @@ def test_invalid_attitude_is_refused(option: str, value: Any, message: str) -> N
         pinred.Scene(system=joined_bodies(), **{option: value})
 
 
-def test_bodies_on_ideal_ball_move_like_free_bodies() -> None:
-    """A ball at both centres of mass exerts no moment: each body obeys Euler's equations alone."""
+@pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
+@pytest.mark.parametrize("stiffness", [0.0, 2.0])
+def test_bodies_on_ball_at_their_centres_equal_taylor_series(stiffness: float, method: str) -> None:
+    """Attitudes over 3 s to 1e-12 of series with 30 digits; an ideal ball exerts no moment."""
     moments = np.array([[0.4, 0.5, 0.7], [0.2, 0.3, 0.4]])
     system = joined_bodies(moments, np.zeros((2, 3)))
     xi, sigma = np.array([0.0, 0.0, 0.0, 1.0, 2.0, -0.5]), np.array([0.5, -1.5, 2.0])
-    q = quaternion_exp(np.array([0.4, 0.3, -0.2]))
+    q, times = quaternion_exp(np.array([0.4, 0.3, -0.2])), np.linspace(0.0, 3.0, 13)
+    forces = [BallSpring("joint", stiffness, law="cosine")] if stiffness else []
     traj = pinred.simulate(
-        system, x0=q, xdot0=sigma, xi0=xi, duration=3.0, rtol=1e-13, atol=1e-14,
+        system, x0=q, xdot0=sigma, xi0=xi, forces=forces, times=times, rtol=1e-13, atol=1e-14,
+        method=method,
     )  # fmt: skip
     omegas = [xi[3:], rotation(q).T @ xi[3:] + sigma]
-    attitudes = [np.array([0.0, 0.0, 0.0, 1.0]), q]
-    for body, (I, omega, attitude) in enumerate(zip(moments, omegas, attitudes, strict=True)):
-        alone = pin.Model()
-        joint = alone.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
-        inertia = pin.Inertia(1.0, np.zeros(3), np.diag(I))
-        alone.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-        expected, _ = aba.integrate(alone, attitude, omega, traj.t, rtol=1e-13)
-        found = traj.pose[:, 3:]
-        if body:
-            found = quaternion_product(found, traj.x)
-        cosine = np.abs(np.sum(found * expected, axis=1))
-        assert np.arccos(np.minimum(cosine, 1.0)).max() <= 3e-8  # arccos loses half the digits
-        distance = np.minimum(
-            np.abs(found - expected).max(axis=1), np.abs(found + expected).max(axis=1)
-        )
-        assert distance.max() <= 1e-11
+    expected = two_bodies(moments, omegas, [[0.0, 0.0, 0.0, 1.0], q], stiffness, times)
+    space = traj.pose[:, 3:]
+    for body, found in enumerate((space, quaternion_product(space, traj.x))):
+        error = quaternion_product(expected[:, body] * [-1.0, -1.0, -1.0, 1.0], found)
+        assert np.abs(quaternion_log(error)).max() <= 1e-12
 
 
 MOTION: dict[str, Any] = {
@@ -252,5 +247,5 @@ def test_ball_takes_equal_steps_near_gimbal_lock_of_hinges() -> None:
             assert np.abs(error).max() <= 1e-5
         steps.append(ball.run.steps)
         hinge_steps.append(triple.run.steps)
-    assert max(steps[1:]) <= 1.05 * min(steps[1:]), steps
+    assert max(steps[1:]) <= 1.1 * min(steps[1:]), steps
     assert hinge_steps[-1] > 3 * max(steps), hinge_steps

@@ -165,10 +165,10 @@ def test_springs_and_dampers_of_balls_equal_mujoco(tmp_path: Path, seed: int) ->
 
 
 def test_locked_ball_is_fixed_at_the_identity(tmp_path: Path) -> None:
-    """It cannot be locked at another value."""
+    """A number other than zero is not an attitude."""
     robot = read(tmp_path, DIVER, lock={"neck": 0.0})
     assert list(robot.model.names)[2:] == ["lift", "wrist"]
-    with pytest.raises(InputError, match="'neck' has several degrees of freedom"):
+    with pytest.raises(InputError, match=r"'neck' is a ball: expected 0, a rotation vector"):
         read(tmp_path, DIVER, lock={"neck": 0.3})
 
 
@@ -188,9 +188,11 @@ def test_merged_hinges_leave_forces_out_and_warn(tmp_path: Path) -> None:
 
 
 def test_locked_hinges_stay_hinges(tmp_path: Path) -> None:
-    """The ball can be locked by its name at zero; its hinges by theirs at any value."""
+    """The ball can be locked by its name, also if it was to be merged; its hinges by theirs."""
     names = list(read(tmp_path, HUMANOID, balls=True, lock={"head": 0.0}).model.names)[2:]
     assert names == ["lfemur", "ltibiarx"]
+    names = list(read(tmp_path, HUMANOID, balls=("head",), lock={"head": 0.0}).model.names)[2:]
+    assert names == ["lfemurrz", "lfemurry", "lfemurrx", "ltibiarx"]
     robot = read(tmp_path, HUMANOID, balls=True, lock={"headrx": 0.3})
     assert list(robot.model.names)[2:] == ["lfemur", "ltibiarx", "headrz", "headry"]
     locked = robot.contents(SE3).locked
@@ -199,7 +201,7 @@ def test_locked_hinges_stay_hinges(tmp_path: Path) -> None:
     assert locked.raw.existJointName("lfemur")
     with pytest.raises(ModelError, match="headrx must stay"):
         read(tmp_path, HUMANOID, balls=("head",), lock={"headrx": 0.3})
-    with pytest.raises(InputError, match=r"'head' can only be locked at zero.*headrz, headry"):
+    with pytest.raises(InputError, match=r"'head' is a ball: .*lock its hinges: headrz, headry"):
         read(tmp_path, HUMANOID, balls=True, lock={"head": 0.3})
 
 

@@ -9,6 +9,7 @@ from matplotlib.contour import QuadContourSet
 
 import pinred
 from pinred import plots
+from pinred.lie.rotations import left_jacobian
 
 CIRCLE = pinred.Gait.fourier([0.3, 0.2], [[0.5, 0.0]], [[0.0, 0.5]])
 
@@ -107,3 +108,21 @@ def test_plots_of_connections_reject_invalid_input() -> None:
     one = pinred.Connection.mechanical(pinred.load("elroys_beanie"))
     with pytest.raises(pinred.InputError, match="at least 2 joints"):
         plots.field(one)
+
+
+def test_zero_contour_over_axes_of_ball_has_zero_curvature() -> None:
+    """In rotation vectors w the curvature is J(w)ᵀ B J(w), with Pinocchio's B at exp(w)."""
+    cat = pinred.load("falling_cat_ball")
+    red, at = pinred.Reduction(cat), cat.space.integrate(cat.space.neutral, np.array([0.4, 0, 0]))
+    figure = plots.curvature(cat, joints=["spine.y", "spine.z"], component="w1", at=at)
+    assert "drawn for spine.x = 0.4 rad" in figure.get_suptitle()
+    sets = [item for item in figure.axes[0].collections if isinstance(item, QuadContourSet)]
+    (zero,) = [item for item in sets if list(item.levels) == [0.0]]
+    points = np.concatenate(
+        [np.asarray(p.vertices) for p in zero.get_paths() if p.vertices is not None]
+    )
+    for y, z in points[:: len(points) // 5]:
+        w = np.array([0.4, y, z])
+        J = left_jacobian(-w)
+        B = J.T @ red.curvature(cat.space.integrate(cat.space.neutral, w))[3] @ J
+        assert abs(B[1, 2]) < 1e-3 * np.abs(B).max()

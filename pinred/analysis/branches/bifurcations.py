@@ -19,7 +19,8 @@ from typing import Literal
 import numpy as np
 
 from ...common.arrays import Array
-from ..equilibria.amended_energy import Energies, Points
+from ..equilibria.amended_energy import Energies
+from ..equilibria.points import Points
 from .curve import Curve, CurvePoint
 
 _FOLD = 1e-6  # least |v·∂F/∂J| that counts as a fold, relative to |∂F/∂J|
@@ -66,7 +67,11 @@ def bifurcations_between(curve: Curve, a: CurvePoint, b: CurvePoint, h: float) -
             bifurcation.kind != "fold" or _is_confirmed(curve, a, h, k, zero)
         ):
             bifurcations.append(bifurcation)
-    return sorted(bifurcations, key=lambda item: float(np.linalg.norm(item.at.x - a.x)))
+    return sorted(bifurcations, key=lambda item: _distance(item.at, a))
+
+
+def _distance(one: CurvePoint, other: CurvePoint) -> float:
+    return float(np.linalg.norm(other.points.shape_difference(one.points)))
 
 
 def locate_zero(curve: Curve, a: CurvePoint, h: float, k: int) -> CurvePoint | None:

@@ -16,7 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...common.arrays import Array, FrozenArrays
-from ..equilibria.amended_energy import AmendedEnergy, Energies, Points, tangents
+from ...system.shape_space import ShapeSpace
+from ..equilibria.amended_energy import AmendedEnergy, Energies
+from ..equilibria.points import Points, tangents
 from ..equilibria.search import residuals
 from ..stability.second_variation import weights
 
@@ -30,12 +32,14 @@ class CurvePoint(FrozenArrays):
     """A point of the curve. Arrays are read-only.
 
     Attributes:
-        x: Values of the active joints, (ma,) [rad | m].
+        x: Coordinates of the active joints, (k,) [rad | m | 1].
         n: Direction, (3,), or (0,) if there is none.
         J: Momentum.
-        tangent: Unit tangent in (x, n, J), (ma + 4,) or (ma + 1,), with J in the curve's unit.
+        tangent: Unit tangent in (x, n, J), (ma + 4,) or (ma + 1,), along the frame of the shape and
+            with J in the curve's unit.
         values: Curvatures as in SecondVariation, (u,) [1/s²], sorted.
         residual: Relative residual of F = 0.
+        space: Manifold of the active joints; None if they are hinges and slides.
     """
 
     x: Array
@@ -44,11 +48,12 @@ class CurvePoint(FrozenArrays):
     tangent: Array
     values: Array
     residual: float
+    space: ShapeSpace | None = None
 
     @property
     def points(self) -> Points:
         """The point as a Points of length one."""
-        return Points(self.x[None], self.n[None])
+        return Points(self.x[None], self.n[None], self.space)
 
     @property
     def index(self) -> int:
@@ -79,7 +84,7 @@ class Curve:
             The point, with its tangent.
         """
         energies = self.energy(point, J)
-        size = point.x.shape[1] + point.n.shape[1]
+        size = point.dimension + point.n.shape[1]
         if along is None:
             along = np.zeros(size + 1)
             along[-1] = 1.0
@@ -141,7 +146,7 @@ class Curve:
         Returns:
             Direction in (x, n, J), (k,).
         """
-        ma = len(here.x)
+        ma = here.points.dimension
         n_direction = tangents(here.n[None])[0] @ local[ma:] if here.n.size else np.zeros(0)
         return np.concatenate([local[:ma], n_direction, [momentum]])
 
@@ -169,12 +174,13 @@ class Curve:
         t = null.T @ (null @ direction)
         length = float(np.linalg.norm(t))
         t = null[-1] if length < 1e-9 else t / length
-        ma = point.x.shape[1]
+        ma = point.dimension
         n_direction = tangents(point.n)[0] @ t[ma:-1] if point.n.size else np.zeros(0)
         tangent = np.concatenate([t[:ma], n_direction, t[-1:]])
         return CurvePoint(
-            point.x[0].copy(), point.n[0].copy(), J, tangent, values, float(residuals(e)[0])
-        )
+            point.x[0].copy(), point.n[0].copy(), J, tangent, values, float(residuals(e)[0]),
+            point.space,
+        )  # fmt: skip
 
     def _derivative(self, e: Energies) -> Array:
         """Return the Jacobian [∂F/∂z, ∂F/∂J] of the curve's equations, (u, u + 1)."""
@@ -197,6 +203,5 @@ class Curve:
         Returns:
             Difference in (x, n, J), with J in the curve's unit, (k,) [rad].
         """
-        return np.concatenate(
-            [point.x[0] - here.x, point.n[0] - here.n, [(J - here.J) / self.unit]]
-        )
+        difference = here.points.difference(point)[0]
+        return np.append(difference, (J - here.J) / self.unit)

@@ -14,10 +14,11 @@ from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
 from ...system.system import System, checked_system
-from ..equilibria.amended_energy import AmendedEnergy, Points
+from ..equilibria.amended_energy import AmendedEnergy
 from ..equilibria.distinct_points import DistinctPoints
 from ..equilibria.equilibrium_problem import Problem, problem_of
 from ..equilibria.find import ROUNDS, Search, equilibrium_at
+from ..equilibria.points import Points
 from ..equilibria.relative_equilibrium import RelativeEquilibrium
 from ..equilibria.search import critical_points
 from ..stability.second_variation import second_variation
@@ -44,7 +45,7 @@ class BranchPoint(FrozenArrays):
     Attributes:
         branch: Index of its branch.
         momentum: Momentum J [N s | N m s].
-        x: Shape, (m,) [rad | m].
+        x: Shape, (nx,) [rad | m | 1].
         direction: Direction in the body as in RelativeEquilibrium, (3,) or (0,).
         amended_potential: Amended potential [J].
         index: Number of negative curvatures of the amended potential. Index 0 is stable; an odd
@@ -68,10 +69,8 @@ class BranchPoint(FrozenArrays):
         Returns:
             The equilibrium.
         """
-        active = self.x[list(self.problem.active)]
-        return equilibrium_at(
-            self.problem, Points(active[None], self.direction[None]), self.momentum
-        )
+        point = self.problem.points(self.x[None, self.problem.active_x], self.direction[None])
+        return equilibrium_at(self.problem, point, self.momentum)
 
 
 @checks_arguments
@@ -131,8 +130,9 @@ class Branches:
             )
         for name in ("folds", "pitchforks", "crossings"):
             for p in getattr(self, name):
+                values = self.system.space.chart(p.x[None])[0]
                 shape = ", ".join(
-                    f"{0.0 if abs(value) < _ROUND_OFF else value:.6g}" for value in p.x
+                    f"{0.0 if abs(value) < _ROUND_OFF else value:.6g}" for value in values
                 )
                 lines.append(f"  {name[:-1]} at momentum {p.momentum:.10g}: ({shape})")
         return "\n".join(lines)
@@ -310,14 +310,13 @@ class _Follower:
         if here.J == J:
             return None
         fraction = (J - here.J) / (there.J - here.J)
-        guess = Points(
-            (here.x + fraction * (there.x - here.x))[None],
-            (here.n + fraction * (there.n - here.n))[None],
-        )
+        near = here.points
+        displacement = fraction * near.shape_difference(there.points)
+        guess = near.at(near.shape_displaced(displacement), near.n + fraction * (there.n - near.n))
         if guess.n.size:
-            guess = Points(guess.x, guess.n / np.linalg.norm(guess.n))
+            guess = guess.at(guess.x, guess.n / np.linalg.norm(guess.n))
         point, _ = critical_points(self._energy, guess, J)
-        if not len(point) or np.linalg.norm(point.x[0] - here.x) > 2.0 * self._step:
+        if not len(point) or np.linalg.norm(near.shape_difference(point)) > 2.0 * self._step:
             return None
         return self._curve.start(point, J, here.tangent)
 
@@ -350,7 +349,9 @@ class _Follower:
             for a in np.flatnonzero((momenta[:-1] - J) * (momenta[1:] - J) <= 0.0).tolist():
                 for at in (curve[a], curve[a + 1]):
                     guess, _ = critical_points(self._energy, at.points, J)
-                    distance = np.linalg.norm(guess.x - at.x) if len(guess) else np.inf
+                    distance = np.inf
+                    if len(guess):
+                        distance = float(np.linalg.norm(at.points.shape_difference(guess)))
                     if distance > max_distance:
                         continue
                     if self._is_same(guess, point) or (
@@ -367,7 +368,7 @@ class _Follower:
         return self._distinct.is_same(a, b, _SAME)
 
     def _is_close(self, first: CurvePoint, there: CurvePoint, h: float) -> bool:
-        difference = np.concatenate([there.x - first.x, there.n - first.n])
+        difference = first.points.difference(there.points)
         momentum = abs(there.J - first.J) / self._curve.unit
         return bool(np.linalg.norm(difference) < h and momentum < h)
 

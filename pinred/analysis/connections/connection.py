@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import casadi as ca
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector, vectors
 from ...common.errors import InputError, SymmetryError
+from ...common.memo import once
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures
 from ...kernels.connection.connection_form import ConnectionForm
 from ...lie.group import Group
@@ -21,7 +22,8 @@ from ...system.system import System
 from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
 from .mechanical_connection import mechanical_code
 from .other_frames import from_link, in_section
-from .singular_shapes import refuse_singular
+from .rotation_chart import RotationChart, chart_about
+from .singular_shapes import refuse_singular, require_metric
 from .wheels import Rolling, Wheel, kinematic_form
 
 
@@ -49,7 +51,7 @@ class ConnectionField:
     @property
     def metric(self) -> Array:
         """Metric M, (..., m, m).  Raises InputError if the connection has no metric."""
-        return _require_metric(self.connection.form, self._locals[1])
+        return require_metric(self.connection.form, self._locals[1])
 
     @cached_property
     def curvature(self) -> Array:
@@ -102,6 +104,7 @@ class Connection:
         system: The system, if the connection was built from one.
         is_mechanical: Whether it is the mechanical connection.
         turned_by_gravity: Reason why gravity changes the momenta; empty if it does not.
+        chart: Coordinates of `in_chart`; None if the shapes are those of the system.
     """
 
     form: ConnectionForm = field(repr=False)
@@ -109,6 +112,7 @@ class Connection:
     system: System | None = field(default=None, repr=False)
     is_mechanical: bool = field(default=False, repr=False)
     turned_by_gravity: str = field(default="", repr=False)
+    chart: RotationChart | None = field(default=None, repr=False)
 
     @classmethod
     def of(cls, form: ConnectionForm) -> Connection:
@@ -190,19 +194,36 @@ class Connection:
         Raises:
             InputError: The connection has no system, or the link is not admissible.
         """
-        if self.system is None:
-            raise InputError("seen_from: expected a connection that was created from a System")
+        if self.system is None or self.chart is not None:
+            raise InputError("seen_from: expected a connection of a System, without a centre")
         return self._moved(from_link(self.form, self.system, link))
 
     def in_section(self, pose: Callable[[ca.SX], ca.SX]) -> Connection:
         """Return the same connection in the frame h(x): A′ = Ad_{h⁻¹} A − h⁻¹∂h.
 
         Args:
-            pose: Function of CasADi symbols x (m,) that returns the pose coordinates of h, (size,).
+            pose: Function of CasADi symbols (m,) that returns the pose coordinates of h, (size,).
         Returns:
             The connection.
         """
-        return self._moved(in_section(self.form, pose))
+        chart = self.in_chart()
+        return replace(self._moved(in_section(chart.form, pose)), chart=chart.chart)
+
+    def in_chart(self, centre: ArrayLike | Mapping[str, ArrayLike] | None = None) -> Connection:
+        """Return the same connection in rotation vectors w of balls: x = centre · exp(w).
+
+        Args:
+            centre: Shape, (nx,), or {joint: value}, as for x0; by default the shape at rest.
+        Returns:
+            The connection over w, (m,); itself without balls and centre.
+        Raises:
+            InputError: The centre is invalid, or the connection already has one.
+        """
+        if centre is None and not self.space.balls:
+            return self
+        chart = chart_about(self.space, self.system, centre, self.chart)
+        code = once(self, chart.centre.tobytes(), partial(chart.code_of, self.form))
+        return replace(self, form=code.form, code=code, chart=chart)
 
     def __repr__(self) -> str:
         return f"Connection({self.form.what}, {self.group.name}, m={self.m})"
@@ -270,7 +291,7 @@ class Connection:
         Returns:
             (m, m), symmetric and positive.  Raises InputError if there is no metric.
         """
-        return read_only(_require_metric(self.form, self.locals_at(self._one(x))[1])[0])
+        return read_only(require_metric(self.form, self.locals_at(self._one(x))[1])[0])
 
     def curvature(self, x: ArrayLike) -> Array:
         """Compute the curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] − c^γ_αβ A_γ.
@@ -377,9 +398,3 @@ class Connection:
 
     def _shapes(self, x: ArrayLike, what: str) -> Array:
         return self.space.normalized(vectors(x, self.nx, what, self.space.x_names), what)
-
-
-def _require_metric(form: ConnectionForm, M: Array | None) -> Array:
-    if M is None:
-        raise InputError(f"{form.what} define no metric on shape space")
-    return M

@@ -126,11 +126,10 @@ def tensor_form(system: System, tensors: list[Array], what: str, *, rotors: bool
     def reference(x: Array) -> Array:
         return summed(system, tensors, x) + system.coupled_matrix(np.asarray(armature)) * rotors
 
-    system.space.refuse_balls("connections of swimmers")
     return form_of(
         system.group, system.shape_names, system.units, what, values, reference,
         symmetric=True, momentum=rotors,
-        locked=lambda x: locked(system, x, body_tensors, rotors=rotors),
+        locked=lambda x: locked(system, x, body_tensors, rotors=rotors), space=system.space,
     )  # fmt: skip
 
 

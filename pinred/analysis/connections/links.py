@@ -13,6 +13,8 @@ from ...common.errors import InputError
 from ...common.names import listed, nearest, quoted
 from ...system.system import System
 
+_ROUND_OFF = 1e-14  # largest asymmetry of a symmetric tensor, relative to its largest entry
+
 
 @dataclass(frozen=True)
 class Link:
@@ -74,11 +76,18 @@ def tensors_by_body(system: System, by_link: Mapping[str, Array], what: str) -> 
     for name, tensor in by_link.items():
         link = link_named(system, name, what)
         D = np.asarray(tensor, dtype=float)
-        if D.shape != (6, 6) or not np.isfinite(D).all() or not np.allclose(D, D.T, atol=0.0):
+        if not _is_symmetric(D):
             raise InputError(f"{what}: the tensor of {quoted(name)} must be symmetric, (6, 6)")
         X = link.placement.inverse().toActionMatrix()
         tensors[link.joint - 1] += X.T @ D @ X
     return tensors
+
+
+def _is_symmetric(D: Array) -> bool:
+    """Return whether D is a finite symmetric matrix (6, 6), up to round-off of a rotation."""
+    if D.shape != (6, 6) or not np.isfinite(D).all():
+        return False
+    return bool(np.allclose(D, D.T, atol=_ROUND_OFF * float(np.abs(D).max())))
 
 
 def summed(system: System, tensors: Sequence[Array], x: Array) -> Array:

@@ -4,11 +4,11 @@ With fewer wheels than the group has dimensions, W_b ξ + W_s ẋ = 0 leaves som
 The columns of S(x) span the kernel of W_b.  The momentum along these free motions is p = Sᵀ μ, and
 
     ξ = −A ẋ + Γ p,   [W_b; SᵀI] (A, Γ) = ([W_s; SᵀI_a], [0; 1]),
-    ṗ = Sᵀ ad*_ξ μ + (∂S ẋ)ᵀ μ,   −Aᵀ (μ̇ − ad*_ξ μ) + π̇ − ½ ∂ₓ(vᵀHv) = τ,
+    ṗ = Sᵀ ad*_ξ μ + (∂S ẋ)ᵀ μ,   −Aᵀ (μ̇ − ad*_ξ μ) + π̇ − ½ ∂ₓ(vᵀHv) = τ
 
-with the momentum μ = I ξ + I_a ẋ of the robot without wheels.  Source: A. Bloch, P. Krishnaprasad,
-J. Marsden, R. Murray, "Nonholonomic mechanical systems with symmetry", Arch. Rational Mech. Anal.
-136 (1996).
+(with −π × ẋ on the left for a ball, whose derivatives are along its axes), with the momentum
+μ = I ξ + I_a ẋ of the robot without wheels.  Source: A. Bloch, P. Krishnaprasad, J. Marsden,
+R. Murray, "Nonholonomic mechanical systems with symmetry", Arch. Rational Mech. Anal. 136 (1996).
 """
 
 from __future__ import annotations
@@ -24,7 +24,12 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector
 from ...common.errors import InputError
-from ...kernels.connection.connection_form import form_of, health
+from ...kernels.connection.connection_form import (
+    along_frame,
+    coordinate_rates,
+    form_of,
+    health,
+)
 from ...kernels.machine.native import NativeCode, compile_object, load_object
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.momenta import bracket, momenta
@@ -62,7 +67,7 @@ class MixedConnection:
         """Compute the local connection A(x).
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             (r, m).  Raises SingularInertiaError if two wheels constrain the same motion at x.
         """
@@ -72,7 +77,7 @@ class MixedConnection:
         """Compute Γ(x), the body twist per unit of momentum p.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             (r, r − k); errors as in `local`.
         """
@@ -83,19 +88,18 @@ class MixedConnection:
         """Compute S(x), the body twists that the wheels allow with locked joints.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
         Returns:
             S(x), (r, r − k).
         """
-        shape = vector(x, self.system.m, "x", self.system.shape_names)
-        W = slip_matrix(self.system, self.slips, shape)
+        W = slip_matrix(self.system, self.slips, shape_of(self.system, x))
         return read_only(_kernel(W[:, : self.system.r], self.free))
 
     def momentum(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
         """Compute the generalised momentum p = Sᵀ μ.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xdot: Shape rate, (m,) [rad/s | m/s].
             xi: Body twist, (r,) [m/s; rad/s].
         Returns:
@@ -104,7 +108,7 @@ class MixedConnection:
             InputError: The wheels slip at these velocities.
         """
         system = self.system
-        shape = vector(x, system.m, "x", system.shape_names)
+        shape = shape_of(system, x)
         v = np.concatenate([vector(xi, system.r, "xi"), vector(xdot, system.m, "xdot")])
         W = slip_matrix(system, self.slips, shape)
         slip, size = np.abs(W @ v), np.abs(W) @ np.abs(v)
@@ -117,7 +121,7 @@ class MixedConnection:
         """Compute the body twist ξ = −A ẋ + Γ p.
 
         Args:
-            x: Shape, (m,) [rad | m].
+            x: Shape, (nx,) [rad | m | 1].
             xdot: Shape rate, (m,) [rad/s | m/s].
             p: Generalised momentum, (r − k,).
         Returns:
@@ -139,7 +143,7 @@ class MixedConnection:
     def _motion_terms(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
         """Return the symbols x, ẋ, p and the CasADi expressions of ξ, ṗ and A."""
         system, r, k = self.system, self.system.r, len(self.slips)
-        x, xdot = ca.SX.sym("x", system.m), ca.SX.sym("xdot", system.m)
+        x, xdot = ca.SX.sym("x", system.nx), ca.SX.sym("xdot", system.m)
         p = ca.SX.sym("p", self.size)
         form = self.connection.form
         P = ca.reshape(form.locked(x), r, r)
@@ -148,7 +152,8 @@ class MixedConnection:
         A = -ca.jacobian(xi, xdot)
         mu = momenta(system, x, ca.vertcat(xi, xdot))[:r]
         S = kernel_graph(self.system, self.slips, self.free, x)
-        Sdot = ca.reshape(ca.jtimes(ca.vec(S), x, xdot), r, self.size)
+        by_time = coordinate_rates(system.space, x, xdot)
+        Sdot = ca.reshape(ca.jtimes(ca.vec(S), x, by_time), r, self.size)
         return x, xdot, p, xi, S.T @ self._coadjoint(xi, mu) + Sdot.T @ mu, A
 
     def _coadjoint(self, xi: ca.SX, mu: ca.SX) -> ca.SX:
@@ -164,17 +169,21 @@ class MixedConnection:
         )
 
     def _graph(self) -> ca.Function:
-        system, r = self.system, self.system.r
+        system, r, form = self.system, self.system.r, self.connection.form
         x, xdot, p, xi, pdot, A = self._motion_terms()
         tau = ca.SX.sym("tau", system.m)
         momentum = momenta(system, x, ca.vertcat(xi, xdot))
         mu, pi = momentum[:r], momentum[r:]
         # The rate of the momentum is affine in ẍ: `without_xddot` + `by_xddot` ẍ.
-        without_xddot = ca.jtimes(momentum, x, xdot) + ca.jtimes(momentum, p, pdot)
+        by_time = coordinate_rates(system.space, x, xdot)
+        without_xddot = ca.jtimes(momentum, x, by_time) + ca.jtimes(momentum, p, pdot)
         by_xddot = ca.jacobian(momentum, xdot)
         v = ca.SX.sym("v", system.n)
         kinetic = 0.5 * ca.dot(v, momenta(system, x, v))
-        force = ca.substitute(ca.gradient(kinetic, x), v, ca.vertcat(xi, xdot))
+        gradient = along_frame(form, ca.gradient(kinetic, x).T, x).T
+        force = ca.substitute(gradient, v, ca.vertcat(xi, xdot))
+        for ball in system.space.balls:
+            force[ball.v] += ca.cross(pi[ball.v], xdot[ball.v])
         constraint = without_xddot[:r] - self._coadjoint(xi, mu)
         force = tau + force - without_xddot[r:] + A.T @ constraint
         xddot = ca.solve(by_xddot[r:, :] - A.T @ by_xddot[:r, :], force)
@@ -212,7 +221,7 @@ def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> Mixed
     rng = np.random.default_rng(0)
     free = np.zeros((0, r - k))
     if not (r == 3 and k == 2):
-        W = slip_matrix(system, slips, rng.uniform(-1.0, 1.0, system.m))[:, :r]
+        W = slip_matrix(system, slips, system.space.random(rng, 1.0))[:, :r]
         free = np.linalg.svd(W)[2][k:].T
 
     def values(x: ca.SX, v: ca.SX) -> ca.SX:
@@ -226,12 +235,16 @@ def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> Mixed
         S = _kernel(W[:, :r], free)
         return np.vstack([W, S.T @ mass_matrix(system, x)[:r]])
 
-    system.space.refuse_balls("mixed connections")
     form = form_of(
         system.group, system.shape_names, system.units, f"wheels and momenta of '{system.name}'",
-        values, reference, symmetric=False,
+        values, reference, symmetric=False, space=system.space,
     )  # fmt: skip
     return MixedConnection(system, Connection.of(form), slips, free)
+
+
+def shape_of(system: System, x: ArrayLike, what: str = "x") -> Array:
+    """Return a shape, (nx,), with quaternions of length one."""
+    return system.space.normalized(vector(x, system.nx, what, system.x_names), what)
 
 
 def kernel_graph(system: System, slips: Sequence[Slip], free: Array, x: ca.SX) -> ca.SX:
@@ -241,7 +254,7 @@ def kernel_graph(system: System, slips: Sequence[Slip], free: Array, x: ca.SX) -
         system: The system.
         slips: The constraints.
         free: See `MixedConnection`.
-        x: Shape symbols, (m,).
+        x: Shape symbols, (nx,).
     Returns:
         The expression.
     """

@@ -13,7 +13,8 @@ from ...common.arrays import Array, FrozenArrays, positive, vector, vector_or_ze
 from ...common.errors import IntegrationError, SingularInertiaError
 from ...kernels.evaluate import evaluate
 from ..gaits.gait import Gait
-from .mixed import MixedConnection
+from .mixed import MixedConnection, shape_of
+from .rotation_chart import RotationChart
 from .singular_shapes import refuse_singular
 
 _RTOL, _ATOL = 5e-14, 1e-15
@@ -29,7 +30,7 @@ class MixedMotion(FrozenArrays):
     Attributes:
         t: Times, (T,) [s].
         pose: Pose coordinates of the base, (T, size).
-        x: Shapes, (T, m) [rad | m].
+        x: Shapes, (T, nx) [rad | m | 1].
         xdot: Shape rates, (T, m) [rad/s | m/s].
         p: Generalised momenta, (T, r − k).
         energy: Kinetic energy, (T,) [J].
@@ -57,7 +58,7 @@ def simulate_mixed(
 
     Args:
         mixed: The mixed connection.
-        x0: Initial shape, (m,) [rad | m].
+        x0: Initial shape, (nx,) [rad | m | 1].
         xdot0: Initial shape rate, (m,) [rad/s | m/s].
         p0: Initial generalised momentum, (r − k,).
         times: Increasing times, (T,) [s]; the first is the time of the initial state.
@@ -67,8 +68,10 @@ def simulate_mixed(
         IntegrationError if it stops at a singular shape.
     """
     system, names = mixed.system, mixed.system.shape_names
-    m, r, k = system.m, system.r, mixed.size
-    initial = [vector(x0, m, "x0", names), vector(xdot0, m, "xdot0", names), vector(p0, k, "p0")]
+    space, m, r, k = system.space, system.m, system.r, mixed.size
+    start = shape_of(system, x0, "x0")
+    initial = [start, vector(xdot0, m, "xdot0", names), vector(p0, k, "p0")]
+    ends = [system.nx, system.nx + m, system.nx + m + k]
     t = _times(times)
     code, zero = mixed.equations.address, np.zeros(m)
 
@@ -78,17 +81,23 @@ def simulate_mixed(
     side = _sign_of_health(mixed, initial[0])
 
     def rate(time: float, y: Array) -> Array:
-        values = evaluate(code, torque(time), y[None, : 2 * m + k], r + k + m + 2)[0]
+        x, xdot, p, pose = np.split(y, ends)
+        x = space.normalized(x, "x", near=False)
+        state = np.concatenate([x, xdot, p])
+        values = evaluate(code, torque(time), state[None], r + k + m + 2)[0]
         _require_regular(mixed, time, values[0] * side)
         xi, pdot, xddot = np.split(values[1:-1], [r, r + k])
-        pose_rate = system.group.rate(system.group.normalize(y[2 * m + k :]), xi)
-        return np.concatenate([y[m : 2 * m], xddot, pdot, pose_rate])
+        by_time = xdot if not space.balls else space.rate_map(x) @ xdot
+        pose_rate = system.group.rate(system.group.normalize(pose), xi)
+        return np.concatenate([by_time, xddot, pdot, pose_rate])
 
     y, dense = _integrate(rate, np.concatenate([*initial, system.group.identity()]), t)
     fine = np.linspace(t[0], t[-1], _SHAPES)
     # A step may skip a singular shape, so check the path inside steps, too.
-    _require_regular_path(mixed, np.asarray(dense(fine)).T[:, :m])
-    return _motion(mixed, t, y[:, :m], y[:, m : 2 * m], y[:, 2 * m : 2 * m + k], y[:, 2 * m + k :])
+    path = np.asarray(dense(fine)).T[:, : system.nx]
+    _require_regular_path(mixed, space.normalized(path, "x", near=False))
+    x, xdot, p, pose = np.split(y, ends, axis=1)
+    return _motion(mixed, t, space.normalized(x, "x", near=False), xdot, p, pose)
 
 
 @checks_arguments
@@ -99,28 +108,34 @@ def follow_mixed(
 
     Args:
         mixed: The mixed connection.
-        gait: The gait.
+        gait: The gait; balls follow rotation vectors about rest.
         p0: Initial generalised momentum, (r − k,); 0 for zero momentum.
         times: Increasing times, (T,) [s]; the first is the time of the initial state.
     Returns:
         The motion; errors as in `simulate_mixed`.
     """
     system, k = mixed.system, mixed.size
+    chart = RotationChart(system.space, system.space.neutral)
     p = vector_or_zero(p0, k, "p0")
     t = _times(times)
-    side = _sign_of_health(mixed, gait.at(t[0])[0])
-    _require_regular_path(mixed, gait.samples(_SHAPES)[0])
+
+    def joints(time: float | Array) -> tuple[Array, Array]:
+        w, wdot = gait.at(time)
+        return (w, wdot) if not system.space.balls else (chart.shapes(w), chart.rates(w, wdot))
+
+    side = _sign_of_health(mixed, joints(t[0])[0])
+    _require_regular_path(mixed, chart.shapes(gait.samples(_SHAPES)[0]))
     code, none = mixed.driven.address, np.zeros(1)
 
     def rate(time: float, y: Array) -> Array:
-        state = np.concatenate([*gait.at(time), y[:k]])
+        state = np.concatenate([*joints(time), y[:k]])
         values = evaluate(code, none, state[None], system.r + k + 1)[0]
         _require_regular(mixed, time, values[0] * side)
         xi, pdot = np.split(values[1:], [system.r])
         return np.concatenate([pdot, system.group.rate(system.group.normalize(y[k:]), xi)])
 
     y, _ = _integrate(rate, np.concatenate([p, system.group.identity()]), t)
-    x, xdot = gait.at(t)
+    x, xdot = joints(t)
     return _motion(mixed, t, x, xdot, y[:, :k], y[:, k:])
 
 

@@ -41,7 +41,6 @@ def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm
     Raises:
         InputError: The link is unknown, or its motions are not in the group.
     """
-    system.space.refuse_balls("another link as base")
     link, group = link_named(system, name, "the base"), system.group
     axes = list(group.axes)
 
@@ -58,7 +57,7 @@ def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm
 
     rng = np.random.default_rng(0)
     for _ in range(_SAMPLES):
-        entries(rng.uniform(-np.pi, np.pi, system.m))
+        entries(system.space.random(rng, np.pi))
 
     def old(x: ca.SX, xi: ca.SX, xdot: ca.SX) -> ca.SX:
         return root_twist(system, x, link.joint - 1, link.placement, xi, xdot)
@@ -77,7 +76,6 @@ def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> Connecti
     Raises:
         InputError: `pose` returns a wrong number of coordinates.
     """
-    form.space.refuse_balls("in_section")
     group, m = form.group, form.m
     y = ca.SX.sym("x", m)
     h = ca.Function("h", [y], [ca.densify(pose(y))])
@@ -147,7 +145,7 @@ def _transformed(
 
     return form_of(
         form.group, form.joints, form.units, what, values, reference,
-        symmetric=form.symmetric, momentum=form.momentum, locked=locked,
+        symmetric=form.symmetric, momentum=form.momentum, locked=locked, space=form.space,
     )  # fmt: skip
 
 

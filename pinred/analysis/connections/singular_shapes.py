@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ...common.errors import SingularInertiaError
+from ...common.errors import InputError, SingularInertiaError
 from ...kernels.connection.connection_form import ConnectionForm
 
 # Least health of P_b, by whether the form is symmetric.
@@ -46,3 +46,10 @@ def refuse_crossing(form: ConnectionForm, health: Array) -> None:
             f"the gait crosses shapes at which {form.what} do not determine the motion "
             "of the body. Choose a gait that stays on one side of these shapes."
         )
+
+
+def require_metric(form: ConnectionForm, M: Array | None) -> Array:
+    """Return the metric of a form.  Raises InputError if the form defines none."""
+    if M is None:
+        raise InputError(f"{form.what} define no metric on shape space")
+    return M

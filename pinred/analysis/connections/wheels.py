@@ -44,7 +44,7 @@ class Rolling:
     """A wheel that rolls without slipping: its centre moves at radius times its joint's rate.
 
     Attributes:
-        joint: Name of the joint that rotates the wheel.
+        joint: Name of the hinge that rotates the wheel.
         radius: Radius [m].
         link: Name of the link that carries the wheel.
         at: Centre of the wheel in the link's frame, (3,) [m].
@@ -66,7 +66,7 @@ class Slip:
         link: The link.
         direction: Direction of the measured speed, (3,), in the joint frame of the link's body.
         point: The point, (3,) [m], in the same frame.
-        coordinate: Index of the shape coordinate, −1 for none.
+        coordinate: Index of the shape rate, −1 for none.
         radius: Radius [m].
     """
 
@@ -88,6 +88,7 @@ def slips_of(system: System, wheels: Sequence[Wheel | Rolling]) -> list[Slip]:
         if isinstance(wheel, Rolling):
             d = vector(wheel.heading, 3, "heading")
             coordinate = joint_index(wheel.joint, system.shape_names, "wheels")
+            system.space.coordinates_of([coordinate])  # rejects the axes of balls
             radius = positive(wheel.radius, "radius")
         else:
             d = vector(wheel.axle, 3, "axle")
@@ -105,7 +106,7 @@ def slip_rows(system: System, slips: Sequence[Slip], x: ca.SX, v: ca.SX) -> ca.S
     Args:
         system: The system.
         slips: The constraints.
-        x: Shape symbols, (m,).
+        x: Shape symbols, (nx,).
         v: Velocity symbols (ξ, ẋ), (n,).
     Returns:
         Slip speeds, (k,) [m/s].
@@ -123,7 +124,7 @@ def slip_rows(system: System, slips: Sequence[Slip], x: ca.SX, v: ca.SX) -> ca.S
 
 
 def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
-    """Compute the constraint matrix (W_b, W_s), (k, n), at x (m,) with Pinocchio's Jacobians."""
+    """Compute the constraint matrix (W_b, W_s), (k, n), at x (nx,) with Pinocchio's Jacobians."""
     rows = []
     for slip in slips:
         body = Link(slip.link.joint, slip.link.placement.Identity())
@@ -138,7 +139,6 @@ def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
 def kinematic_form(system: System, wheels: Sequence[Wheel | Rolling]) -> ConnectionForm:
     """Return the form of slip speeds, for as many wheels as the group has dimensions."""
     system = checked_system(system, "Connection.kinematic")
-    system.space.refuse_balls("kinematic connections")
     slips = slips_of(system, list(wheels))
     if len(slips) != system.r:
         raise InputError(
@@ -148,4 +148,5 @@ def kinematic_form(system: System, wheels: Sequence[Wheel | Rolling]) -> Connect
     return form_of(
         system.group, system.shape_names, system.units, f"the wheels of '{system.name}'",
         partial(slip_rows, system, slips), partial(slip_matrix, system, slips), symmetric=False,
+        space=system.space,
     )  # fmt: skip

@@ -14,61 +14,30 @@ Derivatives with respect to θ = (x, n), with η = K⁻¹ σ and ρ_θ = ∂σ �
 
     ∂U = ηᵀ∂σ − ½ ηᵀ∂K η + ∂V,     ∂∂U = ρᵀK⁻¹ρ + ηᵀ∂∂σ − ½ ηᵀ∂∂K η + ∂∂V.
 
+Derivatives with respect to x are along the frame of the shape. The second derivatives along the
+three axes of a ball do not commute, so the Hessian is their symmetric part. It is the Hessian of
+w → U(x exp(w)) at w = 0, and at a critical point the parts are equal.
+
 Source: J. C. Simo, D. Lewis, J. E. Marsden, "Stability of relative equilibria. Part I: The reduced
 energy–momentum method", 1991.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...reduction.base_parts import root_of
 from ...reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
+from ...system.shape_space import ShapeSpace
 from .equilibrium_problem import Problem
-
-Which: TypeAlias = slice | list[int] | NDArray[Any]
+from .points import Points, tangents
 
 _SINGULAR = 1e13  # condition number above which a mass matrix counts as singular
-
-
-@dataclass(frozen=True)
-class Points:
-    """Values of the unknowns at N points.
-
-    Attributes:
-        x: Active joints, (N, ma).
-        n: Directions in the body, (N, 3), or (N, 0) if none is unknown.
-    """
-
-    x: Array
-    n: Array
-
-    def __len__(self) -> int:
-        return len(self.x)
-
-    def __getitem__(self, key: Which) -> Points:
-        return Points(self.x[key], self.n[key])
-
-    def moved(self, step: Array) -> Points:
-        """Return the points after a step.
-
-        Args:
-            step: Changes of (x, tangent of the sphere), (N, unknowns).
-        Returns:
-            The new points, with unit directions.
-        """
-        ma = self.x.shape[1]
-        if not self.n.shape[1]:
-            return Points(self.x + step, self.n)
-        n = self.n + (tangents(self.n) @ step[:, ma:, None])[..., 0]
-        return Points(self.x + step[:, :ma], n / np.linalg.norm(n, axis=1, keepdims=True))
 
 
 @dataclass(frozen=True)
@@ -91,14 +60,6 @@ class Energies:
     rates: Array
     by_momentum: Array
     scale: Array
-
-
-def tangents(n: Array) -> Array:
-    """Return orthonormal bases (N, 3, 2) of the tangent planes at unit vectors (N, 3)."""
-    least = np.eye(3)[np.argmin(np.abs(n), axis=1)]
-    a = np.cross(n, least)
-    a /= np.linalg.norm(a, axis=1, keepdims=True)
-    return np.stack([a, np.cross(n, a)], axis=-1)
 
 
 class AmendedEnergy:
@@ -130,6 +91,8 @@ class AmendedEnergy:
         # U depends only on the blocks of base, cyclic and driven joints, so differentiate only
         # these.
         d = inertia_derivatives(problem.system, x, of={*problem.cyclic, *problem.driven})
+        if problem.system.space.balls:
+            d = _symmetrised(d)
         K, K1, K2, s, s1, s2, sJ, sJ1 = self._terms(d, points, J)
         # A point mass on its joint axis makes the mass matrix singular.
         regular = np.linalg.cond(d.H) < _SINGULAR
@@ -238,7 +201,7 @@ class AmendedEnergy:
             scale += np.linalg.norm(weight) * np.linalg.norm(d.com, axis=1)
         if self.problem.forces is not None:
             V, V1, V2 = (np.array(part) for part in self._springs(x.T))
-            m = x.shape[1]
+            m = self.problem.system.m
             U += V[0]
             g[:, :ma] += V1.T[:, a]
             Hs[:, :ma, :ma] += V2.T.reshape(-1, m, m)[:, a][:, :, a]
@@ -248,18 +211,24 @@ class AmendedEnergy:
     @cached_property
     def _springs(self) -> ca.Function:
         """CasADi function of the forces' potential, its gradient and its Hessian."""
-        forces = self.problem.forces
+        forces, space = self.problem.forces, self.problem.system.space
         assert forces is not None
-        x = ca.SX.sym("x", self.problem.system.m)
-        V = forces.potential_function(x, ca.DM(forces.numbers))
-        H, g = ca.hessian(V, x)
-        return ca.Function("springs", [x], [ca.densify(part) for part in (V, g, H)])
+        x = ca.SX.sym("x", space.nx)
+        if not space.balls:
+            V = forces.potential_function(x, ca.DM(forces.numbers))
+            H, g = ca.hessian(V, x)
+            return ca.Function("springs", [x], [ca.densify(part) for part in (V, g, H)])
+        w = ca.SX.sym("w", space.m)
+        V = forces.potential_function(_displaced(space, x, w), ca.DM(forces.numbers))
+        parts = [V, *ca.hessian(V, w)[::-1]]
+        at_x = [ca.substitute(part, w, ca.SX.zeros(space.m)) for part in parts]
+        return ca.Function("springs", [x], [ca.densify(part) for part in at_x])
 
     def _on_sphere(self, points: Points, e: Energies) -> Energies:
         """Project derivatives with respect to n onto the tangent plane of the sphere."""
         if not self.problem.directional:
             return e
-        ma = points.x.shape[1]
+        ma = points.dimension
         B = np.zeros((len(points), ma + 3, ma + 2))
         B[:, :ma, :ma] = np.eye(ma)
         B[:, ma:, ma:] = tangents(points.n)
@@ -269,6 +238,26 @@ class AmendedEnergy:
         hessian[:, ma:, ma:] -= radial[:, None, None] * np.eye(2)
         g, gJ = ((Bt @ part[..., None])[..., 0] for part in (e.gradient, e.by_momentum))
         return Energies(e.U, g, hessian, e.rates, gJ, e.scale)
+
+
+def _symmetrised(d: InertiaDerivatives) -> InertiaDerivatives:
+    """Return the derivatives with the symmetric part of the second ones."""
+    halves = [0.5 * (part + np.swapaxes(part, -1, -2)) for part in (d.d2H, d.d2com)]
+    return replace(d, d2H=halves[0], d2com=halves[1])
+
+
+def _displaced(space: ShapeSpace, x: ca.SX, w: ca.SX) -> ca.SX:
+    """Return x exp(w), (nx,), up to terms of second order in w."""
+    shape = ca.SX(space.nx, 1)
+    for joint in space.joints:
+        q, v = x[joint.x.start : joint.x.stop], w[joint.v.start : joint.v.stop]
+        if joint.kind.is_ball:
+            real = 1.0 - ca.sumsqr(v) / 8.0
+            vector = real * q[:3] + 0.5 * (q[3] * v + ca.cross(q[:3], v))
+            shape[joint.x] = ca.vertcat(vector, real * q[3] - 0.5 * ca.dot(q[:3], v))
+        else:
+            shape[joint.x] = q + v
+    return shape
 
 
 def _symmetric(matrix: Array) -> Array:

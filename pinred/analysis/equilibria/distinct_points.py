@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stability.second_variation import second_variation
-from .amended_energy import AmendedEnergy, Energies, Points
+from .amended_energy import AmendedEnergy, Energies
+from .points import Points, embedded, joined
 from .search import newton_step, residuals, some
-from .shape_symmetries import embedded, joined, symmetries_of
+from .shape_symmetries import symmetries_of
 
 _SAME = 1e-6  # largest distance of equal regular points [rad | m]
 _SAME_FLAT = 1e-3  # largest distance of equal points with a flat direction [rad | m]
@@ -61,7 +62,9 @@ class DistinctPoints:
         """Find the symmetries; the set of points is empty."""
         problem = energy.problem
         self.symmetries = symmetries_of(energy, J)
-        self.angles = np.array([k in problem.turning for k in problem.active], dtype=bool)
+        turning = [k in problem.turning for k in problem.active]
+        self.angles = np.zeros(problem.space.nx, dtype=bool)
+        self.angles[problem.space.scalar_x] = np.array(turning, dtype=bool)[problem.space.scalar_v]
         self.orbits: list[Orbit] = []
         self._energy, self._J = energy, J
         self._coordinates = embedded(self._none(), self.angles)  # of all images of all orbits
@@ -209,8 +212,9 @@ class DistinctPoints:
         numbers = np.unique(orbit.entry) if not orbit.dimension else orbit.entry[:1]
         for number in numbers:
             copies = orbit.images[np.flatnonzero(orbit.entry == number)]
-            size = np.round(np.abs(copies.x).sum(axis=1), 9)
-            keys = np.round(np.concatenate([copies.x, copies.n], axis=1), 9).T[::-1]
+            values = copies.from_rest
+            size = np.round(np.abs(values).sum(axis=1), 9)
+            keys = np.round(np.concatenate([values, copies.n], axis=1), 9).T[::-1]
             best = np.lexsort((*(-keys), size))[0] if len(keys) else 0
             chosen.append(copies[best : best + 1])
         return joined(chosen)
@@ -219,10 +223,12 @@ class DistinctPoints:
         """Move degenerate points close to a fixed point of a symmetry onto it."""
         # Newton's method converges slowly to degenerate points, and stops before it reaches them.
         x, n = points.x.copy(), points.n.copy()
+        problem = self._energy.problem
+        turning = np.array([k in problem.turning for k in problem.active], dtype=bool)
         for symmetry in self.symmetries if flat.any() else ():
-            image = symmetry(Points(x, n))
-            across = image.x - x
-            across[:, self.angles] -= 2.0 * np.pi * np.round(across[:, self.angles] / (2.0 * np.pi))
+            image = symmetry(points.at(x, n))
+            across = points.at(x, n).shape_difference(image)
+            across[:, turning] -= 2.0 * np.pi * np.round(across[:, turning] / (2.0 * np.pi))
             far = np.linalg.norm(np.concatenate([across, image.n - n], axis=1), axis=1)
             which = np.flatnonzero(flat & (far <= _SNAP) & (far > 0.0))
             if not which.size:
@@ -230,22 +236,27 @@ class DistinctPoints:
             n_middle = n[which] + 0.5 * (image.n - n)[which]
             if n.size:
                 n_middle /= np.linalg.norm(n_middle, axis=1, keepdims=True)
-            middle = Points(x[which] + 0.5 * across[which], n_middle)
+            halfway = points.at(x, n)[which].shape_displaced(0.5 * across[which])
+            middle = points.at(halfway, n_middle)
             before, after = (
-                residuals(self._energy(p, self._J)) for p in (Points(x, n)[which], middle)
+                residuals(self._energy(p, self._J)) for p in (points.at(x, n)[which], middle)
             )
             better = after <= np.maximum(before, 1e-14)
             x[which[better]], n[which[better]] = middle.x[better], middle.n[better]
-        return self._tidy(Points(x, n))
+        return self._tidy(points.at(x, n))
 
     def _tidy(self, points: Points) -> Points:
-        """Wrap periodic joints to (−π, π], and remove round-off."""
+        """Wrap periodic joints to (−π, π], choose one sign of quaternions, remove round-off."""
         x = points.x.copy()
         turning = x[:, self.angles]
         turning -= 2.0 * np.pi * np.ceil(turning / (2.0 * np.pi) - 0.5 - 1e-12)
         x[:, self.angles] = np.where(np.abs(turning) < _ROUND_OFF, 0.0, turning)
-        return Points(x, np.where(np.abs(points.n) < _ROUND_OFF, 0.0, points.n))
+        for joint in points.space.balls if points.space is not None else ():
+            x[x[:, joint.x.stop - 1] < 0.0, joint.x] *= -1.0
+            x[:, joint.x] = np.where(np.abs(x[:, joint.x]) < _ROUND_OFF, 0.0, x[:, joint.x])
+        return points.at(x, np.where(np.abs(points.n) < _ROUND_OFF, 0.0, points.n))
 
     def _none(self) -> Points:
         problem = self._energy.problem
-        return Points(np.zeros((0, len(problem.active))), np.zeros((0, 3 * problem.directional)))
+        x, n = np.zeros((0, problem.space.nx)), np.zeros((0, 3 * problem.directional))
+        return problem.points(x, n)

@@ -26,7 +26,9 @@ from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.scene import Scene
 from ...simulation.plan import Plan, plan_of
 from ...system.joints import axes_of
+from ...system.shape_space import PlacedJoint, ShapeSpace, shape_space
 from ...system.system import System
+from .points import Points
 
 Kind: TypeAlias = Literal["axis", "free", "heavy"]
 _STEADY = 1e-12  # relative change below which the rate of a prescribed joint is constant
@@ -43,9 +45,9 @@ class Problem(FrozenArrays):
         kind: "axis": the momentum has a fixed axis, or none (ℝ, SO(2), SE(2), ℝ × SE(2)). "free":
             its direction in the body is unknown (SO(3), SE(3)). "heavy": gravity rotates a pivoted
             base, and the upward vertical in the body is unknown.
-        active: Indices of the unknown joints.
-        cyclic: Indices of the cyclic joints.
-        driven: Indices of the prescribed joints.
+        active: Indices of the rates of the unknown joints.
+        cyclic: Indices of the rates of the cyclic joints.
+        driven: Indices of the rates of the prescribed joints.
         cyclic_momenta: Momenta of the cyclic joints, (nc,).
         driven_x: Values of the prescribed joints, (nd,).
         driven_rate: Rates of the prescribed joints, (nd,).
@@ -73,7 +75,7 @@ class Problem(FrozenArrays):
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns: one per active joint, and two for a direction."""
+        """Number of unknowns: one per active rate, and two for a direction."""
         return len(self.active) + 2 * self.directional
 
     @property
@@ -95,11 +97,26 @@ class Problem(FrozenArrays):
         return self.kind == "free" and not moving
 
     @cached_property
+    def space(self) -> ShapeSpace:
+        """Manifold of the active joints."""
+        joints = self._active_joints
+        return shape_space([joint.name for joint in joints], [joint.kind for joint in joints])
+
+    @cached_property
+    def active_x(self) -> list[int]:
+        """Indices in x of the coordinates of the active joints."""
+        return [k for joint in self._active_joints for k in range(joint.x.start, joint.x.stop)]
+
+    @property
+    def _active_joints(self) -> list[PlacedJoint]:
+        return [joint for joint in self.system.space.joints if joint.v.start in self.active]
+
+    @cached_property
     def turning(self) -> frozenset[int]:
-        """Joints of which a full turn restores all body poses and forces."""
+        """Hinges of which a full turn restores all body poses and forces."""
         system = self.system
-        touched = touched_by(self.forces)
-        angles = {k for k in self.active if system.units[k] == "rad" and k not in touched}
+        other = {*touched_by(self.forces), *system.space.ball_v.tolist()}
+        angles = {k for k in self.active if system.units[k] == "rad" and k not in other}
         if system.coupled is None:
             return frozenset(angles)
         ratios = system.coupled.G
@@ -107,11 +124,23 @@ class Problem(FrozenArrays):
         return frozenset(k for k in angles if is_whole[k])
 
     def shapes(self, active: Array) -> Array:
-        """Return shapes (N, m) for active joints (N, ma), with cyclic joints at zero."""
-        x = np.zeros((len(active), self.system.m))
-        x[:, list(self.active)] = active
-        x[:, list(self.driven)] = self.driven_x
+        """Return shapes (N, nx) for active joints (N, k), with cyclic joints at zero."""
+        space = self.system.space
+        x = np.tile(space.neutral, (len(active), 1))
+        x[:, self.active_x] = active
+        x[:, space.coordinates_of(self.driven)] = self.driven_x
         return x
+
+    def points(self, x: Array, n: Array) -> Points:
+        """Return points of the problem's unknowns.
+
+        Args:
+            x: Coordinates of the active joints, (N, k).
+            n: Directions in the body, (N, 3) or (N, 0).
+        Returns:
+            The points.
+        """
+        return Points(x, n, self.space if self.space.balls else None)
 
     def rates(self, cyclic: Array) -> Array:
         """Return shape rates (m,) for rates of the cyclic joints (nc,)."""
@@ -151,10 +180,9 @@ def problem_of(
         InputError: A joint is unknown or not cyclic, a force does work, or a prescribed joint is
             not steady.
     """
-    system.space.refuse_balls("relative equilibria")
     scene = Scene(
         system=system,
-        x0=np.zeros(system.m),
+        x0=system.space.neutral,
         springs=springs or {},
         forces=forces,
         prescribed=prescribed or {},

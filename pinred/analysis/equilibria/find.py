@@ -18,11 +18,12 @@ from ...system.system import System, checked_system
 from ..stability.linearisation import linearised
 from ..stability.second_variation import second_variation
 from ..stability.stability_verdict import Stability, assess_stability
-from .amended_energy import AmendedEnergy, Energies, Points
+from .amended_energy import AmendedEnergy, Energies
 from .census import Census
 from .distinct_points import FLAT, DistinctPoints
 from .equilibrium_problem import Problem, finite, problem_of
 from .morse_sum import euler_characteristic, morse_sum
+from .points import Points
 from .relative_equilibrium import Equilibria, RelativeEquilibrium, pose_of
 from .saddle_walks import walk, walks_from
 from .search import critical_points, minima, polished, residuals, starting_points
@@ -127,8 +128,9 @@ class Search:
         points = self.found.entries
         e = self._energy(points, self._J)
         levels = np.round(e.U / max(float(e.scale.max(initial=0.0)), 1e-300), 10)
-        size = np.round(np.linalg.norm(points.x, axis=1), 9)
-        keys = np.round(np.concatenate([points.x, points.n], axis=1), 6).T
+        values = points.from_rest
+        size = np.round(np.linalg.norm(values, axis=1), 9)
+        keys = np.round(np.concatenate([values, points.n], axis=1), 6).T
         curvatures = np.linalg.eigvalsh(e.hessian)
         largest = np.abs(curvatures).max(axis=1, initial=0.0)
         index = (curvatures < -FLAT * largest[:, None]).sum(axis=1)
@@ -254,7 +256,7 @@ def _stability(
     second = second_variation(energy, point, J)
     flow = flow_at(problem, point, xdot, xi)
     linear = linearised(flow, flow.y0)
-    return assess_stability(linear, second, flow.kernel.layout.active, problem.system.shape_names)
+    return assess_stability(linear, second, flow.kernel.layout, problem.system.space)
 
 
 def flow_at(problem: Problem, point: Points, xdot: Array, xi: Array) -> CompiledFlow:
@@ -274,4 +276,4 @@ def flow_at(problem: Problem, point: Points, xdot: Array, xi: Array) -> Compiled
         problem.scene, x0=problem.shapes(point.x)[0], xdot0=xdot, xi0=xi,
         pose0=pose_of(problem, point.n[0]),
     )  # fmt: skip
-    return CompiledFlow.of_plan(plan_of(scene))
+    return CompiledFlow.of_plan(plan_of(scene), all_momenta=True)

@@ -1,11 +1,12 @@
 """The Morse sum of the equilibria, and the Euler characteristic that it must equal.
 
-The unreduced shape space is a torus of the periodic joints, times a sphere if a direction is
-unknown, times a line for each joint with a spring. If the amended potential is smooth there, and
-grows without bound along the lines, the sum of (−1)^index over all critical points is the Euler
-characteristic of the space. A critical point with one flat direction counts by its degree: along
-the flat direction, the potential has a minimum (+1), a maximum (−1) or neither (0) there. A closed
-family of odd dimension has the Euler characteristic zero, and adds nothing.
+The unreduced shape space is a torus of the periodic joints, times SO(3) for each ball, times a
+sphere if a direction is unknown, times a line for each joint with a spring. If the amended
+potential is smooth there, and grows without bound along the lines, the sum of (−1)^index over all
+critical points is the Euler characteristic of the space. A critical point with one flat direction
+counts by its degree: along the flat direction, the potential has a minimum (+1), a maximum (−1) or
+neither (0) there. A closed family of odd dimension has the Euler characteristic zero, and adds
+nothing.
 Source: J. Milnor, "Topology from the differentiable viewpoint", 1965, §6.
 """
 
@@ -16,10 +17,15 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.names import listed
 from ...common.parameter import Parameter
+from ...forces import BallSpring
+from ...forces.force import Force
+from ...forces.force_model import touched_by
+from ...lie.rotations import left_jacobian
 from ...system.singular_mass_matrix import singular_shapes
-from .amended_energy import AmendedEnergy, Points, tangents
+from .amended_energy import AmendedEnergy
 from .distinct_points import FLAT, DistinctPoints, Orbit
 from .equilibrium_problem import Problem
+from .points import Points, tangents
 
 _ASIDE = 0.01  # displacement along a flat direction that determines the degree [rad | m]
 _ZERO = 1e-10  # derivative along a flat direction that counts as zero, relative to the energies
@@ -35,7 +41,12 @@ def euler_characteristic(problem: Problem) -> tuple[int | None, str]:
         The Euler characteristic and "", or None and the reason why the Morse sum does not apply.
     """
     names = problem.system.shape_names
-    lines = [k for k in problem.active if k not in problem.turning]
+    balls = problem.space.balls
+    cut = [joint.name for joint in balls if not _is_smooth_at(problem, joint.name)]
+    if cut:
+        return None, f"a force on {listed(cut)} may be singular half a turn away from rest"
+    compact = {*problem.turning, *problem.system.space.ball_v.tolist()}
+    lines = [k for k in problem.active if k not in compact]
     unbounded = [k for k in lines if not _is_sprung(problem, k)]
     if unbounded:
         reason = f"{listed([names[k] for k in unbounded])} is not periodic and has no spring alone"
@@ -46,9 +57,22 @@ def euler_characteristic(problem: Problem) -> tuple[int | None, str]:
     )
     if singular.isolated or singular.everywhere:
         return None, "the mass matrix is singular at some shapes"
-    if problem.turning:
+    if problem.turning or balls:  # SO(3) has the Euler characteristic 0, as the circle has.
         return 0, ""
     return (2 if problem.directional else 1), ""
+
+
+def _is_smooth_at(problem: Problem, ball: str) -> bool:
+    """Return whether all forces on a ball are springs whose potential is smooth on SO(3)."""
+    (joint,) = (joint for joint in problem.system.space.balls if joint.name == ball)
+    if joint.v.start not in touched_by(problem.forces):
+        return True
+    forces = problem.scene.forces
+    listed_forces = (forces,) if isinstance(forces, Force) else tuple(forces)
+    return not problem.scene.passive and all(
+        isinstance(force, BallSpring) and force.law in ("cosine", "trace")
+        for force in listed_forces
+    )
 
 
 def _is_sprung(problem: Problem, k: int) -> bool:
@@ -132,7 +156,10 @@ def _chart_gradient(energy: AmendedEnergy, point: Points, step: Array, J: float)
     """Return the derivative (u,) of U(point.moved(step)) with respect to the step."""
     neighbour = point.moved(step[None])
     gradient = energy(neighbour, J).gradient[0].copy()
-    ma = point.x.shape[1]
+    ma = point.dimension
+    if point.space is not None:
+        for joint in point.space.balls:  # ∂U(x exp(w))/∂w = J_r(w)ᵀ ∇U, with J_r(w) = J_l(−w)
+            gradient[joint.v] = left_jacobian(-step[joint.v]).T @ gradient[joint.v]
     if point.n.size:
         basis = tangents(point.n)[0]
         size = float(np.linalg.norm(point.n[0] + basis @ step[ma:]))

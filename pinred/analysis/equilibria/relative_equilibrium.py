@@ -27,7 +27,7 @@ class RelativeEquilibrium(FrozenArrays):
 
     Attributes:
         system: The system.
-        x: Shape, (m,), with cyclic joints at zero.
+        x: Shape, (nx,), with cyclic joints at zero.
         xdot: Shape rates, (m,), zero except for cyclic and driven joints.
         xi: Body twist, (r,).
         mu: Body momentum, (r,).
@@ -106,7 +106,8 @@ class RelativeEquilibrium(FrozenArrays):
         """
         change = self._change(mode, amplitude)
         system, problem = self.system, self.problem
-        x, pose = self.x + change[: system.m], pose_of(problem, self.direction)
+        x = system.space.integrate(self.x, change[: system.m])
+        pose = pose_of(problem, self.direction)
         pi, mu = self._momenta(change)
         if problem.kind == "heavy":
             gamma = -self.direction + change[2 * system.m : 2 * system.m + 3]
@@ -167,9 +168,10 @@ class RelativeEquilibrium(FrozenArrays):
         return 20.0 * np.pi / rate if rate else 10.0
 
     def __str__(self) -> str:
+        values = self.system.space.chart(self.x[None])[0]
         shape = ", ".join(
             f"{name}={value:.6g}"
-            for name, value in zip(self.system.shape_names, self.x, strict=True)
+            for name, value in zip(self.system.shape_names, values, strict=True)
         )
         return f"{shape or 'rigid'}: {self.verdict}{_growth(self.stability)}"
 
@@ -244,7 +246,8 @@ class Equilibria(Sequence[RelativeEquilibrium]):
 def _row(equilibrium: RelativeEquilibrium) -> list[str]:
     """Format one row of a table: amended potential, verdict, growth, frequencies and shape."""
     swings = " ".join(f"{f:.5g}" for f in equilibrium.frequencies)
-    shape = "(" + ", ".join(f"{value:.6g}" for value in equilibrium.x) + ")"
+    values = equilibrium.system.space.chart(equilibrium.x[None])[0]
+    shape = "(" + ", ".join(f"{value:.6g}" for value in values) + ")"
     if equilibrium.direction.size:
         shape += " about (" + ", ".join(f"{value:.4g}" for value in equilibrium.direction) + ")"
     verdict = equilibrium.verdict + (

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
-from .amended_energy import AmendedEnergy, Energies, Points
+from .amended_energy import AmendedEnergy, Energies
+from .points import Points, embedded, joined
 from .search import iterated
-from .shape_symmetries import Symmetry, embedded, joined
+from .shape_symmetries import Symmetry
 
 _AWAY = 0.1  # first step of a walk [rad | m]
 _SAME = 1e-9  # largest distance of equal starts

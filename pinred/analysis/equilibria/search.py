@@ -3,26 +3,32 @@
 All starts run together. Minimisation takes steps −|H|⁻¹ g in a trust region that shrinks where the
 energy increases. Newton's method takes steps −H⁻¹ g and converges to critical points of any index.
 Uniform starts miss symmetric shapes, so some starts have every angle at a multiple of a quarter
-turn, and half of all starts have their direction along a principal axis of the locked inertia.
+turn, and every ball in an attitude of a cube on the axes of its parent. Other attitudes of balls
+are uniformly distributed. Half of all starts have their direction along a principal axis of the
+locked inertia.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
+from ...lie.rotations import unit
 from ...reduction.tree.second_derivatives import inertia_derivatives
-from .amended_energy import AmendedEnergy, Energies, Points, Which
+from ...system.shape_space import ShapeSpace
+from .amended_energy import AmendedEnergy, Energies
 from .equilibrium_problem import Problem
+from .points import Points, Which
 
 NEWTON, DESCENT = 60, 200  # largest number of Newton and of descent steps
 FOUND = 1e-9  # largest residual of a critical point
 LONGEST = 0.5  # longest step [rad | m]
 _FLAT = 1e-9  # curvatures below this fraction of the largest count as zero
+_CUBE = 24  # number of rotations of a cube
 _SLIDE = 1.0  # range of a prismatic joint without limits [m]
 
 
@@ -43,14 +49,16 @@ def starting_points(problem: Problem, count: int, rng: np.random.Generator) -> P
     Returns:
         The points.
     """
-    ma = len(problem.active)
+    space = problem.space
     low, high, turns = _reach(problem)
-    x = rng.uniform(low, high, (count, ma))
-    quarters = _quarters(int(turns.sum()), count // 4, rng)
+    scalars = rng.uniform(low, high, (count, len(space.scalar_x)))
+    hinges = int(turns.sum())
+    quarters = _quarters(hinges, len(space.balls), count // 4, rng)
     symmetric = min(len(quarters), count)
-    x[:symmetric, turns] = 0.5 * np.pi * (quarters[:symmetric] - 1)
+    scalars[:symmetric, turns] = 0.5 * np.pi * (quarters[:symmetric, :hinges] - 1)
+    x = _with_attitudes(space, scalars, quarters[:symmetric, hinges:], rng)
     if not problem.directional:
-        return Points(x, np.zeros((count, 0)))
+        return problem.points(x, np.zeros((count, 0)))
     n = rng.normal(size=(count, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     if (
@@ -68,14 +76,59 @@ def starting_points(problem: Problem, count: int, rng: np.random.Generator) -> P
         aligned = np.arange(0, len(x), 2)
         axes = rng.integers(3, size=len(aligned))
     n[aligned] = _principal_axes(problem, x[aligned])[np.arange(len(aligned)), :, axes]
-    return Points(x, n)
+    return problem.points(x, n)
 
 
-def _quarters(turns: int, most: int, rng: np.random.Generator) -> NDArray[np.int_]:
-    """Return quarter turns 0 to 3 of each angle, (k, turns): all combinations or a selection."""
-    if 4**turns <= most:
-        return np.array(list(product(range(4), repeat=turns)), dtype=int).reshape(4**turns, turns)
-    return rng.integers(4, size=(most, turns))
+def _with_attitudes(
+    space: ShapeSpace, scalars: Array, quarters: NDArray[np.int_], rng: np.random.Generator
+) -> Array:
+    """Return shapes (N, k) with uniformly distributed attitudes of balls.
+
+    Args:
+        space: Manifold of the active joints.
+        scalars: Values of hinges and slides, (N, s).
+        quarters: Numbers of the rotations by quarter turns in the first shapes, (k, balls).
+        rng: Random generator.
+    Returns:
+        The shapes.
+    """
+    if not space.balls:
+        return scalars
+    x = np.empty((len(scalars), space.nx))
+    x[:, space.scalar_x] = scalars
+    for k, joint in enumerate(space.balls):
+        q = rng.normal(size=(len(scalars), 4))
+        q[: len(quarters)] = _quarter_turns()[quarters[:, k]]
+        x[:, joint.x] = unit(q)
+    return x
+
+
+def _quarter_turns() -> Array:
+    """Return the 24 rotations of a cube as quaternions, (24, 4)."""
+    halves = np.array(list(product((1.0, -1.0), repeat=4)))
+    edges = [
+        np.eye(4)[a] + sign * np.eye(4)[b] for a, b in combinations(range(4), 2) for sign in (1, -1)
+    ]
+    return unit(np.concatenate([np.eye(4), halves[halves[:, 3] > 0.0], edges]))
+
+
+def _quarters(turns: int, balls: int, most: int, rng: np.random.Generator) -> NDArray[np.int_]:
+    """Return numbers of quarter turns, (k, turns + balls): all combinations or a selection.
+
+    Args:
+        turns: Number of angles, each with 4 quarter turns.
+        balls: Number of balls, each with the 24 rotations of a cube.
+        most: Largest number of combinations.
+        rng: Random generator.
+    Returns:
+        The combinations.
+    """
+    count = 4**turns * _CUBE**balls
+    if count <= most:
+        choices = [range(4)] * turns + [range(_CUBE)] * balls
+        return np.array(list(product(*choices)), dtype=int).reshape(count, turns + balls)
+    quarters = rng.integers(4, size=(most, turns))
+    return np.hstack([quarters, rng.integers(_CUBE, size=(most, balls))]) if balls else quarters
 
 
 def critical_points(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Energies]:
@@ -107,7 +160,7 @@ def iterated(
     Returns:
         The points that converged to critical points, and their energies.
     """
-    current = Points(points.x.copy(), points.n.copy())
+    current = points.at(points.x.copy(), points.n.copy())
     running = np.arange(len(points))
     for _ in range(NEWTON):
         if not running.size:
@@ -132,7 +185,7 @@ def minima(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Ene
     Returns:
         The minima to which the descent converged, and their energies.
     """
-    current = Points(points.x.copy(), points.n.copy())
+    current = points.at(points.x.copy(), points.n.copy())
     running, radius = np.arange(len(points)), np.full(len(points), LONGEST)
     e = energy(current, J)
     running, e = running[np.isfinite(residuals(e))], some(e, np.isfinite(residuals(e)))
@@ -168,7 +221,7 @@ def polished(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, E
         tried = points.moved(-newton_step(e, absolute=False))
         new = energy(tried, J)
         better = residuals(new) < residuals(e)
-        points = Points(
+        points = points.at(
             np.where(better[:, None], tried.x, points.x),
             np.where(better[:, None], tried.n, points.n),
         )
@@ -251,8 +304,9 @@ def _chosen(which: NDArray[np.bool_], one: Energies, other: Energies) -> Energie
 
 
 def _reach(problem: Problem) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return smallest and largest values of the active joints, and which of them are angles."""
-    system, active = problem.system, list(problem.active)
+    """Return smallest and largest values of active hinges and slides, and which are angles."""
+    system, of_balls = problem.system, set(problem.system.space.ball_v.tolist())
+    active = [k for k in problem.active if k not in of_balls]
     turns = np.array([system.units[k] == "rad" for k in active], dtype=bool)
     low, high = (sign * np.where(turns, np.pi, _SLIDE) for sign in (-1.0, 1.0))
     model = system.model

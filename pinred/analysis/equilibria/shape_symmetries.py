@@ -1,6 +1,7 @@
 """Symmetries of the amended potential: coverings, mirror images and exchanged limbs.
 
-A symmetry maps each joint to ±x or ±x + π, perhaps of another joint, and the direction n to ±P n.
+A symmetry maps each hinge to ±x or ±x + π, perhaps of another joint, and the direction n to ±P n.
+It maps the attitude R of a ball to L R Q, where Q is a half turn of the child or a reflection.
 P is a rotation by half a turn or a reflection at a plane. The joints are searched along the tree:
 body by body, the image must have the mass distribution of the body after P. The amended potential
 at random points then confirms the symmetry. A covering keeps the position of every body's mass.
@@ -8,23 +9,45 @@ at random points then confirms the symmetry. A covering keeps the position of ev
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations, islice, product
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from ...common.arrays import Array, freeze
-from ...system.joints import axes_of
-from .amended_energy import AmendedEnergy, Points
+from ...lie.rotations import quaternion_from_matrix, quaternion_product, rotation
+from ...system.joints import axes_of, tree_space
+from .amended_energy import AmendedEnergy
 from .equilibrium_problem import Problem
+from .points import Points, embedded, joined
 
 _SAME = 1e-9  # largest difference of equal mass distributions, relative to the robot's size
 _SAME_ENERGY = 1e-11  # largest relative difference of the energies of symmetric points
 _POINTS = 3  # number of random points at which the energies must agree
+_BallMaps: TypeAlias = dict[str, tuple[str, Array, Array]]
 _MOST = 256  # largest number of joint maps per turn of the base
+
+
+@dataclass(frozen=True, eq=False)
+class BallMap:
+    """The map q → left ∘ q ∘ right of the attitude of a ball. Arrays are read-only.
+
+    Attributes:
+        source: Number of the ball whose attitude is taken, among the active balls.
+        left: Quaternion, (4,).
+        right: Quaternion, (4,).
+    """
+
+    source: int
+    left: Array
+    right: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +55,13 @@ class Symmetry:
     """The map x → sign · x[order] + shift, n → turn · n. Arrays are read-only.
 
     Attributes:
-        order: For each active joint, the joint whose value it receives, (ma,).
-        sign: Signs of the joint values, (ma,).
-        shift: Offsets added to the joint values, (ma,) [rad].
+        order: For each of the s active hinges and slides, the one whose value it receives, (s,).
+        sign: Signs of the joint values, (s,).
+        shift: Offsets added to the joint values, (s,) [rad].
         turn: Orthogonal map of the direction, (3, 3).
         is_covering: Whether all masses keep their positions up to a motion of the base, so that
             the image is the same motion, perhaps reversed.
+        balls: Maps of the active balls.
     """
 
     order: NDArray[np.intp]
@@ -45,6 +69,7 @@ class Symmetry:
     shift: Array
     turn: Array
     is_covering: bool
+    balls: tuple[BallMap, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -57,8 +82,16 @@ class Symmetry:
         Returns:
             The images, (N,).
         """
-        x = self.sign * points.x[:, self.order] + self.shift
-        return Points(x, points.n @ self.turn.T if points.n.shape[1] else points.n)
+        n = points.n @ self.turn.T if points.n.shape[1] else points.n
+        space = points.space
+        if space is None:
+            return points.at(self.sign * points.x[:, self.order] + self.shift, n)
+        x, scalars = points.x.copy(), space.scalar_x
+        x[:, scalars] = self.sign * points.x[:, scalars[self.order]] + self.shift
+        for joint, image in zip(space.balls, self.balls, strict=True):
+            q = quaternion_product(image.left, points.x[:, space.balls[image.source].x])
+            x[:, joint.x] = quaternion_product(q, image.right)
+        return points.at(x, n)
 
 
 def symmetries_of(energy: AmendedEnergy, J: float) -> tuple[Symmetry, ...]:
@@ -74,7 +107,9 @@ def symmetries_of(energy: AmendedEnergy, J: float) -> tuple[Symmetry, ...]:
     rng = np.random.default_rng(1)
     x = rng.uniform(0.4, 1.2, (_POINTS, len(problem.active)))
     n = rng.normal(size=(_POINTS, 3 * problem.directional))
-    points = Points(x, n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300))
+    n = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
+    space = problem.space
+    points = problem.points(x if not space.balls else space.integrate(space.neutral, x), n)
     e = energy(points, J)
     candidates = _without_copies(_candidates(problem, points.x[0]), points)
     if not candidates:
@@ -85,33 +120,11 @@ def symmetries_of(energy: AmendedEnergy, J: float) -> tuple[Symmetry, ...]:
     return tuple(c for c, same in zip(candidates, agrees.tolist(), strict=True) if same)
 
 
-def joined(parts: Sequence[Points]) -> Points:
-    """Concatenate points.
-
-    Args:
-        parts: At least one set of points.
-    Returns:
-        All points, in order.
-    """
-    return Points(np.concatenate([p.x for p in parts]), np.concatenate([p.n for p in parts]))
-
-
-def embedded(points: Points, angles: NDArray[np.bool_]) -> Array:
-    """Return coordinates that are equal for equal points: angles as cosine and sine.
-
-    Args:
-        points: Points, (N,).
-        angles: Which active joints are periodic, (ma,).
-    Returns:
-        (N, k).
-    """
-    x = points.x[:, angles]
-    return np.concatenate([np.cos(x), np.sin(x), points.x[:, ~angles], points.n], axis=1)
-
-
 def _without_copies(candidates: Iterable[Symmetry], points: Points) -> list[Symmetry]:
     """Remove the identity and repeated maps; among equal maps, a covering is kept."""
     angles = np.ones(points.x.shape[1], dtype=bool)
+    if points.space is not None:
+        angles[points.space.ball_x] = False
     images = [embedded(points, angles)]
     kept: list[Symmetry] = []
     for candidate in sorted(candidates, key=lambda c: not c.is_covering):
@@ -126,12 +139,15 @@ def _candidates(problem: Problem, active: Array) -> Iterator[Symmetry]:
     """Yield maps that move the masses by a half turn or a reflection at a generic shape."""
     tree, group = _Masses(problem), problem.system.group
     x = problem.shapes(active[None])[0]
-    of_active = {k: i for i, k in enumerate(problem.active)}
+    of_balls = set(problem.system.space.ball_v.tolist())
+    scalars = [k for k in problem.active if k not in of_balls]
+    of_active = {k: i for i, k in enumerate(scalars)}
+    numbers = {joint.name: i for i, joint in enumerate(problem.space.balls)}
     for order in tree.orders():
         is_swapped = bool((order != np.arange(len(order))).any())
         for P in tree.turns():
-            for sign, shift, source in islice(tree.maps(x, P, order), _MOST):
-                columns = [source[k] for k in problem.active]
+            for sign, shift, source, by_ball in islice(tree.maps(x, P, order), _MOST):
+                columns = [source[k] for k in scalars]
                 if any(k not in of_active for k in columns):
                     continue
                 proper = float(np.linalg.det(P)) > 0.0
@@ -143,10 +159,14 @@ def _candidates(problem: Problem, active: Array) -> Iterator[Symmetry]:
                 for reverse in (1.0, -1.0) if problem.directional else (1.0,):
                     yield Symmetry(
                         order=np.array([of_active[k] for k in columns], dtype=np.intp),
-                        sign=sign[list(problem.active)],
-                        shift=shift[list(problem.active)],
+                        sign=sign[scalars],
+                        shift=shift[scalars],
                         turn=reverse * P,
                         is_covering=keeps and (reverse > 0.0 or problem.reversible),
+                        balls=tuple(
+                            BallMap(numbers[by_ball[name][0]], *by_ball[name][1:])
+                            for name in numbers
+                        ),
                     )
 
 
@@ -157,6 +177,7 @@ class _Masses:
         system = problem.system
         model = system.model
         self._problem, self._system = problem, system
+        self._space, self._tree = system.space, tree_space(model)
         self._parents = [0, 0, *(int(model.parents[i]) for i in range(2, model.njoints))]
         self._places = [model.jointPlacements[i] for i in range(model.njoints)]
         self._axes = [axes_of(model.joints[i])[:, 0] for i in range(2, model.njoints)]
@@ -170,16 +191,19 @@ class _Masses:
         arms = [place.translation for place in self._places[2:]]
         arms += [lever for _, lever, _ in self._bodies[1:]]
         self._size = max(float(np.linalg.norm(arms)), 1e-300)
-        coupled = system.coupled
+        coupled, rates = system.coupled, [joint.v.start for joint in self._tree.joints]
         self._leads = [
-            [k] if coupled is None else [lead for lead, _ in coupled.terms(k)]
-            for k in range(model.njoints - 2)
+            [k] if coupled is None else [lead for lead, _ in coupled.terms(k)] for k in rates
         ]
 
     def turns(self) -> list[Array]:
         """Return identity, half turns and reflections in the frames of base and first joints."""
-        mass, _, T = self._bodies[1]
-        frames = [np.eye(3), *(self._places[k].rotation for k in self._children[1])]
+        return self._turns_of_body(1)
+
+    def _turns_of_body(self, i: int) -> list[Array]:
+        """Return identity, half turns and reflections in the frames of a body and its joints."""
+        mass, _, T = self._bodies[i]
+        frames = [np.eye(3), *(self._places[k].rotation for k in self._children[i])]
         if mass:
             frames.append(np.linalg.eigh(T)[1])
         signs = [np.diag(s) for s in product((1.0, -1.0), repeat=3)]
@@ -220,26 +244,27 @@ class _Masses:
 
     def maps(
         self, x: Array, P: Array, order: NDArray[np.intp]
-    ) -> Iterator[tuple[Array, Array, Array]]:
+    ) -> Iterator[tuple[Array, Array, Array, _BallMaps]]:
         """Yield signs, shifts and sources of the shape coordinates that move the masses by P.
 
         Args:
-            x: A generic shape, (m,).
+            x: A generic shape, (nx,).
             P: Orthogonal map of the base, (3, 3).
             order: For each body, the body that takes its position.
         Yields:
-            Triples (sign, shift, source) of arrays (m,).
+            Triples (sign, shift, source) of arrays (m,), and the maps of balls by name.
         """
         placed = [pin.SE3.Identity()] * len(self._bodies)
         values = self._system.joint_values(x)
         for i in range(2, len(placed)):
-            placed[i] = self._placed(placed, i, values[i - 2])
+            placed[i] = self._placed(placed, i, values)
         targets = [self._moved(P, placed[i], i) for i in range(len(placed))]
         if not self._agrees(pin.SE3.Identity(), int(order[1]), targets[1]):
             return
         m = self._system.m
-        state = np.ones(m), np.zeros(m), np.full(m, -1)
+        state = np.ones(m), np.zeros(m), np.full(m, -1), _BallMaps()
         images = [pin.SE3.Identity()] * len(placed)
+        self._P, self._turned = P, [place.rotation for place in placed]
         yield from self._extended(2, x, order, targets, images, state)
 
     def _extended(
@@ -249,14 +274,17 @@ class _Masses:
         order: NDArray[np.intp],
         targets: list[tuple[float, Array, Array]],
         images: list[pin.SE3],
-        state: tuple[Array, Array, Array],
-    ) -> Iterator[tuple[Array, Array, Array]]:
+        state: tuple[Array, Array, Array, _BallMaps],
+    ) -> Iterator[tuple[Array, Array, Array, _BallMaps]]:
         """Yield the maps that extend a map of the bodies before body i."""
         if i == len(targets):
-            yield state[0].copy(), state[1].copy(), state[2].copy()
+            yield state[0].copy(), state[1].copy(), state[2].copy(), dict(state[3])
             return
         j = int(order[i])
-        sign, shift, sources = state
+        if self._tree.joints[i - 2].kind.is_ball or self._tree.joints[j - 2].kind.is_ball:
+            yield from self._extended_by_ball(i, x, order, targets, images, state)
+            return
+        sign, shift, sources, _ = state
         targets_of_joint, sources_of_joint = self._leads[j - 2], self._leads[i - 2]
         if len(targets_of_joint) != len(sources_of_joint):
             return
@@ -267,12 +295,56 @@ class _Masses:
         for choices in product(*(self._choices(target) for target, _ in new)):
             for (target, source), (factor, offset) in zip(new, choices, strict=True):
                 sign[target], shift[target], sources[target] = factor, offset, source
-            image = sign * x[sources] + shift
-            images[j] = self._placed(images, j, self._system.joint_values(image)[j - 2])
+            image = self._image(x, sign, shift, sources)
+            images[j] = self._placed(images, j, self._system.joint_values(image))
             if self._agrees(images[j], j, targets[i]):
                 yield from self._extended(i + 1, x, order, targets, images, state)
         for target, _ in new:
             sign[target], shift[target], sources[target] = 1.0, 0.0, -1
+
+    def _extended_by_ball(
+        self,
+        i: int,
+        x: Array,
+        order: NDArray[np.intp],
+        targets: list[tuple[float, Array, Array]],
+        images: list[pin.SE3],
+        state: tuple[Array, Array, Array, _BallMaps],
+    ) -> Iterator[tuple[Array, Array, Array, _BallMaps]]:
+        """Yield the maps that extend a map by a ball; the image of body i has the attitude P R Q.
+
+        The attitude relative to the parent becomes L R Q with a constant L.
+        """
+        j = int(order[i])
+        source, target = self._tree.joints[i - 2], self._tree.joints[j - 2]
+        if not (source.kind.is_ball and target.kind.is_ball):
+            return
+        P, by_ball = self._P, state[3]
+        R = rotation(self._system.joint_values(x)[source.x])
+        proper = float(np.linalg.det(P))
+        parent = images[self._parents[j]] * self._places[j]
+        for Q in self._turns_of_body(i):
+            if float(np.linalg.det(Q)) * proper < 0.0:
+                continue
+            attitude = P @ self._turned[i] @ Q
+            images[j] = pin.SE3(attitude, parent.translation)
+            if not self._agrees(images[j], j, targets[i]):
+                continue
+            left = parent.rotation.T @ attitude @ Q.T @ R.T
+            left, right = (quaternion_from_matrix(proper * factor) for factor in (left, Q))
+            by_ball[target.name] = (source.name, left, right)
+            yield from self._extended(i + 1, x, order, targets, images, state)
+        by_ball.pop(target.name, None)
+
+    def _image(self, x: Array, sign: Array, shift: Array, sources: Array) -> Array:
+        """Return the image, (nx,), of the hinges and slides of a shape."""
+        if not self._space.balls:
+            return np.asarray(sign * x[sources] + shift)
+        values, image = np.zeros(self._space.m), x.copy()
+        values[self._space.scalar_v] = x[self._space.scalar_x]
+        values = sign * values[sources] + shift
+        image[self._space.scalar_x] = values[self._space.scalar_v]
+        return image
 
     def _choices(self, k: int) -> list[tuple[float, float]]:
         """Return signs and shifts of a shape coordinate that are tried."""
@@ -281,8 +353,12 @@ class _Masses:
         shifts = (0.0, np.pi) if k in self._problem.turning else (0.0,)
         return list(product((1.0, -1.0), shifts))
 
-    def _placed(self, placed: list[pin.SE3], i: int, value: float) -> pin.SE3:
-        return placed[self._parents[i]] * self._places[i] * pin.exp6(self._axes[i - 2] * value)
+    def _placed(self, placed: list[pin.SE3], i: int, values: Array) -> pin.SE3:
+        """Return the placement of body i for coordinates of all joints."""
+        joint, parent = self._tree.joints[i - 2], placed[self._parents[i]] * self._places[i]
+        if joint.kind.is_ball:
+            return parent * pin.SE3(rotation(values[joint.x]), np.zeros(3))
+        return parent * pin.exp6(self._axes[i - 2] * values[joint.x.start])
 
     def _moved(self, P: Array, place: pin.SE3, i: int) -> tuple[float, Array, Array]:
         """Return mass, centre and inertia of body i at a place, transformed by the isometry P."""

@@ -54,7 +54,7 @@ def corrected_integral(
     Returns:
         Integral, phase and relative error.
     """
-    connection.space.refuse_balls("corrected_integral")
+    connection = connection.in_chart()
     group, disc = connection.group, Disc(gait)
     u = disc.nodes
     x = disc.shapes(u)

@@ -19,8 +19,9 @@ from ...common.errors import InputError
 from ..connections.connection import Connection
 from ..gaits.arcs import line
 from ..gaits.gait import Gait
+from ..phases.closure import is_closed
 from ..phases.lift import STAGES, PathSegments, in_space, lift, nodes
-from ..phases.phase import is_closed, phase
+from ..phases.phase import phase
 
 _FLAT = 1e-10  # largest curvature of a flat connection, relative to its terms
 _SAMPLES = {1: 101, 2: 31, 3: 13}  # number of grid points per joint, for 1, 2 or 3 joints
@@ -140,7 +141,7 @@ def flatness(
         InputError: The limits are invalid.
         SingularInertiaError: A is undefined at a sampled shape.
     """
-    connection.space.refuse_balls("flatness")
+    connection = connection.in_chart()
     m, n = connection.m, connection.group.linear
     bounds = np.tile([-1.0, 1.0], (m, 1)) if limits is None else as_floats(limits, "limits")
     if bounds.shape != (m, 2) or not np.isfinite(bounds).all() or (np.diff(bounds) <= 0.0).any():

@@ -162,7 +162,7 @@ def optimal_frame(
         SingularInertiaError: A is undefined on the patch.
         NoConvergence: The iteration of the attitude does not converge.
     """
-    connection.space.refuse_balls("optimal_frame")
+    connection = connection.in_chart()
     if isinstance(limits, Gait):
         if joints is not None or at is not None or nodes is not None:
             raise InputError("joints, at and nodes apply to a box of joint limits, not to a gait")

@@ -356,7 +356,7 @@ def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = Non
     Raises:
         InputError: The gait is not one Fourier series.
     """
-    connection.space.refuse_balls("phase_slopes")
+    connection = connection.in_chart()
     connection.refuse_gravity()
     arc = gait.series
     harmonics, m = len(arc.cos), connection.m

@@ -23,14 +23,13 @@ from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
 from ..connections.singular_shapes import refuse_crossing, refuse_singular
-from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
+from .closure import refuse_open, turns_ball
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lift, nodes
 from .screw import Screw, screw_of
 
 _FLOOR = 64.0 * np.finfo(float).eps  # round-off, relative to the path length of the base
 _LEAST = 1e-14  # smallest tolerance
-_REPEATS = 1e-9  # largest change of body twists over a complete turn, relative to the twists
 
 _LEAST_SAMPLES = 16  # smallest number of samples of a smooth gait
 _PER_HARMONIC = 16  # initial number of samples per harmonic
@@ -129,7 +128,8 @@ def phase(
     Fourier series, convergence is spectral.
 
     Args:
-        connection: Connection that lifts the gait.
+        connection: Connection that lifts the gait. If there are ball joints, the gait is given in
+            rotation vectors, about the centre of `Connection.in_chart` or else about rest.
         gait: Closed path in shape space.
         momentum: 0, or the body momentum μ at the start, (r,). Ad*_{g⁻¹} μ is conserved.
         tolerance: Tolerance of the pose, in rotation [rad] and translation [m].
@@ -146,13 +146,9 @@ def phase(
             f"phase takes a Connection and a Gait, got {type(connection).__name__} and "
             f"{type(gait).__name__}"
         )
-    connection.space.refuse_balls("phase")
+    connection = connection.in_chart()
     connection.refuse_gravity()
-    if len(gait.turns) == connection.m and (joint := _open_joint(connection, gait)):
-        raise InputError(
-            "gait: only a joint whose complete turn restores the robot may turn, "
-            f"got turns {gait.turns}, with a turn of '{joint}'"
-        )
+    refuse_open(connection, gait)
     goal = max(positive(tolerance, "tolerance"), _LEAST)
     mu = _momentum(connection, momentum)
     group, has_momentum = connection.group, bool(mu.any())
@@ -186,32 +182,6 @@ def phase(
         f"the phase did not reach the tolerance {goal:g}: the last doubling changed it by "
         f"{error:.2g}; the gait passes near a singular shape, or the tolerance is below round-off"
     )
-
-
-def is_closed(connection: Connection, gait: Gait) -> bool:
-    """Return whether a connection repeats itself after the turns of a gait.
-
-    Args:
-        connection: Connection with as many joints as the gait.
-        gait: Path in shape space that may turn joints.
-    Returns:
-        Whether all joints that turn are revolute, and a complete turn of each restores the
-        connection.
-    """
-    return not _open_joint(connection, gait)
-
-
-def _open_joint(connection: Connection, gait: Gait) -> str:
-    """Return a joint whose complete turn does not restore the connection, or ""."""
-    x, xdot = gait.samples(_LEAST_SAMPLES)
-    xi = connection.code.velocities(x, xdot).xi
-    size = float(np.abs(xi).max(initial=0.0))
-    for k in np.flatnonzero(gait.turns).tolist():
-        turned = x + TAU * np.eye(connection.m)[k]
-        change = float(np.abs(connection.code.velocities(turned, xdot).xi - xi).max(initial=0.0))
-        if connection.form.units[k] != "rad" or not change <= _REPEATS * size:
-            return connection.joints[k]
-    return ""
 
 
 def _bound(group: Group, difference: PoseError, path: Array) -> PoseError:
@@ -295,7 +265,10 @@ def refined(connection: Connection, gait: Gait, *, momentum: bool) -> Iterator[S
             f"gait: expected {connection.m} joints for {connection}, got {gait.m}. The joints are "
             f"{', '.join(connection.joints)}"
         )
-    yield from (_smooth if gait.is_smooth else _by_arcs)(connection, gait, momentum)
+    # The attitude of a ball that turns is not a periodic function of time, so that the body twist
+    # cannot be interpolated by a Fourier series.
+    periodic = gait.is_smooth and not turns_ball(connection, gait)
+    yield from (_smooth if periodic else _by_arcs)(connection, gait, momentum)
 
 
 def _smooth(connection: Connection, gait: Gait, momentum: bool) -> Iterator[Sampled]:

@@ -106,7 +106,7 @@ def reduced_names(system: System, kernel: Kernel, indices: Array) -> tuple[str, 
     names += [f"p {name}" for name in attitudes * layout.lifted_balls]
     names += [joints[k] for k in layout.cyclic]
     if not layout.lifted_balls:
-        names += [*(f"π {joints[k]}" for k in layout.ball_v), *attitudes]
+        names += [*(f"π {joints[k]}" for k in layout.ball_pi), *attitudes]
     momentum_names = [
         name.replace("ω", "L") for name in system.group.twist_names[system.group.linear :]
     ]
@@ -122,13 +122,13 @@ def _scales(kernel: Kernel, rate: float) -> Array:
     momenta, pairs, r = rate * usual_inertias(system), layout.pairs, system.r
     scales = np.ones(layout.base_at + base.size)
     scales[pairs : pairs + len(layout.active)] = momenta[r:][list(layout.active)]
+    first = layout.balls_at
     for k, (_, v) in enumerate(layout.balls):
-        first = layout.balls_at + 3 * k
-        entries = slice(first, first + 3)
+        width = sum(j in layout.ball_pi for j in range(v, v + 3))
         if layout.lifted_balls:
-            first = pairs + len(layout.active) + 4 * k
-            entries = slice(first, first + 4)
-        scales[entries] = momenta[r + v : r + v + 3].max()
+            first, width = pairs + len(layout.active) + 4 * k, 4
+        scales[first : first + width] = momenta[r + v : r + v + 3].max()
+        first += width
     if base.momentum:
         offset = layout.base_at + base.attitude + base.down
         scales[offset : offset + base.momentum] = momenta[r - base.momentum : r].max()
@@ -137,7 +137,7 @@ def _scales(kernel: Kernel, rate: float) -> Array:
 
 def _quaternions(layout: Layout) -> tuple[slice, ...]:
     """Return the positions in z of the quaternions of balls."""
-    first = 2 * layout.pairs + 3 * len(layout.balls)
+    first = 2 * layout.pairs + len(layout.ball_pi)
     if layout.lifted_balls:
         first = len(layout.active)
     return tuple(slice(first + 4 * k, first + 4 * k + 4) for k in range(len(layout.balls)))

@@ -31,8 +31,9 @@ from ...common.arrays import Array, FrozenArrays
 from ...lie.rotations import hat
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.second_derivatives import inertia_derivatives
-from ..equilibria.amended_energy import AmendedEnergy, Points, tangents
+from ..equilibria.amended_energy import AmendedEnergy
 from ..equilibria.equilibrium_problem import Problem
+from ..equilibria.points import Points, tangents
 from ..equilibria.search import critical_points, residuals
 
 _NULL = 1e-7  # curvature below which a direction is flat, relative to the largest
@@ -130,7 +131,7 @@ def _family_dimension(energy: AmendedEnergy, point: Points, J: float, flat: Arra
         )
         if not len(neighbour):
             continue
-        difference = np.concatenate([neighbour.x - point.x, neighbour.n - point.n], axis=1)
+        difference = point.difference(neighbour)
         is_distinct = float(np.linalg.norm(difference)) > 0.5 * _FAMILY_STEP
         has_same_energy = abs(float(energies.U[0] - initial.U[0])) <= _SAME_ENERGY * float(
             initial.scale[0]

@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array, FrozenArrays
+from ...kernels.state_layout import Layout
+from ...system.elementary_joints import BALL
+from ...system.shape_space import ShapeSpace
 from .linearisation import Linearisation, eigen, eigenvalue_errors, norm
 from .second_variation import SecondVariation
 
 Verdict: TypeAlias = Literal["stable", "unstable", "undecided"]
 _SIGNIFICANT = 10.0  # growth rates above this multiple of their error count as unstable
 _ROUND_OFF = 1e-14  # error of the matrix, relative to its norm
+_NEAR_ZERO = 1e-4  # largest split of a double eigenvalue at zero, relative to the norm
 _NO_GROWTH = 1e-9  # largest growth of an undamped oscillation, relative to the norm
 
 
@@ -30,7 +34,8 @@ class Mode(FrozenArrays):
         growth: Re λ [1/s].
         error: Error of λ [1/s].
         frequency: Im λ [rad/s].
-        shape: Complex amplitudes of x, (m,), zero for joints that are not active.
+        shape: Complex amplitudes of x along the frame of the shape, (m,), zero for joints that are
+            not active.
         momentum: Complex amplitudes of π, (m,), zero for joints that are not active.
         base: Complex amplitudes of the base entries of the reduced state.
     """
@@ -58,7 +63,7 @@ class Stability:
         dimension: Dimension of the family of equilibria.
         growing: Number of growing modes with real λ.
         damped_growth: For an undecided verdict, the largest ∂Re λ/∂c over all modes for a damper −c
-            ẋ, by joint name.
+            ẋ, by joint name, or by axis for a ball.
     """
 
     verdict: Verdict
@@ -73,25 +78,28 @@ class Stability:
 
 
 def assess_stability(
-    linear: Linearisation, second: SecondVariation, active: tuple[int, ...], joints: tuple[str, ...]
+    linear: Linearisation, second: SecondVariation, layout: Layout, space: ShapeSpace
 ) -> Stability:
     """Decide stability from the linearised flow and the second variation.
 
     Args:
         linear: Linearised flow at the equilibrium.
         second: Second variation of the amended potential.
-        active: Indices of the active joints.
-        joints: Names of all joints.
+        layout: Layout of the kernel of the flow.
+        space: Manifold of the shape.
     Returns:
         The verdict, its reasons, and the modes.
     """
-    leaf = linear.leaf
+    leaf, entries = linear.leaf, _shape_entries(linear, layout)
     on_leaf = leaf.restrict(linear.matrix)
     values, left, right = eigen(on_leaf)
     errors = eigenvalue_errors(left, right, _ROUND_OFF * norm(on_leaf))
     is_transverse = np.ones(len(values), dtype=bool)
-    if second.dimension:  # Each direction of the family adds a double eigenvalue at zero.
-        is_transverse[np.argsort(np.abs(values))[: 2 * second.dimension]] = False
+    if second.dimension:
+        # Each direction of the family adds a double eigenvalue at zero.  If its symmetries do not
+        # commute, as rotations of a spherical rotor, fewer eigenvalues are zero.
+        nearest = np.argsort(np.abs(values))[: 2 * second.dimension]
+        is_transverse[nearest] = np.abs(values[nearest]) > _NEAR_ZERO * norm(on_leaf)
     values, errors = values[is_transverse], errors[is_transverse]
     left, right = left[:, is_transverse], right[:, is_transverse]
     growths = values.real
@@ -101,7 +109,7 @@ def assess_stability(
         top = int(np.argmax(np.where(is_significant, growths, -np.inf) if unstable else growths))
     verdict: Verdict = "unstable" if unstable else "stable" if second.definite else "undecided"
     modes = tuple(
-        _mode(value, error, leaf.embed(vector), linear, active, len(joints))
+        _mode(value, error, leaf.embed(vector), entries, space.m)
         for value, error, vector in zip(values, errors, right.T, strict=True)
         if value.imag > 0.0 or (value.imag == 0.0 and value.real >= 0.0)
     )
@@ -118,10 +126,44 @@ def assess_stability(
         dimension=second.dimension,
         growing=int((is_significant & (values.imag == 0.0)).sum()),
         damped_growth=(
-            _damped_growth(linear, values, left, right, active, joints)
+            _damped_growth(linear, values, left, right, entries, space.names)
             if verdict == "undecided"
             else {}
         ),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _ShapeEntries(FrozenArrays):
+    """The active rates among the entries z of the reduced state.
+
+    Attributes:
+        rates: Indices of the active rates, (a,).
+        displacements: Map from δz to displacements along the frame of the shape, (a, k).
+        momenta: Indices in z of the momenta of the active rates, (a,).
+        base: Index in z of the first entry of the base.
+    """
+
+    rates: NDArray[np.intp]
+    displacements: Array
+    momenta: NDArray[np.intp]
+    base: int
+
+
+def _shape_entries(linear: Linearisation, layout: Layout) -> _ShapeEntries:
+    leaf, active = linear.leaf, layout.active
+    rates, momenta = [*active, *layout.ball_v], [*range(leaf.momenta.start, leaf.momenta.stop)]
+    displacements = np.zeros((len(rates), len(linear.state)))
+    displacements[: len(active), leaf.places] = np.eye(len(active))
+    first = len(active)
+    for k, entries in enumerate(leaf.quaternions):
+        momenta += range(leaf.momenta.stop + 3 * k, leaf.momenta.stop + 3 * k + 3)
+        E = BALL.rate_map(linear.state[entries])
+        displacements[first : first + 3, entries] = 4.0 * E.T
+        first += 3
+    base = leaf.quaternions[-1].stop if leaf.quaternions else leaf.momenta.stop
+    return _ShapeEntries(
+        np.array(rates, dtype=np.intp), displacements, np.array(momenta, dtype=np.intp), base
     )
 
 
@@ -129,8 +171,7 @@ def _mode(
     value: complex,
     error: float,
     amplitudes: NDArray[np.complex128],
-    linear: Linearisation,
-    active: tuple[int, ...],
+    entries: _ShapeEntries,
     count: int,
 ) -> Mode:
     """Return one mode, scaled so that its largest shape amplitude is 1.
@@ -139,24 +180,23 @@ def _mode(
         value: Eigenvalue [1/s].
         error: Error of the eigenvalue [1/s].
         amplitudes: Eigenvector, (k,).
-        linear: Linearised flow.
-        active: Indices of the active joints.
-        count: Number of all joints.
+        entries: Active rates among the entries of the reduced state.
+        count: Number of all rates.
     Returns:
         The mode.
     """
     shape, momentum = np.zeros((2, count), dtype=complex)
-    shape_entries = amplitudes[linear.leaf.places]
+    displacements = entries.displacements @ amplitudes
     candidates = (
-        shape_entries
-        if np.abs(shape_entries).max(initial=0.0) > 1e-12 * np.abs(amplitudes).max()
+        displacements
+        if np.abs(displacements).max(initial=0.0) > 1e-12 * np.abs(amplitudes).max()
         else amplitudes
     )
     scale = candidates[int(np.argmax(np.abs(candidates)))]
     amplitudes = amplitudes / scale
-    shape[list(active)] = amplitudes[linear.leaf.places]
-    momentum[list(active)] = amplitudes[linear.leaf.momenta]
-    base = amplitudes[linear.leaf.momenta.stop :]
+    shape[entries.rates] = displacements / scale
+    momentum[entries.rates] = amplitudes[entries.momenta]
+    base = amplitudes[entries.base :]
     return Mode(value.real, float(error), value.imag, shape, momentum, base.copy())
 
 
@@ -165,28 +205,30 @@ def _damped_growth(
     values: NDArray[np.complex128],
     left: NDArray[np.complex128],
     right: NDArray[np.complex128],
-    active: tuple[int, ...],
-    joints: tuple[str, ...],
+    entries: _ShapeEntries,
+    names: tuple[str, ...],
 ) -> dict[str, float]:
     """Compute the largest ∂Re λ/∂c for a damper −c ẋ at each active joint.
+
+    The active joints are at rest, so their rates change by the map of displacements times δż.
 
     Args:
         linear: Linearised flow.
         values: Eigenvalues, (d,).
         left: Left eigenvectors, one per column.
         right: Right eigenvectors, one per column.
-        active: Indices of the active joints.
-        joints: Names of all joints.
+        entries: Active rates among the entries of the reduced state.
+        names: Names of all rates.
     Returns:
         Largest derivative over all modes, by joint name [1/s per N m s/rad].
     """
     leaf, growth_by_joint = linear.leaf, {}
-    for i, k in enumerate(active):
+    for i, k in enumerate(entries.rates.tolist()):
         change = np.zeros_like(linear.matrix)
-        change[leaf.momenta.start + i] = -linear.matrix[leaf.places.start + i]
+        change[entries.momenta[i]] = -entries.displacements[i] @ linear.matrix
         numerator = np.einsum("ij,ik,kj->j", left.conj(), leaf.restrict(change), right)
         eigenvalue_rates = numerator / np.einsum("ij,ij->j", left.conj(), right)
-        growth_by_joint[joints[k]] = (
+        growth_by_joint[names[k]] = (
             float(eigenvalue_rates.real.max(initial=-np.inf)) if len(values) else 0.0
         )
     return growth_by_joint

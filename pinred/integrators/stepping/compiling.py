@@ -13,7 +13,10 @@ from typing import Any, TypeVar
 import numba
 from numba.extending import intrinsic
 
+from ...common.cpu_target import pin_numba
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+pin_numba(numba.config)  # before the first function is compiled
 
 
 def stamp(folder: Path) -> str:

@@ -7,7 +7,6 @@ subexpressions; LLVM's default pipeline takes a third longer, and its code is no
 from __future__ import annotations
 
 import ctypes.util
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -17,6 +16,7 @@ from typing import Any, NoReturn
 import casadi as ca
 import llvmlite.binding as llvm
 
+from ...common.cpu_target import cpu_target
 from ...common.errors import InputError, NotCopyable
 from ...reduction.tree.identical_branches import Mark
 from .lowering import lower
@@ -57,7 +57,7 @@ def compile_object(
     wide: int = 1,
     wide_inputs: Sequence[int] = (0,),
 ) -> bytes:
-    """Compile `void name(const double *in0, …, double *out)` for this CPU.
+    """Compile `void name(const double *in0, …, double *out)` for the CPU of `cpu_target`.
 
     No pointer may overlap `out`; the pointer of an empty column may have any value.
 
@@ -76,7 +76,7 @@ def compile_object(
         UnsupportedOperationError: The Function contains an operation without machine code.
     """
     _check(function, name, outputs=1 if marks is None else 2)
-    text = lower(function, name, marks, fma=_has_fma(), wide=wide, wide_inputs=wide_inputs)
+    text = lower(function, name, marks, fma=cpu_target().fma, wide=wide, wide_inputs=wide_inputs)
     with _LOCK:
         context = llvm.create_context()
         module = llvm.parse_assembly(text, context)
@@ -145,16 +145,17 @@ def _target() -> llvm.Target:
 
 
 def _create_machine() -> llvm.TargetMachine:
-    """Create a target machine for this CPU.
+    """Create a target machine for the CPU of `cpu_target`.
 
     The code model permits code at addresses far from its constants and from libm.
 
     Returns:
         The machine; MCJIT takes ownership, so each call creates a new one.
     """
+    cpu = cpu_target()
     return _target().create_target_machine(
-        cpu=llvm.get_host_cpu_name(),
-        features=llvm.get_host_cpu_features().flatten(),
+        cpu=cpu.name,
+        features=cpu.features,
         opt=1,  # emits code of the same results and speed in a tenth less time than 2
         jit=True,
     )
@@ -165,13 +166,6 @@ def _identity() -> bytes:
     """Return the first bytes of all object files of this machine; others would crash LLVM."""
     header: bytes = _create_machine().emit_object(llvm.parse_assembly(""))
     return header[:_IDENTITY]
-
-
-@cache
-def _has_fma() -> bool:
-    """Return whether the CPU has a fused multiply-add."""
-    aarch64 = platform.machine().lower() in {"arm64", "aarch64"}
-    return aarch64 or bool(llvm.get_host_cpu_features().get("fma"))
 
 
 def _check(function: ca.Function, name: str, outputs: int) -> None:

@@ -25,6 +25,7 @@ _QUICK = 1e-5  # residual that needs no second derivatives, if the cost is not t
 _QUICK_STEPS = 500  # largest number of iterations without second derivatives in the last stage
 _NEWTON_STEPS = 40  # largest number of iterations with second derivatives
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
+_TIMES = 512  # number of times at which rotation vectors of balls are checked
 _ROUNDS = 8  # largest number of last stages, each with the cells that the previous one exceeded
 
 
@@ -191,10 +192,17 @@ def measure(search: Search, best: Minimum, gait: Gait) -> Measured:
     Returns:
         The loop and its merit.
     Raises:
-        StartFailed: The nodes of the transcription do not resolve the loop.
+        StartFailed: The nodes of the transcription do not resolve the loop, or the loop leaves the
+            chart of a ball.
     """
     task, path = search.task, search.path
     connection, c = task.connection, search.coefficients(best.z)
+    chart, w = connection.chart, gait.samples(_TIMES)[0]
+    if chart is not None and (ball := chart.ball_beyond(w)):
+        raise StartFailed(
+            f"the rotation vector of ball joint '{ball}' reaches 2π, where it is singular; set "
+            "smaller limits or another centre"
+        )
     lift = path_lift(connection, path.basis, c)
     sampled = phase(connection, gait, tolerance=1e-11)
     difference = connection.group.error(sampled.pose, lift.pose)

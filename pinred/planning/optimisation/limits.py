@@ -21,6 +21,8 @@ from .objective import torque_order, torques
 # and torque are symmetric, so that they accept only r.
 LimitsLike: TypeAlias = float | ArrayLike | Mapping[str, ArrayLike]
 WHOLE_TURN = 2.0 * np.pi  # default limit of rotational joints in either direction [rad]
+# Default limit of each entry of a ball's rotation vector, which is then shorter than 2π [rad].
+BALL_LIMIT = 3.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,8 @@ def limits_of(
     Args:
         connection: The connection.
         shape: Limits of the joints; if None, those of the robot file, or a full turn in
-            either direction for rotational joints without a range.
+            either direction for rotational joints without a range, or `BALL_LIMIT` for the entries
+            of rotation vectors. With a centre, limits are relative to it.
         speed: Limits of the speeds, or None.
         torque: Limits of the torques, or None.
     Returns:
@@ -88,7 +91,9 @@ def _file_limits(connection: Connection) -> Array:
     for k, unit in enumerate(connection.form.units):
         if unit == "rad":
             ranges[k] = -WHOLE_TURN, WHOLE_TURN
-    system = connection.system
+    system, chart = connection.system, connection.chart
+    if chart is not None:
+        ranges[chart.space.ball_v] = -BALL_LIMIT, BALL_LIMIT
     if system is not None:
         for k, joint in enumerate(system.joints):
             at = system.model.idx_qs[joint]
@@ -97,6 +102,9 @@ def _file_limits(connection: Connection) -> Array:
                 high = float(system.model.upperPositionLimit[at])
                 if np.isfinite([low, high]).all() and max(-low, high) < 1e6 and low < high:
                     ranges[k] = low, high
+    if chart is not None:
+        space = chart.space
+        ranges[space.scalar_v] -= chart.centre[space.scalar_x, None]
     return ranges
 
 

@@ -252,7 +252,7 @@ def check_cost(connection: Connection, kind: str) -> None:
 
 
 def torques(connection: Connection, x: Array, slope: Array, bend: Array) -> Array:
-    """Compute the joint torques τ along a path for period T = 1.
+    """Compute the joint torques τ along a path for period T = 1, in the child's axes for balls.
 
     For another period, torques scale with T^(−order); see `torque_order`.
 
@@ -264,9 +264,11 @@ def torques(connection: Connection, x: Array, slope: Array, bend: Array) -> Arra
     Returns:
         (N, m): the torques.
     """
-    if not connection.form.momentum:
-        return np.asarray(0.5 * _squares(connection, x, slope)[:, connection.m :])
-    return connection.code.covariant_forces(x, slope, bend, np.zeros_like(x))[0]
+    if connection.form.momentum:
+        forces = connection.code.covariant_forces(x, slope, bend, np.zeros_like(x))[0]
+    else:
+        forces = np.asarray(0.5 * _squares(connection, x, slope)[:, connection.m :])
+    return forces if connection.chart is None else connection.chart.frame_forces(x, forces)
 
 
 def torque_slopes(
@@ -283,6 +285,20 @@ def torque_slopes(
     Returns:
         (N, 3m): the derivatives with respect to (x, x′, x″).
     """
+    if connection.chart is None:
+        return _force_slopes(connection, x, slope, bend, along)
+    # λᵀτ = yᵀf with forces f along w and y = J⁻¹λ, which depends on w.
+    rates = connection.chart.coordinate_rates(x, along)
+    slopes = _force_slopes(connection, x, slope, bend, rates).copy()
+    tau = torques(connection, x, slope, bend)
+    slopes[:, : connection.m] -= connection.chart.power_gradients(x, tau, rates)
+    return slopes
+
+
+def _force_slopes(
+    connection: Connection, x: Array, slope: Array, bend: Array, along: Array
+) -> Array:
+    """Return the derivatives, (N, 3m), of λᵀf by (x, x′, x″) for forces f along x."""
     m = connection.m
     if connection.form.momentum:
         return connection.code.covariant_forces(x, slope, bend, along)[1]
@@ -345,10 +361,10 @@ def cost_of(
         value, power = float(w @ np.sum(force * u, axis=1)), 1 - 2 * order
     else:
         tau = torques(connection, x, slope, bend)
-        rates = np.ones_like(tau) if kind == "torque" else slope
+        rates = np.ones_like(tau) if kind == "torque" else _frame_rates(connection, x, slope)
         derivatives = 2.0 * torque_slopes(connection, x, slope, bend, tau * rates**2)
         if kind == "power":
-            derivatives[:, m : 2 * m] += 2.0 * tau**2 * slope
+            _add_rate_gradients(derivatives, connection, x, slope, 2.0 * tau**2 * rates)
         value = float(w @ np.sum((tau * rates) ** 2, axis=1))
         power = 1 - 2 * (order + (kind == "power"))
     scale = period**power
@@ -357,6 +373,24 @@ def cost_of(
         scale * sum_over_nodes(basis, m, w[:, None] * derivatives),
         power * scale * value,
     )
+
+
+def _frame_rates(connection: Connection, x: Array, slope: Array) -> Array:
+    """Return the rates of joints and of the axes of balls, (N, m)."""
+    return slope if connection.chart is None else connection.chart.rates(x, slope)
+
+
+def _add_rate_gradients(
+    derivatives: Array, connection: Connection, x: Array, slope: Array, weights: Array
+) -> None:
+    """Add the derivatives of weights · rates to the first 2m columns, those by (x, x′)."""
+    chart, m = connection.chart, connection.m
+    if chart is None:
+        derivatives[:, m : 2 * m] += weights
+        return
+    derivatives[:, :m] += chart.power_gradients(x, weights, slope)
+    by_slope = np.swapaxes(chart.rate_maps(x), 1, 2) @ weights[..., None]
+    derivatives[:, m : 2 * m] += by_slope[..., 0]
 
 
 def _squares(connection: Connection, x: Array, u: Array) -> Array:

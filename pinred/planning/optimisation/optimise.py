@@ -102,7 +102,7 @@ def optimise_gait(
     this requires two joints and a winding number.
 
     Args:
-        connection: The connection.
+        connection: The connection. The loops of balls are rotation vectors (`Connection.in_chart`).
         objective: "rotation" about an axis, "displacement" along an axis (with zero rotation),
             or "target".
         axis: 'x', 'y', 'z' or a vector in the initial frame of the base; required for rotations
@@ -138,7 +138,7 @@ def optimise_gait(
             f"optimise_gait takes a Connection, got {type(connection).__name__}; "
             "create one with Connection.mechanical(system)"
         )
-    connection.space.refuse_balls("optimise_gait")
+    connection = connection.in_chart()
     connection.refuse_gravity()
     if connection.m < 2:
         raise InputError("a loop needs two joints: a single joint can only retrace its path")

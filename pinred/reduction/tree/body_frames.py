@@ -133,6 +133,23 @@ def bodies_of(system: System) -> list[Body]:
     return changed
 
 
+def with_rotors(bodies: list[Body], rotors: Sequence[int]) -> list[Body]:
+    """Return the bodies with exactly equal moments and no first moment for spherical rotors.
+
+    Args:
+        bodies: Bodies of the tree, root first.
+        rotors: Indices of the spherical rotors among the bodies.
+    Returns:
+        The bodies; those of the rotors lose the round-off of their inertia.
+    """
+    bodies = list(bodies)
+    for i in rotors:
+        moment = bodies[i].inertia[0]
+        inertia = [moment, 0.0, 0.0, moment, 0.0, moment]
+        bodies[i] = replace(bodies[i], moment=[0.0, 0.0, 0.0], inertia=inertia)
+    return bodies
+
+
 def step_at(parent: Body, body: Body, old: pin.SE3, place: pin.SE3) -> dict[str, Any]:
     """Compute the step of a body after its joint's placement has changed.
 

@@ -209,6 +209,18 @@ def quaternion_rate(q: Sequence[Scalar], omega: Sequence[Scalar]) -> list[Scalar
     ]
 
 
+def quaternion_rate_in_parent(q: Sequence[Scalar], omega: Sequence[Scalar]) -> list[Scalar]:
+    """Return the quaternion rate ½ ω q for an angular velocity in the axes of the parent."""
+    x, y, z, w = q
+    a, b, c = omega
+    return [
+        0.5 * (w * a + b * z - c * y),
+        0.5 * (w * b + c * x - a * z),
+        0.5 * (w * c + a * y - b * x),
+        -0.5 * (x * a + y * b + z * c),
+    ]
+
+
 def times(m: Sym, v: Vec) -> Vec:
     """Return m v for a symmetric matrix m."""
     return [dot([m[INDEX[i][j]] for j in range(3)], v) for i in range(3)]

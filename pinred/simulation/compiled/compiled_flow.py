@@ -58,8 +58,13 @@ class CompiledFlow:
     path: Array
 
     @classmethod
-    def of_plan(cls, plan: Plan) -> CompiledFlow:
-        """Return the flow of a plan from its initial state."""
+    def of_plan(cls, plan: Plan, *, all_momenta: bool = False) -> CompiledFlow:
+        """Return the flow of a plan from its initial state.
+
+        Args:
+            plan: The plan.
+            all_momenta: Whether constant momenta of symmetric balls are integrated, too.
+        """
         given, shared = plan.scene.given, plan.scene.shared
         kernel = _conditions_kernel(plan, given, NO_DIFFERENCES)
         state = np.concatenate([given.pose, given.x, given.xdot, given.motion], axis=1)
@@ -68,12 +73,15 @@ class CompiledFlow:
         zero = not conditions.about.any()
 
         def make() -> PreparedStart | None:
-            flow_kernel, constants = _checked_kernel(plan, NO_DIFFERENCES, zero=zero)
+            flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
+            constants = _constants(plan, NO_DIFFERENCES, flow_kernel)
             return prepare_start(flow_kernel, given, kernel, constants)
 
-        prepared = once(shared, (PreparedStart, type(plan.method), zero, given.mu is None), make)
+        key = PreparedStart, type(plan.method), zero, given.mu is None, all_momenta
+        prepared = once(shared, key, make)
         if prepared is None:
-            return _set_up(plan, given, conditions, NO_DIFFERENCES, zero=zero)[0]
+            flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
+            return _set_up(plan, given, conditions, NO_DIFFERENCES, flow_kernel)[0]
         return cls(prepared.kernel, *prepared.start(state[0], values[0]))
 
     def __getitem__(self, members: object) -> CompiledFlow:
@@ -195,7 +203,9 @@ class CompiledFlow:
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""
         layout = self.kernel.layout
-        return entry_name(self.kernel.system, layout.active, layout.cyclic, entry)
+        return entry_name(
+            self.kernel.system, layout.active, layout.cyclic, entry, layout.constant_pi
+        )
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:
@@ -204,17 +214,20 @@ def rate_address(kernel: Kernel, method: Method) -> int:
     return (kernel.rate if lanes == 1 else wide_rate(kernel, lanes)).address
 
 
-def kernel_of(plan: Plan, *, zero_momentum: bool, generic: bool = False) -> Kernel:
+def kernel_of(
+    plan: Plan, *, zero_momentum: bool, generic: bool = False, all_momenta: bool = False
+) -> Kernel:
     """Return the kernel of a plan, built once while it is among the most recent of its System.
 
     Args:
         plan: The plan.
         zero_momentum: Whether the initial angular momentum of the base is exactly zero.
         generic: Whether the variable parameters of the robot may take any value.
+        all_momenta: Whether constant momenta of symmetric balls are integrated, too.
     Returns:
         The kernel; plans of the same structure and force expressions share it.
     """
-    kind = plan.kind(zero_momentum=zero_momentum, generic=generic)
+    kind = plan.kind(zero_momentum=zero_momentum, generic=generic, all_momenta=all_momenta)
     system, structure, forces = kind.system, kind.structure, kind.forces
     # Texts have cached hashes, unlike structures.
     key = once(kind, Kernel, lambda: repr((structure, None if forces is None else forces.key)))
@@ -247,7 +260,8 @@ def flows_of(
                 conditions = InitialConditions(*(rows[indices] for rows in vars(start).values()))
                 states, parameters = given[chunk][indices], own[chunk][indices]
                 members[zero].append(first + indices)
-                flows[zero].append(_set_up(plan, states, conditions, parameters, zero=zero))
+                kernel = kernel_of(plan, zero_momentum=zero, generic=parameters.robot is not None)
+                flows[zero].append(_set_up(plan, states, conditions, parameters, kernel))
     return [
         (np.concatenate(members[zero]), _stacked(chunks))
         for zero, chunks in flows.items()
@@ -282,10 +296,10 @@ def _conditions_kernel(
 
 
 def _set_up(
-    plan: Plan, given: GivenStates, start: InitialConditions, own: MemberParameters, *, zero: bool
+    plan: Plan, given: GivenStates, start: InitialConditions, own: MemberParameters, kernel: Kernel
 ) -> CompiledFlow:
     """Return the flow of N members, all with or all without angular momentum."""
-    kernel, constants = _checked_kernel(plan, own, zero=zero)
+    constants = _constants(plan, own, kernel)
     down = np.empty((len(given.x), 0))
     if kernel.layout.base.down:
         down = _down(plan, given.pose[:, plan.system.group.linear :], own)
@@ -294,9 +308,8 @@ def _set_up(
     return CompiledFlow(kernel, *arrays)
 
 
-def _checked_kernel(plan: Plan, own: MemberParameters, *, zero: bool) -> tuple[Kernel, Constants]:
-    """Return the kernel of a flow, and its numbers that do not depend on the initial state."""
-    kernel = kernel_of(plan, zero_momentum=zero, generic=own.robot is not None)
+def _constants(plan: Plan, own: MemberParameters, kernel: Kernel) -> Constants:
+    """Return the numbers of a flow that do not depend on the initial state."""
     if plan.method.steady_momentum and kernel.layout.base.momentum:
         raise InputError(
             f"{plan.method.name} needs a constant angular momentum, but gravity or a wrench "
@@ -308,7 +321,7 @@ def _checked_kernel(plan: Plan, own: MemberParameters, *, zero: bool) -> tuple[K
     freed = kernel.layout.freed
     bodies = free_numbers(plan.system, freed) if own.robot is None else own.robot
     numbers = plan.numbers if own.numbers is None else own.numbers
-    return kernel, Constants(gravity, fall, bodies, numbers)
+    return Constants(gravity, fall, bodies, numbers)
 
 
 def _down(plan: Plan, attitude: Array, own: MemberParameters) -> Array:

@@ -62,7 +62,7 @@ def assemble(
     parameters = _fill(
         np.empty((N, layout.parameters)),
         [
-            start.fixed[:, : base.spin], start.pi[:, list(layout.cyclic)],
+            start.fixed[:, : base.spin], start.pi[:, layout.constant_pi],
             constants.gravity[..., list(layout.gravity)], constants.bodies,
             path[:, : layout.com_path], constants.numbers,
         ],
@@ -146,4 +146,27 @@ def prepare_start(
     states, down = GivenStates(pose, x, xdot, motion, None), np.empty((1, 0))
     arrays = assemble(layout, states, outputs, Constants(**shared), down)
     values = np.concatenate([np.zeros(1), *vars(constants).values()])
-    return PreparedStart(kernel, values, *(array[0].astype(np.intp) for array in arrays))
+    whole = np.concatenate(arrays, axis=1)
+    if not (np.isin(whole, np.arange(count + conditions.size))).all():
+        return None
+    prepared = PreparedStart(kernel, values, *(array[0].astype(np.intp) for array in arrays))
+    return prepared if _are_copies(prepared, given, conditions, constants) else None
+
+
+def _are_copies(
+    prepared: PreparedStart,
+    given: GivenStates,
+    conditions: InitialConditionsKernel,
+    constants: Constants,
+) -> bool:
+    """Return whether all entries are copies, tested with random numbers."""
+    rng, down = np.random.default_rng(0), np.empty((1, 0))
+    pose, x, xdot, motion = (
+        rng.random(a.shape) for a in (given.pose, given.x, given.xdot, given.motion)
+    )
+    states = GivenStates(pose, x, xdot, motion, None)
+    outputs = rng.random((1, conditions.size))
+    expected = assemble(prepared.kernel.layout, states, conditions.split(outputs), constants, down)
+    state = [states.pose[0], states.x[0], states.xdot[0], states.motion[0]]
+    copies = prepared.start(np.concatenate(state), outputs[0])
+    return all(np.array_equal(a[0], b) for a, b in zip(expected, copies, strict=True))

@@ -50,6 +50,15 @@ class Joint:
         """Return the body's displacement, in body axes, for the coordinate of a slide or hinge."""
         return self.at_point * self.displaced(value - self.q0) * self.at_point.inverse()
 
+    def turned(self, attitude: Array) -> pin.SE3:
+        """Return the body's displacement, in body axes, for the attitude of a ball.
+
+        Args:
+            attitude: Unit quaternion (x, y, z, w), (4,).
+        """
+        R = pin.Quaternion(np.asarray(attitude, dtype=float)).toRotationMatrix()
+        return self.at_point * pin.SE3(R, np.zeros(3)) * self.at_point.inverse()
+
     def displaced(self, amount: float) -> pin.SE3:
         """Return the displacement by a slide or hinge through `amount` [m | rad]."""
         if amount == 0.0:

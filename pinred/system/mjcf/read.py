@@ -13,8 +13,8 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import ModelError
 from ...lie.group import Group
-from ..locked_joints import LockedJoints
-from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of
+from ..locked_joints import LockedJoints, LockValue, separate_attitudes
+from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of, unlocked_balls
 from ..robot_file_contents import Contents, Coupling, Keyframe
 from .compile import compiled
 from .equality_constraints import constraints_of, locked_with_followers
@@ -44,7 +44,7 @@ def read_mujoco(
     source: Any,
     *,
     root: str | None,
-    lock: Mapping[str, float],
+    lock: Mapping[str, LockValue],
     gravity: Array | None,
     balls: bool | tuple[str, ...] = False,
 ) -> MujocoRobot:
@@ -53,7 +53,7 @@ def read_mujoco(
     Args:
         source: Path, MjSpec or MjModel.
         root: Name of the body attached to the world that carries the robot, if several can move.
-        lock: Joints to lock, with their values [rad | m].
+        lock: Joints to lock, with their values.
         gravity: Gravity that replaces the file's, (3,) [m/s²]; None for the file's.
         balls: Hinges to merge into balls (see `merge_of`).
     Returns:
@@ -69,21 +69,30 @@ def read_mujoco(
     effective = file_gravity.effective if gravity is None else gravity
     if balls and lock:
         whole = tree_of(world, {}, effective).model
-        lock = locked_hinges(whole, balls, lock)
+        requested, lock = lock, locked_hinges(whole, balls, lock)
+        balls = unlocked_balls(whole, balls, requested)
         merge_of(whole, balls, kept=lock)  # Refuse balls of locked hinges.
-    lock, ties, shared = locked_with_followers(world, lock)
-    tree = tree_of(world, lock, effective)
+    names = {world.joint_names[joint]: world.kind(joint) for joint in world.all_joints}
+    ball_names = [name for name, kind in names.items() if kind == "ball"]
+    values, attitudes = separate_attitudes(lock, ball_names, names)
+    locked_values, ties, shared = locked_with_followers(world, values)
+    tree = tree_of(world, locked_values, effective, attitudes=attitudes)
     constraints = constraints_of(tree)
     forces = passive_forces(tree)
-    kept = {*lock, *coupled_joints(constraints.couplings)}
+    kept = {*locked_values, *coupled_joints(constraints.couplings)}
     merge = merge_of(tree.model, balls, passive=forces, kept=kept)
     locked = None
-    if lock:
-        root_name = "" if tree.root is None else str(tree.model.names[1])
-        raw = merge.model(tree_of(world, lock, effective, keep_frozen=True).model)
-        ids = {name: joint for joint, name in enumerate(world.joint_names)}
-        several = tuple(name for name in lock if world.kind(ids[name]) in ("ball", "free"))
-        locked = LockedJoints(raw, lock, ties, root_name=root_name, several=several, shared=shared)
+    if locked_values:
+        frozen = tree_of(world, locked_values, effective, attitudes=attitudes, keep_frozen=True)
+        locked = LockedJoints(
+            merge.model(frozen.model),
+            locked_values,
+            ties,
+            root_name="" if tree.root is None else str(tree.model.names[1]),
+            several=tuple(name for name in locked_values if names[name] in ("ball", "free")),
+            attitudes=attitudes,
+            shared=shared,
+        )
     refuse_heavy_tendons(tree, moving_tendons(tree))
     fixed = [world.body_names[body] for body in tree.fixed_bodies]
 

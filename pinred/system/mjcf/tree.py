@@ -41,7 +41,8 @@ class Tree:
         root: Motion of the joints of the body that carries all others.  None if the file fixes
             this body, or if no single body carries all others.
         shape: Shape joints.
-        locked: Values of locked joints by id [rad | m].
+        locked: Values of locked joints by id [rad | m]; zero for balls.
+        attitudes: Unit quaternions (x, y, z, w) of locked balls by name, {ball: (4,)}.
         keep_frozen: Whether locked joints whose value may vary remain joints of the model.
     """
 
@@ -52,6 +53,7 @@ class Tree:
     root: RootMotion | None = None
     shape: list[Joint] = field(default_factory=list)
     locked: dict[int, float] = field(default_factory=dict)
+    attitudes: Mapping[str, Array] = field(default_factory=dict)
     keep_frozen: bool = False
 
     @property
@@ -71,7 +73,12 @@ class Tree:
 
 
 def tree_of(
-    world: World, lock: Mapping[str, float], gravity: Array, *, keep_frozen: bool = False
+    world: World,
+    lock: Mapping[str, float],
+    gravity: Array,
+    *,
+    attitudes: Mapping[str, Array] | None = None,
+    keep_frozen: bool = False,
 ) -> Tree:
     """Build the robot's model from its bodies and joints.
 
@@ -79,6 +86,7 @@ def tree_of(
         world: The robot in the compiled model.
         lock: Joints to lock, with their values [rad | m].
         gravity: Gravity that acts on rotors of the base, (3,) [m/s²].
+        attitudes: Unit quaternions of balls to lock, {ball: (4,)}; the identity if left out.
         keep_frozen: Whether locked joints other than the root remain joints of the model.
     Returns:
         The tree.
@@ -86,7 +94,13 @@ def tree_of(
         InputError: A joint to lock is unknown.
         ModelError: The base has armature that breaks the symmetry.
     """
-    tree = Tree(world, gravity, locked=_locked(world, lock), keep_frozen=keep_frozen)
+    tree = Tree(
+        world,
+        gravity,
+        locked=_locked(world, lock),
+        attitudes=attitudes or {},
+        keep_frozen=keep_frozen,
+    )
     tree.model.gravity.linear = gravity
     root_body = _root_body(tree)
     for body in world.bodies:
@@ -124,7 +138,7 @@ def _locked(world: World, lock: Mapping[str, float]) -> dict[int, float]:
     for name, value in lock.items():
         if name not in ids:
             raise InputError(f"lock: no joint {quoted(name)}; the joints are {listed(ids, 60)}")
-        if world.kind(ids[name]) in ("ball", "free") and value != 0.0:
+        if world.kind(ids[name]) == "free" and value != 0.0:
             raise InputError(
                 f"lock: joint {quoted(name)} has several degrees of freedom and "
                 "can only be locked at zero"
@@ -202,7 +216,10 @@ def _stays_joint(tree: Tree, joint: int, at: Carrier, root_body: int | None) -> 
 def _frozen_motion(tree: Tree, id_: int) -> pin.SE3:
     """Return the displacement of the body by a locked joint, in the body's frame."""
     joint = joint_of(tree.world, id_)
-    return joint.motion(tree.locked[id_]) if joint.nv == 1 else pin.SE3.Identity()
+    if joint.nv == 1:
+        return joint.motion(tree.locked[id_])
+    attitude = tree.attitudes.get(joint.name)
+    return pin.SE3.Identity() if attitude is None else joint.turned(attitude)
 
 
 def _add_body(tree: Tree, body: int) -> None:

@@ -53,7 +53,9 @@ def branches(found: Branches, *, joint: str | int | None = None) -> Figure:
     axes = drawing.subplots()
 
     def height(point: BranchPoint) -> float:
-        return float(point.amended_potential if k is None else point.x[k])
+        if k is None:
+            return point.amended_potential
+        return float(system.space.chart(point.x[None])[0, k])
 
     low, high = found.momentum
     size = np.ptp([height(p) for p in found.points]) if found.points else 0.0

@@ -47,7 +47,7 @@ def field(
     """Draw a component of a connection's curvature over two joints, with its zero contour.
 
     Args:
-        source: The connection.
+        source: The connection; rotation vectors are the coordinates of balls (`in_chart`).
         joints: Names or indices of two joints; the first two if None.
         component: v1 … ω3 (or w3), or an index in the body twist. If None, the
             rotation with the largest values.
@@ -66,7 +66,7 @@ def field(
         raise InputError(f"field draws a Connection, got {type(source).__name__}")
     if part not in _PARTS:
         raise InputError(f"part must be one of {', '.join(_PARTS)}, got {part!r}")
-    source.space.refuse_balls("a field over two joints")
+    source = source.in_chart()
     names = labels_of_connection(source)
     pair = names.pair(joints, "a field")
     path = None if gait is None else _closed_path(source, gait)
@@ -144,14 +144,16 @@ def curvature(
 ) -> Figure:
     """Draw a component of the curvature B_αβ over the joints α and β, with its zero contour.
 
+    The coordinates of a ball are its rotation vector, and B_αβ belongs to these coordinates.
+
     Args:
         source: A System, a Reduction, or a motion, whose path is drawn.
-        joints: Names or indices of two joints; the first two if None.
+        joints: Names or indices of two joints, or axes of balls; the first two if None.
         component: v1 … ω3 (or w3), or an index in the body twist. If None, the
             rotation with the largest values.
         limits: (low, high) of each joint [rad | m]; around the path, or their range if None.
-        at: Shape of the other joints, (m,) [rad | m]; the initial shape, or zero if None.
-        path: Shapes to draw, (T, m) [rad | m]; the shapes of the motion if None.
+        at: Shape of the other joints, (nx,) [rad | m | 1]; the initial shape, or rest if None.
+        path: Shapes to draw, (T, nx) [rad | m | 1]; the shapes of the motion if None.
     Returns:
         The figure.
     Raises:
@@ -159,21 +161,23 @@ def curvature(
         LoadError: The robot of a recording cannot be loaded.
     """
     system = _system(source)
-    system.space.refuse_balls("a field over two joints")
-    names = labels_of(system)
+    names, chart = labels_of(system), system.space.chart
     pair = names.pair(joints, "a plot of the curvature")
     drawn: Array | None = None
     if path is not None:
-        drawn = checked_path(path, system.m)
+        drawn = chart(checked_path(path, system.nx))
     elif isinstance(source, (Trajectory, Recording)):
-        drawn = fine_path(source).x
+        drawn = chart(fine_path(source).x)
     start = np.zeros(system.m) if drawn is None else drawn[0]
-    frozen = start if at is None else vector(at, system.m, "at", system.shape_names)
+    frozen = start
+    if at is not None:
+        frozen = chart(vector(at, system.nx, "at", system.x_names)[None])[0]
     units = [names.units[k] for k in pair]
     if limits is None:
         limits = reach(system, pair) if drawn is None else around(drawn[:, pair], units)
     shapes = plane(pair, limits, frozen)
-    B = Reduction(system).grid(shapes.shapes).curvature[..., pair[0], pair[1]]
+    over = Connection.mechanical(system).in_chart() if system.space.balls else Reduction(system)
+    B = over.grid(shapes.shapes).curvature[..., pair[0], pair[1]]
     index = component_of(system.group, component, B)
     values = B[..., index]
     flat = float(np.abs(values).max()) < NONE

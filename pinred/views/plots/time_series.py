@@ -197,7 +197,8 @@ def momentum(motion: MotionSource) -> Figure:
     quantities = {LINEAR: slice(0, linear), ANGULAR: slice(linear, None)}
     figure, panels = _quantities(title, motion.t, values, entries, quantities, more=1)
     if isinstance(motion, Trajectory):
-        drift = _largest_by_quantity(audit_trajectory(motion, motion.states).momenta, linear)
+        momenta = audit_trajectory(motion, motion.states).momenta[:, : group.dim]
+        drift = _largest_by_quantity(momenta, linear)
         _drift_panel(panels[-1], motion, drift)
     else:
         _change_panel(

@@ -1,0 +1,182 @@
+"""`pinred doctor`: check the installation, and say what is missing and how to get it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+from collections.abc import Callable, Iterator
+from importlib.metadata import PackageNotFoundError, distribution, version
+from pathlib import Path
+from typing import NamedTuple
+
+from ..common.errors import PinredError
+from ..common.version import __version__
+
+_GROUPS = ("all", "dev")  # extras that only collect others, or serve development
+_REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)(\[[^]]*\])?([^;]*)(?:;\s*extra == ['\"](.*)['\"])?")
+
+
+class Requirement(NamedTuple):
+    """A package that pinred needs.
+
+    Attributes:
+        name: Name of the package.
+        lowest: Lowest version, or "".
+        extra: Name of the extra that needs the package; "" for every installation.
+    """
+
+    name: str
+    lowest: str
+    extra: str
+
+
+class Finding(NamedTuple):
+    """One line of the report.
+
+    Attributes:
+        subject: Name of the checked part.
+        state: "ok", "missing" (optional) or "FAULT" (pinred does not work).
+        text: Version, path, or the remedy.
+    """
+
+    subject: str
+    state: str
+    text: str
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command, which has none."""
+
+
+def run(arguments: argparse.Namespace) -> int:  # noqa: ARG001
+    """Print the report.  Returns 0, or 1 if a required part is missing or broken."""
+    findings = list(examine())
+    for subject, state, text in findings:
+        print(f"{subject:20} {state:8} {text}")
+    faults = sum(finding.state == "FAULT" for finding in findings)
+    print(f"{faults} faults" if faults else "pinred is installed correctly")
+    return 1 if faults else 0
+
+
+def examine() -> Iterator[Finding]:
+    """Yield the findings: versions, CPU, cache, browser, and the packages of the extras."""
+    yield Finding("pinred", "ok", __version__)
+    system = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
+    yield Finding("Python", "ok", system)
+    requirements = read_requirements()
+    for requirement in requirements:
+        if not requirement.extra:
+            yield _check_required(requirement)
+    for subject, check in (("CPU", _check_cpu), ("machine code", _check_machine_code)):
+        yield _guard(subject, check)
+    yield _guard("cache", _check_cache)
+    yield _check_browser()
+    for extra in dict.fromkeys(requirement.extra for requirement in requirements):
+        if extra and extra not in _GROUPS:
+            yield _check_extra(extra, [r for r in requirements if r.extra == extra])
+
+
+def read_requirements() -> list[Requirement]:
+    """Return the requirements in the metadata of the installed package, or none in a checkout."""
+    try:
+        lines = distribution("pinred").requires or []
+    except PackageNotFoundError:
+        return []
+    found = []
+    for line in lines:
+        name, _, bounds, extra = _REQUIREMENT.fullmatch(line).groups()  # type: ignore[union-attr]
+        lowest = re.search(r">=\s*([\w.]+)", bounds)
+        found.append(Requirement(name, lowest[1] if lowest else "", extra or ""))
+    return found
+
+
+def _installed(requirement: Requirement) -> tuple[str, str]:
+    """Return the version of a package, or "", and the fault, or ""."""
+    try:
+        found = version(requirement.name)
+    except PackageNotFoundError:
+        return "", "not installed"
+    if _release(found) < _release(requirement.lowest):
+        return found, f"version {found} is older than {requirement.lowest}"
+    return found, ""
+
+
+def _release(text: str) -> list[int]:
+    """Return the numbers of a release, without trailing zeros and additions such as rc1."""
+    head = re.match(r"\d+(?:\.\d+)*", text)
+    numbers = [int(number) for number in head[0].split(".")] if head else []
+    while numbers and not numbers[-1]:
+        numbers.pop()
+    return numbers
+
+
+def _check_required(requirement: Requirement) -> Finding:
+    found, fault = _installed(requirement)
+    if not fault:
+        return Finding(requirement.name, "ok", found)
+    name, lowest, _ = requirement
+    wanted = f"{name}>={lowest}" if lowest else name
+    return Finding(name, "FAULT", f'{fault}; pip install "{wanted}"')
+
+
+def _check_extra(extra: str, requirements: list[Requirement]) -> Finding:
+    checked = [(requirement.name, *_installed(requirement)) for requirement in requirements]
+    faults = [f"{name}: {fault}" for name, _, fault in checked if fault]
+    if faults:
+        remedy = f'pip install "pinred[{extra}]"'
+        return Finding(f"extra {extra}", "missing", f"{', '.join(faults)}; {remedy}")
+    return Finding(f"extra {extra}", "ok", ", ".join(f"{name} {v}" for name, v, _ in checked))
+
+
+def _guard(subject: str, check: Callable[[], str]) -> Finding:
+    """Run a check of a required part; any error is a finding."""
+    try:
+        return Finding(subject, "ok", check())
+    except (PinredError, ImportError, OSError) as error:
+        return Finding(subject, "FAULT", f"{error}")
+
+
+def _check_cpu() -> str:
+    from ..common.cpu_target import VARIABLE, cpu_target
+
+    name = cpu_target().name
+    return f"{name}, set by {VARIABLE}" if os.environ.get(VARIABLE) else name
+
+
+def _check_machine_code() -> str:
+    """Compile and load a function.  Returns a description; raises as the compiler does."""
+    import casadi
+
+    from ..kernels.machine.native import compile_object, load_object
+
+    x = casadi.SX.sym("x", 2)
+    code = compile_object(casadi.Function("doctor", [x], [casadi.sin(x)]), "doctor")
+    load_object(code, "doctor")
+    return "compiles and loads"
+
+
+def _check_cache() -> str:
+    """Describe the cache of kernels.  Raises OSError if it cannot be written."""
+    from ..kernels.object_cache import ObjectCache
+
+    kernels = ObjectCache()
+    existing = next(p for p in (kernels.folder, *kernels.folder.absolute().parents) if p.exists())
+    if not (existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)):
+        raise OSError(
+            f"'{existing}' cannot be written, so each process compiles again; "
+            "set PINRED_CACHE_DIR to a private folder"
+        )
+    entries = kernels.entries()
+    size = sum(entry.size for entry in entries) / 1e6
+    return f"{len(entries)} kernels, {size:.2f} MB, in {Path(kernels.folder)}"
+
+
+def _check_browser() -> Finding:
+    from ..views.playback.headless_browser import find_browser
+
+    try:
+        return Finding("browser", "ok", find_browser())
+    except PinredError as error:
+        return Finding("browser", "missing", f"only films need it: {error}")

@@ -1,0 +1,110 @@
+"""Tests of PINRED_CPU, the CPU that all machine code is compiled for."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi as ca
+import llvmlite.binding as llvm
+import pytest
+
+from pinred.common import cpu_target as targets
+from pinred.common.cpu_target import cpu_target
+from pinred.common.errors import InputError
+from pinred.kernels.machine.native import compile_object
+from pinred.kernels.object_cache import cache_key
+
+ROOT = Path(__file__).parents[2]
+on_x86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="levels of x86-64")
+
+
+def compile_dot_product() -> bytes:
+    """Compile a sum of products, where fused multiply-adds apply."""
+    x, y = ca.SX.sym("x", 4), ca.SX.sym("y", 4)
+    return compile_object(ca.Function("dot", [x, y], [ca.dot(x, y)]), "dot")
+
+
+@on_x86
+def test_pinned_code_does_not_depend_on_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a level, code and cache key are those of a machine with more features."""
+    keys, codes = [], []
+    features = dict(llvm.get_host_cpu_features())
+    more = llvm.FeatureMap(features | {"avx512f": True, "avx512vl": True})
+    for level in ("", "x86-64-v2"):
+        monkeypatch.setenv("PINRED_CPU", level)
+        for machine in (("znver3", llvm.FeatureMap(features)), ("znver4", more)):
+            monkeypatch.setattr(llvm, "get_host_cpu_name", lambda name=machine[0]: name)
+            monkeypatch.setattr(llvm, "get_host_cpu_features", lambda has=machine[1]: has)
+            targets._target_named.cache_clear()
+            keys.append(cache_key("one"))
+            codes.append(compile_dot_product())
+    targets._target_named.cache_clear()
+    assert len(set(keys)) == 3
+    assert keys[2] == keys[3]
+    assert codes[2] == codes[3]
+
+
+@on_x86
+@pytest.mark.skipif(not llvm.get_host_cpu_features().get("fma"), reason="needs FMA")
+def test_level_decides_on_fused_multiply_adds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Level 3 has fused multiply-adds and level 2 has none, in the target and in the code."""
+    codes = {}
+    for level, fma in (("x86-64-v2", False), ("x86-64-v3", True)):
+        monkeypatch.setenv("PINRED_CPU", level)
+        assert cpu_target() == (level, "", fma)
+        codes[level] = compile_dot_product()
+    assert codes["x86-64-v2"] != codes["x86-64-v3"]
+
+
+@on_x86
+def test_unknown_or_unsupported_level_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error lists the levels, or the features that the machine lacks."""
+    monkeypatch.setenv("PINRED_CPU", "pentium9")
+    with pytest.raises(InputError, match=r"one of x86-64, x86-64-v2, .* got 'pentium9'"):
+        cache_key("one")
+    monkeypatch.setenv("PINRED_CPU", "x86-64-v4")
+    few = llvm.FeatureMap({"avx2": True})
+    monkeypatch.setattr(llvm, "get_host_cpu_features", lambda: few)
+    targets._target_named.cache_clear()
+    with pytest.raises(InputError, match=r"got 'x86-64-v4', but .*avx512f"):
+        cpu_target()
+    targets._target_named.cache_clear()
+
+
+@on_x86
+def test_numba_compiles_for_the_same_cpu() -> None:
+    """The integrators are compiled for PINRED_CPU."""
+    code = (
+        "import pinred.integrators.stepping.compiling\n"
+        "from numba.core.registry import cpu_target\n"
+        "_, name, features = cpu_target.target_context.codegen().magic_tuple()\n"
+        "print(name, features, '', sep='|')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=os.environ | {"PINRED_CPU": "x86-64-v2"},
+        text=True, capture_output=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "x86-64-v2||"
+
+
+class Config:
+    """Settings of numba."""
+
+    CPU_NAME: str | None = None
+    CPU_FEATURES: str | None = None
+
+
+def test_numba_cpu_name_has_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """NUMBA_CPU_NAME is kept, and without PINRED_CPU nothing is set."""
+    config = Config()
+    monkeypatch.setenv("PINRED_CPU", "x86-64-v2")
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    targets.pin_numba(config)
+    monkeypatch.delenv("PINRED_CPU")
+    monkeypatch.delenv("NUMBA_CPU_NAME")
+    targets.pin_numba(config)
+    assert (config.CPU_NAME, config.CPU_FEATURES) == (None, None)
