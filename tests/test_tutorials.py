@@ -451,3 +451,33 @@ def test_tutorial_double_spherical_pendulum_prints_reference_values(
     np.testing.assert_allclose(np.array(frequencies.split(), float), expected, atol=1e-5)
     assert output.numbers("largest acceleration by ABA.*: N") == pytest.approx([0.0], abs=1e-11)
     assert output.numbers("follows it to N of") == pytest.approx([0.0], abs=1e-2)
+
+
+def test_tutorial_twisting_somersault_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """Pinocchio's momentum map gives the tilt of the kick; the dives have whole twists."""
+    output, system = run_tutorial("17"), pinred.load("diver")
+    up = np.array([np.pi, 0.0, 0.0])
+
+    def shape(t: float) -> Array:
+        arms = np.concatenate([np.zeros(3), (1.0 - t) * up, up])
+        return system.space.integrate(system.space.neutral, arms)
+
+    (tilt,) = output.numbers("tilts the body by N degrees")
+    arm, middle = system.space.balls[1], system.space.neutral
+    assert arm.name == "left_shoulder"
+    model, angle = system.model, np.zeros(3)
+    steps = 200
+    for k in range(steps):
+        middle = shape((k + 0.5) / steps)
+        map_ = pin.computeCentroidalMap(model, model.createData(), system.q([0] * 6 + [1], middle))
+        rates = np.zeros(9)
+        rates[arm.v] = -up / steps
+        angle -= np.linalg.solve(map_[:, :6], map_[:, 6:] @ rates)[3:]
+    assert tilt == pytest.approx(np.degrees(np.linalg.norm(angle)), abs=2e-3)
+    dives = re.findall(r"dive (\d+): .* s, ([\d.]+) somersaults, ([\d.]+) twists", output.text)
+    assert [(code, round(float(m), 3), round(float(n), 3)) for code, m, n in dives] == [
+        ("5132", 1.5, 1.0), ("5134", 1.5, 2.0), ("5156", 2.5, 3.0),
+    ]  # fmt: skip
+    assert output.text.count("verdict: PASSED") == 1

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from ..common.names import quoted
+from .joint_plans import parse_plan
 from .option_values import (
     assigned_in,
     by_joint_in,
     floats_in,
     lock_in,
     numbers_in,
-    plan_in,
     shape_in,
     spring_in,
 )
@@ -215,7 +215,7 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
         entries, "spring", spring_in, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
     ),
     "J=PLAN": lambda entries, name: assigned_in(
-        entries, name, plan_in, "JOINT=NUMBER or JOINT=FORMULA"
+        entries, name, parse_plan, "JOINT=NUMBER, JOINT=FORMULA, or BALL=W1,W2,W3[@C1,C2,C3]"
     ),
     "AXIS": lambda text, name: text if text in ("x", "y", "z") else numbers_in(text, name),
     _LIMITS: _limits_in,

@@ -108,16 +108,6 @@ def spring_in(text: str) -> tuple[float, float]:
     return stiffness, rest
 
 
-def plan_in(text: str) -> float | str:
-    """Return a number, or else the text of a formula.  Raises ValueError for no text."""
-    try:
-        return float(text)
-    except ValueError:
-        if not text:
-            raise
-        return text
-
-
 def lock_in(text: str, option: str) -> dict[str, float | list[float]]:
     """Parse J1,J2=VALUE,J3=V1,V2,V3 into {joint: value}, with zero for joints without a value."""
     lock: dict[str, float | list[float]] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from ..system.attitude import attitude_of
 from ..system.ball_forces import relative_attitude, rotation_vector
 from ..system.force_interface import finite
 from .force import Limit, Named, Symbols, Terms, limited
+from .signals import Attitude, Signal
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 _NARROWEST = 0.003  # differences of cosines are at most 2, and exp(2/0.003) is finite
@@ -23,13 +24,15 @@ _NARROWEST = 0.003  # differences of cosines are at most 2, and exp(2/0.003) is 
 @checks_arguments
 @dataclass(frozen=True, eq=False)
 class BallPD(Named):
-    """PD control of a ball towards an attitude R_d: τ = −kp log(R_dᵀ R) − kd σ.
+    """PD control of a ball towards an attitude R_d: τ = −kp log(E) − kd (σ − Eᵀ σ_d), E = R_dᵀ R.
 
     The torque has a jump where the ball is half a turn away from R_d.
 
     Attributes:
         joint: Name of the ball joint.
-        attitude: R_d as a rotation vector, (3,) [rad], or a quaternion (x, y, z, w).
+        attitude: R_d as a rotation vector, (3,) [rad], or a quaternion (x, y, z, w); or an
+            Attitude over time, with the angular velocity σ_d, or the three signals, numbers or
+            formulas in t of its rotation vector.
         kp: Stiffness [N·m/rad].
         kd: Damping [N·m·s/rad].
         limit: Bounds on the torques by axis, such as "neck.x", or None.
@@ -44,9 +47,14 @@ class BallPD(Named):
     name: str = "ball pd"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "attitude", attitude_of(self.attitude, f"attitude of {self.name}"))
+        object.__setattr__(self, "attitude", _target(self.attitude, f"attitude of {self.name}"))
         for gain in ("kp", "kd"):
             object.__setattr__(self, gain, finite(getattr(self, gain), f"{gain} of {self.name}"))
+
+    @property
+    def signals(self) -> Iterable[Signal]:
+        """Signals in the attitude."""
+        return tuple(self.attitude.vector) if isinstance(self.attitude, Attitude) else ()
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the torques as expressions.
@@ -58,10 +66,17 @@ class BallPD(Named):
             The terms of this force.
         """
         q, first = s.ball(self.joint, self.name)
-        error = rotation_vector(*relative_attitude(self.attitude, q))
+        rates = [s.xdot[first + k] for k in range(3)]
+        if isinstance(self.attitude, Attitude):
+            target, sigma, _ = self.attitude.written(s.t, s.within, number)
+            vector, real = _relative_to(target, q)
+            follow = _turned_back(vector, real, sigma)
+            rates = [rate - follow[k] for k, rate in enumerate(rates)]
+        else:
+            vector, real = relative_attitude(self.attitude, q)
+        error = rotation_vector(vector, real)
         torque = {
-            first + k: -number(self.kp) * error[k] - number(self.kd) * s.xdot[first + k]
-            for k in range(3)
+            first + k: -number(self.kp) * error[k] - number(self.kd) * rates[k] for k in range(3)
         }
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
@@ -132,6 +147,30 @@ class BallLimit(Named):
             cosine = (w * w - along * along) / twist_square
             potential += _softplus(ca.cos(self.twist) - cosine, self.width)
         return Terms(potential=number(self.stiffness) * potential)
+
+
+def _target(value: Any, what: str) -> Any:
+    """Return a constant attitude as a quaternion, (4,), or an Attitude over time."""
+    if isinstance(value, Attitude):
+        value.refuse_jumps(what)
+        return value
+    entries = list(value) if isinstance(value, (list, tuple)) else []
+    if len(entries) == 3 and any(isinstance(v, (Signal, Parameter, str)) for v in entries):
+        return _target(Attitude(entries), what)
+    return attitude_of(value, what)
+
+
+def _relative_to(target: ca.SX, q: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return vector part (3,) and real part of target⁻¹ ∘ q for unit quaternions."""
+    u, w, v, s = target[:3], target[3], q[:3], q[3]
+    return w * v - s * u - ca.cross(u, v), w * s + ca.dot(u, v)
+
+
+def _turned_back(vector: ca.SX, real: ca.SX, sigma: ca.SX) -> ca.SX:
+    """Return Eᵀ σ, (3,), for the rotation E of a unit quaternion."""
+    turned = ca.cross(vector, sigma)
+    back: ca.SX = sigma - 2.0 * real * turned + 2.0 * ca.cross(vector, turned)
+    return back
 
 
 def _softplus(y: ca.SX, width: float) -> ca.SX:

@@ -17,7 +17,7 @@ from .force import Force, Terms
 from .force_numbers import ForceNumbers, RobotSymbols
 from .kinds import Controller
 from .link_wrenches import of_load
-from .signals import Signal
+from .prescribed_joints import Plan, prescribed_motion, prescribed_rates
 
 
 class ForceExpressions:
@@ -26,8 +26,8 @@ class ForceExpressions:
     Attributes:
         symbols: Variables of the forces.
         base: Symbols of pose, twist, body momentum and spatial momentum of the base in space.
-        joints: Indices of the prescribed joints.
-        motion: Positions, rates and accelerations of the prescribed joints.
+        joints: Indices of the rates of the prescribed joints.
+        motion: Coordinates, rates and accelerations of the prescribed joints.
         potential: Sum of the potentials.
         torques: Torques on the shape, (m, F), one column per force that does work.
         wrenches: Wrenches on the base, (r, F).
@@ -45,7 +45,7 @@ class ForceExpressions:
         self,
         system: System,
         forces: Sequence[Force],
-        prescribed: Mapping[str, Signal],
+        prescribed: Mapping[str, Plan],
         robot: RobotSymbols,
         numbers: ForceNumbers,
         within: ca.SX | None,
@@ -64,11 +64,8 @@ class ForceExpressions:
         """
         self._system, self._robot, self._numbers = system, robot, numbers
         self.symbols, self.base = symbols_of(system, within)
-        self.joints = self._prescribed_joints(prescribed)
-        s = self.symbols
-        x = ca.vertcat(*(v.written(s.t, s.within, numbers.symbol) for v in prescribed.values()))
-        xdot = ca.jacobian(x, s.t)
-        self.motion = x, xdot, ca.jacobian(xdot, s.t)
+        self.joints = prescribed_rates(system, prescribed)
+        self.motion = prescribed_motion(prescribed, self.symbols, numbers.symbol)
         self.potential = ca.SX(0)
         self.torques, self.wrenches = ca.SX(system.m, 0), ca.SX(system.r, 0)
         self.direct: list[ca.SX] = []
@@ -84,19 +81,6 @@ class ForceExpressions:
                     raise InputError(f"{force.label}: only one force may depend on all others")
                 self._prepare_last()
             self._add(force)
-
-    def _prescribed_joints(self, prescribed: Mapping[str, Signal]) -> tuple[int, ...]:
-        """Validate the prescribed joints and their signals; return the indices of the joints."""
-        for name in prescribed:
-            self._system.refuse_follower(name, "prescribed")
-        joints = tuple(self.symbols.joint(name, "prescribed") for name in prescribed)
-        for name, signal in prescribed.items():
-            if signal.smoothness < 1:
-                raise InputError(
-                    f"prescribed['{name}'] must have a continuous rate, but {signal!r} has a kink "
-                    "or a jump; use a Spline"
-                )
-        return joints
 
     def _prepare_last(self) -> None:
         """Give the last force access to the sum of the other forces and to inverse dynamics."""

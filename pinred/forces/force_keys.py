@@ -18,7 +18,7 @@ from ..common.parameter import Parameter
 from .controller import Controller
 from .force import Force, Limit
 from .kinds import Damper, Friction, Spring
-from .signals import Expression, Signal
+from .signals import Attitude, Expression, Signal
 
 _PACKAGE = f"{__name__.partition('.')[0]}."
 _PLAIN = frozenset({float, int, Default, np.float64, np.int64, str, bool, type(None)})
@@ -48,7 +48,7 @@ def key_of(value: Any) -> Hashable:
     """Return the key of a value in a force or in the option `prescribed`.
 
     Args:
-        value: Number, text, table, array, function, Parameter, signal or limit.
+        value: Number, text, table, array, function, Parameter, signal, attitude or limit.
     Returns:
         The key, which keeps the objects in it alive.
     Raises:
@@ -65,7 +65,7 @@ def key_of(value: Any) -> Hashable:
         return kind, tuple(map(key_of, value))
     if kind is np.ndarray:
         return key_of_array(value)
-    if kind is Limit:
+    if kind in (Limit, Attitude):
         return kind, key_of(vars(value))
     if isinstance(value, Signal) and kind.__module__.startswith(_PACKAGE):
         return kind, _Same(value)

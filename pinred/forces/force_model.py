@@ -23,7 +23,7 @@ from .force import Force
 from .force_expressions import ForceExpressions
 from .force_numbers import ForceNumbers, RobotSymbols, numbers_of, random_numbers
 from .force_values import Acting, ForceInputs, Prescribed
-from .signals import Signal
+from .prescribed_joints import Plan, signals_of
 from .switch_times import SwitchTimes, time_within
 from .time_functions import TimeFunctions
 from .time_switches import KINKS, separate
@@ -76,8 +76,8 @@ class ForceModel:
         within: Slice of the number that contains the time by which segments of tables are selected,
             and at which conditions on time are evaluated.
         switching: The times at which functions of time are not smooth.
-        joints: Indices of the prescribed joints.
-        signals: Motions of the prescribed joints.
+        joints: Indices of the rates of the prescribed joints.
+        signals: Signals in the motions of the prescribed joints.
         references: Signals that the forces contain.
         touched: Joints that forces act on, or whose positions forces depend on.
         labels: Labels of the forces that do work.
@@ -102,7 +102,7 @@ class ForceModel:
         self,
         system: System,
         forces: Sequence[Force],
-        prescribed: Mapping[str, Signal],
+        prescribed: Mapping[str, Plan],
         freed: Freed = NOTHING,
         movable: Collection[int] = (),
     ) -> None:
@@ -120,7 +120,7 @@ class ForceModel:
         m, r = system.m, system.r
         self._system, robot = system, RobotSymbols(system, freed, movable)
         self._unseen = (np.zeros(system.group.size), *np.zeros((3, r)))
-        self.signals = tuple(prescribed.values())
+        self.signals = tuple(s for plan in prescribed.values() for s in signals_of(plan))
         self.references = tuple(signal for force in forces for signal in force.signals)
         numbers = ForceNumbers()
         has_breaks = any(signal.breaks.size for signal in (*self.signals, *self.references))

@@ -18,7 +18,8 @@ from .force import Force
 from .force_keys import NotKeyedError, key_of_force
 from .force_model import ForceModel
 from .kinds import Spring
-from .signals import Constant, Expression, Signal
+from .prescribed_joints import Plan
+from .signals import Attitude, Constant, Expression, Signal
 
 _REMEMBERED = 16  # largest number of cached models per system
 
@@ -27,7 +28,7 @@ def cached_force_model(
     system: System,
     springs: Mapping[str, tuple[float | Parameter, float | Parameter]],
     forces: Sequence[Force],
-    prescribed: Mapping[str, Signal],
+    prescribed: Mapping[str, Plan],
     varied: ModelParameters | None = None,
 ) -> ForceModel:
     """Return the model of springs, forces and prescribed joints, from the cache if possible.
@@ -78,8 +79,10 @@ def _key_of_force(force: Force) -> Hashable:
     return key
 
 
-def _key_of(signal: Signal) -> Hashable:
+def _key_of(signal: Plan) -> Hashable:
     """Return a key that is equal for signals that define the same function of time."""
+    if isinstance(signal, Attitude):
+        return tuple(_key_of(component) for component in signal.vector), tuple(signal.centre)
     simple = isinstance(signal, Expression) or (
         isinstance(signal, Constant) and not isinstance(vars(signal)["_given"], Parameter)
     )
@@ -96,7 +99,7 @@ def _spring(name: str, pair: Any) -> Spring:
 
 
 def _all_forces(
-    springs: Sequence[Force], forces: Sequence[Force], prescribed: Mapping[str, Signal]
+    springs: Sequence[Force], forces: Sequence[Force], prescribed: Mapping[str, Plan]
 ) -> list[Force]:
     """Return springs and forces in one list.
 
@@ -115,6 +118,6 @@ def _all_forces(
             raise InputError(f"forces: expected objects of pinred.forces, got {brief(force)}")
         checked.append(force)
     for name, signal in prescribed.items():
-        if not isinstance(signal, Signal):
-            raise InputError(f"prescribed['{name}'] must be a Signal, got {signal!r}")
+        if not isinstance(signal, (Signal, Attitude)):
+            raise InputError(f"prescribed['{name}'] must be a Signal or Attitude, got {signal!r}")
     return checked

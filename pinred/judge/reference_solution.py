@@ -84,7 +84,7 @@ class FullState:
         self._loads = LoadsByPinocchio(system, self.root.axes, loads) if loads else None
         driven = [] if self._forces is None else list(self._forces.joints)
         self._driven: list[int] = self.couplings.leads[driven].tolist()
-        driven_x = self.couplings.leads_x[system.space.coordinates_of(driven)]
+        driven_x = self.couplings.leads_x[system.space.coordinates_of_joints(driven)]
         # Indices in y of the coordinates and rates of the prescribed joints.
         self._driven_x = self._size + driven_x
         self._driven_v = self._size + self._m + self._r + np.array(self._driven, dtype=np.intp)

@@ -151,8 +151,10 @@ def _initial_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
         )
         planned, rates, _ = forces.prescribed_function(0.0, numbers)
         x, xdot = ca.SX(x), ca.SX(xdot)
-        for i, (j, at) in enumerate(zip(layout.prescribed, layout.prescribed_x, strict=True)):
-            x[at], xdot[j] = planned[i], rates[i]
+        for i, at in enumerate(layout.prescribed_x):
+            x[at] = planned[i]
+        for i, j in enumerate(layout.prescribed):
+            xdot[j] = rates[i]
     gravity = len(layout.gravity)
     inertias = _entries(constants)[gravity : gravity + layout.freed.size]
     body_numbers = ca.vertcat(ca.SX(0, 1), *inertias) if inertias else 0.0
@@ -293,10 +295,10 @@ def _validate_initial_conditions(
     pose, x, xdot, motion = np.split(state, np.cumsum([group.size, system.nx, m]))
     if layout.prescribed and forces is not None:
         planned = forces.prescribed(0.0, constants[len(constants) - layout.numbers :])
-        if not np.isfinite([planned.x, planned.xdot]).all():
+        if not np.isfinite([*planned.x, *planned.xdot]).all():
             return
         x, xdot = x.copy(), xdot.copy()
-        x[layout.prescribed_x], xdot[list(layout.prescribed)] = planned.x, planned.xdot
+        x[list(layout.prescribed_x)], xdot[list(layout.prescribed)] = planned.x, planned.xdot
     start = initial_conditions_kernel(system, given, layout.freed)(
         pose[None], x[None], xdot[None], motion[None]
     )

@@ -29,7 +29,7 @@ class Outputs:
         com: Centre of mass in the frame of the root body, (3,).
         mu: Body momentum about the centre of mass, (r,).
         weight: Gravity force that rotates a pivoted base, in the body frame, (3,) or empty.
-        driven_x: Positions of the prescribed joints, (k,).
+        driven_x: Coordinates of the prescribed joints, (kx,).
         driven_pi: Canonical momenta of the prescribed joints, (k,).
         fields: All fields of State except the time; of ShapeState if the base is not requested.
         size: Number of outputs.
@@ -86,9 +86,9 @@ def outputs_of(system: System, layout: Layout) -> Outputs:
     Returns:
         The slices.
     """
-    m, r, k = system.m, system.r, len(layout.prescribed)
+    m, r, driven = system.m, system.r, (len(layout.prescribed_x), len(layout.prescribed))
     names, lengths = separate_fields(base=layout.base_requested), axis_lengths(system)
-    relative = [r, m, 3, r, 3 * layout.gravity_on_base, k, k]
+    relative = [r, m, 3, r, 3 * layout.gravity_on_base, *driven]
     ends = list(accumulate([*relative, *(lengths[FIELDS[name].axis] for name in names)], initial=0))
     xi, xdot, com, mu, weight, driven_x, driven_pi, *slices = starmap(slice, pairwise(ends))
     fields = {**dict(zip(names, slices, strict=True)), "xdot": xdot}

@@ -110,7 +110,7 @@ class ReducedGraph:
         # No term depends on the angle of a cyclic joint, so set it to zero.
         angles: list[Scalar] = [0.0 if k in cyclic_x else x for k, x in enumerate(self.x)]
         momenta = self._align_rotors(angles)
-        rates = dict(zip(prescribed, motion[len(prescribed) :], strict=True))
+        rates = dict(zip(prescribed, motion[len(self.layout.prescribed_x) :], strict=True))
         result = sweep(
             self._bodies, joint_values(system, angles), momenta, mu, group.axes, armature, rates,
             lanes, system.coupled,
@@ -300,7 +300,7 @@ class ReducedGraph:
         return centre_of_mass(self._bodies, joint_values(self.system, self.x))
 
     def _prescribed(self) -> list[Scalar]:
-        """Return the positions, then the rates of the prescribed joints."""
+        """Return the coordinates, then the rates of the prescribed joints."""
         if self.forces is None or not self.layout.prescribed:
             return []
         x, xdot, _ = self.forces.prescribed_function(self._t, _column(self._numbers))

@@ -198,9 +198,9 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
         force_parameters[forces.within] = time  # a table is undefined far outside its interval
     if forces is not None and prescribed:
         motion = forces.prescribed(time, force_parameters)
-        x[layout.prescribed_x], v[[r + j for j in prescribed]] = motion.x, motion.xdot
+        x[list(layout.prescribed_x)], v[[r + j for j in prescribed]] = motion.x, motion.xdot
         accelerations = motion.xddot
-        if not np.isfinite([motion.x, motion.xdot, motion.xddot]).all():
+        if not np.isfinite([*motion.x, *motion.xdot, *motion.xddot]).all():
             return None
     q, data = system.model_q(pose, x), system.data
     H = mass_matrix_at(system, model, data, pose, x)

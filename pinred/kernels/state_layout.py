@@ -65,8 +65,9 @@ class Layout:
     Attributes:
         active: Hinges and slides whose positions and momenta are integrated.
         cyclic: Cyclic joints.
-        prescribed: Prescribed joints.
-        balls: Ball joints, each with the indices of its first coordinate and its first rate.
+        prescribed: Prescribed joints, three rates for a ball.
+        prescribed_x: Indices in x of the prescribed joints.
+        balls: Integrated ball joints, each with the indices of its first coordinate and first rate.
         rotors: Indices of the first rates of the spherical rotors, which are balls, too.
         axial: Indices of the rates of balls along an axis of symmetry of their body.
         lifted_balls: Whether the quaternions of balls have conjugate momenta.
@@ -85,6 +86,7 @@ class Layout:
     active: tuple[int, ...]
     cyclic: tuple[int, ...]
     prescribed: tuple[int, ...]
+    prescribed_x: tuple[int, ...]
     balls: tuple[tuple[int, int], ...]
     rotors: tuple[int, ...]
     axial: tuple[int, ...]
@@ -110,18 +112,13 @@ class Layout:
         return [self.coordinates[k] for k in self.cyclic]
 
     @cached_property
-    def prescribed_x(self) -> list[int]:
-        """Indices in x of the prescribed joints."""
-        return [self.coordinates[k] for k in self.prescribed]
-
-    @cached_property
     def ball_x(self) -> list[int]:
-        """Indices in x of the quaternions of balls, four for each."""
+        """Indices in x of the quaternions of integrated balls, four for each."""
         return [x + k for x, _ in self.balls for k in range(4)]
 
     @cached_property
     def ball_v(self) -> list[int]:
-        """Indices in ẋ of the rates of balls, three for each."""
+        """Indices in ẋ of the rates of integrated balls, three for each."""
         return [v + k for _, v in self.balls for k in range(3)]
 
     @cached_property
@@ -245,7 +242,12 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
         active=tuple(k for k in range(system.m) if k not in not_active),
         cyclic=structure.cyclic,
         prescribed=prescribed,
-        balls=tuple((joint.x.start, joint.v.start) for joint in system.space.balls),
+        prescribed_x=tuple(system.space.coordinates_of_joints(prescribed)),
+        balls=tuple(
+            (joint.x.start, joint.v.start)
+            for joint in system.space.balls
+            if joint.v.start not in prescribed
+        ),
         rotors=structure.rotors,
         axial=structure.axial,
         lifted_balls=structure.lifted_balls,

@@ -85,11 +85,13 @@ def _validate_momentum(kernel: Kernel, at: ReferenceState, outputs: Array) -> No
     check("velocity", v, at.v, at.velocity_terms)
     check("centre of mass", outputs[where.com], at.com, at.reach)
     check("momentum", outputs[where.mu], at.mu, terms[:r])
-    positions = at.x[kernel.layout.prescribed_x]
-    check("prescribed positions", outputs[where.driven_x], positions, abs(positions))
+    driven = list(kernel.layout.prescribed_x)
+    sizes = np.abs(at.x)
+    sizes[kernel.system.space.ball_x] = 1.0
+    check("prescribed positions", outputs[where.driven_x], at.x[driven], sizes[driven])
     momenta = terms[r:][prescribed]
     check("momenta of prescribed joints", outputs[where.driven_pi], at.pi[prescribed], momenta)
-    check("shape", outputs[where.fields["x"]], at.x, abs(at.x))
+    check("shape", outputs[where.fields["x"]], at.x, sizes)
 
 
 def _validate_full_state(kernel: Kernel, at: ReferenceState, outputs: Array) -> None:

@@ -20,7 +20,8 @@ from ..common.arrays import Array, vector
 from ..common.errors import InputError, PinredError
 from ..common.names import brief, nearest, quoted
 from ..common.parameter import Parameter
-from ..forces.signals import Constant, Expression, Signal
+from ..forces.signals import Attitude, Constant, Expression, Signal
+from ..forces.signals.attitude_signal import parse_attitude
 from ..integrators.methods import METHODS, Method
 from ..system.coordinates import Configuration, Velocity
 from ..system.coupling import following
@@ -29,20 +30,23 @@ from ..system.system import System
 _UNIT = 1e-3  # tolerance for the unit norm of (cosine, sine), for values rounded to few decimals
 
 
-def parse_signal(value: Any, what: str) -> Signal:
-    """Convert the motion of a prescribed joint to a Signal.
+def parse_signal(value: Any, what: str) -> Signal | Attitude:
+    """Convert the motion of a prescribed joint to a Signal, or to an Attitude for a ball.
 
     Args:
-        value: A Signal, a number, a Parameter or a formula in t.
+        value: A Signal, a number, a Parameter or a formula in t; for a ball an Attitude, three of
+            these as a rotation vector, or a quaternion (x, y, z, w).
         what: Name of the option in messages.
     Returns:
-        The signal.
+        The signal or attitude.
     Raises:
         InputError: The value is of another kind.
     """
-    if isinstance(value, Signal):
+    if isinstance(value, (Signal, Attitude)):
         return value
     try:
+        if isinstance(value, (list, tuple, np.ndarray)) and len(value) in (3, 4):
+            return parse_attitude(value)
         if isinstance(value, str):
             return Expression(value)
         if isinstance(value, Parameter):
@@ -53,7 +57,10 @@ def parse_signal(value: Any, what: str) -> Signal:
         raise InputError(f"{what} exceeds the range of 64-bit floats") from None
     except PinredError as error:
         raise type(error)(f"{what}: {error}") from None
-    raise InputError(f"{what} must be a Signal, a number or a formula in t, got {brief(value)}")
+    raise InputError(
+        f"{what} must be a Signal, a number or a formula in t, or for a ball joint an Attitude or "
+        f"three of these, got {brief(value)}"
+    )
 
 
 def parse_configuration(q: ArrayLike, system: System) -> Configuration:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 EVEN_TIMES = 201  # number of report times if a scene states none; they are evenly spaced
 _COUNTS = np.arange(float(EVEN_TIMES))
+# Relative difference of two times that count as equal: four units in the last place.
+_SAME_TIME = 4.0 * float(np.finfo(float).eps)
 MOST_CALLS = 1_000_000  # largest number of calls of a controller in a scene; each call ends a step
 
 
@@ -91,10 +93,12 @@ def check_span(model: ForceModel, end: float, *, base: bool) -> None:
     """
     for signal in (*model.signals, *model.references):
         first, last = signal.span
-        if not first <= 0.0 <= end <= last:
+        if not first <= 0.0 <= end <= last * (1.0 + _SAME_TIME):
+            # Times that six digits do not distinguish are written in full.
+            digits = 17 if f"{last:g}" == f"{end:g}" else 6
             raise InputError(
-                f"{signal!r} is defined from {first:g} to {last:g} s, "
-                f"but the scene goes from 0 to {end:g} s"
+                f"{signal!r} is defined from {first:.{digits}g} to {last:.{digits}g} s, "
+                f"but the scene goes from 0 to {end:.{digits}g} s"
             )
     if model.sees_base and not base:
         raise InputError(

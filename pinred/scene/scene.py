@@ -37,7 +37,7 @@ from .random_state import random_state
 from .scene_options import ENGINES as ENGINES
 from .scene_options import OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields
 from .scene_options import Engine as Engine
-from .scene_structure import CHECKED, MOST_STRUCTURES, Shared, structure_key
+from .scene_structure import MOST_STRUCTURES, Shared, structure_key
 from .tolerances import MOMENTUM_MARGIN, TIGHTEST, check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
@@ -91,6 +91,7 @@ class Scene(SceneFields):
 
     def _check_structure(self) -> Shared:
         """Check all options except the numbers of the initial state; return these options."""
+        unchecked = dict(vars(self))
         self._apply_robot_parameters()
         self._check_conflicts()
         if not one_of(self.outputs, OUTPUTS):
@@ -112,8 +113,8 @@ class Scene(SceneFields):
         times = compute_report_times(self.times, self.duration, self.system)
         self._keep("_times", read_only(times))
         self._check_forces()
-        options = vars(self)
-        return Shared({name: options[name] for name in CHECKED})
+        checked = vars(self).items()
+        return Shared({name: v for name, v in checked if v is not unchecked.get(name, unchecked)})
 
     def _check_conflicts(self) -> None:
         """Raise InputError if options of the initial state contradict each other."""
@@ -361,7 +362,7 @@ class Scene(SceneFields):
             return x, xdot
         x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
         motion = model.prescribed(0.0, model.numbers_from(0.0, self.end))
-        x[:, self.system.space.coordinates_of(joints)] = motion.x
+        x[:, self.system.space.coordinates_of_joints(joints)] = motion.x
         xdot[:, joints] = motion.xdot
         return x, xdot
 

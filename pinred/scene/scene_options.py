@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.parameter import Parameter
 from ..forces.force import Force
-from ..forces.signals import Signal
+from ..forces.signals import Attitude, Signal
 from ..integrators.methods import Method
 from ..integrators.methods.default_tolerances import ATOL, RTOL
 from ..system.system import System
@@ -29,10 +29,11 @@ from .toml.force_kinds import FORCE
 from .toml.method_tables import METHOD, METHOD_NAMES
 from .toml.parameter_tables import NamedNumbers
 from .toml.schema import ByName, Either, Flag, Key, ListOf, Node, Text, Whole
-from .toml.signal_tables import NUMBER, NUMBERS, POSITIVE, SHAPE, SIGNAL
+from .toml.signal_tables import NUMBER, NUMBERS, PLAN, POSITIVE, SHAPE
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
 Level: TypeAlias = float | Parameter
+JointPlan: TypeAlias = Signal | Level | str | Attitude | Sequence[Signal | Level | str]
 WantedOutputs: TypeAlias = Literal["all", "shape"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 OUTPUTS: tuple[WantedOutputs, ...] = get_args(WantedOutputs)
@@ -88,7 +89,7 @@ class SceneOptions(TypedDict, total=False):
     atol: float
     springs: Mapping[str, tuple[Level, Level]]
     forces: Sequence[Force] | Force
-    prescribed: Mapping[str, Signal | Level | str]
+    prescribed: Mapping[str, JointPlan]
     passive: bool
     friction: float | None
     parameters: Any
@@ -180,10 +181,11 @@ class SceneFields:
         ListOf(FORCE), "forces on joints, base and links",
         formats="forces of pinred.forces",
     ))  # fmt: skip
-    prescribed: Mapping[str, Signal | Level | str] = field(default_factory=dict, metadata=_option(
-        ByName(SIGNAL),
+    prescribed: Mapping[str, JointPlan] = field(default_factory=dict, metadata=_option(
+        ByName(PLAN),
         "joints with a prescribed motion [rad | m]: a number, or a function of time such as "
-        "0.4*sin(t)", formats="{joint: Signal, number, or formula in t}",
+        "0.4*sin(t); a ball has three of these as a rotation vector, or a quaternion",
+        formats="{joint: Signal, number, or formula in t; Attitude or three of these for a ball}",
         command="--prescribed J=PLAN",
     ))  # fmt: skip
     passive: bool = field(default=False, metadata=_option(

@@ -11,26 +11,17 @@ from collections.abc import Hashable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ..common.errors import InputError
-from ..forces.force_keys import NotKeyedError, key_of, key_of_array, key_of_force, key_of_plain
+from ..forces.force import Force
+from ..forces.force_keys import NotKeyedError, key_of, key_of_force
 from ..integrators.methods import Method
-from .option_checks import list_forces
+from .scene_options import SCENE_OPTIONS
 
 if TYPE_CHECKING:
     from .scene import Scene
 
 MOST_STRUCTURES = 16  # largest number of structures that a system keeps
-# Options of the initial state; only whether they are stated belongs to the structure.
-_STATE = ("x0", "xdot0", "xi0", "momentum", "seed", "pose0", "q0", "v0")
-_PLAIN = ("keyframe", "duration", "rtol", "atol", "passive", "friction", "outputs")
-
-# Fields of a scene that the checks of a structure set.
-CHECKED = (
-    "system", "outputs", "rtol", "atol", "method", "duration", "forces", "prescribed", "friction",
-    "events", "parameters", "_parameters", "_times", "_forces", "_watched",
-)  # fmt: skip
+_STATE = tuple(name for name, option in SCENE_OPTIONS.items() if option.table == "start")
+_OTHERS = tuple(name for name in SCENE_OPTIONS if name not in _STATE)
 
 
 class Shared:
@@ -50,34 +41,35 @@ class Shared:
 def structure_key(scene: Scene) -> Hashable:
     """Return the key of a scene whose options are not yet checked; None without a key."""
     options = vars(scene)
-    parameters, events = options["parameters"], options["events"]
+    parameters = options["parameters"]
     if type(parameters) not in (dict, MappingProxyType) or parameters:
-        return None
-    if type(events) is not tuple or events:
-        return None
-    stated = tuple([options[name] is not None for name in _STATE])
+        return None  # Robot parameters replace the system.
     try:
         key = (
-            stated,
-            *[key_of_plain(options[name]) for name in _PLAIN],
-            _key_of_times(options["times"]),
-            _key_of_method(options["method"]),
-            key_of(options["springs"]),
-            tuple(map(key_of_force, list_forces(options["forces"]))),
-            key_of(options["prescribed"]),
+            tuple([_key_of_state(options[name]) for name in _STATE]),
+            *[_key_of_option(options[name]) for name in _OTHERS],
         )
         hash(key)
-    except (NotKeyedError, InputError, TypeError):
+    except (NotKeyedError, TypeError):
         return None  # The checks of the scene report an invalid option.
     return key
 
 
-def _key_of_times(times: Any) -> Hashable:
-    return key_of_array(times) if isinstance(times, np.ndarray) else key_of(times)
+def _key_of_state(value: Any) -> Hashable:
+    """Return whether an option of the initial state is stated; the name itself of a keyframe."""
+    return value if type(value) is str else value is not None
 
 
-def _key_of_method(method: Any) -> Hashable:
-    if not isinstance(method, Method):
-        return key_of_plain(method)
-    # Equal methods may differ in whether the user stated their tolerances.
-    return type(method), key_of(vars(method))
+def _key_of_option(value: Any) -> Hashable:
+    """Return the key of an option that does not belong to the initial state."""
+    kind = type(value)
+    if isinstance(value, Force):
+        return key_of_force(value)
+    if kind in (list, tuple) and any(isinstance(entry, Force) for entry in value):
+        return kind, tuple(map(_key_of_option, value))
+    if isinstance(value, Method):
+        # Equal methods may differ in whether the user stated their tolerances.
+        return kind, key_of(vars(value))
+    if kind is MappingProxyType:
+        return key_of(dict(value))
+    return key_of(value)

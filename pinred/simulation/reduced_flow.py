@@ -129,6 +129,7 @@ def entry_name(
     cyclic: Sequence[int],
     entry: int,
     constant: Collection[int] = (),
+    driven: Collection[int] = (),
 ) -> str:
     """Return the name of an entry of a reduced state, for messages.
 
@@ -138,6 +139,7 @@ def entry_name(
         cyclic: Indices of the cyclic joints, whose positions follow; then come the balls.
         entry: Index of the entry.
         constant: Indices of the momenta of balls that are not entries, because they are constant.
+        driven: Indices of the prescribed joints, which have no entry.
     Returns:
         A noun phrase.
     """
@@ -145,7 +147,7 @@ def entry_name(
     entries = [f"the position of joint '{names[k]}'" for k in active]
     entries += [f"the momentum of joint '{names[k]}'" for k in active]
     entries += [f"the position of joint '{names[k]}'" for k in cyclic]
-    balls = system.space.balls
+    balls = [joint for joint in system.space.balls if joint.v.start not in driven]
     for joint in balls:
         rates = range(joint.v.start, joint.v.stop)
         entries += [

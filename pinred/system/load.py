@@ -47,7 +47,7 @@ from .read_sdf import read_sdf
 from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_file_contents import Contents, Coupling, Origin
-from .robot_files import is_mjcf, outermost, read_text, read_xml
+from .robot_files import is_mjcf, outermost, read_text, read_xml, text_in_file
 from .split_joints import split_joints
 from .system import System
 from .urdf_elements import mimic_couplings
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
 _HUGE = 1e100  # largest accepted gravity, because products of larger numbers overflow [m/s²]
-_CALLER = 3  # stack level of the caller of `load` for warnings, outside the check of arguments
+_CALLER = 4  # stack level of the caller of `load` for warnings, outside the check of arguments
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,9 @@ class _Robot:
 
 @checks_arguments
 def load(
-    source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec,
+    source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec | None = None,
     *,
+    text: str | None = None,
     group: str | Group | None = None,
     lock: Iterable[str] | Mapping[str, ArrayLike] = (),
     gravity: ArrayLike | None = None,
@@ -110,6 +111,8 @@ def load(
         source: Name of a bundled robot or of one in example-robot-data; path of a URDF or MJCF
             file; pin.Model, which is copied; pin.RobotWrapper or pair (model, visual_model),
             whose shapes playback shows; mujoco.MjModel; or mujoco.MjSpec.
+        text: Content of a URDF, MJCF or SDF file instead of a source, such as ROS's parameter
+            robot_description.  Relative paths in it are searched in `meshes` only.
         group: Symmetry group: "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, it follows
             from the file.  A free, planar or spherical root joint sets the group, and the link
             above it is the ground.  So does any first moving joint whose link above is massless
@@ -140,6 +143,9 @@ def load(
         InputError: The group, a joint, the root or another argument is not valid.
         MissingPackageError: The source is MJCF and mujoco is not installed.
     """
+    if (source is None) == (text is None):
+        given = "neither" if text is None else "both"
+        raise InputError(f"load: expected either a source or text=, got {given}")
     requested = group_named(group) if isinstance(group, str) else group
     if requested is not None and not isinstance(requested, Group):
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {brief(group)}")
@@ -148,36 +154,58 @@ def load(
     new_gravity = None if gravity is None else _checked_gravity(gravity)
     locked, merged = lock_values(lock), requested_balls(balls)
     folders = mesh_folders(meshes)
+    if text is None:
+        system = _load_source(source, requested, locked, new_gravity, root, merged, folders)
+    else:
+        with text_in_file(text) as path:
+            system = _load_source(path, requested, locked, new_gravity, root, merged, folders)
+        # The file is gone, so the text itself is the origin.
+        vars(system)["origin"] = Origin("", locked, root, folders, text)
+    _report(system, strict=strict)
+    return with_parameters(system, {} if parameters is None else parameters)
+
+
+def _load_source(
+    source: Any,
+    group: Group | None,
+    locked: Mapping[str, LockValue],
+    gravity: Array | None,
+    root: str | None,
+    balls: bool | tuple[str, ...],
+    folders: tuple[str, ...],
+) -> System:
+    """Load a source other than a text; the arguments are those of `load`, checked."""
     if mjcf_kind := _mjcf_kind(source):
         if folders:
             raise InputError(
                 "meshes= applies to URDF only; an MJCF file contains the paths of its meshes"
             )
-        system = _load_mujoco(
-            source, mjcf_kind, requested, locked, new_gravity, root=root, balls=merged
+        return _load_mujoco(source, mjcf_kind, group, locked, gravity, root=root, balls=balls)
+    visuals = with_visuals(source)
+    if visuals is not None:
+        source = visuals.model
+    if not isinstance(source, (str, Path, pin.Model)):
+        raise InputError(
+            "load takes a name, a path, a pin.Model, a pin.RobotWrapper, (model, "
+            f"visual_model), an MjModel or an MjSpec, got {type(source).__name__}"
         )
-    else:
-        visuals = with_visuals(source)
-        if visuals is not None:
-            source = visuals.model
-        if not isinstance(source, (str, Path, pin.Model)):
-            raise InputError(
-                "load takes a name, a path, a pin.Model, a pin.RobotWrapper, (model, "
-                f"visual_model), an MjModel or an MjSpec, got {type(source).__name__}"
-            )
-        if folders and isinstance(source, pin.Model):
-            raise InputError(
-                "meshes= applies to robots from files only; shapes of a model are passed with it"
-            )
-        if root is not None:
-            raise InputError(
-                f"root={quoted(root)} applies to MJCF only; in a URDF file or a model one link "
-                "carries the robot"
-            )
-        robot = _read(source, requested, locked, folders)
-        bundled = catalogue.bundled_robots().get(str(source))
-        merged = merged or (merged is False and bundled is not None and bundled.balls)
-        system = _load_model(robot, locked, new_gravity, visuals, merged)
+    if folders and isinstance(source, pin.Model):
+        raise InputError(
+            "meshes= applies to robots from files only; shapes of a model are passed with it"
+        )
+    if root is not None:
+        raise InputError(
+            f"root={quoted(root)} applies to MJCF only; in a URDF file or a model one link "
+            "carries the robot"
+        )
+    robot = _read(source, group, locked, folders)
+    bundled = catalogue.bundled_robots().get(str(source))
+    balls = balls or (balls is False and bundled is not None and bundled.balls)
+    return _load_model(robot, locked, gravity, visuals, balls)
+
+
+def _report(system: System, *, strict: bool) -> None:
+    """Warn about actions left out and about doubts, or refuse doubts if `strict`."""
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
@@ -188,7 +216,6 @@ def load(
         if strict:
             raise ModelError(f"{quoted(system.name)} is refused because of strict=True: {doubt}")
         warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=_CALLER)
-    return with_parameters(system, {} if parameters is None else parameters)
 
 
 def _mjcf_kind(source: object) -> str:

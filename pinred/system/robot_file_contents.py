@@ -20,17 +20,19 @@ class Origin:
     """The file or name from which a system was loaded.
 
     Attributes:
-        source: Name of the robot, or absolute path of its file.
+        source: Name of the robot, or absolute path of its file; "" if `text` is set.
         lock: Values of the locked joints as requested, {joint: value}.
         root: Body of an MJCF file that was chosen as the root, if any.
         meshes: Additional folders in which meshes are searched; the folders above the file are
             always searched.
+        text: Content of the file, if the robot was loaded from a text.
     """
 
     source: str
     lock: Mapping[str, LockValue]
     root: str | None = None
     meshes: tuple[str, ...] = ()
+    text: str | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,14 @@ elements that are nested too deeply.
 from __future__ import annotations
 
 import re
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from ..common.errors import LoadError
+from ..common.errors import LoadError, ModelError
 from ..common.files import is_file, is_folder
 from ..common.names import plain_path, quoted_path
 
@@ -21,6 +23,10 @@ _DEEPEST = 100  # largest depth of nested URDF elements; valid files need only a
 _MOST_ELEMENTS = 1_000_000
 _CHUNK = 4096  # number of characters per call of the XML parser
 _ELEMENT = re.compile(r"<[^!?]")
+# Name of the robot in the outermost element of URDF, MJCF, or the model of SDF.
+_NAME = re.compile(
+    r"""<(?:robot|mujoco|model)\s[^>]*?\b(?:name|model)\s*=\s*["']([\w-]{1,100})["']"""
+)
 
 
 def read_text(path: Path) -> str:
@@ -73,6 +79,31 @@ def outermost(text: str) -> str:
             if tags:
                 break
     return tags[0].lower() if tags else ""
+
+
+@contextmanager
+def text_in_file(text: str) -> Iterator[Path]:
+    """Write a text to a temporary file, named after the robot.
+
+    Args:
+        text: Content of a robot file.
+    Yields:
+        Path of the temporary file.
+    Raises:
+        LoadError: As the block does, with "the text" for the path.
+        ModelError: Likewise.
+    """
+    name = _NAME.search(text[:_CHUNK])
+    with TemporaryDirectory(prefix="pinred-") as folder:
+        path = Path(folder) / f"{name[1] if name else 'robot'}.xml"
+        path.write_bytes(text.encode("utf-8", "surrogatepass"))
+        try:
+            yield path
+        except (LoadError, ModelError) as error:
+            if type(error) not in (LoadError, ModelError) or folder not in str(error):
+                raise
+            message = str(error).replace(quoted_path(path), "the text")
+            raise type(error)(message.replace(plain_path(path), "the text")) from None
 
 
 def read_xml(path: Path) -> ElementTree.Element:

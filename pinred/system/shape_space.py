@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import Array, read_only
-from ..common.errors import InputError, UnsupportedOperationError
-from ..common.names import listed, quoted
+from ..common.errors import InputError
+from ..common.names import quoted
 from ..lie.rotations import unwrapped_rotation_vectors
 from .elementary_joints import ElementaryJoint
 
@@ -120,6 +120,13 @@ class ShapeSpace:
                 )
         return [at[k] for k in rates]
 
+    def coordinates_of_joints(self, rates: Sequence[int]) -> list[int]:
+        """Return the indices in x of whole joints, from the indices of all their rates."""
+        if not self.balls:
+            return list(rates)
+        at = {joint.v.start: joint.x for joint in self.joints}
+        return [k for v in rates if v in at for k in range(at[v].start, at[v].stop)]
+
     @property
     def size_in_words(self) -> str:
         """The number of joints, and the dimension if it differs."""
@@ -196,21 +203,6 @@ class ShapeSpace:
         """Return a random shape, (nx,), at uniform displacements up to `reach` from rest."""
         displacement = rng.uniform(-reach, reach, self.m)
         return displacement if not self.balls else self.integrate(self.neutral, displacement)
-
-    def refuse_balls(self, what: str) -> None:
-        """Reject ball joints where only hinges and slides are supported.
-
-        Args:
-            what: Beginning of the error message.
-        Raises:
-            UnsupportedOperationError: The shape has balls.
-        """
-        if self.balls:
-            raise UnsupportedOperationError(
-                f"{what}: ball joints are not supported here, and the robot has "
-                f"{listed([joint.name for joint in self.balls], 6)}; replace each by three hinges, "
-                "or lock it"
-            )
 
     def normalized(self, x: Array, what: str, *, near: bool = True) -> Array:
         """Return x, (..., nx), with quaternions of length one.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -102,14 +100,3 @@ def test_shapes_of_balls_must_have_length_one() -> None:
     np.testing.assert_array_equal(A.local(rough), A.local(exact))
     np.testing.assert_array_equal(A.grid(rough).local, A.local(exact))
     np.testing.assert_array_equal(red.grid(rough).com, red.grid(exact).com)
-
-
-def test_functions_over_joint_coordinates_refuse_balls() -> None:
-    """Functions whose arguments are one coordinate for each joint name the ball joint."""
-    system = ball_tree(0, 2)
-    calls: dict[str, Callable[[], object]] = {
-        "reorient": lambda: pinred.reorient(system, [0.0, 0.0, 1.0]),
-    }
-    for what, call in calls.items():
-        with pytest.raises(pinred.UnsupportedOperationError, match=f"^{what}: .*has j0, j1;"):
-            call()

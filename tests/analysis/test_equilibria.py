@@ -404,9 +404,9 @@ def test_starting_points_of_humanoid_are_limited() -> None:
     """Only the requested number of the 4³² shapes with quarter turns is generated."""
     rng = np.random.default_rng(0)
     assert _quarters(32, 0, 25, rng).shape == (25, 32)
-    assert _quarters(64, 25, rng).shape == (25, 64)
-    assert len(np.unique(_quarters(2, 16, rng), axis=0)) == 16
-    assert _quarters(0, 5, rng).shape == (1, 0)
+    assert _quarters(64, 0, 25, rng).shape == (25, 64)
+    assert len(np.unique(_quarters(2, 0, 16, rng), axis=0)) == 16
+    assert _quarters(0, 0, 5, rng).shape == (1, 0)
 
 
 def test_zero_momentum_with_rotor_has_no_modes() -> None:

@@ -93,7 +93,7 @@ def test_lift_derivative_with_momentum_matches_differences(name: str) -> None:
     c, along = 0.4 * rng.normal(size=(2, 5, system.m))
     J = red.locked_inertia(c[0]) @ (2.0 * rng.normal(size=system.r))
     A = pinred.Connection.mechanical(system)
-    lift = path_lift(A, cycloid_basis(2, 40, 2), c, Drift(system, J))
+    lift = path_lift(A, cycloid_basis(2, 40, 2), c, Drift(A.code, J))
 
     def end(coefficients: Array) -> Array:
         def rate(t: float, y: Array) -> Array:

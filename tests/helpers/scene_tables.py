@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,12 @@ def kind_of(schema: dict[str, Any], defs: dict[str, Any]) -> str:
     """The type of a value, in words."""
     if "$ref" in schema:
         name = schema["$ref"].rsplit("/", 1)[1]
-        known = {"signal": "a signal", "parameters": "by name: number, or list of numbers"}
+        known = {
+            "signal": "a signal",
+            "plan": "a signal; for a ball a list of 3 signals, a quaternion or an `attitude` table",
+            "attitude": "list of 3 signals, a quaternion or an `attitude` table",
+            "parameters": "by name: number, or list of numbers",
+        }
         return known.get(name) or kind_of(defs[name], defs)
     if "anyOf" in schema:
         return ", or ".join(kind_of(part, defs) for part in schema["anyOf"])
@@ -24,7 +30,8 @@ def kind_of(schema: dict[str, Any], defs: dict[str, Any]) -> str:
         return ", ".join(f"`{value}`" for value in schema["enum"])
     if schema.get("type") == "array":
         many = f"{schema['minItems']}: " if "minItems" in schema else ""
-        return f"list of {many}{kind_of(schema['items'], defs)}".replace("of number", "of numbers")
+        items = kind_of(schema["items"], defs)
+        return f"list of {many}" + re.sub(r"^number\b", "number" if many else "numbers", items)
     if schema.get("type") == "object" and isinstance(schema["additionalProperties"], dict):
         return f"by joint: {kind_of(schema['additionalProperties'], defs)}"
     if schema.get("type") == "number" and "exclusiveMinimum" in schema:
@@ -52,7 +59,7 @@ def tables() -> str:
     out += [table(f"`[{name}]`", keys[name], defs) for name in ("load", "start", "run")]
     for one in keys["run"]["properties"]["method"]["anyOf"][1]["oneOf"]:
         out.append(table(f"`run.method`: {one['properties']['name']['enum'][0]}", one, defs))
-    signals = defs["signal_table"]["properties"]
+    signals = defs["plan_table"]["properties"]
     out += [table(f"signal `{{ {name} = {{ … }} }}`", signals[name], defs) for name in signals]
     for one in keys["forces"]["items"]["oneOf"]:
         out.append(

@@ -79,7 +79,7 @@ def test_slopes_of_costs_with_balls_equal_differences(kind: CostKind) -> None:
 
 
 def test_best_gait_of_ball_is_confirmed_by_independent_integration() -> None:
-    """The phase by SciPy over Pinocchio's momenta, the cost by RNEA, and stationarity."""
+    """The phase by SciPy over Pinocchio's momenta, the cost by RNEA, and both by simulation."""
     system = joined_bodies()
     A = pinred.Connection.mechanical(system).in_chart(CENTRE)
     best = pinred.optimise_gait(
@@ -96,6 +96,9 @@ def test_best_gait_of_ball_is_confirmed_by_independent_integration() -> None:
     times = np.arange(64) / 64.0
     tau = np.array([rnea_torques(system, best.gait, chart.centre, float(t))[6:] for t in times])
     assert best.cost == pytest.approx(np.sum(tau**2) / 64.0, rel=1e-9)
+    simulated = best.trajectory.driving_torques
+    close(simulated[0], tau[0], 1e-8 * float(np.abs(tau).max()))
+    assert max(best.flow_error.rotation, best.flow_error.translation) < 1e-10
 
 
 def test_loop_that_leaves_rotation_vectors_is_refused_by_name() -> None:

@@ -16,7 +16,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.planning.reorientation import turning_loop
-from pinred.planning.reorientation.reorient import passage_of
+from pinred.planning.reorientation.tumbling import passage_of
 from pinred.planning.reorientation.turning_loop import first_loop
 
 ROBOTS = {
@@ -252,12 +252,13 @@ def test_reorient_rejects_gravity_on_pivot() -> None:
 def test_passage_rejects_tumbling_above_bound(angle: float, accepted: bool) -> None:
     """The bound is 200 rad with joints at rest, by Pinocchio's mass matrix."""
     rods, momentum, start = pinred.load("three_rods"), np.array([0.0, 0.0, 0.05]), [0.4, 0.5]
+    connection = pinred.Connection.mechanical(rods)
     q = rods.model_q(rods.group.identity(), start)
     upper = pin.crba(rods.model, rods.data, q)[:3, :3]
     locked = np.triu(upper) + np.triu(upper, 1).T
     time = angle / abs(np.linalg.solve(locked, momentum)[2])
     if accepted:
-        assert passage_of(rods, momentum, np.array(start), 1, time).more >= 4 * angle
+        assert passage_of(connection, momentum, np.array(start), 1, time).more >= 4 * angle
         return
     with pytest.raises(pinred.InputError, match="tumble through 210 rad"):
-        passage_of(rods, momentum, np.array(start), 1, time)
+        passage_of(connection, momentum, np.array(start), 1, time)

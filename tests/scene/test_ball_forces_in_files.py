@@ -12,6 +12,7 @@ import pinred
 from pinred import InputError, PinredError
 from pinred.forces import BallLimit, BallPD, BallSpring, Damper, Force, Limit, PotentialEnergy
 from pinred.scene.toml.force_kinds import FORCES
+from pinred.signals import Attitude
 
 MATRIX = [[3.0, 0.4, -0.2], [0.4, 2.0, 0.3], [-0.2, 0.3, 1.5]]
 KINDS = {"ball_spring", "ball_pd", "ball_limit"}
@@ -38,6 +39,15 @@ CASES: dict[str, tuple[str, Callable[[], Force]]] = {
         "kind = 'ball_pd'\nname = 'hold'\njoint = 'hips'\nattitude = [0.1, 0, 0.4]\nkp = 3\n"
         "kd = 0.5\nlimit = 0.2\nsmooth = true",
         lambda: BallPD("hips", (0.1, 0, 0.4), 3.0, 0.5, Limit(0.2, smooth=True), name="hold"),
+    ),
+    "pd of a moving attitude": (
+        "kind = 'ball_pd'\njoint = 'hips'\nattitude = ['0.3*sin(t)', 0, 0.1]\nkp = 3\nkd = 0.5",
+        lambda: BallPD("hips", ["0.3*sin(t)", 0.0, 0.1], 3.0, 0.5),
+    ),
+    "pd of an attitude about a centre": (
+        "kind = 'ball_pd'\njoint = 'hips'\nkp = 3\nkd = 0.5\n"
+        "attitude = { attitude = { vector = ['t', 0, 0], centre = [0, 0, 0.5] } }",
+        lambda: BallPD("hips", Attitude(["t", 0, 0], (0, 0, 0.5)), 3.0, 0.5),
     ),
     "limit": (
         "kind = 'ball_limit'\njoint = 'hips'\nswing = 0.8\ntwist = 0.5\naxis = 'x'\n"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ball_trees import ball_tree
 
 from pinred import DOP853, Scene, System, load, simulate
 from pinred.common.errors import InputError
@@ -15,6 +16,7 @@ from pinred.forces import PD, Controller, Damper, Torque, Wrench
 from pinred.forces.force_model_cache import cached_force_model
 from pinred.scene.scene_structure import Shared
 from pinred.simulation.compiled.compiled_flow import CompiledFlow, flows_of
+from pinred.signals import Attitude
 from pinred.simulation.plan import plan_of
 
 START: dict[str, Any] = {
@@ -188,3 +190,19 @@ def test_prepared_start_equals_the_start_of_members(
         flow, ((_, expected),) = CompiledFlow.of_plan(plan), flows_of(plan, scene.given)
         for array in ("y0", "parameters", "path"):
             assert np.array_equal(getattr(flow, array), getattr(expected, array)[0])
+
+
+def test_attitude_changed_in_a_table_has_an_effect() -> None:
+    """A ball that follows another attitude moves differently; equal scenes share the structure."""
+    system = ball_tree(5, 2)
+    ball = system.space.balls[1].name
+    options: dict[str, Any] = {"duration": 0.5, "seed": 1}
+    slow, quick = Attitude(["0.3*t", 0.1, 0.0]), Attitude(["0.4*t", 0.1, 0.0])
+
+    def poses(plan: Any) -> np.ndarray:
+        return simulate(system, prescribed={ball: plan}, **options).q
+
+    first, other = poses(slow), poses(quick)
+    assert not np.array_equal(first, other)
+    assert np.array_equal(first, poses(slow))
+    assert np.array_equal(other, poses(["0.4*t", 0.1, 0.0]))

@@ -10,7 +10,7 @@ ball is 2π: a connection is smooth there, but its metric loses rank.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import factorial
 
 import casadi as ca
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, FrozenArrays, vector
 from ...common.errors import InputError
+from ...forces.signals import Attitude, Fourier
 from ...kernels.connection.connection_code import ConnectionCode
 from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...lie.rotations import TAU, left_jacobian, quaternion_exp
@@ -63,6 +64,24 @@ class RotationChart(FrozenArrays):
     def rates(self, w: Array, wdot: Array) -> Array:
         """Return the rates σ = J(w) ẇ along the frame, (..., m)."""
         return np.asarray((self.rate_maps(w) @ wdot[..., None])[..., 0])
+
+    def motions(self, signals: Mapping[str, Fourier]) -> dict[str, Fourier | Attitude]:
+        """Return a gait as prescribed motions, with an attitude over time for each ball.
+
+        Args:
+            signals: `gait.signals(connection.joints)`, the coordinates over time by label.
+        Returns:
+            Motions by joint, for `prescribed` of a Scene.
+        """
+        motions: dict[str, Fourier | Attitude] = {}
+        for joint in self.space.joints:
+            entries = [signals[joint.name + suffix] for suffix in joint.kind.rates]
+            centre = self.centre[joint.x]
+            if joint.kind.is_ball:
+                motions[joint.name] = Attitude(entries, centre)
+            else:
+                motions[joint.name] = replace(entries[0], mean=entries[0].mean + float(centre[0]))
+        return motions
 
     def frame_forces(self, w: Array, forces: Array) -> Array:
         """Return the components along the frame, J⁻ᵀ f, of forces f along w, (..., m)."""

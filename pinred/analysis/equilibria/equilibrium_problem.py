@@ -128,7 +128,7 @@ class Problem(FrozenArrays):
         space = self.system.space
         x = np.tile(space.neutral, (len(active), 1))
         x[:, self.active_x] = active
-        x[:, space.coordinates_of(self.driven)] = self.driven_x
+        x[:, space.coordinates_of_joints(self.driven)] = self.driven_x
         return x
 
     def points(self, x: Array, n: Array) -> Points:

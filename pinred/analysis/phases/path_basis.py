@@ -18,10 +18,9 @@ import numpy as np
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...integrators.gauss.tables import tables
+from ...kernels.connection.connection_code import ConnectionCode
 from ...lie.group import Group
-from ...system.system import System
 from ..connections.connection import Connection
-from ..connections.mechanical_connection import mechanical_code
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lifted, nodes
 
@@ -33,12 +32,12 @@ class Drift(FrozenArrays):
     """The drift twist I⁻¹μ of a free system with constant spatial momentum.
 
     Attributes:
-        system: System without external wrench.
+        code: Mechanical connection of a system without external wrench.
         momentum: Spatial momentum J, (r,), in the initial frame of the base. For a path of duration
             T that is parametrised over [0, 1], this is T J.
     """
 
-    system: System
+    code: ConnectionCode
     momentum: Array
 
     def inverse(self, x: Array) -> Array:
@@ -49,7 +48,7 @@ class Drift(FrozenArrays):
         Returns:
             (N, r, r).
         """
-        return np.asarray(np.linalg.inv(mechanical_code(self.system).locals(x).P))
+        return np.asarray(np.linalg.inv(self.code.locals(x).P))
 
     def slopes(self, x: Array, inverse: Array, mu: Array) -> Array:
         """Compute the shape derivative of the drift, ∂(I⁻¹μ)/∂x = −I⁻¹ ∂I I⁻¹μ, at fixed μ.
@@ -62,7 +61,7 @@ class Drift(FrozenArrays):
             (N, r, m).
         """
         omega = (inverse @ mu[..., None])[..., 0]
-        return np.asarray(-inverse @ mechanical_code(self.system).locked_derivatives(x, omega))
+        return np.asarray(-inverse @ self.code.locked_derivatives(x, omega))
 
     def carriers(self, group: Group, h: Array, adjoints: Array, inverse: Array) -> Array:
         """Compute the propagators Ψ of variations, η(end) = Ψ η(node).
@@ -77,7 +76,7 @@ class Drift(FrozenArrays):
         Returns:
             (N, r, r).
         """
-        count, r, table = len(h), self.system.r, tables(STAGES)
+        count, r, table = len(h), self.code.form.r, tables(STAGES)
         co = np.swapaxes(group.ad(np.eye(r)), 1, 2) @ self.momentum  # row e: ad_eᵀ J
         coadjoints = np.swapaxes(adjoints, 1, 2)
         K = (adjoints @ inverse @ coadjoints @ co.T).reshape(count, STAGES, r, r)

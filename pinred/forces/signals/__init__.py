@@ -4,8 +4,9 @@ A signal is a prescribed joint motion, the reference of a controller, or a torqu
 and acceleration of a signal are the function and its first two derivatives.
 """
 
+from .attitude_signal import Attitude
 from .formulas import Constant, Expression, Fourier
 from .signal import Signal
 from .tabulated import Hold, Linear, Spline
 
-__all__ = ["Constant", "Expression", "Fourier", "Hold", "Linear", "Signal", "Spline"]
+__all__ = ["Attitude", "Constant", "Expression", "Fourier", "Hold", "Linear", "Signal", "Spline"]

@@ -104,9 +104,15 @@ class BestGait(Optimum):
             InputError: The connection is not mechanical, or the loop has corners.
         """
         system, (x, xdot) = self._system(), self.gait.at(0.0)
+        signals = self.gait.signals(system.shape_names)
+        chart = self.task.connection.chart
+        if chart is None:
+            return simulate(
+                system, x0=x, xdot0=xdot, momentum=0, duration=self.gait.period, prescribed=signals
+            )
         return simulate(
-            system, x0=x, xdot0=xdot, momentum=0, duration=self.gait.period,
-            prescribed=self.gait.signals(system.shape_names),
+            system, x0=chart.shapes(x), xdot0=chart.rates(x, xdot), momentum=0,
+            duration=self.gait.period, prescribed=chart.motions(signals),
         )  # fmt: skip
 
     @cached_property

@@ -8,9 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
+from ...analysis.connections.rotation_chart import RotationChart
 from ...analysis.gaits.gait import Gait
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
+from ...forces.signals import Attitude
 from ...judge.compare import compare
 from ...judge.verdict import Report
 from ...simulation.simulate import simulate
@@ -29,7 +31,7 @@ class TurnPlan(FrozenArrays):
     Attributes:
         system: The system.
         aim: The target.
-        gait: The loop.
+        gait: The loop; balls move by rotation vectors about their initial attitudes.
         cycles: Number of cycles.
         duration: Total duration [s].
         pose: Final pose of the base, (size,).
@@ -37,6 +39,7 @@ class TurnPlan(FrozenArrays):
         momentum: Initial body momentum, (r,).
         left: Final body twist of the base, (r,); zero at zero momentum.
         margins: Smallest distance to the limits of joints, speeds and torques.
+        chart: Rotation vectors of balls; None without balls.
     """
 
     system: System
@@ -49,6 +52,7 @@ class TurnPlan(FrozenArrays):
     momentum: Array
     left: Array
     margins: Mapping[str, float]
+    chart: RotationChart | None = field(default=None, repr=False)
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -57,12 +61,17 @@ class TurnPlan(FrozenArrays):
         The trajectory's `driving_torques` are the joint torques that the plan requires.
         """
         rtol, atol = TOLERANCES
+        start = self.gait.at(0.0)[0]
+        formulas = rest_to_rest(self.gait, self.system.shape_names, self.cycles, self.duration)
+        prescribed: dict[str, str | Attitude] = dict(formulas)
+        if self.chart is not None:
+            start = self.chart.shapes(start)
+            for ball in self.chart.space.balls:
+                vector = [prescribed.pop(ball.name + axis) for axis in ball.kind.rates]
+                prescribed[ball.name] = Attitude(vector, self.chart.centre[ball.x])
         return simulate(
-            self.system, x0=self.gait.at(0.0)[0], momentum=self.momentum, duration=self.duration,
-            prescribed=rest_to_rest(
-                self.gait, self.system.shape_names, self.cycles, self.duration
-            ),
-            rtol=rtol, atol=atol,
+            self.system, x0=start, momentum=self.momentum, duration=self.duration,
+            prescribed=prescribed, rtol=rtol, atol=atol,
         )  # fmt: skip
 
     @cached_property

@@ -13,7 +13,7 @@ from ...forces import kinds
 from ...forces.force import Force
 from ...forces.wrench import AXES
 from .schema import ByName, Either, Flag, Key, ListOf, Node, Table, Tagged, Text
-from .signal_tables import ACTION, NUMBER, NUMBERS, PER_JOINT, POSITIVE, SIGNAL
+from .signal_tables import ACTION, ATTITUDE, NUMBER, NUMBERS, PER_JOINT, POSITIVE, SIGNAL
 
 FunctionFormat: TypeAlias = Literal["of the shape", "by joint", "on the base"]
 KeyTexts: TypeAlias = Mapping[str, tuple[Node, str]]  # {key: (type of the value, meaning)}
@@ -146,7 +146,10 @@ FORCES: dict[str, ForceKind] = {
         "a PD controller of the attitude of a ball joint",
         {
             "joint": _BALL,
-            "attitude": (NUMBERS, f"desired attitude: {_ATTITUDE}"),
+            "attitude": (
+                ATTITUDE,
+                f"desired attitude: {_ATTITUDE}, or an attitude over time",
+            ),
             "kp": (NUMBER, "gain of the attitude error [N·m/rad]"),
             "kd": (NUMBER, "gain of the rate [N·m·s/rad]"),
             "limit": (PER_JOINT, "largest torque about each axis [N·m], such as neck.x"),

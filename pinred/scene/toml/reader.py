@@ -166,6 +166,8 @@ class _Builder:
         if "reference" in options:
             at = place / "reference"
             options["reference"] = self._by_joint(options["reference"], at, self.signals.value)
+        if "attitude" in options:
+            options["attitude"] = self._attitude(options["attitude"], place / "attitude")
         at = place / "function"
         if kind.function == "of the shape":
             options["function"] = self._potential(options["function"], at)
@@ -184,6 +186,12 @@ class _Builder:
             options["function"] = [self._action(v, at / k) for k, v in enumerate(entries)]
         with naming(place):
             return kind.make(**options)
+
+    def _attitude(self, value: Any, place: Place) -> Any:
+        """Convert signals or a table to an Attitude; return lists of numbers unchanged."""
+        if isinstance(value, list) and all(isinstance(entry, float) for entry in value):
+            return value
+        return self.signals.attitude(value, place)
 
     def _action(self, value: Any, place: Place) -> Any:
         """Convert a number, a signal table, or the text of a formula of the state."""

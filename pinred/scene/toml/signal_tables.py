@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ...common.errors import PinredError
-from ...forces.signals import Constant, Expression, Fourier, Hold, Linear, Signal, Spline
+from ...forces.signals import Attitude, Constant, Expression, Fourier, Hold, Linear, Signal, Spline
+from ...forces.signals.attitude_signal import parse_attitude
 from ...forces.signals.tabulated import ENDS
 from .csv_columns import read_columns
 from .file_place import Place, naming
@@ -59,7 +60,41 @@ _KINDS = {
     "fourier": Key(_FOURIER, "mean + Σ aₖ cos(2πk t/period) + bₖ sin(2πk t/period)"),
 }
 SIGNAL_TABLE = Table(_KINDS, "a signal table", one_of=tuple(_KINDS), name="signal_table")
-SIGNAL = Either((NUMBER, Text((), "a formula in t"), SIGNAL_TABLE), "signal")
+_TIME = Text((), "a formula in t")
+SIGNAL = Either((NUMBER, _TIME, SIGNAL_TABLE), "signal")
+VECTOR = "a rotation vector of three signals, or a quaternion (x, y, z, w)"
+_ATTITUDE = Table(
+    {
+        "vector": Key(ListOf(SIGNAL, 3), "rotation vector w(t) in the axes of the child [rad]"),
+        "centre": Key(
+            NUMBERS,
+            "constant attitude R_c of R_c exp(w(t)): rotation vector [rad] or quaternion "
+            "(x, y, z, w)",
+            default="no rotation",
+        ),
+        "times": Key(NUMBERS, "strictly increasing times [s], at most 1000"),
+        "attitudes": Key(
+            ListOf(NUMBERS),
+            "rotation vectors [rad] or quaternions, one for each time, of which the unwrapped "
+            "rotation vectors about the centre are interpolated",
+        ),
+        "end": Key(Text(ENDS), "condition at both ends of the splines", default=ENDS[0]),
+    },
+    "an attitude",
+    needs={"times": "attitudes", "attitudes": "times", "end": "times"},
+    one_of=("vector", "times"),
+)
+_OF_BALL = Key(_ATTITUDE, "attitude of a ball joint, R(t) = R_c exp(w(t))")
+ATTITUDE = Either(
+    (
+        ListOf(SIGNAL),
+        Table({"attitude": _OF_BALL}, "a table with the key attitude", one_of=("attitude",)),
+    ),
+    "attitude",
+)
+_PLANS = {**_KINDS, "attitude": _OF_BALL}
+PLAN_TABLE = Table(_PLANS, "a signal table", one_of=tuple(_PLANS), name="plan_table")
+PLAN = Either((NUMBER, _TIME, ListOf(SIGNAL), PLAN_TABLE), "plan")
 _FORMULA = Text((), "a formula in t, x, xdot and mu")
 ACTION = Either((NUMBER, _FORMULA, SIGNAL_TABLE), "action")
 
@@ -76,20 +111,42 @@ class SignalReader:
         self._folder = folder
         self._places: list[tuple[Signal, Place]] = []
 
-    def motion(self, value: Any, place: Place) -> Signal:
+    def motion(self, value: Any, place: Place) -> Signal | Attitude:
         """Convert a validated value to a Signal; a number becomes a constant signal.
 
         Args:
-            value: Number, formula in t, or signal table.
+            value: Number, formula in t, or signal table; for a ball a list of signals, or a table
+                with the key attitude.
             place: Its place in the file.
         Returns:
-            The signal.
+            The signal, or the attitude of a ball.
         Raises:
             InputError: the value does not define a valid signal; the message names the place.
             LoadError: a csv file cannot be read.
         """
-        signal = self.value(value, place)
-        return signal if isinstance(signal, Signal) else self._remember(Constant(signal), place)
+        plan = self.plan(value, place)
+        return self._remember(Constant(plan), place) if isinstance(plan, float) else plan
+
+    def plan(self, value: Any, place: Place) -> Signal | Attitude | float:
+        """Convert a validated value to a Signal or an Attitude; return a number unchanged."""
+        if isinstance(value, list) or (isinstance(value, dict) and "attitude" in value):
+            return self.attitude(value, place)
+        return self.value(value, place)
+
+    def attitude(self, value: Any, place: Place) -> Attitude:
+        """Convert a validated list of signals, or a table with the key attitude (see motion)."""
+        if isinstance(value, list):
+            with naming(place):
+                return parse_attitude([self.value(v, place / k) for k, v in enumerate(value)])
+        place, table = place / "attitude", value["attitude"]
+        centre = table.get("centre", (0.0, 0.0, 0.0))
+        with naming(place):
+            if "vector" in table:
+                at = place / "vector"
+                vector = [self.value(v, at / k) for k, v in enumerate(table["vector"])]
+                return Attitude(vector, centre)
+            end = table.get("end", ENDS[0])
+            return Attitude.through(table["times"], table["attitudes"], centre, end=end)
 
     def value(self, value: Any, place: Place) -> Signal | float:
         """Convert a validated value to a Signal, but return a number unchanged (see motion)."""

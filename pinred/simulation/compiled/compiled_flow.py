@@ -204,7 +204,12 @@ class CompiledFlow:
         """Return the name of an entry of the reduced state, for messages."""
         layout = self.kernel.layout
         return entry_name(
-            self.kernel.system, layout.active, layout.cyclic, entry, layout.constant_pi
+            self.kernel.system,
+            layout.active,
+            layout.cyclic,
+            entry,
+            layout.constant_pi,
+            layout.prescribed,
         )
 
 

@@ -327,7 +327,8 @@ def _with_prescribed(
     if model is None or not model.joints or numbers is None:
         return scene.with_prescribed(x, xdot)
     x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
+    coordinates = scene.system.space.coordinates_of_joints(joints)
     for k, row in enumerate(numbers):
         planned = model.prescribed(0.0, row)
-        x[k, joints], xdot[k, joints] = planned.x, planned.xdot
+        x[k, coordinates], xdot[k, joints] = planned.x, planned.xdot
     return x, xdot

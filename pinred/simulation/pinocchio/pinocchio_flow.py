@@ -40,12 +40,14 @@ class PinocchioFlow:
         self._forces = forces = plan.forces
         self._seen = forces is not None and (forces.sees_attitude or forces.sees_place)
         space, self._driven = system.space, list(plan.acting.driven)
-        self._balls = space.ball_v.tolist()
+        self._ball_joints = [j for j in space.balls if j.v.start not in self._driven]
+        self._balls = [k for j in self._ball_joints for k in range(j.v.start, j.v.stop)]
+        self._balls_x = [k for j in self._ball_joints for k in range(j.x.start, j.x.stop)]
         self._free = [k for k in plan.acting.free if k not in self._balls]
-        self._driven_x = space.coordinates_of(self._driven)
+        self._driven_x = space.coordinates_of_joints(self._driven)
         self._free_x = space.coordinates_of(self._free)
         self._balls_at = 2 * len(self._free)
-        self._base_at = self._balls_at + len(space.ball_v) + len(space.ball_x)
+        self._base_at = self._balls_at + 7 * len(self._ball_joints)
         self._potential = shape_gravity(system)
         self._weight = plan.acting.weight
         self._form = CanonicalForm(system, self._potential)
@@ -53,7 +55,7 @@ class PinocchioFlow:
         self.base = base = Base(plan, start)
         pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
         columns = [start.x[self._free_x], pi[self._free]]
-        self.y0 = np.concatenate([*columns, pi[self._balls], start.x[space.ball_x], base.b0])
+        self.y0 = np.concatenate([*columns, pi[self._balls], start.x[self._balls_x], base.b0])
 
     def rates(self, t: Array, y: Array, numbers: Array) -> Array:
         """Return dy/dt (T, k) at times t (T,) of reduced states y (T, k)."""
@@ -174,10 +176,10 @@ class PinocchioFlow:
 
     def shape(self, t: float, y: Array, numbers: Array) -> Array:
         """Return the shape (nx,) of a reduced state, with quaternions of length one."""
-        space, x = self._system.space, np.empty(self._system.nx)
+        x = np.empty(self._system.nx)
         x[self._free_x] = y[: len(self._free)]
-        x[space.ball_x] = y[self._balls_at + len(self._balls) : self._base_at]
-        for joint in space.balls:
+        x[self._balls_x] = y[self._balls_at + len(self._balls) : self._base_at]
+        for joint in self._ball_joints:
             x[joint.x] /= np.linalg.norm(x[joint.x])
         if self._forces is not None and self._driven:
             x[self._driven_x] = self._forces.prescribed(t, numbers).x
@@ -186,11 +188,11 @@ class PinocchioFlow:
     def _quaternion_rates(self, y: Array, xdot: Array) -> list[Array]:
         """Return the rates ½ q σ of the quaternions of balls, of any length."""
         quaternions = y[self._balls_at + len(self._balls) : self._base_at].reshape(-1, 4)
-        joints = self._system.space.balls
         return [
-            quaternion_rate(q, xdot[joint.v]) for q, joint in zip(quaternions, joints, strict=True)
+            quaternion_rate(q, xdot[joint.v])
+            for q, joint in zip(quaternions, self._ball_joints, strict=True)
         ]
 
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""
-        return entry_name(self._system, self._free, [], entry)
+        return entry_name(self._system, self._free, [], entry, driven=self._driven)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -17,7 +18,8 @@ from ...system.mesh_files import Mesh
 from ...system.mjcf.compile import compiled
 from ...system.mjcf.mujoco_joints import frame
 from ...system.mjcf.world import World, robot_in
-from ...system.robot_files import is_mjcf, read_text
+from ...system.robot_file_contents import Origin
+from ...system.robot_files import is_mjcf, read_text, text_in_file
 from ...system.system import System
 from ...system.urdf_shapes import FARTHEST, Shapes, read_shapes
 from ...system.visuals import mesh_folders
@@ -134,11 +136,17 @@ def extents(bodies: Bodies) -> list[tuple[int, Array, float]]:
     return balls
 
 
-def _file(source: str) -> Path:
-    robot = bundled_robots().get(source)
-    if robot is not None:
-        return robot.path
-    return Path(source) if Path(source).is_absolute() else example_robot(source).urdf
+@contextmanager
+def _file(origin: Origin) -> Iterator[Path]:
+    """Yield the path of a robot's file; a text is written to a temporary file."""
+    source, robot = origin.source, bundled_robots().get(origin.source)
+    if origin.text is not None:
+        with text_in_file(origin.text) as path:
+            yield path
+    elif robot is not None:
+        yield robot.path
+    else:
+        yield Path(source) if Path(source).is_absolute() else example_robot(source).urdf
 
 
 def _file_shapes(system: System, folders: Sequence[str]) -> Bodies:
@@ -147,10 +155,10 @@ def _file_shapes(system: System, folders: Sequence[str]) -> Bodies:
         return _from_geometry(system, Shapes(system.contents.visuals, {}, ()))
     origin = system.origin
     assert origin is not None
-    path = _file(origin.source)
-    if is_mjcf(read_text(path)):
-        return mjcf_shapes(system, path)
-    return _from_geometry(system, read_shapes(path, [*folders, *origin.meshes]))
+    with _file(origin) as path:
+        if is_mjcf(read_text(path)):
+            return mjcf_shapes(system, path)
+        return _from_geometry(system, read_shapes(path, [*folders, *origin.meshes]))
 
 
 def _from_geometry(system: System, shapes: Shapes) -> Bodies:

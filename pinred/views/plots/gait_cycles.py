@@ -116,6 +116,8 @@ def loop(source: BestGait | TurnPlan) -> Figure:
         title = f"best of {source.starts} starts: merit {source.merit:.6g}"
     elif isinstance(source, TurnPlan):
         connection, gaits = Connection.mechanical(source.system), [source.gait]
+        if source.chart is not None:
+            connection = connection.in_chart(source.chart.centre)
         gait, traj = source.gait, source.trajectory
         times, shapes, at, poses = traj.t, traj.x, traj.t, traj.pose
         title = f"{source.cycles} cycles, {source.remaining:.1e} rad remain"
