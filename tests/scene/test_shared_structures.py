@@ -15,8 +15,8 @@ from pinred.common.memo import recent
 from pinred.forces import PD, Controller, Damper, Torque, Wrench
 from pinred.forces.force_model_cache import cached_force_model
 from pinred.scene.scene_structure import Shared
-from pinred.simulation.compiled.compiled_flow import CompiledFlow, flows_of
 from pinred.signals import Attitude
+from pinred.simulation.compiled.compiled_flow import CompiledFlow, flows_of
 from pinred.simulation.plan import plan_of
 
 START: dict[str, Any] = {
