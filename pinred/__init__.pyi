@@ -58,6 +58,7 @@ from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch
 from .common.errors import LeftOutWarning as LeftOutWarning
 from .common.errors import LoadError as LoadError
+from .common.errors import LoopWarning as LoopWarning
 from .common.errors import MissingPackageError as MissingPackageError
 from .common.errors import ModelError as ModelError
 from .common.errors import ModelWarning as ModelWarning
@@ -116,6 +117,7 @@ from .system.coordinates import Configuration as Configuration
 from .system.coordinates import InitialState as InitialState
 from .system.coordinates import Velocity as Velocity
 from .system.load import load as load
+from .system.loops.loop import Loop as Loop
 from .system.state_fields import ShapeState as ShapeState
 from .system.state_fields import State as State
 from .system.system import System as System

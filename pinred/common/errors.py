@@ -156,5 +156,9 @@ class AccuracyWarning(UserWarning):
     """The error of a simulation may be larger than its tolerance."""
 
 
+class LoopWarning(UserWarning):
+    """An initial state leaves a closed loop open, so the nearest closed state is used."""
+
+
 class CacheWarning(UserWarning):
     """The kernel cache on disk cannot be used; kernels are compiled again."""

@@ -31,6 +31,7 @@ from ..simulation.trajectory import Trajectory
 from .audit import audit_trajectory, measurement_error
 from .distances import Distance, FullMotion, Size
 from .equation_errors import equation_errors
+from .loop_errors import loop_errors
 from .reference_solution import FINEST, PERTURBATION, FullState
 from .step_defects import Defects, compute_defects
 from .time_budget import AbaStopped, TimeBudget, default_budget
@@ -113,6 +114,7 @@ def _compare(traj: Trajectory, progress: Progress, budget: TimeBudget) -> Report
     count = count_informative_times(bounds.relative, growth)
     reasons = explain_uninformative_times(times, count, bounds.relative, growth)
     audit = audit_trajectory(traj, states)
+    loops = loop_errors(traj.system, states)
     progress(1.0)
     growth_at_last = float(growth[max(count - 1, 0)])
     return Report(
@@ -147,6 +149,8 @@ def _compare(traj: Trajectory, progress: Progress, budget: TimeBudget) -> Report
         wall_reduced=traj.run.wall,
         wall_full=solutions.wall,
         left_out=scene.left_out,
+        loop_gap=loops.gap,
+        loop_rate=loops.rate,
     )
 
 

@@ -5,8 +5,10 @@ all joints move. Multipliers keep each follower coupled to its leaders, a_f − 
 
     a = a₀ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J a₀,   a₀ and M⁻¹Jᵀ computed with Pinocchio's ABA.
 
-One linear system for accelerations and multipliers is solved instead if the mass matrix of the
-uncoupled tree is singular, or if accelerations are prescribed. Without couplings ABA is used alone.
+Closed loops are further constraints, J(q) a + J̇ v = 0. Their rows may be redundant, so least
+squares give the multipliers. One linear system for accelerations and multipliers is solved instead
+if the mass matrix of the uncoupled tree is singular, or if accelerations are prescribed. Without
+couplings and loops ABA is used alone.
 Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8.
 """
 
@@ -18,8 +20,10 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
+from ..system.loops.kinematics import LoopKinematics
 from ..system.singular_mass_matrix import SingularShapes, singular_shapes
 from ..system.system import System
+from .loop_errors import RANK
 
 
 class CouplingConstraints:
@@ -59,6 +63,7 @@ class CouplingConstraints:
         self._rows, self._columns = np.tril_indices(model.nv, -1)
         self._borders: dict[tuple[int, ...], Array] = {}
         self._uses_aba = not self._couplings or singular_shapes(model) == SingularShapes()
+        self._loops = LoopKinematics(model, system.loops) if system.loops else None
 
     def values(self, x: Array) -> Array:
         """Return the coordinates of all joints at shape x (..., nx)."""
@@ -114,17 +119,24 @@ class CouplingConstraints:
         Returns:
             (nv,) acceleration.
         """
-        if len(driven) or not self._uses_aba:
+        if len(driven) or not (self._uses_aba or self._loops):
             return self._solve_with_multipliers(q, v, tau, tuple(driven), prescribed)
         model, data = self._model, self._data
         free: Array = pin.aba(model, data, q, v, tau, axes).copy()
-        if not self._couplings:
+        J, bias = self.J, np.zeros(len(self.J))
+        if self._loops is not None:
+            J = np.vstack([J, self._loops.jacobian(q)])
+            bias = np.append(bias, self._loops.bias(q, v))
+        if not len(J):
             return free
         zero = np.zeros(len(v))
         responses = np.array(
-            [pin.aba(self._weightless, data, q, zero, row, axes).copy() for row in self.J]
+            [pin.aba(self._weightless, data, q, zero, row, axes).copy() for row in J]
         )
-        multipliers = np.linalg.solve(self.J @ responses.T, self.J @ free)
+        if self._loops is None:
+            multipliers = np.linalg.solve(J @ responses.T, J @ free)
+        else:
+            multipliers = np.linalg.lstsq(J @ responses.T, J @ free + bias, rcond=RANK)[0]
         return np.asarray(free - multipliers @ responses)
 
     def _solve_with_multipliers(

@@ -25,6 +25,7 @@ from .coupling_constraints import CouplingConstraints
 from .distances import Distance, FullMotion, Size
 from .full_coordinates import Configuration, root_motion
 from .hairer_integrators import Hairer
+from .loop_errors import closed
 from .system_totals import SystemTotals
 from .time_budget import AbaStopped, TimeBudget
 
@@ -117,12 +118,15 @@ class FullState:
         return np.concatenate([pose, self.couplings.values(x), xi, self.couplings.rates(xdot)])
 
     def _apply_couplings(self, y: Array) -> Array:
-        """Return y with follower joints set from their leaders."""
+        """Return y with follower joints set from their leaders, and with closed loops."""
         size, m, couplings = self._size, self._m, self.couplings
-        if not len(couplings.J):
+        if not (len(couplings.J) or self.system.loops):
             return y
         pose, x, xi, xdot = np.split(y, [size, size + m, size + m + self._r])
-        return self.state(pose, couplings.shape(x), xi, couplings.shape_rate(xdot))
+        shape, rates = couplings.shape(x), couplings.shape_rate(xdot)
+        if self.system.loops:
+            shape, rates = closed(self.system, shape, rates)
+        return self.state(pose, shape, xi, rates)
 
     def perturb(self, y0: Array, time: float, fraction: float) -> Array:
         """Change each entry of an initial state by a small fraction of its value, with random sign.

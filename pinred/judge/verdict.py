@@ -64,6 +64,10 @@ class Report(FrozenArrays):
         wall_full: Wall time of the full integration at the same tolerance [s].
         left_out: Sentence about springs, dampers and friction of the robot's file that neither
             simulation includes, or empty.
+        loop_gap: Largest violation of a closed loop, in units of its size or 1 rad; None without
+            loops.
+        loop_rate: Largest rate of the violation of a closed loop, relative to that of an open tree
+            at the same speed; None without loops.
     """
 
     robot: str
@@ -97,6 +101,8 @@ class Report(FrozenArrays):
     wall_reduced: float
     wall_full: float
     left_out: str = ""
+    loop_gap: float | None = None
+    loop_rate: float | None = None
 
     @property
     def shape_error(self) -> float:
@@ -120,6 +126,10 @@ class Report(FrozenArrays):
         Errors over time and joints are represented by the entry closest to its bound.
         """
         n = self.told
+        loops = {"gap of loops": self.loop_gap, "rate of the gap [relative]": self.loop_rate}
+        drifts = {
+            name: (value, self.drift_bound) for name, value in loops.items() if value is not None
+        }
         return {
             "equations of motion [relative]": (self.equations, self.equations_bound),
             "defect of a step [relative]": (self.defect, self.defect_bound),
@@ -130,6 +140,7 @@ class Report(FrozenArrays):
             "energy drift [relative]": (self.energy_drift, self.drift_bound),
             "momentum drift [relative]": (self.momentum_drift, self.drift_bound),
             "fields against q, v": (self.field_error, self.field_bound),
+            **drifts,
         }
 
     @property

@@ -12,6 +12,8 @@ import numpy as np
 from ..forces.force_model import ForceModel
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..reduction.tree.identical_branches import Lanes
+from ..reduction.tree.loop_constraints import GAUGE_RATE
+from ..system.loops.kinematics import loop_ends
 from ..system.system import System
 from ..system.variants import nominal
 from .kernel import Kernel
@@ -51,6 +53,12 @@ def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
     if system.coupled is not None:
         for numbers in (system.coupled.leads, system.coupled.G, system.coupled.offset):
             digest.update(numbers.tobytes())
+    if system.closure is not None:
+        digest.update(system.closure.rows.tobytes() + str(GAUGE_RATE).encode())
+        for loop in system.loops:
+            digest.update(loop.kind.encode())
+            for end in loop_ends(model, loop):
+                digest.update(f"{end.joint}".encode() + end.placement.homogeneous.tobytes())
     return digest.digest()
 
 

@@ -52,7 +52,10 @@ def casadi_functions(system: System) -> CasadiFunctions:
         system: The system.
     Returns:
         The Functions.
+    Raises:
+        UnsupportedOperationError: The system has closed loops.
     """
+    system.refuse_loops("casadi_functions")
     terms = casadi_reduction(system)
     graph = ReducedGraph(system, Structure(zero_momentum=False))
     field = graph.rate()

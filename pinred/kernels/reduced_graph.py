@@ -13,6 +13,8 @@ term depends on its angle and no force acts on it; then its momentum is constant
 A spherical rotor is a ball whose body has equal moments of inertia and its centre of mass at the
 ball.  Its momentum π in its own axes is constant.  The other bodies feel only ℓ = R π, its momentum
 in the axes of its parent, so the sweep works in these axes, with R = 1.
+
+With closed loops, π is the impetus (see reduction/tree/loop_constraints.py).
 """
 
 from __future__ import annotations
@@ -25,10 +27,11 @@ from ..forces.force_model import ForceModel
 from ..forces.force_numbers import numbers_in
 from ..reduction.base_parts import root_of
 from ..reduction.tree.all_joints import joint_rates, joint_values, shape_gradient
-from ..reduction.tree.articulated_sweep import sweep
+from ..reduction.tree.articulated_sweep import Swept, sweep
 from ..reduction.tree.body_frames import bodies_of, with_rotors
 from ..reduction.tree.free_bodies import total_mass, with_free
 from ..reduction.tree.identical_branches import Lanes
+from ..reduction.tree.loop_constraints import solve_with_loops
 from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import (
     Scalar,
@@ -57,7 +60,7 @@ class ReducedGraph:
         forces: Forces on the system, or None.
         layout: Layout of the reduced state and of the parameters.
         x: Shape, (nx,).
-        pi: Canonical momenta, (m,).
+        pi: Canonical momenta, (m,); the impetus if the system has closed loops.
         base: Expressions of the base.
         xi: Body twist relative to the centre of mass, (r,).
         xdot: Shape rate, (m,).
@@ -111,10 +114,21 @@ class ReducedGraph:
         angles: list[Scalar] = [0.0 if k in cyclic_x else x for k, x in enumerate(self.x)]
         momenta = self._align_rotors(angles)
         rates = dict(zip(prescribed, motion[len(self.layout.prescribed_x) :], strict=True))
-        result = sweep(
-            self._bodies, joint_values(system, angles), momenta, mu, group.axes, armature, rates,
-            lanes, system.coupled,
-        )  # fmt: skip
+        # Constraint terms are not packed into lanes, so sweep all branches of robots with loops.
+        lanes = lanes if system.closure is None else None
+
+        def sweep_from(pi: list[Scalar], momentum: bool) -> Swept:
+            return sweep(
+                self._bodies, joint_values(system, angles), pi, mu if momentum else [0.0] * len(mu),
+                group.axes, armature, rates, lanes, system.coupled,
+            )  # fmt: skip
+
+        self._canonical_pi, loop_rates = self.pi, [0.0] * m
+        if system.closure is None:
+            result = sweep_from(momenta, True)
+        else:
+            terms = solve_with_loops(system, self._bodies, self.x, self.pi, sweep_from)
+            result, self._canonical_pi, loop_rates = terms.swept, terms.pi, terms.rates
         self.xi: list[Scalar] = [
             [*result.root_linear, *result.root_angular][axis] for axis in group.axes
         ]
@@ -123,6 +137,7 @@ class ReducedGraph:
         self._prescribed_pi = {k: result.pi[k] for k in prescribed}
         torque, wrench = self._forces(mu)
         pidot = [add(p, t) for p, t in zip(result.pidot, torque, strict=True)]
+        pidot = [add(p, t) for p, t in zip(pidot, loop_rates, strict=True)]
         self.pidot = self._add_shape_loads(pidot, wrench)
         weight = self.base.body_weight()
         self._base_rate = self.base.rates(self.xi, self.com(), wrench, weight)
@@ -240,7 +255,7 @@ class ReducedGraph:
         """
         system, k = self.system, self.system.group.linear
         com, positions = self.com(), [self.x[j] for j in self.layout.prescribed_x]
-        momenta = [self._prescribed_pi.get(j, self.pi[j]) for j in range(system.m)]
+        momenta = [self._prescribed_pi.get(j, self._canonical_pi[j]) for j in range(system.m)]
         about = self._mu[k:]
         energy = mul(0.5, add(dot(self.xi[k:], about), dot(self.xdot, momenta)))
         energy = add(energy, self._potential(com))

@@ -18,12 +18,16 @@ from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
 from ..system.scale import moved_masses, radius_of_gyration
 from ..system.variants import in_gravity, with_numbers
+from .loops_by_pinocchio import with_closed_loops
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..system.system import System
     from .kernel import Kernel
 
+# Displacement from a closed shape at which kernels of robots with loops are compared, relative to
+# that of other robots, because equations of loops may be dependent far from closed shapes.
+_NEAR_CLOSED = 0.1
 _GRAVITY_FACTOR = 1.3  # factor on gravity in perturbed systems
 
 
@@ -54,6 +58,7 @@ class ReferenceState:
         com: Centre of mass in the body frame, (3,) [m].
         mu: Body momentum, (r,).
         pi: Canonical momenta, (m,).
+        nu: Random multipliers ν of the loops, (k,); the impetus in y is π + Jᵀν.
         y: Reduced state, (size,).
         parameters: Parameters of the kernel, (p,).
         prescribed: Indices of the prescribed joints.
@@ -78,6 +83,7 @@ class ReferenceState:
     com: Array
     mu: Array
     pi: Array
+    nu: Array
     y: Array
     parameters: Array
     prescribed: tuple[int, ...]
@@ -192,7 +198,10 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     time = float(rng.uniform(*_span(forces)))
     prescribed = list(layout.prescribed)
     force_parameters, accelerations = np.empty(0), np.zeros(len(prescribed))
-    x, v = system.space.integrate(system.space.neutral, displacement * reach), v * reach
+    rest = system.space.neutral
+    if system.closure is not None:
+        rest, displacement = system.closure.x, _NEAR_CLOSED * displacement
+    x, v = system.space.integrate(rest, displacement * reach), v * reach
     if forces is not None:
         force_parameters = forces.random_numbers(rng)
         force_parameters[forces.within] = time  # a table is undefined far outside its interval
@@ -205,6 +214,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     q, data = system.model_q(pose, x), system.data
     H = mass_matrix_at(system, model, data, pose, x)
     v, mu = _with_known_momentum(kernel, H, v)
+    v, impetus, nu = with_closed_loops(system, x, H, v, rng)
     pi = H[r:] @ v
     R = group.Ad(pose)[k:, k:]
     down = R.T @ gravity / np.linalg.norm(gravity) if counts.down else np.zeros(0)
@@ -242,7 +252,8 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
         com=com,
         mu=mu,
         pi=pi,
-        y=np.concatenate([*layout.shape_entries(x, pi), b, [time] * layout.clock]),
+        nu=nu,
+        y=np.concatenate([*layout.shape_entries(x, impetus), b, [time] * layout.clock]),
         parameters=np.concatenate(parameters),
         prescribed=tuple(prescribed),
     )

@@ -22,6 +22,7 @@ from ..reduction.potential import translations
 from ..system.joints import axes_of
 from ..system.scale import ill_scaled
 from .loads_by_pinocchio import LoadsByPinocchio
+from .loops_by_pinocchio import closed_solver, impetus_terms
 from .reference_state import ReferenceState, random_state
 
 if TYPE_CHECKING:
@@ -214,11 +215,13 @@ def _validate_acceleration(
     free = at.free
     inertia = H[np.ix_(free, free)]
     coupling = H[np.ix_(free, prescribed)] @ at.accelerations
+    pidot = pidot - impetus_terms(system, at.x, v[r:], at.nu)
     rates = np.concatenate([mudot, pidot]) - (C + C.T) @ v
-    acceleration = np.linalg.solve(inertia, rates[free] - coupling)
+    solve = closed_solver(system, at.x, v[r:], inertia)
+    acceleration = solve(rates[free] - coupling)
     # Use RNEA: ABA loses digits at a light base, whose inverse inertia amplifies round-off.
     bias = system.on_shape(pin.nonLinearEffects(model, data, q, full))
-    expected = np.linalg.solve(inertia, (tau - bias)[free] - coupling)
+    expected = solve((tau - bias)[free] - coupling)
     terms = at.force_terms + np.abs(tau) + at.gravity_terms
     terms += np.abs(H[:, free]) @ np.abs(expected)
     terms += np.abs(H[:, prescribed]) @ np.abs(at.accelerations)

@@ -23,9 +23,11 @@ from scipy.linalg.lapack import dposv
 
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
+from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 from ..system.system import System
 from .inertia_split import com_derivative, lost_inertia, symmetric, usual_inertias
 from .potential import Potential
+from .tree.loop_constraints import GAUGE_RATE
 
 
 class CanonicalForm:
@@ -64,8 +66,47 @@ class CanonicalForm:
         return com_derivative(self._system, x)
 
     def velocity(self, x: Array, momentum: Array) -> Array:
-        """Solve H v = (μ, π) for v = (ξ, ẋ).  Raises SingularInertiaError."""
+        """Solve H v = (μ, π) for v = (ξ, ẋ).
+
+        Args:
+            x: Shape, (m,).
+            momentum: (μ, π), (n,); with closed loops, π is an impetus.
+        Returns:
+            Velocity v, (n,), which keeps loops closed.
+        Raises:
+            SingularInertiaError: The mass matrix is singular.
+        """
+        if self._system.closure is not None:
+            return self._closed_velocity(x, momentum)[0]
         return self._solve(self.mass_matrix(x), momentum, x)
+
+    def loop_terms(self, x: Array, xdot: Array, momentum: Array) -> Array:
+        """Return J̇ᵀν − γ Jᵀν, (m,): terms of the rate of the impetus, see LoopTerms.
+
+        Args:
+            x: Shape, (m,).
+            xdot: Shape rate at this momentum, (m,).
+            momentum: (μ, p), (n,), with the impetus p.
+        Returns:
+            The terms; zeros without loops.
+        """
+        if self._system.closure is None:
+            return np.zeros(len(xdot))
+        rows = self._system.closure.rows
+        _, nu = self._closed_velocity(x, momentum)
+        J = loop_jacobian(self._system, x)[rows]
+        rate = loop_jacobian_rate(self._system, x, xdot)[rows]
+        return np.asarray(nu @ rate - GAUGE_RATE * nu @ J)
+
+    def _closed_velocity(self, x: Array, momentum: Array) -> tuple[Array, Array]:
+        """Solve [H Jᵀ; J 0] [v; ν] = [(μ, p); 0]."""
+        assert self._system.closure is not None
+        J = np.zeros((self._system.closure.rank, len(momentum)))
+        J[:, self._r :] = loop_jacobian(self._system, x)[self._system.closure.rows]
+        solved = self._solve(self.mass_matrix(x), np.column_stack([momentum, J.T]), x)
+        free, response = solved[:, 0], solved[:, 1:]
+        nu = np.linalg.solve(J @ response, J @ free)
+        return np.asarray(free - response @ nu), np.asarray(nu)
 
     def driven_velocity(
         self, x: Array, momentum: Array, driven: Sequence[int], rates: Array

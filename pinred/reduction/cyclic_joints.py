@@ -14,6 +14,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..system.joints import axes_of
+from ..system.loops.loop_closure import loop_rates
 from ..system.scale import radius_of_gyration
 from ..system.system import System
 from .pointwise_reduction import PointwiseReduction
@@ -106,8 +107,13 @@ def _usual_rates(system: System, data: pin.Data, H: Array) -> tuple[Array, Array
 
 
 def cyclic_of(system: System, touched: frozenset[int], *, pushed: bool) -> tuple[int, ...]:
-    """Return the cyclic joints of a system; the result is cached (see `cyclic_joints`)."""
+    """Return the cyclic joints of a system; the result is cached (see `cyclic_joints`).
+
+    The joints of closed loops are not cyclic.
+    """
     return system.workspace(
         (cyclic_of, touched, pushed),
-        lambda: cyclic_joints(PointwiseReduction(system), touched, pushed=pushed),
+        lambda: cyclic_joints(
+            PointwiseReduction(system.open_tree()), touched | loop_rates(system), pushed=pushed
+        ),
     )

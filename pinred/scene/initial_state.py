@@ -87,7 +87,9 @@ def start_of(system: System, given: GivenStates) -> Start:
         InputError: A momentum or twist overflows.
     """
     r, state = system.r, given[0]
-    split = system.workspace(PointwiseReduction, lambda: PointwiseReduction(system)).split(state.x)
+    split = system.workspace(
+        PointwiseReduction, lambda: PointwiseReduction(system.open_tree())
+    ).split(state.x)
     H = split.mass_matrix
     xi, mu = state.xi, state.mu
     with np.errstate(over="ignore", invalid="ignore"):  # finite_start reports an overflow.

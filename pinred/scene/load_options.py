@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..lie.groups import GROUPS
+from ..system.loops.loop import KINDS
 from .toml.schema import ByName, Either, Flag, Key, ListOf, Table, Text
 from .toml.signal_tables import NUMBER, NUMBERS
 
@@ -37,6 +38,31 @@ LOAD = Table(
             "three hinges at one point to merge into a ball, by name; true: all such hinges",
             default="false",
             command="--balls all or B1,B2,…",
+        ),
+        "loops": Key(
+            ListOf(
+                Table(
+                    {
+                        "frame_a": Key(Text((), "a link or frame"), "link or frame", required=True),
+                        "frame_b": Key(
+                            Text((), "a link or frame"), "other link or frame", required=True
+                        ),
+                        "kind": Key(
+                            Text(KINDS),
+                            "3d: the origins coincide; 6d: the frames coincide; x, y or z: the "
+                            "origins and this axis coincide",
+                            default="3d",
+                        ),
+                        "name": Key(
+                            Text((), "a name"), "name in messages", default="frame_a = frame_b"
+                        ),
+                    },
+                    "a closed loop",
+                )
+            ),
+            "closed kinematic loops, besides those of the robot's file",
+            default="none",
+            command="--loops A=B:KIND,…",
         ),
         "root": Key(
             Text((), "the name of a body"),

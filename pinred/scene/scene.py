@@ -25,6 +25,7 @@ from . import input_formats
 from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .joint_values import order_by_joint
+from .loop_states import HeldJoints, closed_rates, closed_shape, held_joints
 from .option_checks import (
     check_keyframe,
     check_span,
@@ -72,7 +73,7 @@ class Scene(SceneFields):
     """
 
     def __post_init__(self) -> None:
-        owner, key = checked_system(self.system, "a scene"), structure_key(self)
+        owner, key = checked_system(self.system, "a scene", loops=True), structure_key(self)
         if key is None:
             shared = self._check_structure()
         else:
@@ -84,6 +85,7 @@ class Scene(SceneFields):
         self._keep("_shared", shared)
         if self.seed is not None:
             self._keep("seed", whole(self.seed, "seed", 0))
+        self._keep("_held", held_joints(self.x0, self.xdot0))
         for name in ("x0", "xdot0"):
             value = order_by_joint(getattr(self, name), self.system, name)
             self._keep(name, value)
@@ -113,6 +115,7 @@ class Scene(SceneFields):
         times = compute_report_times(self.times, self.duration, self.system)
         self._keep("_times", read_only(times))
         self._check_forces()
+        self._check_loops()
         checked = vars(self).items()
         return Shared({name: v for name, v in checked if v is not unchecked.get(name, unchecked)})
 
@@ -284,6 +287,16 @@ class Scene(SceneFields):
         check_span(model, self.end, base=self.outputs == "all")
         self._keep("_forces", model)
 
+    def _check_loops(self) -> None:
+        """Raise UnsupportedOperationError for options that do not support closed loops."""
+        model, method = self.force_model, self.integrator
+        if self.prescribed:
+            self.system.refuse_loops("prescribed joints")
+        if model is not None and model.weighed:
+            self.system.refuse_loops("forces with inverse dynamics")
+        if method is not None and method.steady_momentum:
+            self.system.refuse_loops(f"method {method.name}")
+
     def _check_events(self) -> Sequence[Parameter]:
         """Validate and store the events; return the Parameters in them."""
         events = list_events(self.events)
@@ -334,18 +347,32 @@ class Scene(SceneFields):
             xi = default.xi if self.xi0 is None else xi
         self._require_state()
         refuse_vague(x, system)
+        if system.loops:
+            x, xdot = self._closed_state(x, xdot)
         x, xdot = self.with_prescribed(x[None], xdot[None])
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
         mu = vector_or_zero(self.momentum, system.r, "momentum")
         return GivenStates(pose[None], x, xdot, None, mu[None])
 
+    def _closed_state(self, x: Array, xdot: Array) -> tuple[Array, Array]:
+        """Return the nearest state that closes all loops, and store it as x0 and xdot0."""
+        held: tuple[HeldJoints, HeldJoints] = vars(self)["_held"]
+        x = closed_shape(self.system, x, held[0], report=self.q0 is not None)
+        xdot = closed_rates(self.system, x, xdot, held[1], report=self.v0 is not None)
+        # A copy of the scene then starts at the same state, although it has no joint names.
+        for name, values in (("x0", x), ("xdot0", xdot)):
+            if getattr(self, name) is not None:
+                self._keep(name, read_only(values))
+        return x, xdot
+
     def _initial_shape(self) -> Array:
         """Return x0 with quaternions of length one; the shape at rest if it is not stated."""
         space = self.system.space
         x0: Any = self.x0
         if x0 is None:
-            return space.neutral
+            closure = self.system.closure
+            return space.neutral if closure is None else closure.x
         return space.normalized(vector(x0, space.nx, "x0", space.x_names), "x0", near=False)
 
     def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:

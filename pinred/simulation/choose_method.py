@@ -128,7 +128,7 @@ def rates_near_rest(scene: Scene) -> Rates:
 def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
     m, r = system.m, system.r
     try:
-        at = PointwiseReduction(system).at(system.space.neutral)
+        at = PointwiseReduction(system.open_tree()).at(system.space.neutral)
     except SingularInertiaError:  # The motion may never reach shape zero, so ignore it.
         return Rates(0.0, 0.0)
 

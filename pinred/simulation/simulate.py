@@ -20,6 +20,7 @@ from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
+from .loop_forces import refuse_singular_loops
 from .motion import follow
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ReducedFlow, Segments
@@ -124,7 +125,7 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
         unknown = next(option for option in options if option not in names)
         raise InputError(f"{what} has no option '{unknown}'; the options are {', '.join(names)}")
     if not isinstance(scene, Scene):
-        return Scene(system=checked_system(scene, what), **options)
+        return Scene(system=checked_system(scene, what, loops=True), **options)
     parameters = options.get("parameters")
     if isinstance(parameters, Mapping):  # keep the parameters that the options do not replace
         options = {**options, "parameters": joined(scene.parameters, parameters)}
@@ -173,6 +174,7 @@ def _integrate_plan(
     started = time.perf_counter()
     motion = follow(plan, flow, integrate, through)
     wall = time.perf_counter() - started
+    refuse_singular_loops(plan.system, motion)
     run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
     terminal_crossing = motion.ended_by
     scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)

@@ -165,6 +165,17 @@ class Trajectory(OverTime):
 
         return driving_torques(self.plan, self.t, self.motion.samples(self.t))
 
+    @cached_property
+    def loop_forces(self) -> Mapping[str, Array]:
+        """Forces in closed loops, {loop: (T, 6)}: force [N] and moment [N·m] of frame a on frame b.
+
+        They act at the origin of frame b, in the axes of frame a.  An InputError is raised if the
+        scene leaves out the base.
+        """
+        from .loop_forces import loop_forces
+
+        return loop_forces(self.plan, self.states, self.motion.samples(self.t))
+
     def __len__(self) -> int:
         return len(self.t)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import LoadError
+from .loops.loop import Loop, parse_loops
 
 INSTALL_ROBOTS = 'pip install "pinred[robots]"'
 
@@ -28,6 +29,7 @@ class BundledRobot:
         balls: Whether hinges that meet at one point are merged into balls (see `load`).
         closed_form: Results that are known in closed form.
         source: Publication that describes the problem.
+        loops: Closed kinematic loops.
     """
 
     name: str
@@ -39,6 +41,7 @@ class BundledRobot:
     balls: bool = False
     closed_form: str = ""
     source: str = ""
+    loops: tuple[Loop, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,8 @@ def bundled_robots() -> dict[str, BundledRobot]:
     robots = {}
     for name, entry in table.items():
         path, gravity = folder / entry.pop("file"), tuple(entry.pop("gravity"))
-        robots[name] = BundledRobot(name=name, path=path, gravity=gravity, **entry)
+        loops = parse_loops(entry.pop("loops", ()))
+        robots[name] = BundledRobot(name=name, path=path, gravity=gravity, loops=loops, **entry)
     return robots
 
 

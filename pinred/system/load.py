@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, vector
+from ..common.arrays import Array
 from ..common.errors import (
     InputError,
     LeftOutWarning,
@@ -38,6 +38,7 @@ from .locked_joints import (
     lock_values,
     separate_attitudes,
 )
+from .loops.loop import Loop, parse_loops
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
@@ -51,6 +52,7 @@ from .robot_files import is_mjcf, outermost, read_text, read_xml, text_in_file
 from .split_joints import split_joints
 from .system import System
 from .urdf_elements import mimic_couplings
+from .variants import checked_gravity
 from .visuals import Visuals, mesh_folders, with_visuals
 
 if TYPE_CHECKING:
@@ -58,7 +60,6 @@ if TYPE_CHECKING:
 
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
-_HUGE = 1e100  # largest accepted gravity, because products of larger numbers overflow [m/s²]
 _CALLER = 4  # stack level of the caller of `load` for warnings, outside the check of arguments
 
 
@@ -100,6 +101,7 @@ def load(
     meshes: str | Path | Iterable[str | Path] = (),
     parameters: Mapping[str, ArrayLike] | None = None,
     balls: bool | Iterable[str] = False,
+    loops: str | Iterable[Loop | Mapping[str, str]] = (),
 ) -> System:
     """Load a robot as symmetry group times shape.
 
@@ -135,11 +137,13 @@ def load(
             hinge; True: all that meet at one point at right angles, without bodies between them,
             and whose armature, springs, damping and friction are equal.  `inspect` lists them.
             Bundled robots with balls merge theirs by default; an empty list keeps the hinges.
+        loops: Closed kinematic loops between links or frames, besides those of the file: `Loop`
+            values, mappings with their attributes, or a text FRAME=FRAME:KIND,….
     Returns:
         System of the robot.
     Raises:
         LoadError: The source does not exist or cannot be read.
-        ModelError: pinred cannot reduce the model.
+        ModelError: pinred cannot reduce the model, or a loop does not close.
         InputError: The group, a joint, the root or another argument is not valid.
         MissingPackageError: The source is MJCF and mujoco is not installed.
     """
@@ -151,14 +155,16 @@ def load(
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {brief(group)}")
     if not (root is None or isinstance(root, str)):
         raise InputError(f"root must be the name of a body, got {brief(root)}")
-    new_gravity = None if gravity is None else _checked_gravity(gravity)
-    locked, merged = lock_values(lock), requested_balls(balls)
+    new_gravity = None if gravity is None else checked_gravity(gravity)
+    locked, merged, added = lock_values(lock), requested_balls(balls), parse_loops(loops)
     folders = mesh_folders(meshes)
     if text is None:
-        system = _load_source(source, requested, locked, new_gravity, root, merged, folders)
+        system = _load_source(source, requested, locked, new_gravity, root, merged, folders, added)
     else:
         with text_in_file(text) as path:
-            system = _load_source(path, requested, locked, new_gravity, root, merged, folders)
+            system = _load_source(
+                path, requested, locked, new_gravity, root, merged, folders, added
+            )
         # The file is gone, so the text itself is the origin.
         vars(system)["origin"] = Origin("", locked, root, folders, text)
     _report(system, strict=strict)
@@ -173,6 +179,7 @@ def _load_source(
     root: str | None,
     balls: bool | tuple[str, ...],
     folders: tuple[str, ...],
+    loops: tuple[Loop, ...],
 ) -> System:
     """Load a source other than a text; the arguments are those of `load`, checked."""
     if mjcf_kind := _mjcf_kind(source):
@@ -180,7 +187,9 @@ def _load_source(
             raise InputError(
                 "meshes= applies to URDF only; an MJCF file contains the paths of its meshes"
             )
-        return _load_mujoco(source, mjcf_kind, group, locked, gravity, root=root, balls=balls)
+        return _load_mujoco(
+            source, mjcf_kind, group, locked, gravity, root=root, balls=balls, loops=loops
+        )
     visuals = with_visuals(source)
     if visuals is not None:
         source = visuals.model
@@ -201,7 +210,8 @@ def _load_source(
     robot = _read(source, group, locked, folders)
     bundled = catalogue.bundled_robots().get(str(source))
     balls = balls or (balls is False and bundled is not None and bundled.balls)
-    return _load_model(robot, locked, gravity, visuals, balls)
+    loops = (*(() if bundled is None else bundled.loops), *loops)
+    return _load_model(robot, locked, gravity, visuals, balls, loops)
 
 
 def _report(system: System, *, strict: bool) -> None:
@@ -238,6 +248,7 @@ def _load_mujoco(
     *,
     root: str | None,
     balls: bool | tuple[str, ...],
+    loops: tuple[Loop, ...],
 ) -> System:
     """Load a MuJoCo source of a `kind` (see `_mjcf_kind`); other arguments: see `load`."""
     robot = read_mujoco(source, root=root, lock=locked, gravity=gravity, balls=balls)
@@ -248,6 +259,7 @@ def _load_mujoco(
     model.name = name
     root_group = motion_group(model.joints[1])
     contents = Contents() if root_group is None else robot.contents(root_group)
+    contents = replace(contents, loops=parse_loops((*contents.loops, *loops)))
     return System(model, name=name, origin=origin, contents=contents)
 
 
@@ -289,6 +301,7 @@ def _load_model(
     gravity: Array | None,
     visuals: Visuals | None,
     balls: bool | tuple[str, ...],
+    loops: tuple[Loop, ...],
 ) -> System:
     """Lock and merge joints of a robot, choose its root joint, and return its system."""
     split = split_joints(robot.raw)
@@ -327,6 +340,7 @@ def _load_model(
         couplings=couplings,
         locked=locked_joints,
         merged=merge.triples,
+        loops=loops,
     )
     initial = robot.initial
     if initial is not None:
@@ -336,13 +350,6 @@ def _load_model(
         model.gravity.linear = gravity
     model.name = robot.name
     return System(model, robot.name, initial, robot.origin, contents)
-
-
-def _checked_gravity(value: ArrayLike) -> Array:
-    gravity = vector(value, 3, "gravity")
-    if np.abs(gravity).max() > _HUGE:
-        raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
-    return gravity
 
 
 def is_path(name: str) -> bool:

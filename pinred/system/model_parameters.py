@@ -145,7 +145,17 @@ class ModelParameters:
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Select the parameters by name.  Raises InputError if two set the same property."""
+        """Select the parameters by name.
+
+        Args:
+            system: The robot.
+            names: Names of the parameters.
+        Raises:
+            InputError: Two parameters set the same property.
+            UnsupportedOperationError: The robot has closed loops.
+        """
+        if names:
+            system.refuse_loops("robot parameters")
         self._system = system
         self._bodies, self._joints = Bodies(system, names), Joints(system, names)
         self._gravity = [name for name in names if isinstance(name, str) and name in GRAVITY]

@@ -12,6 +12,7 @@ from ..common.names import plain
 from .force_interface import Force
 from .hinge_triples import HingeTriple
 from .locked_joints import LockedJoints, LockValue
+from .loops.loop import Loop
 from .visuals import Visuals
 
 
@@ -113,6 +114,7 @@ class Contents:
         visuals: Shapes for playback that were passed to `load` together with the model.
         locked: The locked joints; None if no joint was locked.
         merged: Hinges that became balls.
+        loops: Constraints that close kinematic loops.
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -124,6 +126,7 @@ class Contents:
     visuals: Visuals | None = None
     locked: LockedJoints | None = None
     merged: tuple[HingeTriple, ...] = ()
+    loops: tuple[Loop, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of mappings cannot be pickled.

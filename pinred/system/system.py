@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -26,11 +27,13 @@ from .coordinates import (
     coordinate_map,
     reordered,
 )
-from .coupling import Coupled, coupled, following
-from .force_interface import Force
+from .coupling import Coupled, coupled
+from .from_file import FromFile
 from .joints import tree_space
+from .loops.loop_closure import close_loops
+from .loops.looped_system import Closure
 from .rebuild import depth_first
-from .robot_file_contents import Contents, Coupling, Keyframe, LeftOut, Origin
+from .robot_file_contents import Contents, Origin
 from .shape_space import ShapeSpace
 
 T = TypeVar("T")
@@ -38,7 +41,7 @@ T = TypeVar("T")
 
 @checks_arguments
 @dataclass(frozen=True, eq=False)
-class System:
+class System(FromFile):
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
     Follower joints (`couplings`) are joints of the model and have entries in q and v, but they
@@ -55,6 +58,7 @@ class System:
         space: Manifold of the shape: coordinates, rates, labels and units of the shape joints.
         tree: Manifold of all joints except the root, followers included.
         coupled: Dependence of follower joints on the shape; None without followers.
+        closure: A closed shape and the independent equations of the loops; None without loops.
         doubts: Warnings, one sentence each, about inertias that no real body has and about
             isolated shapes at which the mass matrix is singular.
     """
@@ -68,6 +72,7 @@ class System:
     space: ShapeSpace = field(init=False, repr=False)
     tree: ShapeSpace = field(init=False, repr=False)
     coupled: Coupled | None = field(init=False, repr=False)
+    closure: Closure | None = field(init=False, repr=False, default=None)
     doubts: tuple[str, ...] = field(init=False, repr=False)
     _order: JointOrder | None = field(init=False, repr=False)
     _map: CoordinateMap = field(init=False, repr=False)
@@ -93,6 +98,8 @@ class System:
             _order=joint_order,
             _map=coordinate_map(model, admission.group, tree),
         )
+        if self.loops:
+            vars(self)["closure"] = close_loops(self)
 
     def __getstate__(self) -> dict[str, Any]:
         # Work spaces and kernels belong to this process; other processes create their own.
@@ -156,26 +163,22 @@ class System:
         return self.space.units
 
     @property
-    def couplings(self) -> tuple[Coupling, ...]:
-        """Couplings of follower joints to their leaders, from the file."""
-        return self.contents.couplings
+    def shape_dim(self) -> int:
+        """Dimension of the manifold of closed shapes: m, less the rank of the loops."""
+        return self.m if self.closure is None else self.m - self.closure.rank
 
-    @property
-    def followers(self) -> tuple[str, ...]:
-        """Names of the follower joints, in the order of the couplings."""
-        return tuple(coupling.follower for coupling in self.couplings)
+    def open_tree(self) -> System:
+        """Return the same tree without its loops; the system itself without loops."""
+        if not self.loops:
+            return self
 
-    def refuse_follower(self, name: str, what: str) -> None:
-        """Reject a follower joint, which is not a shape coordinate.
+        def make() -> System:
+            tree = copy(self)
+            contents = replace(self.contents, loops=())
+            vars(tree).update(contents=contents, closure=None)
+            return tree
 
-        Args:
-            name: Name of the joint.
-            what: Beginning of the error message.
-        Raises:
-            InputError: The joint is a follower.
-        """
-        if words := following(name, self.couplings):
-            raise InputError(f"{what}: {words}; use the joint that it follows")
+        return self.workspace("open tree", make)
 
     @property
     def root_name(self) -> str:
@@ -191,25 +194,6 @@ class System:
     def parameters(self) -> Mapping[str, float | Array]:
         """Robot parameters that were set after loading, by name (see Scene.parameters)."""
         return MappingProxyType(vars(self).get("_parameters", {}))
-
-    @property
-    def left_out(self) -> tuple[LeftOut, ...]:
-        """Actions in the file that are not simulated, by kind."""
-        return self.contents.left_out
-
-    @property
-    def passive(self) -> tuple[Force, ...]:
-        """Springs, dampers and dry friction at shape joints, from the file.
-
-        The types are forces.Spring, Damper and Friction.  Springs and dampers act in scenes with
-        passive=True.  Friction acts only if the scene sets its width.
-        """
-        return self.contents.passive
-
-    @property
-    def keyframes(self) -> Mapping[str, Keyframe]:
-        """Named states in the file."""
-        return self.contents.keyframes
 
     @property
     def gravity(self) -> Array:
@@ -382,9 +366,22 @@ class System:
         return np.broadcast_to(a, (*lead, sizes[0])), np.broadcast_to(b, (*lead, sizes[1]))
 
 
-def checked_system(value: object, what: str) -> System:
-    """Return `value` if it is a System; otherwise raise InputError, which explains `load`."""
+def checked_system(value: object, what: str, *, loops: bool = False) -> System:
+    """Return `value` if it is a System; otherwise raise InputError, which explains `load`.
+
+    Args:
+        value: The system.
+        what: Name of the caller in messages.
+        loops: Whether the caller supports closed loops.
+    Returns:
+        The system.
+    Raises:
+        InputError: The value is not a System.
+        UnsupportedOperationError: The system has closed loops that the caller does not support.
+    """
     if isinstance(value, System):
+        if not loops:
+            value.refuse_loops(what)
         return value
     shown = repr(value) if isinstance(value, str) else type(value).__name__
     raise InputError(f"{what} takes a System, got {shown}; pinred.load(…) returns one")

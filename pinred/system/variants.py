@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 
+import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
-from ..common.arrays import Array
+from ..common.arrays import Array, vector
+from ..common.errors import InputError
 from .system import System
+
+_HUGE = 1e100  # largest accepted gravity, because products of larger numbers overflow [m/s²]
 
 
 def nominal(system: System) -> System:
@@ -22,6 +27,14 @@ def in_gravity(system: System, gravity: Array) -> System:
     other = _copy(system)
     other.model.gravity.linear = gravity
     return other
+
+
+def checked_gravity(value: ArrayLike) -> Array:
+    """Return gravity as a vector, (3,) [m/s²].  Raises ShapeError, or InputError if it is huge."""
+    gravity = vector(value, 3, "gravity")
+    if np.abs(gravity).max() > _HUGE:
+        raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
+    return gravity
 
 
 def with_numbers(

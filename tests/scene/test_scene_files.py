@@ -317,7 +317,16 @@ def test_keys_are_the_options_of_python() -> None:
     keys = {key for table in tables for key in table.keys}  # type: ignore[attr-defined]
     keys |= set(SCENE.keys) - {"robot", "load", "start", "run"}
     assert keys == scene | {"samples", "engine", "check"}
-    assert set(LOAD.keys) == {"group", "gravity", "lock", "balls", "root", "strict", "meshes"}
+    assert set(LOAD.keys) == {
+        "group",
+        "gravity",
+        "lock",
+        "balls",
+        "loops",
+        "root",
+        "strict",
+        "meshes",
+    }
     for kind in FORCES.values():
         table = kind.table
         wanted = {entry.name for entry in fields(kind.make)}  # type: ignore[arg-type]

@@ -23,17 +23,9 @@ from pinred.system.robot_file_contents import Coupling
 TWO = base(arm("left") + arm("right"))
 # Constraint between left and right, or one of them and the ground; words of the refusal.
 LOOPS = {
-    "weld": ('<weld name="tie" body1="left" body2="right"/>', ["weld 'tie'", "'left'", "'right'"]),
     "weld to the ground": ('<weld name="tie" body1="left"/>', ["weld 'tie'", "'left'", "'world'"]),
     "weld to a table": ('<weld name="tie" body1="left" body2="table"/>', ["weld 'tie'", "'table'"]),
-    "connect": (
-        '<connect name="pin" body1="base" body2="left" anchor="0 0 0"/>',
-        ["connect 'pin'", "'base' and 'left'"],
-    ),
-    "connect, sites": (
-        '<connect site1="a" site2="b"/>', ["connect 'equality 0'", "'base'", "'left'"],
-    ),
-}  # fmt: skip
+}
 
 
 def with_loop(constraint: str, **options: str) -> str:
@@ -47,7 +39,7 @@ def with_loop(constraint: str, **options: str) -> str:
 
 
 @pytest.mark.parametrize("name", LOOPS)
-def test_closed_loop_is_refused_unless_inactive_or_locked(name: str) -> None:
+def test_loop_through_the_world_is_refused_unless_inactive(name: str) -> None:
     """The message names the constraint."""
     constraint, words = LOOPS[name]
     with pytest.raises(ModelError) as caught:
@@ -57,10 +49,17 @@ def test_closed_loop_is_refused_unless_inactive_or_locked(name: str) -> None:
         word for word in [*words, "closed loops", "lock=", "remove it"] if word not in message
     ] == []
     assert loaded(with_loop(constraint, active="false")).m == 2
-    if "ground" not in name and "table" not in name:
-        assert loaded(with_loop(constraint), lock=["left", "right"]).m == 0
     off = '<option><flag equality="disable"/></option><equality>'
     assert loaded(with_loop(constraint).replace("<equality>", off)).m == 2
+
+
+def test_loop_between_links_is_read_unless_inactive_or_locked() -> None:
+    """A weld of two arms with a common axis leaves one motion."""
+    weld = '<weld name="tie" body1="left" body2="right"/>'
+    system = loaded(with_loop(weld))
+    assert (system.m, system.shape_dim, system.loops[0].name) == (2, 1, "tie")
+    assert not loaded(with_loop(weld, active="false")).loops
+    assert loaded(with_loop(weld), lock=["left", "right"]).m == 0
 
 
 def test_constraint_without_relative_motion_is_accepted() -> None:

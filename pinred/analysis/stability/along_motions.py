@@ -86,6 +86,7 @@ def linearise(traj: Trajectory, t: float = 0.0) -> Linearisation:
     Raises:
         InputError: t is outside the motion, or the motion has no base.
     """
+    traj.system.refuse_loops("linearise")
     scene = scene_at(traj, t)
     flow = CompiledFlow.of_plan(plan_of(scene))
     model, layout = scene.force_model, flow.kernel.layout

@@ -134,6 +134,7 @@ def linearised_flow(traj: Trajectory) -> LinearisedFlow:
         InputError: The motion was not computed by the compiled engine, or its forces are not smooth
             in time.
     """
+    traj.system.refuse_loops("linearised flows")
     if traj.run.engine != "compiled":
         raise InputError(
             "traj: the linearised flow needs a motion that was simulated with engine='compiled'"

@@ -23,6 +23,7 @@ from ...integrators.solution import Solution
 from ...kernels.kernel import Kernel
 from ...reduction.inertia_split import lost_inertia
 from ...scene.scene import Scene
+from ..loop_forces import near_singular_loops
 from ..plan import Plan
 from ..reduced_flow import Integrate, Segment
 from .compiled_flow import CompiledFlow
@@ -179,7 +180,7 @@ def explained(
         return stop
     name, time = scene.system.name, start + stop.time
     x = flow.shape(time, stop.state, parameters)
-    shape = f"shape x = {x}{lost_inertia(scene.system, x)}"
+    shape = f"shape x = {x}{lost_inertia(scene.system, x)}{near_singular_loops(scene.system, x)}"
     if isinstance(stop, NonFiniteState):
         entry = flow.entry_name(stop.entry)
         message = f"{entry} of '{name}' is not finite after t = {time:g} s, at {shape}"

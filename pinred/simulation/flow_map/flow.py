@@ -323,7 +323,9 @@ def flow(
     Returns:
         The flow.
     """
-    resolved = with_varied(as_scene(scene, options, "flow"), wrt)
+    resolved = as_scene(scene, options, "flow")
+    resolved.system.refuse_loops("flow")
+    resolved = with_varied(resolved, wrt)
     over_times = resolved.times is not None
     if not over_times:
         resolved = replace(resolved, times=np.array([resolved.end]))

@@ -157,7 +157,9 @@ class MemberOptions:
         if self.gravity is not None:
             system = in_gravity(self.system, self.gravity[member])
             base = replace(base, system=system) if isinstance(base, Scene) else system
-        return as_scene(base, options, "simulate_many")
+        scene = as_scene(base, options, "simulate_many")
+        scene.system.refuse_loops("simulate_many")
+        return scene
 
     def _scene_by(self, method: Method | str, member: int) -> Scene:
         """Return the scene of one member, with the integrator that members use."""

@@ -71,6 +71,8 @@ class PinocchioFlow:
         x, v = self._motion(t, y, numbers)
         com = form.com()
         pidot, moment, push = form.force(x, v), np.zeros(r - k), np.zeros(k)
+        if system.closure is not None:
+            pidot = pidot + form.loop_terms(x, v[r:], self._momentum(y))
         slope = None
         if self._forces is not None:
             mu = self.base.momentum(b)
@@ -165,14 +167,18 @@ class PinocchioFlow:
 
     def _motion(self, t: float, y: Array, numbers: Array) -> tuple[Array, Array]:
         """Return the shape (nx,) and v = (ξ, ẋ) relative to the centre of mass."""
-        free, x, pi = self._free, self.shape(t, y, numbers), np.zeros(self._system.m)
-        pi[free] = y[len(free) : 2 * len(free)]
-        pi[self._balls] = y[self._balls_at : self._balls_at + len(self._balls)]
-        momentum = np.concatenate([self.base.momentum(y[self._base_at :]), pi])
+        x, momentum = self.shape(t, y, numbers), self._momentum(y)
         if self._forces is None or not self._driven:
             return x, self._form.velocity(x, momentum)
         planned = self._forces.prescribed(t, numbers)
         return x, self._form.driven_velocity(x, momentum, self._driven, planned.xdot)
+
+    def _momentum(self, y: Array) -> Array:
+        """Return (μ, π), (n,), of a reduced state, with zeros for prescribed joints."""
+        free, pi = self._free, np.zeros(self._system.m)
+        pi[free] = y[len(free) : 2 * len(free)]
+        pi[self._balls] = y[self._balls_at : self._balls_at + len(self._balls)]
+        return np.concatenate([self.base.momentum(y[self._base_at :]), pi])
 
     def shape(self, t: float, y: Array, numbers: Array) -> Array:
         """Return the shape (nx,) of a reduced state, with quaternions of length one."""

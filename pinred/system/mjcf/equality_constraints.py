@@ -1,6 +1,7 @@
 """Equality constraints of an MJCF file.
 
-Constraints that couple joints linearly become couplings.  Those that close loops are refused.
+Constraints that couple joints linearly become couplings.  Those between two links of the robot
+become loops.
 """
 
 from __future__ import annotations
@@ -8,9 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+import pinocchio as pin
+
 from ...common.errors import ModelError
 from ..coupling import ties_of, with_constants, with_followers
 from ..locked_joints import Tie
+from ..loops.loop import Loop, LoopKind
 from ..robot_file_contents import Coupling
 from .linear_laws import (
     Constraint,
@@ -23,7 +28,7 @@ from .linear_laws import (
     tendon_laws,
 )
 from .mujoco_forces import moving_tendons
-from .mujoco_joints import joint_of
+from .mujoco_joints import frame, joint_of
 from .tree import Tree
 from .world import World
 
@@ -36,30 +41,35 @@ class Constraints:
         couplings: Couplings of followers in proportion to their leaders.
         outside: Names of constraints that tie the robot to other bodies, or act on tendons or
             flexible bodies.
+        loops: Constraints that close kinematic loops; their frames are in the model.
     """
 
     couplings: tuple[Coupling, ...]
     outside: tuple[str, ...]
+    loops: tuple[Loop, ...] = ()
 
 
 def constraints_of(tree: Tree) -> Constraints:
-    """Return the constraints that act on a robot.
+    """Return the constraints that act on a robot, and add the frames of loops to its model.
 
     Raises:
-        ModelError: A constraint closes a loop, fixes a joint, contradicts another one, or couples
-            joints by a law that is not linear.
+        ModelError: A constraint attaches the robot to the world, fixes a joint, contradicts another
+            one, or couples joints by a law that is not linear.
     """
     couplings: list[Coupling] = []
     outside: list[str] = []
+    loops: list[Loop] = []
     for constraint in active_constraints(tree.world):
         if constraint.kind in ("connect", "weld"):
             if _ties_outside(tree, constraint):
                 outside.append(constraint.name)
+            elif _closes_loop(tree, constraint):
+                loops.append(_loop(tree, constraint))
         elif constraint.kind == "joint":
             couplings += _coupling(tree, constraint)
         elif constraint.kind != "tendon" or _is_outside(tree, constraint):
             outside.append(constraint.name)
-    return Constraints((*couplings, *_tendon_couplings(tree)), tuple(outside))
+    return Constraints((*couplings, *_tendon_couplings(tree)), tuple(outside), tuple(loops))
 
 
 def _is_outside(tree: Tree, constraint: Constraint) -> bool:
@@ -97,32 +107,67 @@ def _tendon_couplings(tree: Tree) -> list[Coupling]:
     return [with_constants(coupling, values) for coupling in free]
 
 
+def _bodies(tree: Tree, constraint: Constraint) -> list[int]:
+    """Return the ids of the two bodies of a connect or weld."""
+    if not constraint.on_sites:
+        return list(constraint.objects)
+    return [int(tree.world.model.site_bodyid[site]) for site in constraint.objects]
+
+
 def _ties_outside(tree: Tree, constraint: Constraint) -> bool:
     """Return whether a constraint ties the robot to a body that is not part of it.
 
     Raises:
-        ModelError: The constraint connects two bodies of the robot, or one body and the ground,
-            that move relative to each other.
+        ModelError: The constraint attaches a body of the robot to the ground, relative to which it
+            moves.
     """
-    world, model = tree.world, tree.world.model
-    bodies = list(constraint.objects)
-    if constraint.on_sites:
-        bodies = [int(model.site_bodyid[site]) for site in bodies]
+    bodies = _bodies(tree, constraint)
     on_robot = [body for body in bodies if body in tree.carriers]
     ground = [body for body in bodies if _is_ground(tree, body)]
     if not on_robot:
         return False
     if len(on_robot) + len(ground) < 2:
         return True
-    ends = {tree.carriers[body].joint for body in on_robot} | ({0} if ground else set())
-    if len(ends) == 1:  # The two bodies do not move relative to each other.
+    if not ground or tree.carriers[on_robot[0]].joint == 0:
         return False
-    names = " and ".join(f"'{world.body_names[body] or 'world'}'" for body in bodies)
+    names = " and ".join(f"'{tree.world.body_names[body] or 'world'}'" for body in bodies)
     raise ModelError(
-        f"closed loops are not supported: equality {constraint.kind} '{constraint.name}' ties "
-        f"{names}; remove it or set "
+        f"closed loops through the world are not supported, because they break the symmetry: "
+        f"equality {constraint.kind} '{constraint.name}' ties {names}; remove it or set "
         'active="false", or lock the joints between them (lock=)'
     )
+
+
+def _closes_loop(tree: Tree, constraint: Constraint) -> bool:
+    """Return whether a constraint ties two bodies of the robot that move relative to each other."""
+    on_robot = [body for body in _bodies(tree, constraint) if body in tree.carriers]
+    return len({tree.carriers[body].joint for body in on_robot}) == 2
+
+
+def _loop(tree: Tree, constraint: Constraint) -> Loop:
+    """Return the loop that a connect or weld closes, and add its two frames to the model."""
+    model, numbers = tree.world.model, np.array(constraint.numbers)
+    if constraint.on_sites:
+        placements = [
+            frame(model.site_pos[site], model.site_quat[site]) for site in constraint.objects
+        ]
+    elif constraint.kind == "connect":
+        placements = [pin.SE3(np.eye(3), anchor) for anchor in (numbers[:3], numbers[3:6])]
+    else:
+        placements = [frame(numbers[3:6], numbers[6:10]), pin.SE3(np.eye(3), numbers[:3])]
+    names = []
+    for number, (body, placement) in enumerate(
+        zip(_bodies(tree, constraint), placements, strict=True), start=1
+    ):
+        carrier, name = tree.carriers[body], f"{constraint.name} {number}"
+        frame_type = pin.FrameType.OP_FRAME
+        tree.model.addFrame(
+            pin.Frame(name, carrier.joint, 0, carrier.at * placement, frame_type), False
+        )
+        names.append(name)
+    first, second = names
+    kind: LoopKind = "3d" if constraint.kind == "connect" else "6d"
+    return Loop(first, second, kind, constraint.name)
 
 
 def _is_ground(tree: Tree, body: int) -> bool:

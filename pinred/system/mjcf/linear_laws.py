@@ -31,6 +31,7 @@ class Constraint:
         objects: Ids of its two objects; the second is −1 if there is only one.
         coefficients: Coefficients of the constraint's polynomial, (5,).
         on_sites: Whether the objects are sites instead of bodies.
+        numbers: All numbers of the constraint in MuJoCo's model (eq_data), (11,).
     """
 
     kind: str
@@ -38,6 +39,7 @@ class Constraint:
     objects: tuple[int, int]
     coefficients: list[float]
     on_sites: bool
+    numbers: tuple[float, ...] = ()
 
 
 def active_constraints(world: World) -> Iterator[Constraint]:
@@ -53,6 +55,7 @@ def active_constraints(world: World) -> Iterator[Constraint]:
             objects=(int(model.eq_obj1id[k]), int(model.eq_obj2id[k])),
             coefficients=[float(c) for c in model.eq_data[k, :5]],
             on_sites=int(model.eq_objtype[k]) == int(mj.mjtObj.mjOBJ_SITE),
+            numbers=tuple(float(c) for c in model.eq_data[k]),
         )
 
 

@@ -112,6 +112,7 @@ def read_mujoco(
             ),
             locked=locked,
             merged=merge.triples,
+            loops=constraints.loops,
         )
 
     name = bytes(world.model.names).split(b"\0", 1)[0].decode(errors="replace")

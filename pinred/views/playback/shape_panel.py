@@ -78,9 +78,11 @@ def shape_panel(
     path = x[:, [a, b]]
     low, high = _range(path)
     labels = (f"{names[a]} [{units[a]}]", f"{names[b]} [{units[b]}]")
-    # The field is drawn over coordinates, which rotation vectors of balls are not.
+    # The field is drawn over coordinates, which rotation vectors of balls are not.  Shapes off the
+    # closed ones have no meaning for robots with loops.
     if (
         system.space.balls
+        or system.loops
         or (high - low)[[units[k] == "rad" for k in (a, b)]].max(initial=0.0) > _FINE / 12 * _TURN
     ):
         return ShapePanel(labels, path, low, high, (), np.empty((0, 0, 0)))

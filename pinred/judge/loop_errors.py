@@ -1,0 +1,61 @@
+"""Closed loops as constraints of the full state, by Pinocchio.
+
+The loops' equations and Jacobian come from the frames in Pinocchio's model, and all equations are
+used, also redundant ones.  The reduced equations use other expressions and independent equations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..common.arrays import Array
+from ..system.loops.kinematics import LoopKinematics
+from ..system.loops.loop_assembly import assemble
+from ..system.state_fields import State
+from ..system.system import System
+
+RANK = 1e-10  # singular values below this fraction of the largest belong to redundant equations
+
+
+@dataclass(frozen=True)
+class LoopErrors:
+    """Violations of the loops along a motion.
+
+    Attributes:
+        gap: Largest |φ|, in units of the size of the loops or 1 rad; None without loops.
+        rate: Largest |φ̇|, relative to its largest value if all joints moved at the fastest rate;
+            None without loops.
+    """
+
+    gap: float | None = None
+    rate: float | None = None
+
+
+def loop_errors(system: System, states: State) -> LoopErrors:
+    """Measure the violations of the loops with Pinocchio at the q and v of states."""
+    if system.closure is None:
+        return LoopErrors()
+    kinematics = LoopKinematics(system.model, system.loops)
+    unit = np.where(kinematics.is_length, system.closure.length, 1.0)
+    gap, rates, terms = 0.0, np.zeros(len(unit)), np.zeros(len(unit))
+    for q, v in zip(system.sorted_q(states.q), system.sorted_v(states.v), strict=True):
+        J = kinematics.jacobian(q)
+        gap = max(gap, float((np.abs(kinematics.values(q)) / unit).max()))
+        rates = np.maximum(rates, np.abs(J @ v) / unit)
+        # The joints of a loop may rest exactly, so the unit is the fastest rate of any joint.
+        fastest = float(np.abs(v[system.r :]).max(initial=0.0))
+        terms = np.maximum(terms, np.abs(J).sum(axis=1) * fastest / unit)
+    largest = float(terms.max())
+    return LoopErrors(gap, float(rates.max()) / largest if largest > 0.0 else 0.0)
+
+
+def closed(system: System, x: Array, xdot: Array) -> tuple[Array, Array]:
+    """Return the nearest shape (nx,) and rates (m,) that keep all loops closed."""
+    assert system.closure is not None
+    x, _ = assemble(system, x, system.closure.length)
+    kinematics = LoopKinematics(system.model, system.loops)
+    q = system.model_q(system.group.identity(), x)
+    J = system.on_shape(kinematics.jacobian(q))[:, system.r :]
+    return x, xdot - np.linalg.lstsq(J, J @ xdot, rcond=RANK)[0]

@@ -1,0 +1,156 @@
+"""CasADi expressions of closed loops, and velocities that keep loops closed.
+
+The impetus–striction form of the equations has no chart and no projection.  With independent
+constraints φ(x) = 0, J = ∂φ/∂x and an impetus p in place of the canonical momentum,
+
+    [H Jᵀ; J 0] [v; ν] = [(μ, p); 0],   ẋ = v_s,   ṗ = π̇ + J̇ᵀν,
+
+where π̇ are the rates of the open tree at this velocity.  φ is an invariant of these equations, so
+nothing drifts but round-off.  The canonical momenta are π = p − Jᵀν.  A change of p by Jᵀ times
+any function changes neither v nor π (gauge), and the force of the loops is Jᵀλ with λ = −ν̇.
+Source: J. H. Maddocks and R. L. Pego, "An unconstrained Hamiltonian formulation for incompressible
+fluid flow", 1995; O. Gonzalez, J. H. Maddocks and R. L. Pego, 1999.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import pinocchio as pin
+
+from ...system.loops.kinematics import LoopEnd, loop_ends, rotation_axes
+from ...system.loops.loop import Loop
+from ...system.system import System
+from .all_joints import joint_values
+from .articulated_sweep import Swept, step_of
+from .body_frames import Body
+from .scalars import Mat, Scalar, Vec, add, dot, mul, solve_ldl, sub, total
+
+GAUGE_RATE = 1.0  # rate at which the impetus approaches the canonical momentum [1/s]
+
+
+@dataclass(frozen=True)
+class LoopTerms:
+    """The solution of the equations with loops.
+
+    Attributes:
+        swept: Velocities and momentum rates of the tree at velocities that keep the loops closed.
+        pi: Canonical momenta π = p − Jᵀν, (m,).
+        rates: Terms J̇ᵀν of the rates of the impetus, and the term −Jᵀν that keeps ν bounded, (m,).
+    """
+
+    swept: Swept
+    pi: list[Scalar]
+    rates: list[Scalar]
+
+
+def constraint_values(system: System, bodies: Sequence[Body], x: Sequence[Scalar]) -> list[Scalar]:
+    """Return the independent constraints φ(x), (k,), of a system with loops.
+
+    Args:
+        system: The system.
+        bodies: Bodies of the tree, root first.
+        x: Shape, (nx,).
+    """
+    assert system.closure is not None
+    joints = joint_values(system, x)
+    values = [v for loop in system.loops for v in _values(system.model, bodies, loop, joints)]
+    return [values[k] for k in system.closure.rows.tolist()]
+
+
+def solve_with_loops(
+    system: System,
+    bodies: Sequence[Body],
+    x: Sequence[ca.SX],
+    momentum: Sequence[Scalar],
+    sweep: Callable[[list[Scalar], bool], Swept],
+) -> LoopTerms:
+    """Solve the equations of a system with loops in impetus–striction form.
+
+    Args:
+        system: The system.
+        bodies: Bodies of the tree, root first.
+        x: Symbols of the shape, (nx,).
+        momentum: Impetus p, (m,).
+        sweep: Function that sweeps the open tree from canonical momenta (m,), with or without the
+            body momentum.
+    Returns:
+        Velocities, canonical momenta and rates.
+    """
+    m = system.m
+    column = ca.vertcat(*x)
+    phi = ca.vertcat(*constraint_values(system, bodies, x))
+    jacobian = ca.jacobian(phi, column)
+    J = [[_scalar(jacobian[i, k]) for k in range(m)] for i in range(phi.numel())]
+    response = [sweep(list(row), False).xdot for row in J]
+    open_rates = sweep(list(momentum), True).xdot
+    nu = solve_ldl([[dot(row, w) for w in response] for row in J], [dot(r, open_rates) for r in J])
+    along = [total([mul(row[k], n) for row, n in zip(J, nu, strict=True)]) for k in range(m)]
+    pi = [sub(p, a) for p, a in zip(momentum, along, strict=True)]
+    swept = sweep(pi, True)
+    symbol, rate = ca.SX.sym("nu", len(nu)), ca.SX.sym("rate", m)
+    turning = ca.gradient(ca.dot(symbol, jacobian @ rate), column)
+    values = [ca.vertcat(*(ca.SX(n) for n in numbers)) for numbers in (nu, swept.xdot)]
+    (turning,) = ca.substitute([turning], [symbol, rate], values)
+    rates = [sub(_scalar(turning[k]), mul(GAUGE_RATE, along[k])) for k in range(m)]
+    return LoopTerms(swept, pi, rates)
+
+
+def _scalar(entry: ca.SX) -> Scalar:
+    return float(entry) if entry.is_constant() else entry
+
+
+def _values(
+    model: pin.Model, bodies: Sequence[Body], loop: Loop, joints: Sequence[Scalar]
+) -> list[Scalar]:
+    """Return all equations of a loop; see system/loops/kinematics.py."""
+    a, b = loop_ends(model, loop)
+    chains = [_chain(bodies, end) for end in (a, b)]
+    common = set(chains[0]) & set(chains[1])
+    (R_a, p_a), (R_b, p_b) = (
+        _placement(bodies, end, [i for i in chain if i not in common], joints)
+        for end, chain in zip((a, b), chains, strict=True)
+    )
+    columns_a, columns_b = _columns(R_a), _columns(R_b)
+    gap = [sub(q, p) for p, q in zip(p_a, p_b, strict=True)]
+    values = [dot(axis, gap) for axis in columns_a]
+    if loop.kind == "3d":
+        return values
+    if loop.kind == "6d":
+        for i, k in ((2, 1), (0, 2), (1, 0)):
+            forward, back = dot(columns_a[i], columns_b[k]), dot(columns_a[k], columns_b[i])
+            values.append(mul(0.5, sub(forward, back)))
+        return values
+    return values + [dot(columns_a[i], columns_b[k]) for i, k in rotation_axes(loop.kind)]
+
+
+def _chain(bodies: Sequence[Body], end: LoopEnd) -> list[int]:
+    """Return the bodies from the body of a frame to the root."""
+    chain = [end.joint - 1]
+    while chain[-1]:
+        chain.append(bodies[chain[-1]].parent)
+    return chain
+
+
+def _placement(
+    bodies: Sequence[Body], end: LoopEnd, chain: Sequence[int], joints: Sequence[Scalar]
+) -> tuple[Mat, Vec]:
+    """Return the rotation and origin of a frame in the frame of the body before a chain."""
+    at = bodies[end.joint - 1].frame.actInv(end.placement)
+    columns: list[Vec] = [[float(c) for c in column] for column in at.rotation.T]
+    point: Vec = [float(c) for c in at.translation]
+    for i in chain:
+        step = step_of(bodies[i], joints)
+        point = [point[0], point[1], add(point[2], step.slide)]
+        for turn in reversed(step.turns):
+            if not turn.is_none:
+                point = turn.vector(point)
+                columns = [turn.vector(column) for column in columns]
+        point = [add(c, s) for c, s in zip(point, step.shift, strict=True)]
+    return _columns(columns), point
+
+
+def _columns(rows: Mat) -> Mat:
+    return [list(column) for column in zip(*rows, strict=True)]

@@ -1,0 +1,126 @@
+"""Initial states of robots with closed loops: the nearest state that keeps all loops closed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..common.arrays import Array
+from ..common.errors import InputError, LoopWarning
+from ..common.names import quoted
+from ..reduction.pointwise_reduction import PointwiseReduction
+from ..system.loops.loop_assembly import CLOSED, assemble, describe_gap, loop_gaps
+from ..system.loops.loop_closure import project_rates
+from ..system.system import System
+
+_NOTICEABLE = 1e-6  # change of an initial state that is reported [relative]
+
+
+@dataclass(frozen=True)
+class HeldJoints:
+    """How the user stated joint values.
+
+    Attributes:
+        stated: Whether the user stated any value.
+        names: Joints that were stated by name and keep their values; empty if all were stated.
+    """
+
+    stated: bool
+    names: tuple[str, ...]
+
+
+def held_joints(x0: Any, xdot0: Any) -> tuple[HeldJoints, HeldJoints]:
+    """Return which joints keep their values and their rates when loops are closed."""
+    by_name = [
+        tuple(map(str, given)) if isinstance(given, Mapping) else () for given in (x0, xdot0)
+    ]
+    return HeldJoints(x0 is not None, by_name[0]), HeldJoints(xdot0 is not None, by_name[1])
+
+
+def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = False) -> Array:
+    """Return the shape nearest to x, (nx,), by least squares, that closes all loops.
+
+    Args:
+        system: The system, with loops.
+        x: Shape, (nx,) [rad | m].
+        held: Joints that keep their values if the loops can close by motion of the others.
+        report: Whether to report a noticeable change although `held` states no value.
+    Returns:
+        The closed shape, (nx,).
+    Raises:
+        InputError: The loops do not close near this shape; the message names a loop and its gap.
+    """
+    assert system.closure is not None
+    length = system.closure.length
+    gaps = loop_gaps(system, x, length)
+    if gaps.max() <= CLOSED:
+        return x
+    free = _free(system, held)
+    start = x
+    if not free.all():  # other joints start from a closed shape instead of zero
+        start = np.where(free, system.closure.x, x)
+        closed, remaining = assemble(system, start, length, free)
+        if remaining.max() <= CLOSED:
+            return closed
+    closed, remaining = assemble(system, start, length)
+    if remaining.max() > CLOSED and not (held.stated or report):
+        return system.closure.x  # a random shape need not be near a closed one
+    if remaining.max() > CLOSED:
+        raise InputError(
+            f"x0: the loops of '{system.name}' do not close near this shape: "
+            f"{describe_gap(system, remaining, length)} at the nearest shape that was found. "
+            "Start nearer to a closed shape; System.closure.x is one."
+        )
+    if (held.stated or report) and gaps.max() > _NOTICEABLE:
+        name = quoted(system.loops[int(np.argmax(gaps))].name)
+        _warn(system, f"x0 leaves loop {name} open by {gaps.max() * length:.3g} m", closed - x)
+    return closed
+
+
+def closed_rates(
+    system: System, x: Array, xdot: Array, held: HeldJoints, *, report: bool = False
+) -> Array:
+    """Return the rates nearest to ẋ, (m,), in the kinetic metric, that keep all loops closed.
+
+    Args:
+        system: The system, with loops.
+        x: Closed shape, (nx,) [rad | m].
+        xdot: Shape rate, (m,) [rad/s | m/s].
+        held: Joints that keep their rates if the loops allow it.
+        report: Whether to report a noticeable change although `held` states no value.
+    Returns:
+        The rates, (m,).
+    """
+    tree = system.open_tree()
+    reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
+    metric, free = reduction.split(x).reduced_metric, _free(system, held)
+    rates = None if free.all() else project_rates(system, x, xdot, metric, free)
+    if rates is not None:
+        return rates
+    rates = project_rates(system, x, xdot, metric)
+    assert rates is not None
+    change = np.abs(rates - xdot).max()
+    if (held.stated or report) and change > _NOTICEABLE * np.abs(xdot).max():
+        _warn(system, "xdot0 opens a loop", rates - xdot)
+    return rates
+
+
+def _free(system: System, held: HeldJoints) -> Array:
+    """Return which shape rates are not held, (m,)."""
+    return np.array([name not in held.names for name in system.shape_names])
+
+
+def _warn(system: System, what: str, change: Array) -> None:
+    k = int(np.argmax(np.abs(change)))
+    unit = system.units[k]
+    warnings.warn(
+        f"{what}. The nearest state that keeps the loops of '{system.name}' closed is used; it "
+        f"changes joint {quoted(system.shape_names[k])} by {change[k]:.3g} {unit} (or {unit}/s). "
+        "To keep chosen joints, state only those, by name.",
+        LoopWarning,
+        stacklevel=2,
+    )

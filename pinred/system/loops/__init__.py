@@ -1,0 +1,1 @@
+"""Closed kinematic loops: constraints between links of a robot, their kinematics and assembly."""

@@ -1,0 +1,187 @@
+"""Loop constraints φ(q), their Jacobian and its time derivative, computed with Pinocchio.
+
+With the placement X = (R, p) of frame b in frame a, the equations are p = 0 and, for the rotation,
+½ vee(R − Rᵀ) = 0 ("6d"), or e_i · R e_k = 0 for both axes i ≠ k ("x", "y", "z" with axis k).  The
+relative twist in frame b is V = D v with D = J_b − Ad(X⁻¹) J_a, so
+
+    ṗ = R V_lin,   Ṙ = R V̂_ang,   Ḋ = J̇_b − Ad(X⁻¹) J̇_a + ad(V) Ad(X⁻¹) J_a.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+
+from ...common.arrays import Array
+from ...common.errors import InputError
+from ...common.names import listed, nearest, quoted
+from .loop import Loop
+
+_LOCAL = pin.ReferenceFrame.LOCAL
+_AXES = {"x": 0, "y": 1, "z": 2}
+_TYPES = (
+    pin.FrameType.BODY,
+    pin.FrameType.OP_FRAME,
+    pin.FrameType.FIXED_JOINT,
+    pin.FrameType.JOINT,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopEnd:
+    """A frame of a loop.
+
+    Attributes:
+        joint: Index in the model of the joint that moves the frame; 0 for the world.
+        placement: Placement of the frame in the joint's frame.
+    """
+
+    joint: int
+    placement: pin.SE3
+
+
+def loop_ends(model: pin.Model, loop: Loop) -> tuple[LoopEnd, LoopEnd]:
+    """Find the two frames of a loop in a model.
+
+    Args:
+        model: Pinocchio model.
+        loop: The loop.
+    Returns:
+        Frames a and b.
+    Raises:
+        InputError: A frame is unknown, or its name is ambiguous.
+    """
+    return _find_end(model, loop.frame_a), _find_end(model, loop.frame_b)
+
+
+def _find_end(model: pin.Model, name: str) -> LoopEnd:
+    for kind in _TYPES:
+        matches = [f for f in model.frames if f.name == name and f.type == kind]
+        if len(matches) == 1:
+            return LoopEnd(int(matches[0].parentJoint), matches[0].placement.copy())
+        if matches:
+            raise InputError(f"loops: the robot has {len(matches)} frames {quoted(name)}")
+    links = [str(f.name) for f in model.frames if f.type == pin.FrameType.BODY]
+    raise InputError(
+        f"loops: no link or frame {quoted(name)}; {nearest(name, links)}the links are "
+        f"{listed(links, 60)}"
+    )
+
+
+def rotation_axes(kind: str) -> list[tuple[int, int]]:
+    """Return the pairs (i, k) of the equations e_i · R e_k = 0 of an axis kind."""
+    k = _AXES[kind]
+    return [((k + 1) % 3, k), ((k + 2) % 3, k)]
+
+
+class LoopKinematics:
+    """The constraints of all loops of a model.  Not thread-safe.
+
+    Attributes:
+        loops: The loops.
+        rows: Slice of the equations of each loop.
+        is_length: Whether each equation is a length [m], instead of an angle [rad], (c,).
+    """
+
+    def __init__(self, model: pin.Model, loops: Sequence[Loop]) -> None:
+        """Find the frames of the loops in the model."""
+        self.loops = tuple(loops)
+        self._model, self._data = model, model.createData()
+        self._ends = [loop_ends(model, loop) for loop in loops]
+        self._root = int(model.joints[1].nv)
+        first = np.cumsum([0, *(loop.equations for loop in loops)]).tolist()
+        self.rows = [slice(a, b) for a, b in pairwise(first)]
+        self.is_length = np.zeros(first[-1], dtype=bool)
+        for rows in self.rows:
+            self.is_length[rows.start : rows.start + 3] = True
+
+    def placements(self, q: Array) -> list[pin.SE3]:
+        """Return the placement of frame b in frame a of each loop at configuration q, (nq,)."""
+        pin.forwardKinematics(self._model, self._data, q)
+        return [self._placement(k) for k in range(len(self.loops))]
+
+    def values(self, q: Array) -> Array:
+        """Return φ(q), (c,) [m | 1]."""
+        places = zip(self.loops, self.placements(q), strict=True)
+        return np.concatenate([_values(loop.kind, X) for loop, X in places])
+
+    def jacobian(self, q: Array) -> Array:
+        """Return the Jacobian J(q), (c, nv), with φ̇ = J v."""
+        pin.computeJointJacobians(self._model, self._data, q)
+        blocks = []
+        for k, loop in enumerate(self.loops):
+            X = self._placement(k)
+            blocks.append(_rows(loop.kind, X.rotation, self._relative(k, X)))
+        return np.vstack(blocks)
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """Return the time derivative of the Jacobian at velocity v (nv,), (c, nv)."""
+        pin.computeJointJacobiansTimeVariation(self._model, self._data, q, v)
+        blocks = []
+        for k, loop in enumerate(self.loops):
+            X = self._placement(k)
+            R, D = X.rotation, self._relative(k, X)
+            V = D @ v
+            Rdot = R @ pin.skew(V[3:])
+            Ddot = self._relative_rate(k, X, V)
+            blocks.append(_rows(loop.kind, Rdot, D) + _rows(loop.kind, R, Ddot))
+        return np.vstack(blocks)
+
+    def bias(self, q: Array, v: Array) -> Array:
+        """Return J̇ v, (c,): the accelerations of the constraints at zero joint acceleration."""
+        return np.asarray(self.jacobian_rate(q, v) @ v)
+
+    def _placement(self, k: int) -> pin.SE3:
+        a, b = self._ends[k]
+        oMi = self._data.oMi
+        return (oMi[a.joint] * a.placement).actInv(oMi[b.joint] * b.placement)
+
+    def _relative(self, k: int, X: pin.SE3) -> Array:
+        """Return D, (6, nv), with the relative twist V = D v in frame b."""
+        a, b = self._ends[k]
+        J_a, J_b = (
+            end.placement.toActionMatrixInverse()
+            @ pin.getJointJacobian(self._model, self._data, end.joint, _LOCAL)
+            for end in (a, b)
+        )
+        D = J_b - X.toActionMatrixInverse() @ J_a
+        D[:, : self._root] = 0.0  # The root moves both frames alike; keep no round-off.
+        return np.asarray(D)
+
+    def _relative_rate(self, k: int, X: pin.SE3, V: Array) -> Array:
+        """Return Ḋ, (6, nv), at the relative twist V, (6,)."""
+        a, b = self._ends[k]
+        inverse_a, inverse_b = (end.placement.toActionMatrixInverse() for end in (a, b))
+        J_a = inverse_a @ pin.getJointJacobian(self._model, self._data, a.joint, _LOCAL)
+        rate_a, rate_b = (
+            inverse @ pin.getJointJacobianTimeVariation(self._model, self._data, joint, _LOCAL)
+            for inverse, joint in ((inverse_a, a.joint), (inverse_b, b.joint))
+        )
+        change = X.toActionMatrixInverse()
+        rate = rate_b - change @ rate_a + pin.Motion(V).action @ (change @ J_a)
+        rate[:, : self._root] = 0.0
+        return np.asarray(rate)
+
+
+def _values(kind: str, X: pin.SE3) -> Array:
+    R, p = X.rotation, X.translation
+    if kind == "3d":
+        return np.array(p)
+    if kind == "6d":
+        return np.concatenate([p, 0.5 * pin.unSkew(R - R.T)])
+    return np.append(p, [R[i, k] for i, k in rotation_axes(kind)])
+
+
+def _rows(kind: str, R: Array, D: Array) -> Array:
+    """Return the rows of the Jacobian, which are linear in R and in D."""
+    linear = R @ D[:3]
+    if kind == "3d":
+        return np.asarray(linear)
+    if kind == "6d":
+        return np.vstack([linear, 0.5 * (np.trace(R) * np.eye(3) - R.T) @ D[3:]])
+    turns = [-(R @ pin.skew(np.eye(3)[k]))[i] @ D[3:] for i, k in rotation_axes(kind)]
+    return np.vstack([linear, *turns])

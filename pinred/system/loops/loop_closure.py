@@ -1,0 +1,166 @@
+"""Closed shapes of a robot with loops, and the choice of independent equations.
+
+Redundant equations are normal: a planar loop has three equations of rank two.  The rank is that of
+the equations at generic closed shapes, scaled by the size of the robot, and a QR factorisation
+with pivoting chooses independent equations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import qr
+
+from ...common.arrays import Array
+from ...common.errors import InputError, ModelError, UnsupportedOperationError
+from ...common.names import listed, quoted
+from .kinematics import loop_ends
+from .loop import Loop
+from .loop_assembly import (
+    CLOSED,
+    NEARBY,
+    assemble,
+    assemble_from_any,
+    loop_length,
+    rate_units,
+    scaled_jacobian,
+)
+from .looped_system import Closure, LoopedSystem, loop_jacobian
+
+_RANK = 1e-9  # smallest pivot of independent equations, relative to the largest
+_SHAPES = 3  # number of closed shapes at which the rank is determined
+
+
+def close_loops(system: LoopedSystem) -> Closure:
+    """Assemble the loops of a system, and choose independent equations.
+
+    The assembly starts at the initial shape, the keyframes and the zero shape, in this order, and
+    then at random shapes.
+
+    Args:
+        system: The system, with loops.
+    Returns:
+        A closed shape, and independent equations.
+    Raises:
+        InputError: A frame is unknown, belongs to the world, or a loop closes nothing.
+        ModelError: A loop does not close; the message names the loop and its gap.
+        UnsupportedOperationError: The robot has balls.
+    """
+    if system.space.balls:
+        raise UnsupportedOperationError(
+            f"closed loops: ball joints are not supported in robots with loops, and "
+            f"'{system.name}' has some. Replace each by three hinges, or remove the loops."
+        )
+    for loop in system.loops:
+        _check_loop(system, loop)
+    length = loop_length(system)
+    x = assemble_from_any(system, length)
+    rows, least = _independent_rows(system, x, length)
+    equations = sum(loop.equations for loop in system.loops)
+    if len(rows) >= system.m:
+        raise ModelError(
+            f"the loops of '{system.name}' have {len(rows)} independent equations for {system.m} "
+            "joint rates, so nothing can move. Remove a loop, or lock the joints (lock=)."
+        )
+    return Closure(x, rows, equations, length, least)
+
+
+def project_rates(
+    system: LoopedSystem, x: Array, xdot: Array, metric: Array, free: Array | None = None
+) -> Array | None:
+    """Return the rates nearest to given rates that keep the loops closed.
+
+    Args:
+        system: The system.
+        x: Closed shape, (nx,) [rad | m].
+        xdot: Rates, (m,).
+        metric: Kinetic metric in which distances are measured, (m, m).
+        free: Whether each rate may change, (m,); None if all may.
+    Returns:
+        The rates, (m,); None if the free rates cannot keep the loops closed.
+    """
+    assert system.closure is not None
+    J, rates = loop_jacobian(system, x)[system.closure.rows], xdot.copy()
+    moves = np.ones(len(xdot), dtype=bool) if free is None else free
+    if free is not None and np.linalg.matrix_rank(J[:, moves], tol=1e-9) < len(J):
+        return None
+    response = np.linalg.solve(metric[np.ix_(moves, moves)], J[:, moves].T)
+    rates[moves] -= response @ np.linalg.solve(J[:, moves] @ response, J @ xdot)
+    return rates
+
+
+def singularity(system: LoopedSystem, x: Array) -> float:
+    """Return the smallest singular value of the scaled independent equations at shape x (nx,).
+
+    The value is relative to generic shapes; it is zero where equations become dependent.
+    """
+    closure = system.closure
+    assert closure is not None
+    J = scaled_jacobian(system, x, closure.length)[closure.rows]
+    return float(np.linalg.svd(J, compute_uv=False).min() / closure.least)
+
+
+def loop_rates(system: LoopedSystem) -> frozenset[int]:
+    """Return the indices of the shape rates that move a loop."""
+    moving: list[int] = []
+    for loop in system.loops:
+        a, b = (_path(system, end.joint) for end in loop_ends(system.model, loop))
+        for joint in a ^ b:
+            moving += range(*system.tree.joints[joint - 2].v.indices(system.tree.m))
+    if system.coupled is None:
+        return frozenset(moving)
+    return frozenset(np.flatnonzero(system.coupled.G[moving].any(axis=0)).tolist())
+
+
+def describe_loops(system: LoopedSystem) -> str:
+    """Return loops, equations, rank and dimension of the shape in words; empty without loops."""
+    closure = system.closure
+    if closure is None:
+        return ""
+    return (
+        f"{listed([str(loop) for loop in system.loops])}; {closure.equations} equations of rank "
+        f"{closure.rank}, shape of dimension {system.shape_dim}"
+    )
+
+
+def _path(system: LoopedSystem, joint: int) -> set[int]:
+    """Return the joints from a joint to the root."""
+    path = set[int]()
+    while joint:
+        path.add(joint)
+        joint = int(system.model.parents[joint])
+    return path
+
+
+def _check_loop(system: LoopedSystem, loop: Loop) -> None:
+    a, b = loop_ends(system.model, loop)
+    for end in (a, b):
+        if end.joint == 0:
+            raise InputError(
+                f"loops: loop {quoted(loop.name)} attaches the robot to the world, which breaks "
+                "the symmetry. Remove it, or attach it to a moving link."
+            )
+    if not _path(system, a.joint) ^ _path(system, b.joint):
+        raise InputError(
+            f"loops: loop {quoted(loop.name)} closes nothing: {quoted(loop.frame_a)} and "
+            f"{quoted(loop.frame_b)} do not move relative to each other. Remove it."
+        )
+
+
+def _independent_rows(system: LoopedSystem, x: Array, length: float) -> tuple[Array, float]:
+    """Return independent equations of the largest rank at closed shapes near x."""
+    rng, units = np.random.default_rng(0), rate_units(system, length)
+    best: tuple[int, float, Array] = (-1, 0.0, np.empty(0, dtype=int))
+    for k in range(_SHAPES + 1):
+        start = x if k == 0 else x + NEARBY * units * rng.uniform(-1.0, 1.0, system.m)
+        shape, gaps = assemble(system, start, length)
+        if gaps.max() > CLOSED:
+            continue
+        J = scaled_jacobian(system, shape, length)
+        _, R, order = qr(J.T, mode="economic", pivoting=True)
+        pivots = np.abs(np.diag(R))
+        rank = int((pivots > _RANK * pivots[0]).sum())
+        rows = np.sort(order[:rank])
+        least = float(np.linalg.svd(J[rows], compute_uv=False).min())
+        if (rank, least) > best[:2]:
+            best = (rank, least, rows)
+    return best[2].astype(np.intp), best[1]

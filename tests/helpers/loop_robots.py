@@ -1,0 +1,146 @@
+"""Robots with closed loops for tests: a four-bar, a gripper, a delta-like robot, random trees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+
+from pinred.common.arrays import Array
+from pinred.system.loops.loop import Loop, LoopKind
+
+FOUR_BAR = {"crank": 0.4, "coupler": 0.9, "rocker": 0.8, "frame": 1.0}  # lengths [m]
+
+
+def four_bar(
+    kind: LoopKind = "3d", lengths: Mapping[str, float] = FOUR_BAR
+) -> tuple[pin.Model, list[Loop]]:
+    """Return a four-bar linkage whose frame floats in the plane, and its loop.
+
+    The crank and the rocker are hinged to the frame; the coupler is hinged to the crank.
+    """
+    model = pin.Model()
+    model.name = "four_bar"
+    model.gravity.setZero()
+    base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
+    joints = {"frame": base}
+    for name, parent, x in (
+        ("crank", "frame", 0.0),
+        ("coupler", "crank", lengths["crank"]),
+        ("rocker", "frame", lengths["frame"]),
+    ):
+        at = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+        joints[name] = model.addJoint(joints[parent], pin.JointModelRZ(), at, name)
+    for k, (name, joint) in enumerate(joints.items()):
+        length, mass = lengths[name], 3.0 / (k + 1)
+        lever = np.array([0.5 * length, 0.0, 0.0])
+        inertia = pin.Inertia(mass, lever, mass * length**2 / 12.0 * np.diag([0.1, 1.0, 1.0]))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        model.addJointFrame(joint)
+        tip = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
+        frame = pin.Frame(f"{name}_tip", joint, 0, tip, pin.FrameType.OP_FRAME)
+        model.addFrame(frame)
+    return model, [Loop("coupler_tip", "rocker_tip", kind, "tips")]
+
+
+def crank_angles(crank: float, branch: float = -1.0) -> tuple[float, float]:
+    """Return the angles of coupler and rocker of the four-bar at a crank angle, in closed form.
+
+    The tips meet where two circles intersect: below the line from the crank's tip to the rocker's
+    hinge on branch −1, above it on branch 1.
+    """
+    a, b, c, d = (FOUR_BAR[name] for name in ("crank", "coupler", "rocker", "frame"))
+    tip = a * np.exp(1j * crank)
+    across = d - tip
+    inner = np.arccos((abs(across) ** 2 + b**2 - c**2) / (2.0 * abs(across) * b))
+    end = tip + b * np.exp(1j * (np.angle(across) + branch * inner))
+    return float(np.angle(end - tip) - crank), float(np.angle(end - d))
+
+
+def random_loops(
+    seed: int, kinds: tuple[LoopKind, ...], joints: int = 9
+) -> tuple[pin.Model, list[Loop]]:
+    """Return a random floating tree with a loop of each kind that closes at a random shape.
+
+    Each loop ties the ends of two random branches.
+    """
+    rng, model = np.random.default_rng(seed), pin.Model()
+    model.name = f"random_loops_{seed}"
+    model.gravity.setZero()
+    base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, _inertia(rng, 4.0), pin.SE3.Identity())
+    loops, ends = [], []
+    for k in range(2 * len(kinds)):
+        parent = base
+        for n in range(joints):
+            at = pin.SE3(pin.exp3(rng.normal(size=3)), 0.3 * rng.normal(size=3))
+            axis = rng.normal(size=3)
+            joint = pin.JointModelRevoluteUnaligned(*(axis / np.linalg.norm(axis)))
+            if n == 1:
+                joint = pin.JointModelPrismaticUnaligned(*(axis / np.linalg.norm(axis)))
+            parent = model.addJoint(parent, joint, at, f"j{k}_{n}")
+            model.appendBodyToJoint(parent, _inertia(rng, 1.0), pin.SE3.Identity())
+        ends.append(parent)
+    data = model.createData()
+    q = pin.integrate(model, pin.neutral(model), 0.3 * rng.normal(size=model.nv))
+    pin.forwardKinematics(model, data, q)
+    for k, kind in enumerate(kinds):
+        a, b = ends[2 * k : 2 * k + 2]
+        placement = pin.SE3(pin.exp3(rng.normal(size=3)), 0.1 * rng.normal(size=3))
+        other = data.oMi[b].actInv(data.oMi[a] * placement)
+        for joint, at, name in ((a, placement, f"a{k}"), (b, other, f"b{k}")):
+            model.addFrame(pin.Frame(name, joint, 0, at, pin.FrameType.OP_FRAME))
+        loops.append(Loop(f"a{k}", f"b{k}", kind))
+    return model, loops
+
+
+def _inertia(rng: np.random.Generator, mass: float) -> pin.Inertia:
+    A = 0.1 * rng.normal(size=(3, 3))
+    spread: Array = mass * A @ A.T
+    return pin.Inertia(mass, 0.1 * rng.normal(size=3), np.trace(spread) * np.eye(3) - spread)
+
+
+GRIPPER = """
+<mujoco model="gripper">
+  <option gravity="0 0 0"><flag contact="disable"/></option>
+  <worldbody>
+    <body name="palm" pos="0 0 0">
+      <freejoint name="float"/>
+      <geom type="box" size="0.03 0.05 0.02" mass="0.8"/>
+      {fingers}
+    </body>
+  </worldbody>
+  <equality>
+    <connect name="right" body1="right_follower" body2="right_finger" anchor="-0.018 0 0.0655"/>
+    <connect name="left" body1="left_follower" body2="left_finger" anchor="-0.018 0 0.0655"/>
+    <joint name="both" joint1="left_driver" joint2="right_driver"/>
+  </equality>
+</mujoco>
+"""
+_FINGER = """
+<body name="{side}_base" pos="0 {y} 0.02" quat="{quat}">
+  <body name="{side}_driver" pos="0 0.01 0.035">
+    <joint name="{side}_driver" axis="1 0 0" armature="0.0005"/>
+    <geom type="box" size="0.005 0.01 0.02" pos="0 0.015 0.02" mass="0.02"/>
+    <body name="{side}_finger" pos="0 0.032 0.041">
+      <joint name="{side}_finger" axis="1 0 0" armature="0.0001"/>
+      <geom type="box" size="0.01 0.005 0.03" pos="0 0 0.03" mass="0.05"/>
+    </body>
+  </body>
+  <body name="{side}_follower" pos="0 0.012 0.001">
+    <joint name="{side}_follower" axis="1 0 0" armature="0.0001"/>
+    <geom type="box" size="0.005 0.005 0.03" pos="0 0.02 0.03" mass="0.02"/>
+  </body>
+</body>
+"""
+
+
+def gripper() -> str:
+    """Return a floating gripper in MJCF, in the manner of the Robotiq 2F-85.
+
+    Two fingers on four-bars, closed by connect constraints; the left driver follows the right one.
+    """
+    sides = (("right", -0.01, "0 0 0 1"), ("left", 0.01, "1 0 0 0"))
+    fingers = "".join(_FINGER.format(side=s, y=y, quat=q) for s, y, q in sides)
+    return GRIPPER.format(fingers=fingers)

@@ -1,0 +1,248 @@
+"""Motions of robots with closed loops, against Pinocchio's constraint dynamics and ABA."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from loop_robots import four_bar, gripper, random_loops
+from scipy.integrate import solve_ivp
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.common.errors import (
+    InputError,
+    IntegrationError,
+    KernelMismatch,
+    UnsupportedOperationError,
+)
+from pinred.kernels import validation
+from pinred.system.loops.loop import Loop, LoopKind
+from pinred.system.loops.looped_system import loop_values
+from pinred.views.playback.shape_panel import shape_panel
+
+
+def linkage() -> pinred.System:
+    """Return the four-bar linkage."""
+    model, loops = four_bar()
+    return pinred.load(model, loops=loops)
+
+
+def constraint_dynamics(
+    model: pin.Model, loop: Loop
+) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+    """Return Pinocchio's map from q, v, τ to acceleration and force for a loop of kind "3d"."""
+    data = model.createData()
+    a, b = (model.frames[model.getFrameId(name)] for name in (loop.frame_a, loop.frame_b))
+    contact = pin.RigidConstraintModel(
+        pin.ContactType.CONTACT_3D, model, a.parentJoint, a.placement, b.parentJoint, b.placement,
+        pin.ReferenceFrame.LOCAL,
+    )  # fmt: skip
+    models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+    models.append(contact)
+    datas.append(contact.createData())
+    pin.initConstraintDynamics(model, data, models, datas)
+    proximal = pin.ProximalSettings(1e-14, 1e-14, 50)
+
+    def solve(q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
+        a = pin.constraintDynamics(model, data, q, v, tau, models, datas, proximal).copy()
+        return a, -np.array(datas[0].contact_force.linear)  # on frame b
+
+    return solve
+
+
+def reference(system: pinred.System, q: Array, v: Array, duration: float) -> tuple[Array, Array]:
+    """Integrate Pinocchio's constraint dynamics in the tangent space at q; return q and v."""
+    solve, model = constraint_dynamics(system.model, system.loops[0]), system.model
+
+    def rate(_: float, y: Array) -> Array:
+        here = pin.integrate(model, q, y[: model.nv])
+        velocity = y[model.nv :]
+        change = pin.dIntegrate(model, q, y[: model.nv], pin.ArgumentPosition.ARG1)
+        a = solve(here, velocity, np.zeros(model.nv))[0]
+        return np.concatenate([np.linalg.solve(change, velocity), a])
+
+    y0 = np.concatenate([np.zeros(model.nv), v])
+    end = solve_ivp(rate, (0.0, duration), y0, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    return pin.integrate(model, q, end[: model.nv]), end[model.nv :]
+
+
+@pytest.mark.parametrize("robot", ["four-bar", pytest.param("in space", marks=pytest.mark.by_hand)])
+def test_motion_equals_constraint_dynamics_of_pinocchio(robot: str) -> None:
+    """Over 0.3 s, configuration and velocity agree to 1e-10."""
+    model, loops = four_bar() if robot == "four-bar" else random_loops(1, ("3d",))
+    system = pinred.load(model, loops=loops)
+    traj = pinred.simulate(system, seed=1, duration=0.3, rtol=1e-11)
+    q, v = reference(system, traj.q[0], traj.v[0], 0.3)
+    np.testing.assert_allclose(traj.q[-1], q, atol=1e-10)
+    np.testing.assert_allclose(traj.v[-1], v, atol=1e-10 * np.abs(v).max())
+
+
+def test_both_engines_agree() -> None:
+    """The readable equations solve the same impetus form with dense matrices."""
+    start = {"x0": {"crank": 1.0}, "xdot0": {"crank": 2.0}, "duration": 0.2, "xi0": [0.1, 0.2, 0.3]}
+    compiled = pinred.simulate(linkage(), **start)  # type: ignore[arg-type]
+    readable = pinred.simulate(linkage(), engine="pinocchio", **start)  # type: ignore[arg-type]
+    np.testing.assert_allclose(readable.x, compiled.x, atol=1e-10)
+    np.testing.assert_allclose(readable.pose, compiled.pose, atol=1e-10)
+
+
+def test_loops_and_momentum_do_not_drift() -> None:
+    """Five seconds with several turns of the crank, through its dead points."""
+    system = linkage()
+    start = {"crank": 1.0}, {"crank": 6.0}
+    traj = pinred.simulate(system, x0=start[0], xdot0=start[1], duration=5.0, rtol=1e-10)
+    assert abs(traj.x[-1, 0] - 1.0) > 4.0 * np.pi
+    gaps = [np.abs(loop_values(system, x)).max() for x in traj.x]
+    assert max(gaps) < 1e-10
+    J = traj.spatial_momentum
+    assert np.abs(J - J[0]).max() < 1e-13 * np.abs(J).max()
+    assert np.ptp(traj.energy) < 1e-9 * traj.energy[0]
+
+
+@pytest.mark.parametrize(
+    "engine", ["compiled", pytest.param("pinocchio", marks=pytest.mark.by_hand)]
+)
+def test_compare_passes_for_a_four_bar_with_a_spring(engine: str) -> None:
+    """Both engines agree with ABA and multipliers; the report has lines for the loops."""
+    scene = pinred.Scene(
+        system=linkage(), x0={"crank": 0.4}, xdot0={"crank": 2.0}, xi0=[0.1, 0.2, 0.3],
+        springs={"rocker": (3.0, 0.2)}, duration=0.5,
+    )  # fmt: skip
+    report = pinred.compare(pinred.simulate(scene, engine=engine))  # type: ignore[arg-type]
+    assert report.passed, str(report)
+    assert report.loop_gap is not None
+    assert {"gap of loops", "rate of the gap [relative]"} <= set(report.checks)
+
+
+def test_compare_passes_for_a_gripper_with_a_coupling(tmp_path: Path) -> None:
+    """Two loops and a follower leave one motion."""
+    path = tmp_path / "gripper.xml"
+    path.write_text(gripper())
+    report = pinred.compare(pinred.simulate(pinred.load(path), seed=1, duration=0.3))
+    assert report.passed, str(report)
+
+
+@pytest.mark.by_hand
+@pytest.mark.parametrize("kinds", [("6d",), ("z",), ("3d", "6d"), ("x", "y")])
+def test_compare_passes_for_loops_in_space(kinds: tuple[LoopKind, ...]) -> None:
+    """Welds and hinges close branches of trees; slides take part."""
+    model, loops = random_loops(len(kinds), kinds, 5)
+    report = pinred.compare(pinred.simulate(pinred.load(model, loops=loops), seed=1, duration=0.5))
+    assert report.passed, str(report)
+
+
+def test_compare_fails_for_a_motion_that_leaves_the_loop() -> None:
+    """The judge computes the gap from the frames in the model, so a moved frame is found."""
+    system = linkage()
+    traj = pinred.simulate(system, x0={"crank": 0.4}, xdot0={"crank": 2.0}, duration=0.2)
+    number = system.model.getFrameId("rocker_tip")
+    system.model.frames[number].placement = pin.SE3(np.eye(3), np.array([0.8, 1e-6, 0.0]))
+    report = pinred.compare(traj)
+    assert report.verdict == "FAILED"
+    assert report.loop_gap is not None
+    assert report.loop_gap > 5e-7
+
+
+def test_kernel_that_differs_from_pinocchio_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The validation of kernels compares the rates of the impetus."""
+    monkeypatch.setattr(validation, "impetus_terms", lambda *_: np.zeros(3))
+    with pytest.raises(KernelMismatch, match="acceleration"):
+        pinred.simulate(linkage(), xdot0={"crank": 1.0}, duration=0.1)
+
+
+def test_initial_state_is_projected_and_copies_of_scenes_keep_it() -> None:
+    """Stated joints keep their values; otherwise a warning tells the change."""
+    system = linkage()
+    scene = pinred.Scene(system=system, x0={"crank": 1.0}, xdot0={"crank": 2.0}, duration=1.0)
+    assert (scene.start.x[0], scene.start.xdot[0]) == (1.0, 2.0)
+    other = replace(scene, duration=0.5)
+    np.testing.assert_array_equal(other.start.x, scene.start.x)
+    np.testing.assert_allclose(other.start.xdot, scene.start.xdot, rtol=1e-14)
+    with pytest.warns(pinred.LoopWarning, match=r"x0 leaves loop 'tips' open by 1.55 m"):
+        moved = pinred.Scene(system=system, x0=[1.0, 0.0, 0.0], duration=1.0)
+    assert np.abs(loop_values(system, moved.start.x)).max() < 1e-10
+    with pytest.warns(pinred.LoopWarning, match="xdot0 opens a loop"):
+        pinred.Scene(system=system, xdot0=[1.0, 0.0, 0.0], duration=1.0)
+    short, loops = four_bar(lengths={"crank": 0.4, "coupler": 0.9, "rocker": 0.3, "frame": 1.0})
+    far = pinred.load(short, loops=loops)
+    with pytest.raises(InputError, match=r"x0: the loops of 'four_bar' do not close near"):
+        pinred.Scene(system=far, x0={"crank": np.pi, "coupler": 0.0, "rocker": 0.0}, duration=1.0)
+
+
+def test_loop_forces_equal_those_of_constraint_dynamics() -> None:
+    """With a spring, at several times; the loop joins the links by their frames."""
+    system = linkage()
+    traj = pinred.simulate(
+        system, x0={"crank": 0.4}, xdot0={"crank": 2.0}, xi0=[0.1, 0.2, 0.3],
+        springs={"rocker": (3.0, 0.2)}, duration=0.5,
+    )  # fmt: skip
+    k = system.shape_names.index("rocker")
+    solve, forces = constraint_dynamics(system.model, system.loops[0]), traj.loop_forces["tips"]
+    for n in (0, len(traj) // 2, len(traj) - 1):
+        tau = np.zeros(system.model.nv)
+        tau[system.r + k] = -3.0 * (traj.x[n, k] - 0.2)
+        _, expected = solve(traj.q[n], traj.v[n], tau)
+        np.testing.assert_allclose(forces[n, :3], expected, rtol=1e-9, atol=1e-12)
+        np.testing.assert_array_equal(forces[n, 3:], 0.0)
+
+
+def test_motion_through_a_singular_shape_ends_with_an_error() -> None:
+    """A parallelogram is flat at crank angle π, where it can also fold."""
+    lengths = {"crank": 0.5, "coupler": 1.0, "rocker": 0.5, "frame": 1.0}
+    model, loops = four_bar(lengths=lengths)
+    system = pinred.load(model, loops=loops)
+    start = {"crank": 2.0, "coupler": -2.0, "rocker": 2.0}
+    scene = pinred.Scene(system=system, x0=start, xdot0={"crank": 1.0}, duration=0.5)
+    assert len(pinred.simulate(scene)) > 1
+    with pytest.raises(
+        IntegrationError, match=r"equations of the loops '?tips'? .*become dependent"
+    ):
+        pinred.simulate(scene, duration=2.0, method=pinred.DOP853(max_steps=2000))
+
+
+def test_playback_draws_the_path_without_a_curvature_field(tmp_path: Path) -> None:
+    """Shapes off the closed ones have no curvature."""
+    traj = pinred.simulate(linkage(), x0={"crank": 1.0}, xdot0={"crank": 2.0}, duration=0.2)
+    panel = shape_panel(traj.system, traj.x, traj.xdot)
+    assert panel is not None
+    assert not panel.field.size
+    pinred.save_html(traj, tmp_path / "motion.html")
+    assert (tmp_path / "motion.html").stat().st_size > 0
+
+
+REFUSED: dict[str, Callable[[pinred.System], object]] = {
+    "Reduction": pinred.Reduction,
+    "inspect": pinred.inspect,
+    "Connection": pinred.Connection.mechanical,
+    "equilibria": lambda s: pinred.relative_equilibria(s, momentum=1.0),
+    "branches": lambda s: pinred.branches(s, momentum=[0.0, 1.0]),
+    "reorient": lambda s: pinred.reorient(s, 1.0),
+    "casadi": pinred.casadi_functions,
+    "flow": lambda s: pinred.flow(s, duration=1.0, x0=s.closure.x, wrt=["xdot0"]),  # type: ignore[union-attr]
+    "members": lambda s: pinred.simulate_many(s, seeds=[1, 2], duration=1.0),
+    "parameters": lambda s: pinred.Scene(system=s, seed=1, parameters={"gravity.strength": 1.0}),
+    "prescribed": lambda s: pinred.Scene(system=s, seed=1, prescribed={"crank": 0.3}),
+    "computed torque": lambda s: pinred.Scene(
+        system=s,
+        seed=1,
+        forces=[pinred.forces.ComputedTorque(dict.fromkeys(s.shape_names, 0.0), kp=1.0, kd=1.0)],
+    ),
+    "variational": lambda s: pinred.Scene(system=s, seed=1, method=pinred.Variational(0.01)),
+    "linearise": lambda s: pinred.linearise(pinred.simulate(s, seed=1, duration=0.1)),
+    "lyapunov": lambda s: pinred.lyapunov(pinred.simulate(s, seed=1, duration=0.1)),
+    "floquet": lambda s: pinred.floquet(pinred.simulate(s, seed=1, duration=0.1)),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_features_without_loops_refuse_them_by_name(name: str) -> None:
+    """No feature leaves a constraint out."""
+    with pytest.raises(
+        UnsupportedOperationError, match=r"closed loops are not supported here.*tips"
+    ):
+        REFUSED[name](linkage())
