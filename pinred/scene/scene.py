@@ -25,7 +25,7 @@ from . import input_formats
 from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .joint_values import order_by_joint
-from .loop_states import HeldJoints, closed_rates, closed_shape, held_joints
+from .loop_states import HeldJoints, closed_rates, closed_shape, held_joints, refuse_in_loops
 from .option_checks import (
     check_keyframe,
     check_span,
@@ -115,7 +115,7 @@ class Scene(SceneFields):
         times = compute_report_times(self.times, self.duration, self.system)
         self._keep("_times", read_only(times))
         self._check_forces()
-        self._check_loops()
+        refuse_in_loops(self.system, self.prescribed, self.force_model, self.integrator)
         checked = vars(self).items()
         return Shared({name: v for name, v in checked if v is not unchecked.get(name, unchecked)})
 
@@ -286,16 +286,6 @@ class Scene(SceneFields):
         model = model.with_values(self.parameters)
         check_span(model, self.end, base=self.outputs == "all")
         self._keep("_forces", model)
-
-    def _check_loops(self) -> None:
-        """Raise UnsupportedOperationError for options that do not support closed loops."""
-        model, method = self.force_model, self.integrator
-        if self.prescribed:
-            self.system.refuse_loops("prescribed joints")
-        if model is not None and model.weighed:
-            self.system.refuse_loops("forces with inverse dynamics")
-        if method is not None and method.steady_momentum:
-            self.system.refuse_loops(f"method {method.name}")
 
     def _check_events(self) -> Sequence[Parameter]:
         """Validate and store the events; return the Parameters in them."""

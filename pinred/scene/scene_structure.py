@@ -9,15 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..forces.force import Force
 from ..forces.force_keys import NotKeyedError, key_of, key_of_force
 from ..integrators.methods import Method
-from .scene_options import SCENE_OPTIONS
-
-if TYPE_CHECKING:
-    from .scene import Scene
+from .scene_options import SCENE_OPTIONS, SceneFields
 
 MOST_STRUCTURES = 16  # largest number of structures that a system keeps
 _STATE = tuple(name for name, option in SCENE_OPTIONS.items() if option.table == "start")
@@ -38,7 +35,7 @@ class Shared:
         self.options = options
 
 
-def structure_key(scene: Scene) -> Hashable:
+def structure_key(scene: SceneFields) -> Hashable:
     """Return the key of a scene whose options are not yet checked; None without a key."""
     options = vars(scene)
     parameters = options["parameters"]
