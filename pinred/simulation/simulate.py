@@ -147,9 +147,11 @@ def _pinocchio(plan: Plan, progress: Progress | None, again: _Again) -> Trajecto
 def _compiled(plan: Plan, progress: Progress | None, again: _Again) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
+    from .compiled.thinned_segments import thinned
 
-    flow, through = CompiledFlow.of_plan(plan), None
-    if plan.passes_stops:
+    flow = CompiledFlow.of_plan(plan)
+    through: Callable[[], Segments] | None = thinned(flow, plan, progress)
+    if through is None and plan.passes_stops:
         from .compiled.through_stops import through_stops
 
         through = through_stops(flow, plan, progress)
