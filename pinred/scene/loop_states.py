@@ -5,17 +5,21 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import InputError, LoopWarning
 from ..common.names import quoted
+from ..integrators.methods import Method
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..system.loops.loop_assembly import CLOSED, assemble, describe_gap, loop_gaps
 from ..system.loops.loop_closure import project_rates
 from ..system.system import System
+
+if TYPE_CHECKING:
+    from ..forces.force_model import ForceModel
 
 _NOTICEABLE = 1e-6  # change of an initial state that is reported [relative]
 
@@ -39,6 +43,30 @@ def held_joints(x0: Any, xdot0: Any) -> tuple[HeldJoints, HeldJoints]:
         tuple(map(str, given)) if isinstance(given, Mapping) else () for given in (x0, xdot0)
     ]
     return HeldJoints(x0 is not None, by_name[0]), HeldJoints(xdot0 is not None, by_name[1])
+
+
+def refuse_in_loops(
+    system: System,
+    prescribed: Mapping[str, Any],
+    model: ForceModel | None,
+    method: Method | None,
+) -> None:
+    """Reject options that do not support closed loops, if the system has any.
+
+    Args:
+        system: The system.
+        prescribed: Motions of joints by name.
+        model: Forces of the scene; None if there are none.
+        method: The requested method; None if it is chosen.
+    Raises:
+        UnsupportedOperationError: An option does not support closed loops.
+    """
+    if prescribed:
+        system.refuse_loops("prescribed joints")
+    if model is not None and model.weighed:
+        system.refuse_loops("forces with inverse dynamics")
+    if method is not None and method.steady_momentum:
+        system.refuse_loops(f"method {method.name}")
 
 
 def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = False) -> Array:

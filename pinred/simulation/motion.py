@@ -98,6 +98,8 @@ class Motion:
         """Return the reduced states at times (T,), (T, k)."""
         if len(self.segments) == 1:
             return np.asarray(self.segments[0].at(t))
+        if (stored := self.segments.reported(t)) is not None:
+            return stored
         y = np.empty((len(t), len(self.flow.y0)))
         for segment, rows in self._by_segment(self._which(t)):
             y[rows] = segment.at(t[rows])
@@ -179,8 +181,8 @@ def follow(
         plan: The plan of the scene.
         flow: Reduced flow of the plan.
         integrate: The function that integrates the flow.
-        through: Integrates the flow through all stops of the plan at once, if `passes_stops` is
-            true; None if the engine cannot do this.
+        through: Integrates the flow through all stops of the plan at once; None if the engine
+            cannot do this.
     Returns:
         The motion.
     Raises:

@@ -86,7 +86,14 @@ class Segments(Sequence[Segment]):
     @cached_property
     def knots(self) -> Array:
         """Times of all step ends, (K,) sorted [s]."""
-        return np.unique(np.concatenate([segment.knots for segment in self._segments]))
+        return np.unique(np.concatenate([segment.knots for segment in self]))
+
+    def reported(self, t: Array) -> Array | None:  # noqa: ARG002
+        """Return the reduced states (T, k) if `t` is the array of report times and they are stored.
+
+        A single segment stores them itself, so the result is None here.
+        """
+        return None
 
     def __len__(self) -> int:
         return len(self.ends)

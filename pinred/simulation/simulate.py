@@ -26,6 +26,8 @@ from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ReducedFlow, Segments
 from .trajectory import Cost, Trajectory
 
+_OPTIONS = Scene.__dataclass_fields__.keys() - {"system"}
+
 
 @checks_arguments
 @shows_fields(Scene)
@@ -118,10 +120,10 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
     Raises:
         InputError: An option is unknown or invalid.
     """
-    names = [name for name in Scene.__dataclass_fields__ if name != "system"]
-    for option in options:
-        if option not in names:
-            raise InputError(f"{what} has no option '{option}'; the options are {', '.join(names)}")
+    if not options.keys() <= _OPTIONS:
+        names = [name for name in Scene.__dataclass_fields__ if name != "system"]
+        unknown = next(option for option in options if option not in names)
+        raise InputError(f"{what} has no option '{unknown}'; the options are {', '.join(names)}")
     if not isinstance(scene, Scene):
         return Scene(system=checked_system(scene, what, loops=True), **options)
     parameters = options.get("parameters")
@@ -145,9 +147,11 @@ def _pinocchio(plan: Plan, progress: Progress | None, again: _Again) -> Trajecto
 def _compiled(plan: Plan, progress: Progress | None, again: _Again) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
+    from .compiled.thinned_segments import thinned
 
-    flow, through = CompiledFlow.of_plan(plan), None
-    if plan.passes_stops:
+    flow = CompiledFlow.of_plan(plan)
+    through: Callable[[], Segments] | None = thinned(flow, plan, progress)
+    if through is None and plan.passes_stops:
         from .compiled.through_stops import through_stops
 
         through = through_stops(flow, plan, progress)
