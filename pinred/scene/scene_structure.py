@@ -63,7 +63,7 @@ def _key_of_option(value: Any) -> Hashable:
     if kind in PLAIN:
         return kind, value
     if kind in (dict, tuple) and not value:
-        return kind
+        return kind.__name__
     if isinstance(value, Force):
         return key_of_force(value)
     if kind in (list, tuple) and any(isinstance(entry, Force) for entry in value):
