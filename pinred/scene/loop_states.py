@@ -90,7 +90,10 @@ def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = F
     free = _free(system, held)
     start = x
     if not free.all():  # other joints start from a closed shape instead of zero
-        start = np.where(free, system.closure.x, x)
+        start = x.copy()
+        for joint in system.space.joints:
+            if free[joint.v].all():
+                start[joint.x] = system.closure.x[joint.x]
         closed, remaining = assemble(system, start, length, free)
         if remaining.max() <= CLOSED:
             return closed
@@ -105,7 +108,11 @@ def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = F
         )
     if (held.stated or report) and gaps.max() > _NOTICEABLE:
         name = quoted(system.loops[int(np.argmax(gaps))].name)
-        _warn(system, f"x0 leaves loop {name} open by {gaps.max() * length:.3g} m", closed - x)
+        _warn(
+            system,
+            f"x0 leaves loop {name} open by {gaps.max() * length:.3g} m",
+            system.space.difference(x, closed),
+        )
     return closed
 
 
@@ -139,7 +146,10 @@ def closed_rates(
 
 def _free(system: System, held: HeldJoints) -> Array:
     """Return which shape rates are not held, (m,)."""
-    return np.array([name not in held.names for name in system.shape_names])
+    free = np.ones(system.m, dtype=bool)
+    for joint in system.space.joints:
+        free[joint.v] = joint.name not in held.names
+    return free
 
 
 def _warn(system: System, what: str, change: Array) -> None:
@@ -147,7 +157,7 @@ def _warn(system: System, what: str, change: Array) -> None:
     unit = system.units[k]
     warnings.warn(
         f"{what}. The nearest state that keeps the loops of '{system.name}' closed is used; it "
-        f"changes joint {quoted(system.shape_names[k])} by {change[k]:.3g} {unit} (or {unit}/s). "
+        f"changes joint {quoted(system.space.names[k])} by {change[k]:.3g} {unit} (or {unit}/s). "
         "To keep chosen joints, state only those, by name.",
         LoopWarning,
         stacklevel=2,
