@@ -29,6 +29,8 @@ from .reduced_flow import Integrate, ReducedFlow, Segments
 from .run_record import RunRecord
 from .trajectory import Cost, Trajectory
 
+_OPTIONS = Scene.__dataclass_fields__.keys() - {"system"}
+
 
 @checks_arguments
 @shows_fields(Scene)
@@ -136,10 +138,10 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
     Raises:
         InputError: An option is unknown or invalid.
     """
-    names = [name for name in Scene.__dataclass_fields__ if name != "system"]
-    for option in options:
-        if option not in names:
-            raise InputError(f"{what} has no option '{option}'; the options are {', '.join(names)}")
+    if not options.keys() <= _OPTIONS:
+        names = [name for name in Scene.__dataclass_fields__ if name != "system"]
+        unknown = next(option for option in options if option not in names)
+        raise InputError(f"{what} has no option '{unknown}'; the options are {', '.join(names)}")
     if not isinstance(scene, Scene):
         return Scene(system=checked_system(scene, what, loops=True), **options)
     parameters = options.get("parameters")

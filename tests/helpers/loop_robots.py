@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -59,25 +59,29 @@ def crank_angles(crank: float, branch: float = -1.0) -> tuple[float, float]:
 
 
 def random_loops(
-    seed: int, kinds: tuple[LoopKind, ...], joints: int = 9
+    seed: int, kinds: tuple[LoopKind, ...], joints: int | Sequence[int] = 9, *, balls: bool = False
 ) -> tuple[pin.Model, list[Loop]]:
     """Return a random floating tree with a loop of each kind that closes at a random shape.
 
-    Each loop ties the ends of two random branches.
+    Each loop ties the ends of two random branches.  `joints` is the number of joints of a branch,
+    or of each branch.  With `balls` the first joint of each branch is a ball.
     """
+    lengths = [joints] * (2 * len(kinds)) if isinstance(joints, int) else list(joints)
     rng, model = np.random.default_rng(seed), pin.Model()
     model.name = f"random_loops_{seed}"
     model.gravity.setZero()
     base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
     model.appendBodyToJoint(base, _inertia(rng, 4.0), pin.SE3.Identity())
     loops, ends = [], []
-    for k in range(2 * len(kinds)):
+    for k, length in enumerate(lengths):
         parent = base
-        for n in range(joints):
+        for n in range(length):
             at = pin.SE3(pin.exp3(rng.normal(size=3)), 0.3 * rng.normal(size=3))
             axis = rng.normal(size=3)
             joint = pin.JointModelRevoluteUnaligned(*(axis / np.linalg.norm(axis)))
-            if n == 1:
+            if n == 0 and balls:
+                joint = pin.JointModelSpherical()
+            elif n == 1:
                 joint = pin.JointModelPrismaticUnaligned(*(axis / np.linalg.norm(axis)))
             parent = model.addJoint(parent, joint, at, f"j{k}_{n}")
             model.appendBodyToJoint(parent, _inertia(rng, 1.0), pin.SE3.Identity())
@@ -92,6 +96,39 @@ def random_loops(
         for joint, at, name in ((a, placement, f"a{k}"), (b, other, f"b{k}")):
             model.addFrame(pin.Frame(name, joint, 0, at, pin.FrameType.OP_FRAME))
         loops.append(Loop(f"a{k}", f"b{k}", kind))
+    return model, loops
+
+
+def planar_legs(seed: int = 0) -> tuple[pin.Model, list[Loop]]:
+    """Return a floating body with three planar legs of four hinges, and two more hinges.
+
+    Each leg closes by a weld, whose six equations have rank three: 14 joints, 18 equations of rank
+    9.
+    """
+    rng, model = np.random.default_rng(seed), pin.Model()
+    model.name = "planar_legs"
+    model.gravity.setZero()
+    base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, _inertia(rng, 4.0), pin.SE3.Identity())
+    frame_type, loops = pin.FrameType.OP_FRAME, []
+    for leg in range(3):
+        turn = pin.rpy.rpyToMatrix(0.0, 0.0, 2.0 * np.pi * leg / 3.0)
+        at = pin.SE3(turn, turn @ np.array([0.3, 0.0, 0.0]))
+        points = [(0.0, 0.0), (0.4, -0.3), (0.1, -0.8), (-0.2, -0.4)]  # a quadrangle in x and z
+        parent, place = base, at
+        for k in range(4):
+            start, end = (np.array([x, 0.0, z]) for x, z in (points[k], points[(k + 1) % 4]))
+            parent = model.addJoint(parent, pin.JointModelRY(), place, f"leg{leg}_{k}")
+            model.appendBodyToJoint(parent, _inertia(rng, 0.5), pin.SE3.Identity())
+            place = pin.SE3(np.eye(3), end - start)
+        model.addFrame(pin.Frame(f"end{leg}", parent, 0, place, frame_type))
+        model.addFrame(pin.Frame(f"hip{leg}", base, 0, at, frame_type))
+        loops.append(Loop(f"hip{leg}", f"end{leg}", "6d", f"leg{leg}"))
+    parent = base
+    for k in range(2):
+        at = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
+        parent = model.addJoint(parent, pin.JointModelRX(), at, f"arm{k}")
+        model.appendBodyToJoint(parent, _inertia(rng, 0.5), pin.SE3.Identity())
     return model, loops
 
 

@@ -168,7 +168,7 @@ class _Builder:
                 options[name] = self._per_joint(options[name], place / name)
         if "reference" in options:
             at = place / "reference"
-            options["reference"] = self._by_joint(options["reference"], at, self.signals.value)
+            options["reference"] = self._by_joint(options["reference"], at, self.signals.plan)
         if "attitude" in options:
             options["attitude"] = self._attitude(options["attitude"], place / "attitude")
         at = place / "function"
