@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-
-if TYPE_CHECKING:
-    from .robot_description import DescribedBody, Model
+from .described_body import DescribedBody
 
 _URDF_TYPES = {"slide": "prismatic", "fixed": "fixed"}
 
 
-def urdf_of(model: Model) -> str:
+def urdf_of(name: str, bodies: Sequence[DescribedBody]) -> str:
     """Return a described robot as a URDF text, with three hinges for each ball."""
-    robot = Element("robot", name=model.name)
-    for body in model.bodies:
+    robot = Element("robot", name=name)
+    for body in bodies:
         parent = body.parent
         at, rpy = _numbers(body.at), _numbers(pin.rpy.matrixToRpy(_rotation(body.attitude)))
         if body.joint == "ball":
@@ -72,13 +70,13 @@ def _link(robot: Element, body: DescribedBody) -> None:
     SubElement(inertial, "inertia", entries)
 
 
-def mjcf_of(model: Model) -> str:
+def mjcf_of(name: str, bodies: Sequence[DescribedBody]) -> str:
     """Return a described robot as an MJCF text, with a free joint at the base."""
-    root = Element("mujoco", model=model.name)
+    root = Element("mujoco", model=name)
     # Every inertia is written; shapes, of which there are none, would not change it.
     SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     elements = {"": SubElement(root, "worldbody")}
-    for body in model.bodies:
+    for body in bodies:
         x, y, z, w = body.attitude
         element = SubElement(
             elements[body.parent], "body", name=body.name, pos=_numbers(body.at),
