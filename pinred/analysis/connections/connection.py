@@ -18,8 +18,9 @@ from ...kernels.connection.connection_form import ConnectionForm
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.shape_space import ShapeSpace
-from ...system.system import System
+from ...system.system import System, checked_system
 from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
+from .loop_connection import loop_connection_code, refuse_moved_loops
 from .mechanical_connection import mechanical_code
 from .other_frames import from_link, in_section
 from .rotation_chart import RotationChart, chart_about
@@ -126,16 +127,26 @@ class Connection:
         return cls(form, ConnectionCode(form))
 
     @classmethod
-    def mechanical(cls, system: System) -> Connection:
+    def mechanical(cls, system: System, *, independent: Sequence[str] | None = None) -> Connection:
         """Return the mechanical connection of a system, A = I⁻¹ H_bs.
 
         Args:
-            system: The system.
+            system: The system.  With closed loops, the shapes of the connection are the
+                coordinates of independent joints, and the other joints follow.
+            independent: Names of the independent joints of a robot with loops, as many as
+                `System.shape_dim`.  None: they are chosen where the loops were assembled.
         Returns:
             The connection, with the reduced metric [kg m² | kg m | kg].
+        Raises:
+            InputError: The independent joints are not valid, or the robot has no loops.
         """
+        gravity = broken_by_gravity(checked_system(system, "Connection.mechanical", loops=True))
+        if system.loops:
+            closed = loop_connection_code(system, independent)
+            return cls(closed.form, closed, is_mechanical=True, turned_by_gravity=gravity)
+        if independent is not None:
+            raise InputError("independent: expected none, because the robot has no loops")
         code = mechanical_code(system)
-        gravity = broken_by_gravity(system)
         return cls(code.form, code, system, is_mechanical=True, turned_by_gravity=gravity)
 
     @classmethod
@@ -194,6 +205,7 @@ class Connection:
         Raises:
             InputError: The connection has no system, or the link is not admissible.
         """
+        refuse_moved_loops(self.code, "Connection.seen_from")
         if self.system is None or self.chart is not None:
             raise InputError("seen_from: expected a connection of a System, without a centre")
         return self._moved(from_link(self.form, self.system, link))
@@ -206,6 +218,7 @@ class Connection:
         Returns:
             The connection.
         """
+        refuse_moved_loops(self.code, "Connection.in_section")
         chart = self.in_chart()
         return replace(self._moved(in_section(chart.form, pose)), chart=chart.chart)
 
@@ -221,6 +234,7 @@ class Connection:
         """
         if centre is None and not self.space.balls:
             return self
+        refuse_moved_loops(self.code, "Connection.in_chart")
         chart = chart_about(self.space, self.system, centre, self.chart)
         code = once(self, chart.centre.tobytes(), partial(chart.code_of, self.form))
         return replace(self, form=code.form, code=code, chart=chart)
@@ -390,6 +404,7 @@ class Connection:
             raise SymmetryError(f"momenta are not conserved: {self.turned_by_gravity}")
 
     def _moved(self, form: ConnectionForm) -> Connection:
+        refuse_moved_loops(self.code, "a connection in another frame")
         return replace(Connection.of(form), turned_by_gravity=self.turned_by_gravity)
 
     def _one(self, x: ArrayLike) -> Array:
