@@ -21,7 +21,7 @@ from .kinds import Damper, Friction, Spring
 from .signals import Attitude, Expression, Signal
 
 _PACKAGE = f"{__name__.partition('.')[0]}."
-_PLAIN = frozenset({float, int, Default, np.float64, np.int64, str, bool, type(None)})
+PLAIN = frozenset({float, int, Default, np.float64, np.int64, str, bool, type(None)})
 _FUNCTIONS = (FunctionType, MethodType, BuiltinFunctionType)
 
 
@@ -29,15 +29,7 @@ class NotKeyedError(Exception):
     """A value has no key, because it may change in place."""
 
 
-def key_of_plain(value: Any) -> Hashable:
-    """Return the key of a number, text or None; raise NotKeyedError for other types."""
-    kind = type(value)
-    if kind not in _PLAIN:
-        raise NotKeyedError
-    return kind, value
-
-
-def key_of_array(array: np.ndarray) -> Hashable:
+def _key_of_array(array: np.ndarray) -> Hashable:
     """Return the key of an array of numbers; raise NotKeyedError for arrays of objects."""
     if array.dtype.hasobject:
         raise NotKeyedError
@@ -55,7 +47,7 @@ def key_of(value: Any) -> Hashable:
         NotKeyedError: The value may change in place.
     """
     kind = type(value)
-    if kind in _PLAIN:
+    if kind in PLAIN:
         return kind, value
     if kind in (Parameter, Expression) or isinstance(value, _FUNCTIONS):
         return kind, value
@@ -64,7 +56,7 @@ def key_of(value: Any) -> Hashable:
     if kind in (list, tuple):
         return kind, tuple(map(key_of, value))
     if kind is np.ndarray:
-        return key_of_array(value)
+        return _key_of_array(value)
     if kind in (Limit, Attitude):
         return kind, key_of(vars(value))
     if isinstance(value, Signal) and kind.__module__.startswith(_PACKAGE):

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from ..forces.force import Force
-from ..forces.force_keys import NotKeyedError, key_of, key_of_force
+from ..forces.force_keys import PLAIN, NotKeyedError, key_of, key_of_force
 from ..integrators.methods import Method
 from .scene_options import SCENE_OPTIONS, SceneFields
 
@@ -60,6 +60,10 @@ def _key_of_state(value: Any) -> Hashable:
 def _key_of_option(value: Any) -> Hashable:
     """Return the key of an option that does not belong to the initial state."""
     kind = type(value)
+    if kind in PLAIN:
+        return kind, value
+    if kind in (dict, tuple) and not value:
+        return kind.__name__
     if isinstance(value, Force):
         return key_of_force(value)
     if kind in (list, tuple) and any(isinstance(entry, Force) for entry in value):
