@@ -151,6 +151,19 @@ def test_slopes_of_horizontal_motions_equal_differences() -> None:
     np.testing.assert_allclose(terms.curvature, terms.exterior - terms.bracket, atol=1e-15)
 
 
+def test_inspection_reports_loops_rank_and_dimension() -> None:
+    """The matrices are those of independent joints."""
+    system = linkage()
+    inspection = pinred.inspect(system)
+    text = str(inspection)
+    assert "tips: left_tip = right_tip (3d)" in text
+    assert "3 equations of rank 2, closed shapes of dimension 2" in text
+    assert inspection.at.local_connection.shape == (3, 2)
+    assert not inspection.flat
+    model, loops = four_bar()
+    assert pinred.inspect(pinred.load(model, loops=loops)).flat
+
+
 def test_charts_that_do_not_fit_are_refused_by_name() -> None:
     """Unknown joints, a wrong number, dead points, open shapes, frames and robots without loops."""
     system = linkage()

@@ -291,7 +291,6 @@ def test_playback_draws_the_path_without_a_curvature_field(tmp_path: Path) -> No
 
 REFUSED: dict[str, Callable[[pinred.System], object]] = {
     "Reduction": pinred.Reduction,
-    "inspect": pinred.inspect,
     "viscous": lambda s: pinred.Connection.viscous(s, {}),
     "kinematic": lambda s: pinred.Connection.kinematic(s, []),
     "equilibria": lambda s: pinred.relative_equilibria(s, momentum=1.0),

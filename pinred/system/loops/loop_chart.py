@@ -125,7 +125,7 @@ class LoopChart:
 
     def _jacobian(self, x: Array) -> Array:
         assert self.system.closure is not None
-        return loop_jacobian(self.system, x)[self.system.closure.rows]
+        return np.asarray(loop_jacobian(self.system, x)[self.system.closure.rows])
 
     def _solve(self, x: Array, right: Array) -> Array:
         """Return J_D⁻¹ times a vector or matrix.  Raises SingularInertiaError at dead points."""
