@@ -95,8 +95,8 @@ def test_loop_plot_of_gait_and_plan() -> None:
 
 def test_plots_of_connections_reject_invalid_input() -> None:
     """Wrong types, and other than two joints."""
-    with pytest.raises(pinred.InputError, match="field draws a Connection"):
-        plots.field(pinred.load("three_rods"))  # type: ignore[arg-type]
+    with pytest.raises(pinred.InputError, match="field takes a Connection, or a System"):
+        plots.field("three_rods")  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="loop draws a BestGait or a TurnPlan"):
         plots.loop(rods())  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="cycles draws a Phase"):
