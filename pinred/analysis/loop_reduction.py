@@ -24,6 +24,7 @@ from ..system.loops.loop_chart import loop_chart
 from ..system.system import System, checked_system
 
 
+@checks_arguments
 @dataclass(frozen=True, eq=False)
 class ClosedShape(FrozenArrays):
     """The reduction at one closed shape of a robot with loops; arrays are read-only.
