@@ -176,6 +176,12 @@ def test_charts_that_do_not_fit_are_refused_by_name() -> None:
         red.at(np.zeros(4))
     with pytest.raises(SingularInertiaError, match=r"the loops tips of.*independent="):
         red.shape([np.pi, 0.0])
+    biped = pinred.load("parallel_biped")
+    motors = [f"{side}_{end}_hip" for side in ("left", "right") for end in ("front", "rear")]
+    legs = pinred.LoopReduction(biped, independent=motors)
+    with pytest.raises(SingularInertiaError, match="near x ="):  # the knees of a leg meet
+        legs.shape(np.array([-0.2527, 0.2527] * 2) + 2.0 * np.pi)
+    legs.shape(np.array([-0.9, 0.9] * 2) + 2.0 * np.pi)
     tree = pinred.load("planar_chain5")
     with pytest.raises(InputError, match="expected a robot with loops"):
         pinred.LoopReduction(tree)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import casadi as ca
 from numpy.typing import ArrayLike
@@ -18,15 +18,73 @@ from ...kernels.connection.connection_form import ConnectionForm
 from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.shape_space import ShapeSpace
-from ...system.system import System, checked_system
-from .connection_over_shapes import ConnectionField
+from ...system.system import System
 from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
-from .loop_connection import loop_connection_code, refuse_moved_loops
-from .mechanical_connection import mechanical_code
+from .loop_connection import code_with_loops, refuse_moved_loops
 from .other_frames import from_link, in_section
 from .rotation_chart import RotationChart, chart_about
 from .singular_shapes import refuse_singular, require_metric
 from .wheels import Rolling, Wheel, kinematic_form
+
+
+@checks_arguments
+@dataclass(frozen=True, eq=False)
+class ConnectionField:
+    """A connection at many shapes, with the leading axes of x first in every array.
+
+    Arrays are cached and read-only; SingularInertiaError is raised where A is not defined.
+
+    Attributes:
+        connection: The connection.
+        x: Shapes, (..., nx) [rad | m].
+    """
+
+    connection: Connection = field(repr=False)
+    x: Array
+
+    @property
+    def local(self) -> Array:
+        """Local connection A, (..., r, m)."""
+        return self._locals[0]
+
+    @property
+    def metric(self) -> Array:
+        """Metric M, (..., m, m).  Raises InputError if the connection has no metric."""
+        return require_metric(self.connection.form, self._locals[1])
+
+    @cached_property
+    def curvature(self) -> Array:
+        """Curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] − c^γ_αβ A_γ, (..., r, m, m)."""
+        B, health = self.connection.code.curvature(self._flat)
+        refuse_singular(self.connection.form, self._flat, health)
+        return self._shaped(B)
+
+    @property
+    def exterior(self) -> Array:
+        """Exterior derivative ∂_αA_β − ∂_βA_α − c^γ_αβ A_γ: B of a commutative group."""
+        return self._parts[0]
+
+    @property
+    def bracket(self) -> Array:
+        """Bracket [A_α, A_β], (..., r, m, m); curvature = exterior − bracket."""
+        return self._parts[1]
+
+    @cached_property
+    def _locals(self) -> tuple[Array, Array | None]:
+        A, M, _ = self.connection.locals_at(self._flat)
+        return self._shaped(A), None if M is None else self._shaped(M)
+
+    @cached_property
+    def _parts(self) -> tuple[Array, Array]:
+        terms = self.connection.curvatures_at(self._flat)
+        return self._shaped(terms.exterior), self._shaped(terms.bracket)
+
+    @property
+    def _flat(self) -> Array:
+        return self.x.reshape(-1, self.connection.nx)
+
+    def _shaped(self, array: Array) -> Array:
+        return read_only(array.reshape(*self.x.shape[:-1], *array.shape[1:]))
 
 
 @checks_arguments
@@ -37,7 +95,6 @@ class Connection:
     ξ is the body twist of the base, (r,) [linear; angular].  ẋ are rates along the frame of the
     shape space, (m,): the derivatives of hinges and slides, and the angular velocities of balls in
     the axes of their children.  Momenta, drag and fluid also define a metric M on shape space.
-    Machine code computes the values, validated against Pinocchio.
 
     Attributes:
         form: Linear form of the velocities (ξ, ẋ) that vanishes on horizontal motions.
@@ -71,23 +128,15 @@ class Connection:
         """Return the mechanical connection of a system, A = I⁻¹ H_bs.
 
         Args:
-            system: The system.  With closed loops, the shapes of the connection are the
-                coordinates of independent joints, and the other joints follow.
-            independent: Names of the independent joints of a robot with loops, as many as
-                `System.shape_dim`.  None: they are chosen where the loops were assembled.
+            system: The system.
+            independent: Joints of a robot with loops, as many as `System.shape_dim`, whose
+                coordinates are the shapes; None: chosen where the loops were assembled.
         Returns:
             The connection, with the reduced metric [kg m² | kg m | kg].
-        Raises:
-            InputError: The independent joints are not valid, or the robot has no loops.
         """
-        gravity = broken_by_gravity(checked_system(system, "Connection.mechanical", loops=True))
-        if system.loops:
-            closed = loop_connection_code(system, independent)
-            return cls(closed.form, closed, is_mechanical=True, turned_by_gravity=gravity)
-        if independent is not None:
-            raise InputError("independent: expected none, because the robot has no loops")
-        code = mechanical_code(system)
-        return cls(code.form, code, system, is_mechanical=True, turned_by_gravity=gravity)
+        code, tree = code_with_loops(system, independent), None if system.loops else system
+        gravity = broken_by_gravity(system)
+        return cls(code.form, code, tree, is_mechanical=True, turned_by_gravity=gravity)
 
     @classmethod
     def viscous(cls, system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connection:
@@ -116,10 +165,8 @@ class Connection:
         Returns:
             The connection, with a metric.
         """
-        return replace(
-            cls.of(fluid_form(system, density, bodies)), system=system,
-            turned_by_gravity=broken_by_gravity(system),
-        )  # fmt: skip
+        flow = replace(cls.of(fluid_form(system, density, bodies)), system=system)
+        return replace(flow, turned_by_gravity=broken_by_gravity(system))
 
     @classmethod
     def kinematic(cls, system: System, wheels: Sequence[Wheel | Rolling]) -> Connection:
@@ -250,8 +297,7 @@ class Connection:
     def curvature(self, x: ArrayLike) -> Array:
         """Compute the curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] − c^γ_αβ A_γ.
 
-        The bracket is that of twists.  c are the structure constants of the shape space's frame,
-        zero without balls.
+        The bracket is that of twists; c are structure constants, zero without balls.
 
         Args:
             x: Shape, (nx,) [rad | m].
@@ -287,7 +333,7 @@ class Connection:
         xdot = vectors(xdot, self.m, "xdot", self.joints)
         if x.shape[:-1] != xdot.shape[:-1]:
             raise InputError(f"x and xdot differ in shape, {x.shape} and {xdot.shape}")
-        xi, _ = self.horizontal(x.reshape(-1, self.nx), xdot.reshape(-1, self.m))
+        xi = self.horizontal(x.reshape(-1, self.nx), xdot.reshape(-1, self.m))[0]
         return xi.reshape(*x.shape[:-1], self.r)
 
     def horizontal(self, x: Array, xdot: Array) -> tuple[Array, Array]:
@@ -344,7 +390,6 @@ class Connection:
             raise SymmetryError(f"momenta are not conserved: {self.turned_by_gravity}")
 
     def _moved(self, form: ConnectionForm) -> Connection:
-        refuse_moved_loops(self.code, "a connection in another frame")
         return replace(Connection.of(form), turned_by_gravity=self.turned_by_gravity)
 
     def _one(self, x: ArrayLike) -> Array:

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...common.arrays import Array, rows
-from ...common.errors import UnsupportedOperationError
+from ...common.errors import InputError, UnsupportedOperationError
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures, Locals, Velocities
 from ...system.loops.loop_chart import LoopChart, loop_chart
-from ...system.system import System
+from ...system.system import System, checked_system
 from .mechanical_connection import mechanical_code
 
 
@@ -109,17 +109,22 @@ class LoopConnectionCode(ConnectionCode):
         return np.einsum("nimp,nma,npb->niab", B, G, G), health
 
 
-def loop_connection_code(system: System, independent: Sequence[str] | None) -> LoopConnectionCode:
-    """Return the mechanical connection of a robot with loops over independent joints.
+def code_with_loops(system: System, independent: Sequence[str] | None) -> ConnectionCode:
+    """Return the mechanical connection of a robot, over independent joints if it has loops.
 
     Args:
-        system: System with closed loops.
+        system: The system.
         independent: Names of the independent joints; None: chosen at the assembled shape.
     Returns:
         The values of the connection.
     Raises:
         InputError: The independent joints are not valid, or one is an axis of a ball.
     """
+    system = checked_system(system, "Connection.mechanical", loops=True)
+    if not system.loops:
+        if independent is not None:
+            raise InputError("independent: expected none, because the robot has no loops")
+        return mechanical_code(system)
     tree, chart = mechanical_code(system.open_tree()), loop_chart(system, independent)
     form = replace(tree.form, space=chart.space(), what=f"{tree.form.what} with closed loops")
     return LoopConnectionCode(form, tree, chart)

@@ -109,6 +109,7 @@ class LoopChart:
         change[self.independent] = step
         J = self._jacobian(x)
         residual, last = J[:, self.independent] @ step, np.inf
+        side = np.linalg.slogdet(J[:, self.dependent])[0]
         for _ in range(_ITERATIONS):
             try:
                 change[self.dependent] = -np.linalg.solve(J[:, self.dependent], residual)
@@ -118,7 +119,10 @@ class LoopChart:
             if not size <= _LONGEST * closure.length and not size <= _LONGEST:
                 break
             if size <= _CLOSED or (size < 1e-10 and size >= last):
-                return x
+                # A change of sign reveals that the step has passed a singular shape.
+                if np.linalg.slogdet(J[:, self.dependent])[0] != side:
+                    break
+                return np.asarray(x)
             J, residual = self._jacobian(x), loop_values(self.system, x)[closure.rows]
             change[self.independent], last = 0.0, size
         raise SingularInertiaError(self._singular(x))
