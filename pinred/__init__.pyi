@@ -39,6 +39,8 @@ from .analysis.full_reduction import Reduction as Reduction
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
+from .analysis.loop_reduction import ClosedShape as ClosedShape
+from .analysis.loop_reduction import LoopReduction as LoopReduction
 from .analysis.phases.path_basis import PhaseSlopes as PhaseSlopes
 from .analysis.phases.path_basis import phase_slopes as phase_slopes
 from .analysis.phases.phase import Phase as Phase
