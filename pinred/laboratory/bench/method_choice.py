@@ -162,9 +162,9 @@ def _run(plan: Plan, rounds: int) -> tuple[Array, float]:
         if perf_counter() - began > _PATIENCE:
             raise _TooSlowError
 
-    once = integrator(flow, plan, watch)  # compiles, and runs a tiny part
+    once, end = integrator(flow, plan, watch), plan.scene.end
+    once(0.0, 1e-9 * end, flow.y0, parameters)  # compiles the method and the kernel's derivative
     began = perf_counter()
-    end = plan.scene.end
     solution = once(0.0, end, flow.y0, parameters)
     first = perf_counter() - began
     run = partial(integrator(flow, plan, None), 0.0, end, flow.y0, parameters)
