@@ -89,7 +89,11 @@ class Phase(Summary, FrozenArrays):
         return [*rows, ("samples", str(self.samples))]
 
     def in_words(self, pose: Array) -> str:
-        """Return the names and values of a pose, (size,), in one line."""
+        """Return the names and values of a pose in one line.
+
+        Args:
+            pose: Pose, (size,).
+        """
         named = zip(self.group.pose_names, pose, strict=True)
         return "  ".join(f"{name} {value:.12g}" for name, value in named)
 
