@@ -53,6 +53,10 @@ class RotationChart(FrozenArrays):
         """Return the shapes x, (..., nx), of coordinates w, (..., m)."""
         return self.space.integrate(self.centre, w)
 
+    def shape_graph(self, w: ca.SX) -> ca.SX:
+        """Return the expressions of the shape x, (nx,), at coordinates w, (m,)."""
+        return self._shape(self._terms(w), w)
+
     def rate_maps(self, w: Array) -> Array:
         """Return J(w), (..., m, m), which maps ẇ to rates σ along the frame."""
         J = np.zeros((*w.shape, self.space.m))
