@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib.resources import files
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -169,8 +168,8 @@ def _pair(
         )
         return round(float(np.linalg.norm([column[first:] for column in columns])), 9)
 
-    pairs = list(combinations(range(connection.m), 2))
-    return list(max(pairs, key=strength))
+    pairs = [(a, b) for b in range(connection.m) for a in range(b)]
+    return list(max(sorted(pairs), key=strength))
 
 
 def _picture(
