@@ -169,7 +169,8 @@ def _pair(
         return round(float(np.linalg.norm([column[first:] for column in columns])), 9)
 
     pairs = [(a, b) for b in range(connection.m) for a in range(b)]
-    return list(max(sorted(pairs), key=strength))
+    a, b = max(sorted(pairs), key=strength)
+    return [a, b]
 
 
 def _picture(
