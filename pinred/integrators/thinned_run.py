@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from ..common.arrays import Array, read_only
-from ..common.errors import IntegrationError
 from .integrate import Canonical, Progress, Tangent, begun_by, failure, give_tangent
 from .methods.method import EqualSteps
+from .run_keeper import RunKeeper, SavedRun, packed_registers, unpacked_registers
 from .stepping.codes import DONE, UNDERFLOW, WANTED
 from .stepping.run_state import Runs, copied
 from .stepping.state_rows import Quaternions, Y
@@ -132,6 +133,7 @@ class ThinnedIntegration:
         times: Array,
         progress: Progress | None = None,
         look: Look | None = None,
+        keeper: RunKeeper | None = None,
     ) -> ThinnedSolution:
         """Integrate from y0 (n,) at time 0.
 
@@ -141,59 +143,76 @@ class ThinnedIntegration:
             times: Report times, (T,) sorted and read-only [s].
             progress: Called repeatedly with the finished fraction of the time.
             look: Called repeatedly with the times (2,) [s] of two step ends and the states (2, n).
+            keeper: Saves the run at its pauses, and continues a saved run.
         Returns:
             The solution.
         """
-        run, work = copied(self._first), self._stepper.work(self._n)
-        work[Y, : self._n] = y0
-        size = run.nbytes + work.nbytes
-        copies = [RunCopy(copied(run), work.copy())]
-        most = max(1, min(_MOST_COPIES, _COPY_BYTES // size))
+        n = self._n
+        run, work = copied(self._first), self._stepper.work(n)
+        work[Y, :n] = y0
+        reported, copies = np.empty((len(times), n)), [RunCopy(copied(run), work.copy())]
         before = np.array([0.0]), np.array([y0])
+        saved = None if keeper is None else keeper.saved()
+        if saved is not None:
+            end = self._restored(saved["end"])
+            run, work = end.run, end.work
+            reported, copies = saved["reported"], [self._restored(c) for c in saved["copies"]]
+            before = saved["before"]
+        most = max(1, min(_MOST_COPIES, _COPY_BYTES // (run.nbytes + work.nbytes)))
 
-        def pause(run: Runs, work: Array) -> bool:
-            nonlocal before
-            here = run["t"].copy(), work[Y : Y + 1, : self._n].copy()
-            if look is not None and run["steps"]:
+        def state() -> dict[str, Any]:
+            return {
+                "end": _packed(RunCopy(run, work)),
+                "copies": [_packed(copy) for copy in copies],
+                "reported": reported,
+                "before": list(before),
+            }
+
+        while True:
+            if keeper is not None:
+                keeper.pause(state)
+            done, work = self._advance(run, params, work, times, reported)
+            here = run["t"].copy(), work[Y : Y + 1, :n].copy()
+            if look is not None:
                 look(*(np.concatenate(pair) for pair in zip(before, here, strict=True)))
-            before = here
-            if here[0][0] < self._end and here[0][0] * most >= self._end * len(copies):
-                copies.append(RunCopy(copied(run), work.copy()))
+            before, time = here, float(here[0][0])
             if progress is not None:
-                progress(here[0][0] / self._end)
-            return False
-
-        reported = np.empty((len(times), self._n))
-        last = self._advance(run, work, params, times, reported, pause)
-        return ThinnedSolution(times, read_only(reported), params, [*copies, last], self)
+                progress(time / self._end)
+            if done:
+                break
+            if time * most >= self._end * len(copies):
+                copies.append(RunCopy(copied(run), work.copy()))
+        if keeper is not None:
+            keeper.finish(state())
+        parts = [*copies, RunCopy(run, work)]
+        return ThinnedSolution(times, read_only(reported), params, parts, self)
 
     def rerun(self, copy: RunCopy, params: Array, times: Array, out: Array) -> None:
         """Integrate again from a copy, and write the states at times (T,) to `out` (T, n)."""
-        run = copied(copy.run)
+        run, work, done = copied(copy.run), copy.work.copy(), False
         run["next"] = 0
-        self._advance(
-            run, copy.work.copy(), params, times, out, lambda run, _: run["next"][0] == len(times)
-        )
+        while not done and run["next"].item() < len(times):
+            done, work = self._advance(run, params, work, times, out)
 
     def _advance(
-        self,
-        run: Runs,
-        work: Array,
-        params: Array,
-        times: Array,
-        out: Array,
-        pause: Callable[[Runs, Array], bool],
-    ) -> RunCopy:
-        """Integrate to the end, or until `pause`, called repeatedly, returns True."""
-        while True:
-            status = self._stepper.loops.advance(run, params, work, times, out, *self._no_knots)
-            if status == WANTED:
-                give_tangent(self._tangent, self._method, run)
-                work = self._stepper.widened(self._n, work)
-            elif status >= UNDERFLOW:
-                raise self._failure(status, run, work)
-            elif pause(run, work) or status == DONE:
-                return RunCopy(run, work)
+        self, run: Runs, params: Array, work: Array, times: Array, out: Array
+    ) -> tuple[bool, Array]:
+        """Integrate to the next pause; return whether the run is finished, and its work rows."""
+        status = self._stepper.loops.advance(run, params, work, times, out, *self._no_knots)
+        if status == WANTED:
+            give_tangent(self._tangent, self._method, run)
+            return False, self._stepper.widened(self._n, work)
+        if status >= UNDERFLOW:
+            raise failure(status, run, work[Y, : self._n].copy())
+        return status == DONE, work
 
-    def _failure(self, status: int, run: Runs, work: Array) -> IntegrationError:
-        return failure(status, run, work[Y, : self._n].copy())
+    def _restored(self, saved: SavedRun) -> RunCopy:
+        """Return a saved copy of this run."""
+        run = unpacked_registers(saved["run"], self._first)
+        if run["tangent"]:
+            give_tangent(self._tangent, self._method, run)
+        return RunCopy(run, saved["work"])
+
+
+def _packed(copy: RunCopy) -> dict[str, Any]:
+    return {"run": packed_registers(copy.run), "work": copy.work}

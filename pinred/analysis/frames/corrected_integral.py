@@ -12,7 +12,7 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
-from ..connections.connection import Connection
+from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.gait import Gait
 from ..phases.phase import phase
 from .optimal_frame import OptimalFrame
@@ -43,18 +43,18 @@ class CorrectedIntegral(FrozenArrays):
 
 @checks_arguments
 def corrected_integral(
-    connection: Connection, gait: Gait, frame: OptimalFrame | None = None
+    connection: ConnectionSource, gait: Gait, frame: OptimalFrame | None = None
 ) -> CorrectedIntegral:
     """Compute −∬B over the disc spanned by a Fourier gait, and the true phase.
 
     Args:
-        connection: Connection that lifts the gait.
+        connection: Connection that lifts the gait, or a System for its mechanical connection.
         gait: Gait that is one Fourier series.
         frame: Frame of the curvature, B′ = Ad_{h⁻¹}B; by default the base frame.
     Returns:
         Integral, phase and relative error.
     """
-    connection = connection.in_chart()
+    connection = connection_of(connection, "corrected_integral").in_chart()
     group, disc = connection.group, Disc(gait)
     u = disc.nodes
     x = disc.shapes(u)

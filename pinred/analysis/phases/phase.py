@@ -22,6 +22,7 @@ from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
+from ..connections.connection_source import ConnectionSource, connection_of
 from ..connections.singular_shapes import refuse_crossing, refuse_singular
 from ..gaits.gait import Gait
 from .closure import refuse_open, turns_ball
@@ -116,7 +117,7 @@ class Phase(FrozenArrays):
 
 @checks_arguments
 def phase(
-    connection: Connection,
+    connection: ConnectionSource,
     gait: Gait,
     momentum: ArrayLike | float = 0,
     *,
@@ -128,8 +129,9 @@ def phase(
     Fourier series, convergence is spectral.
 
     Args:
-        connection: Connection that lifts the gait. If there are ball joints, the gait is given in
-            rotation vectors, about the centre of `Connection.in_chart` or else about rest.
+        connection: Connection that lifts the gait, or a System for its mechanical connection. If
+            there are ball joints, the gait is given in rotation vectors, about the centre of
+            `Connection.in_chart` or else about rest.
         gait: Closed path in shape space.
         momentum: 0, or the body momentum μ at the start, (r,). Ad*_{g⁻¹} μ is conserved.
         tolerance: Tolerance of the pose, in rotation [rad] and translation [m].
@@ -141,12 +143,9 @@ def phase(
         IntegrationError: The tolerance is not reached with the largest number of samples.
         InputError: An argument is of the wrong kind, or gait and connection do not match.
     """
-    if not isinstance(connection, Connection) or not isinstance(gait, Gait):
-        raise InputError(
-            f"phase takes a Connection and a Gait, got {type(connection).__name__} and "
-            f"{type(gait).__name__}"
-        )
-    connection = connection.in_chart()
+    if not isinstance(gait, Gait):
+        raise InputError(f"phase takes a Connection and a Gait, got {type(gait).__name__}")
+    connection = connection_of(connection, "phase").in_chart()
     connection.refuse_gravity()
     refuse_open(connection, gait)
     goal = max(positive(tolerance, "tolerance"), _LEAST)

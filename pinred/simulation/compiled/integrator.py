@@ -19,6 +19,7 @@ from ...common.memo import once
 from ...common.names import quoted
 from ...integrators.integrate import Integration
 from ...integrators.methods import Method
+from ...integrators.run_keeper import RunKeeper
 from ...integrators.solution import Solution
 from ...kernels.kernel import Kernel
 from ...reduction.inertia_split import lost_inertia
@@ -72,6 +73,7 @@ def integrator(
         y0: Array,
         parameters: Array,
         watch: Callable[[Segment], bool] | None = None,
+        keeper: RunKeeper | None = None,
     ) -> Segment:
         # The time of an integration starts at 0; time-dependent equations have the true time in y.
         is_complete = start == 0.0 and end == scene.end
@@ -94,7 +96,11 @@ def integrator(
         integrate = whole() if is_complete else prepare(end - start, _NO_TIMES)
         try:
             solution = integrate(
-                parameters, y0, progress=done, watch=watch and (lambda part: watch(segment(part)))
+                parameters,
+                y0,
+                progress=done,
+                watch=watch and (lambda part: watch(segment(part))),
+                keeper=keeper,
             )
         except IntegrationError as stop:
             raise explained(stop, flow, scene, start, parameters) from None

@@ -13,6 +13,7 @@ from ...integrators.methods import EqualSteps
 from ...integrators.thinned_run import ThinnedIntegration, ThinnedSolution
 from ..plan import Plan
 from ..reduced_flow import Segment, Segments
+from ..run_record import Part, RunRecord
 from .compiled_flow import CompiledFlow
 from .integrator import divisions_of, explained, refined, wild_steps
 
@@ -22,7 +23,10 @@ _FEW = 4  # Step ends are stored if there are fewer of them per report time.
 
 
 def thinned(
-    flow: CompiledFlow, plan: Plan, progress: Callable[[float], None] | None
+    flow: CompiledFlow,
+    plan: Plan,
+    progress: Callable[[float], None] | None,
+    record: RunRecord | None = None,
 ) -> Callable[[], Segments] | None:
     """Return the function that integrates a flow and stores the states at report times only.
 
@@ -30,6 +34,7 @@ def thinned(
         flow: The flow of the plan.
         plan: The plan.
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
+        record: Record of the run in a checkpoint, from which it continues; or None.
     Returns:
         The function; None for methods with step control, short runs, runs with many report times,
         and runs with events or controllers, which observe the steps.
@@ -42,11 +47,15 @@ def thinned(
     few_bytes = 8.0 * steps * (1 + flow.y0.size) <= STORED_BYTES
     if few_bytes or steps < _FEW * len(scene.report_times):
         return None
-    return lambda: _integrate(flow, plan, method, progress)
+    return lambda: _integrate(flow, plan, method, progress, record)
 
 
 def _integrate(
-    flow: CompiledFlow, plan: Plan, method: EqualSteps, progress: Callable[[float], None] | None
+    flow: CompiledFlow,
+    plan: Plan,
+    method: EqualSteps,
+    progress: Callable[[float], None] | None,
+    record: RunRecord | None,
 ) -> ThinnedSegments:
     scene, layout = plan.scene, flow.kernel.layout
     y0 = flow.y0 if flow.y0.size else np.zeros(1)
@@ -69,8 +78,11 @@ def _integrate(
             method, address, len(y0), length, layout.quaternions, layout.canonical, flow.tangent
         )
         times = read_only(np.append(span.times.clip(0.0, length), length))
+        if record is not None:
+            saved = {part.start: part for part in (*record.finished, record.current) if part}
+            record.begin(saved.get(start) or Part(start, span.stop, y0, params))
         try:
-            solution = integration(params, y0, times, done, look)
+            solution = integration(params, y0, times, done, look, record)
         except IntegrationError as stop:
             raise explained(stop, flow, scene, start, params) from None
         reported[span.rows], y0 = solution.y[:-1], solution.y[-1]
