@@ -38,9 +38,8 @@ _RADAU_STEP, _RADAU_JOINT = 10.0, 5.0
 # Steps of Radau for the decay, and for each radian of the fastest oscillation, at rtol = _FITTED.
 _RADAU_DECAY, _RADAU_RADIAN = 500.0, 45.0
 _DOP853_STEP = 12.0  # Evaluations of a step of DOP853.
-_DOP853_RADIAN = (
-    4.0  # Steps of DOP853 for each radian of the fastest oscillation, at rtol = _FITTED.
-)
+# Steps of DOP853 for each radian of the fastest oscillation, at rtol = _FITTED.
+_DOP853_RADIAN = 4.0
 _FITTED = 1e-9
 # Least gain of Radau at which it is chosen.  At equal tolerance it is less accurate than DOP853,
 # and it may need many more steps than estimated if joints without springs move fast.
