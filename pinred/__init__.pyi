@@ -124,6 +124,7 @@ from .system.robot_description import Model as Model
 from .system.state_fields import ShapeState as ShapeState
 from .system.state_fields import State as State
 from .system.system import System as System
+from .views.motions import feel as feel
 from .views.motions import play as play
 from .views.motions import plot as plot
 from .views.motions import save_film as save_film

@@ -53,6 +53,10 @@ class RotationChart(FrozenArrays):
         """Return the shapes x, (..., nx), of coordinates w, (..., m)."""
         return self.space.integrate(self.centre, w)
 
+    def shape_graph(self, w: ca.SX) -> ca.SX:
+        """Return the expressions of the shape x, (nx,), at coordinates w, (m,)."""
+        return self._shape(self._terms(w), w)
+
     def coordinates(self, x: Array) -> Array:
         """Return the coordinates over time, (T, m), of shapes, (T, nx)."""
         about = x.copy()
