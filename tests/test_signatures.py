@@ -57,7 +57,7 @@ def test_typed_options_are_the_fields(typed: type, kind: type) -> None:
 @pytest.mark.parametrize(
     ("function", "kind", "own"),
     [
-        (pinred.simulate, pinred.Scene, {"engine", "progress", "explain", "check"}),
+        (pinred.simulate, pinred.Scene, {"engine", "progress", "explain", "check", "checkpoint"}),
         (
             pinred.simulate_many,
             pinred.Scene,

@@ -79,8 +79,11 @@ def cassie(path: Path) -> tuple[pin.Model, list[Loop], dict[str, tuple[float, fl
 
 
 def _pose(element: ET.Element) -> pin.SE3:
-    numbers = [float(c) for c in (element.findtext("pose") or "0 0 0 0 0 0").split()]
-    return pin.SE3(pin.rpy.rpyToMatrix(*numbers[3:]), np.array(numbers[:3]))
+    numbers = np.array([float(c) for c in (element.findtext("pose") or "0 0 0 0 0 0").split()])
+    # The file rounds right angles to four digits; without rounding, redundant rows are exact.
+    quarters = np.round(numbers[3:] / (np.pi / 4)) * (np.pi / 4)
+    angles = np.where(np.abs(numbers[3:] - quarters) < 1e-4, quarters, numbers[3:])
+    return pin.SE3(pin.rpy.rpyToMatrix(*angles), numbers[:3])
 
 
 def _ends(joint: ET.Element) -> tuple[str, str]:

@@ -44,6 +44,33 @@ def four_bar(
     return model, [Loop("coupler_tip", "rocker_tip", kind, "tips")]
 
 
+def five_bar() -> tuple[pin.Model, list[Loop]]:
+    """Return a five-bar linkage whose frame floats in the plane: two cranks, two couplers."""
+    model = pin.Model()
+    model.name = "five_bar"
+    model.gravity.setZero()
+    base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
+    lever = np.array([0.5, 0.0, 0.0])
+    model.appendBodyToJoint(base, _bar(2.0, 1.0), pin.SE3(np.eye(3), lever))
+    frame_type = pin.FrameType.OP_FRAME
+    for side, x in (("left", 0.0), ("right", 1.0)):
+        parent, at = base, x
+        for name, length in ((f"{side}_crank", 0.5), (f"{side}_coupler", 0.9)):
+            place = pin.SE3(np.eye(3), np.array([at, 0.0, 0.0]))
+            parent = model.addJoint(parent, pin.JointModelRZ(), place, name)
+            model.appendBodyToJoint(
+                parent, _bar(length, length), pin.SE3(np.eye(3), length * lever)
+            )
+            at = length
+        tip = pin.SE3(np.eye(3), np.array([at, 0.0, 0.0]))
+        model.addFrame(pin.Frame(f"{side}_tip", parent, 0, tip, frame_type))
+    return model, [Loop("left_tip", "right_tip", "3d", "tips")]
+
+
+def _bar(mass: float, length: float) -> pin.Inertia:
+    return pin.Inertia(mass, np.zeros(3), mass * length**2 / 12.0 * np.diag([0.1, 1.0, 1.0]))
+
+
 def crank_angles(crank: float, branch: float = -1.0) -> tuple[float, float]:
     """Return the angles of coupler and rocker of the four-bar at a crank angle, in closed form.
 

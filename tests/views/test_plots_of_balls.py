@@ -77,3 +77,18 @@ def test_rates_of_rotation_vectors_equal_differences() -> None:
     sides = [space.chart(space.integrate(q, s * h * sigma), near=w) for s in (-1, 1)]
     expected = (sides[1] - sides[0]) / (2.0 * h)
     np.testing.assert_allclose(space.chart_rate(w, sigma), expected, atol=1e-9)
+
+
+def test_coordinates_about_a_centre_are_rotation_vectors_from_it() -> None:
+    """A plan of balls is drawn in the coordinates of its gait, which begin at zero."""
+    system = pinred.load("falling_cat_ball")
+    plan = pinred.reorient(system, [0.5, 0.0, 0.0], x0={"spine": [0.2, 0.1, 0.0]})
+    joints = plots.loop(plan).axes[-2]
+    drawn = np.array([line.get_ydata() for line in joints.lines]).T
+    t = plan.trajectory.t
+    assert drawn.shape == (len(t), 3)
+    np.testing.assert_allclose(drawn[0], plan.gait.at(0.0)[0], atol=1e-12)
+    assert plan.chart is not None
+    shapes = plan.chart.shapes(drawn)
+    signs = np.sign(np.sum(shapes * plan.trajectory.x, axis=1, keepdims=True))
+    np.testing.assert_allclose(signs * shapes, plan.trajectory.x, atol=1e-12)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
+from ...common.summary import Rows, Summary
 from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.gait import Gait
 from ..phases.phase import phase
@@ -22,8 +23,8 @@ _TRUSTED = 0.05  # relative error below which the integral is trusted
 
 
 @checks_arguments
-@dataclass(frozen=True)
-class CorrectedIntegral(FrozenArrays):
+@dataclass(frozen=True, repr=False)
+class CorrectedIntegral(Summary, FrozenArrays):
     """The corrected body-velocity integral −∬B of a gait, and the true phase.
 
     Attributes:
@@ -39,6 +40,24 @@ class CorrectedIntegral(FrozenArrays):
     log: Array
     error: float
     trusted: bool
+
+    def title(self) -> str:
+        """Return the first line of the text."""
+        return "corrected integral −∬B of a gait, against its phase"
+
+    def rows(self) -> Rows:
+        """Return the rows of the text."""
+        judgement = "trusted" if self.trusted else f"not trusted: above {_TRUSTED:g}"
+        return [
+            ("integral", _numbers(self.integral)),
+            ("log of the phase", _numbers(self.log)),
+            ("phase", _numbers(self.phase)),
+            ("relative error", f"{self.error:.3g}, {judgement}"),
+        ]
+
+
+def _numbers(values: Array) -> str:
+    return ", ".join(f"{value:.9g}" for value in values)
 
 
 @checks_arguments

@@ -12,7 +12,7 @@ from scipy.linalg import qr
 
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
-from ...common.names import listed, quoted
+from ...common.names import quoted
 from .kinematics import loop_ends
 from .loop import Loop
 from .loop_assembly import (
@@ -105,17 +105,6 @@ def loop_rates(system: LoopedSystem) -> frozenset[int]:
     if system.coupled is None:
         return frozenset(moving)
     return frozenset(np.flatnonzero(system.coupled.G[moving].any(axis=0)).tolist())
-
-
-def describe_loops(system: LoopedSystem) -> str:
-    """Return loops, equations, rank and dimension of the shape in words; empty without loops."""
-    closure = system.closure
-    if closure is None:
-        return ""
-    return (
-        f"{listed([str(loop) for loop in system.loops])}; {closure.equations} equations of rank "
-        f"{closure.rank}, shape of dimension {system.shape_dim}"
-    )
 
 
 def _path(system: LoopedSystem, joint: int) -> set[int]:

@@ -165,10 +165,34 @@ def play(
         KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
     """
     check_port(port)  # check the port first, because building the page may take long
-    player = Player(page(source, view), port)
+    return serve(page(source, view), "playing at", port=port, show=show, wait=wait)
+
+
+def serve(
+    content: bytes,
+    words: str,
+    *,
+    port: int | None = None,
+    show: bool = True,
+    wait: bool | None = None,
+) -> Player:
+    """Serve a page and print its address.
+
+    Args:
+        content: The page.
+        words: Text before the address.
+        port: Port; an unused port if None.
+        show: Open the user's browser.
+        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
+    Returns:
+        The server.
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
+    """
+    player = Player(content, port)
     wait = not hasattr(sys, "ps1") if wait is None else wait
     try:
-        print(f"playing at {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)
+        print(f"{words} {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)
         if show:
             player.open()
         if wait:

@@ -50,7 +50,8 @@ def field(
     Args:
         source: The connection, or a System for its mechanical connection. Rotation vectors are the
             coordinates of balls (`in_chart`).
-        joints: Names or indices of two joints; the first two if None.
+        joints: Names or indices of two joints; if None, the two that the gait moves most, or else
+            the first two.
         component: v1 … ω3 (or w3), or an index in the body twist. If None, the
             rotation with the largest values.
         part: "curvature" B, its terms "exterior" ∂_αA_β − ∂_βA_α and "bracket" [A_α, A_β], or
@@ -69,8 +70,8 @@ def field(
         raise InputError(f"part must be one of {', '.join(_PARTS)}, got {part!r}")
     source = source.in_chart()
     names = labels_of_connection(source)
-    pair = names.pair(joints, "a field")
     path = None if gait is None else _closed_path(source, gait)
+    pair = names.pair(joints, "a field", path)
     start = np.zeros(source.m) if path is None else path[0]
     frozen = start if at is None else vector(at, source.m, "at", source.joints)
     units = [source.form.units[k] for k in pair]
@@ -149,7 +150,8 @@ def curvature(
 
     Args:
         source: A System, a Connection, a Reduction, or a motion, whose path is drawn.
-        joints: Names or indices of two joints, or axes of balls; the first two if None.
+        joints: Names or indices of two joints, or axes of balls; if None, the two that move most
+            on the path, or else the first two.
         component: v1 … ω3 (or w3), or an index in the body twist. If None, the
             rotation with the largest values.
         limits: (low, high) of each joint [rad | m]; around the path, or their range if None.
@@ -169,12 +171,12 @@ def curvature(
         return field(source, joints=joints, component=component, limits=limits, at=at)
     system = _system(source)
     names, chart = labels_of(system), system.space.chart
-    pair = names.pair(joints, "a plot of the curvature")
     drawn: Array | None = None
     if path is not None:
         drawn = chart(checked_path(path, system.nx))
     elif isinstance(source, (Trajectory, Recording)):
         drawn = chart(fine_path(source).x)
+    pair = names.pair(joints, "a plot of the curvature", drawn)
     start = np.zeros(system.m) if drawn is None else drawn[0]
     frozen = start
     if at is not None:

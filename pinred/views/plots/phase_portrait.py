@@ -19,7 +19,7 @@ from ...system.state_fields import State, with_base
 from ...system.system import System
 from ..motion_source import MotionSource
 from .fine_path import Path, charted_path, state_at
-from .motion_labels import Labels, labels, robot_of
+from .motion_labels import Labels, labels, moving_most, robot_of
 from .shape_plane import Limits, Plane, around, draw_path, mark_start, plane, title_at
 from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, styled
 
@@ -52,7 +52,7 @@ def phase(
 
     Args:
         motion: Trajectory, or a recording read from a file.
-        joints: Names or indices of one or two joints; the first two if None.
+        joints: Names or indices of one or two joints; the two that move most if None.
         limits: (low, high) of each joint [rad | m]; around the path if None.
         when: Time of the momentum and of the other joints [s]; a recording uses its nearest time.
     Returns:
@@ -62,11 +62,12 @@ def phase(
     """
     names = labels(motion)
     names.require(1, "a phase portrait")
-    selected = names.indices(joints if joints is not None else range(min(2, len(names.joints))))
+    path = charted_path(motion)
+    count = min(2, len(names.joints))
+    selected = names.indices(moving_most(path.x, count) if joints is None else joints)
     if len(selected) > 2:
         raise InputError(f"joints: expected one or two for a phase portrait, got {len(selected)}")
     units = [names.units[k] for k in selected]
-    path = charted_path(motion)
     if limits is None:
         limits = around(path.x[:, selected], units)
     system = robot_of(motion)
