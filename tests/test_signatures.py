@@ -64,7 +64,7 @@ def test_typed_options_are_the_fields(typed: type, kind: type) -> None:
             {"threads", "seeds", "progress", "members", "explain"},
         ),
         (pinred.play, View, {"port", "show", "wait"}),
-        (pinred.save_html, View, set()),
+        (pinred.save_html, View, {"feel"}),
         (pinred.save_film, View, {"size", "progress"}),
     ],
 )
