@@ -39,6 +39,8 @@ from .analysis.full_reduction import Reduction as Reduction
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
+from .analysis.loop_reduction import ClosedShape as ClosedShape
+from .analysis.loop_reduction import LoopReduction as LoopReduction
 from .analysis.phases.path_basis import PhaseSlopes as PhaseSlopes
 from .analysis.phases.path_basis import phase_slopes as phase_slopes
 from .analysis.phases.phase import Phase as Phase
@@ -119,9 +121,11 @@ from .system.coordinates import InitialState as InitialState
 from .system.coordinates import Velocity as Velocity
 from .system.load import load as load
 from .system.loops.loop import Loop as Loop
+from .system.robot_description import Model as Model
 from .system.state_fields import ShapeState as ShapeState
 from .system.state_fields import State as State
 from .system.system import System as System
+from .views.motions import feel as feel
 from .views.motions import play as play
 from .views.motions import plot as plot
 from .views.motions import save_film as save_film

@@ -57,14 +57,14 @@ def test_typed_options_are_the_fields(typed: type, kind: type) -> None:
 @pytest.mark.parametrize(
     ("function", "kind", "own"),
     [
-        (pinred.simulate, pinred.Scene, {"engine", "progress", "explain", "check"}),
+        (pinred.simulate, pinred.Scene, {"engine", "progress", "explain", "check", "checkpoint"}),
         (
             pinred.simulate_many,
             pinred.Scene,
             {"threads", "seeds", "progress", "members", "explain"},
         ),
         (pinred.play, View, {"port", "show", "wait"}),
-        (pinred.save_html, View, set()),
+        (pinred.save_html, View, {"feel"}),
         (pinred.save_film, View, {"size", "progress"}),
     ],
 )

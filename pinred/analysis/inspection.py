@@ -12,7 +12,7 @@ from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..reduction.casimirs import casimirs
 from ..reduction.curvature import bracket_term
-from ..reduction.cyclic_joints import cyclic_joints
+from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape
 from ..reduction.potential import broken_by_gravity
 from ..reduction.symmetric_balls import SymmetricBall, symmetric_balls
@@ -21,10 +21,13 @@ from ..scene.scene import Scene
 from ..simulation.explain import skipped
 from ..simulation.plan import plan_of
 from ..system.hinge_triples import hinge_triples
+from ..system.loops.loop_assembly import CLOSED, assemble
 from ..system.merge_hinges import actions_of, coupled_joints
 from ..system.system import System, checked_system
+from .loop_reduction import ClosedShape, LoopReduction
 
 _SHAPES = 3  # number of random shapes at which the curvature is tested
+_NEARBY = 0.3  # displacement to nearby closed shapes [rad | m]
 _ZERO_CURVATURE = 1e-11  # largest curvature of a flat connection, relative to its terms
 
 
@@ -35,7 +38,7 @@ class Inspection:
 
     Attributes:
         system: The system.
-        at: Reduction at the shape.
+        at: Reduction at the shape; with closed loops, in independent joints.
         curvature_norm: Frobenius norm of the curvature B.
         flat: Whether B vanishes at random shapes. Then closed shape paths do not move the base at
             zero momentum.
@@ -50,7 +53,7 @@ class Inspection:
     """
 
     system: System
-    at: ReducedShape
+    at: ReducedShape | ClosedShape
     curvature_norm: float
     flat: bool
     casimirs: tuple[str, ...]
@@ -70,6 +73,7 @@ class Inspection:
             f"{system.mass:g} kg",
             *_wrapped("joints", kinds),
             *(_wrapped("followers", [*map(str, system.couplings)]) if system.couplings else []),
+            *(_wrapped("loops", _loops(system)) if system.loops else []),
             f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
             *_wrapped("symmetries", self.symmetries),
             *_wrapped("Casimirs", [", ".join(self.casimirs)] if self.casimirs else []),
@@ -80,6 +84,7 @@ class Inspection:
             *(_wrapped("keyframes", [", ".join(system.keyframes)]) if system.keyframes else []),
             f"integrated  {self.full_size}{size}",
             f"at x =      {_numbers(at.x)}",
+            *(_wrapped("independent", [", ".join(_labels(self))]) if system.loops else []),
             _matrix("I", "locked inertia", at.locked_inertia),
             _matrix("A", "local connection", at.local_connection),
             _matrix("M", "reduced metric", at.reduced_metric),
@@ -91,7 +96,7 @@ class Inspection:
         from ..common.html import card, line, matrix, number, numbers, table
 
         system, at = self.system, self.at
-        twist, joints = system.group.twist_names, system.shape_names
+        twist, joints = system.group.twist_names, _labels(self)
         size = "" if self.reduced_size is None else f" → {self.reduced_size}"
         facts = [
             *(("symmetry", text) for text in self.symmetries),
@@ -99,6 +104,7 @@ class Inspection:
             ("connection", "flat" if self.flat else "curved"),
             *(("skipped", text) for text in self.skipped),
             *(("follower", str(coupling)) for coupling in system.couplings),
+            *(("loops", text) for text in _loops(system)),
             *(("left out", text) for text in _left_out(system)),
             *(("balls", text) for text in _balls(system)),
             *(("keyframe", name) for name in system.keyframes),
@@ -123,16 +129,17 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
 
     Args:
         system: The system.
-        x: Shape, (nx,) [rad | m | 1]; None: the shape at rest.
+        x: Shape, (nx,) [rad | m | 1]; None: the shape at rest, or the assembled shape of a robot
+            with closed loops.
     Returns:
         The inspection; print it for a summary.
     Raises:
         ShapeError: x has the wrong length or is not finite.
     """
-    red = PointwiseReduction(checked_system(system, "inspect"))
-    at = red.at(system.space.neutral if x is None else x)
-    names = system.shape_names
-    cyclic, balls = tuple(names[k] for k in cyclic_joints(red)), symmetric_balls(system)
+    system = checked_system(system, "inspect", loops=True)
+    at, flat = _closed_shape(system, x) if system.loops else _open_shape(system, x)
+    names, balls = system.shape_names, symmetric_balls(system)
+    cyclic = tuple(names[k] for k in cyclic_of(system, frozenset(), pushed=False))
     size: int | None
     # A generic motion has momentum, so do not use a plan that is simplified for zero momentum.
     generic = Scene(system=system, x0=at.x, xi0=np.ones(system.r))
@@ -146,8 +153,8 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
         system=system,
         at=at,
         curvature_norm=float(np.linalg.norm(at.curvature)),
-        flat=_is_flat(red),
-        casimirs=tuple(map(str, casimirs(system))),
+        flat=flat,
+        casimirs=tuple(map(str, casimirs(system.open_tree()))),
         cyclic=cyclic,
         symmetric_balls=balls,
         symmetries=tuple(_symmetries(system, cyclic, balls, symmetry_error)),
@@ -157,21 +164,59 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     )
 
 
+def _open_shape(system: System, x: ArrayLike | None) -> tuple[ReducedShape, bool]:
+    """Return the reduction at a shape, and whether the curvature vanishes."""
+    red = PointwiseReduction(system)
+    return red.at(system.space.neutral if x is None else x), _is_flat(red)
+
+
+def _closed_shape(system: System, x: ArrayLike | None) -> tuple[ClosedShape, bool]:
+    """Return the reduction at a closed shape, and whether the curvature vanishes there."""
+    assert system.closure is not None
+    red = LoopReduction(system)
+    shapes = [red.at(system.closure.x if x is None else x)]
+    rng, length = np.random.default_rng(0), system.closure.length
+    for _ in range(_SHAPES if system.shape_dim > 1 else 0):
+        nearby = rng.uniform(-_NEARBY, _NEARBY, system.m)
+        closed, gaps = assemble(system, system.space.integrate(shapes[0].x, nearby), length)
+        if gaps.max() <= CLOSED:
+            shapes.append(red.at(closed))
+    return shapes[0], all(_is_flat_at(system, shape) for shape in shapes)
+
+
+def _is_flat_at(system: System, shape: ReducedShape | ClosedShape) -> bool:
+    """Return whether the curvature vanishes at a shape, relative to its terms."""
+    A = shape.local_connection
+    # For a prismatic joint dA scales with A per metre, so A itself counts as a term.
+    terms = (shape.dA, bracket_term(system.group, A), A)
+    size = max(float(np.abs(term).max(initial=0.0)) for term in terms)
+    return float(np.abs(shape.curvature).max(initial=0.0)) <= _ZERO_CURVATURE * size
+
+
 def _is_flat(red: PointwiseReduction) -> bool:
     """Return whether the curvature vanishes at random shapes, relative to its terms."""
     rng = np.random.default_rng(0)
     space = red.system.space
     count = _SHAPES if space.m > 1 else 0
     for displacement in rng.uniform(-np.pi, np.pi, (count, space.m)):
-        reduced = red.at(space.integrate(space.neutral, displacement))
-        A = reduced.local_connection
-        # For a prismatic joint dA scales with A per metre, so A itself counts as a term.
-        terms = max(
-            float(np.abs(term).max()) for term in (reduced.dA, bracket_term(red.group, A), A)
-        )
-        if float(np.abs(reduced.curvature).max()) > _ZERO_CURVATURE * terms:
+        if not _is_flat_at(red.system, red.at(space.integrate(space.neutral, displacement))):
             return False
     return True
+
+
+def _loops(system: System) -> list[str]:
+    """Return one line for each loop, and one for the equations; none without loops."""
+    if system.closure is None:
+        return []
+    count, rank = system.closure.equations, system.closure.rank
+    sizes = f"{count} equations of rank {rank}, closed shapes of dimension {system.shape_dim}"
+    return [*map(str, system.loops), sizes]
+
+
+def _labels(inspection: Inspection) -> tuple[str, ...]:
+    """Return the labels of the rates in which A and M are stated."""
+    at = inspection.at
+    return at.independent if isinstance(at, ClosedShape) else inspection.system.shape_names
 
 
 def _left_out(system: System) -> list[str]:

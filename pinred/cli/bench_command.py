@@ -43,6 +43,12 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("floquet", "Floquet multipliers by three routes against a closed form")
     text = "trajectories per second of a batch, also with other tools"
     add_members(add("many", text, "scenes", "five"), 512)
+    text = "the chosen method, compared with the fastest one that is at least as accurate"
+    methods = add("methods", text, "scenes", "all of up to 20 joints")
+    methods.add_argument(
+        "--held", metavar="N", dest="held", type=int, default=200,
+        help="number of random robots with springs and held joints (default: 200)",
+    )  # fmt: skip
     threads = add("threads", "time and memory of simulate_many on one and two threads")
     threads.add_argument("robot", nargs="?", default="solo12", help="robot (default: solo12)")
     add_members(threads, 1000)
@@ -55,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _run_accuracy(arguments, folder)
     from ..laboratory.bench.measurements import MEASUREMENTS
 
-    names = ("robots", "robot", "scenes", "members")
+    names = ("robots", "robot", "scenes", "members", "held")
     options = {name: value for name, value in vars(arguments).items() if name in names}
     text, tables = MEASUREMENTS[arguments.measurement](**options)
     print(text)

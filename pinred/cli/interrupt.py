@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any, NoReturn
 
+from ..common.interrupts import cleaning_up
+
 _pressed, _reported = threading.Event(), threading.Event()
 CODE = 130  # exit code of shells for a process that SIGINT ends: 128 + SIGINT
 _PATIENCE = 0.3  # time limit for a command to clean up and end after Ctrl-C [s]
@@ -74,4 +76,5 @@ def _watch(reading: int) -> None:
         pass
     _pressed.set()
     threading.Event().wait(_PATIENCE)
-    end()
+    with cleaning_up:
+        end()

@@ -39,6 +39,7 @@ COMMANDS = {  # {command: description}
     "run": "simulate the scene in a TOML file",
     "plot": "draw a motion, or the results of `pinred bench accuracy`",
     "play": "play a motion in a browser, or write it as a film",
+    "feel": "move the joints by hand in a browser, while the base turns by the connection",
     "phase": "compute the geometric and dynamic phase of a gait, cycle after cycle",
     "gait": "find the gait with the largest displacement for its cost",
     "reorient": "plan a joint motion that rotates the base",

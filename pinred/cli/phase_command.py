@@ -11,7 +11,6 @@ from .output_files import describe_file, save_figure, write_series
 
 if TYPE_CHECKING:
     from ..analysis.phases.phase import Phase
-    from ..common.arrays import Array
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -37,36 +36,13 @@ def run(arguments: argparse.Namespace) -> int:
     stated = options_in(arguments, {"momentum": GAIT_FILE.keys["momentum"]})
     momentum = stated.get("momentum", source.momentum)
     result = phase(source.connection, source.path, momentum, tolerance=arguments.tolerance)
-    print(f"{source.connection}: one cycle of {source.path.period:g} s")
-    _print(result)
-    if arguments.cycles != 1:
-        print(_pose(f"after {arguments.cycles} cycles", result, result.cycles(arguments.cycles)))
+    print(f"{source.connection}: {result}")
+    if (n := arguments.cycles) != 1:
+        print(f"  {f'after {n} cycles':<18} {result.in_words(result.cycles(n))}")
     if path is not None:
         _write(result, path, arguments.cycles)
         print(describe_file(path))
     return 0
-
-
-def _print(result: Phase) -> None:
-    print(_pose("pose", result, result.pose))
-    print(
-        f"  {'error at most':<18} {result.error.rotation:.1e} rad, {result.error.translation:.1e} m"
-    )
-    if result.momentum.any():
-        print(_pose("geometric", result, result.geometric))
-        print(_pose("dynamic", result, result.dynamic))
-    screw = result.screw
-    axis = ", ".join(f"{value:.6g}" for value in screw.axis)
-    print(f"  {'turn':<18} {screw.angle:.12g} rad about ({axis}), slide {screw.slide:.12g} m")
-    if result.length == result.length:  # not NaN
-        print(f"  {'length of the gait':<18} {result.length:.12g}, in the metric of the connection")
-    print(f"  {'samples':<18} {result.samples}")
-
-
-def _pose(label: str, result: Phase, pose: Array) -> str:
-    names = result.group.pose_names
-    values = "  ".join(f"{name} {value:.12g}" for name, value in zip(names, pose, strict=True))
-    return f"  {label:<18} {values}"
 
 
 def _write(result: Phase, path: Path, cycles: int) -> None:

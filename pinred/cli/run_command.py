@@ -30,7 +30,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--compare", "compare with full ABA; exit 1 on failure")
     add("--out FILE", "write the motion to traj.npz or traj.csv")
     engine = replace(RUN_OPTIONS["engine"], default="the engine in the file")
-    add_options(sub, {"engine": engine, "check": RUN_OPTIONS["check"]})
+    others = {name: RUN_OPTIONS[name] for name in ("check", "checkpoint")}
+    add_options(sub, {"engine": engine, **others})
     add_parameters(sub, "value of a parameter of the file or of its robot, instead of the file's")
     add("--schema", "print the JSON Schema of scene files")
 
@@ -65,7 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     path = None if arguments.out is None else check_path(arguments.out)
     engine, check = arguments.engine or file.engine, bool(arguments.check or file.check)
-    traj = simulate(scene, engine=engine, check=check, progress=True)
+    checkpoint = arguments.checkpoint or file.checkpoint
+    traj = simulate(scene, engine=engine, check=check, checkpoint=checkpoint, progress=True)
     print(summary(traj))
     if path is not None:
         traj.save(path)

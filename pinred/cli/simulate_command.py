@@ -22,7 +22,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
     add_robot(sub)
     add_scene(sub)
-    add_options(sub, {"samples": RUN_OPTIONS["samples"]})
+    add_options(sub, {name: RUN_OPTIONS[name] for name in ("samples", "checkpoint")})
     sub.set_defaults(samples=EVEN_TIMES)
     sub.add_argument("--out", metavar="FILE", required=True, help="traj.npz or traj.csv")
 
@@ -39,7 +39,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.samples < 2:
         raise InputError(f"--samples must be at least 2, got {arguments.samples}")
     scene = replace(scene, times=np.linspace(0.0, scene.end, arguments.samples))
-    traj = simulate(scene, engine=arguments.engine, check=arguments.check, progress=True)
+    traj = simulate(
+        scene,
+        engine=arguments.engine,
+        check=arguments.check,
+        checkpoint=arguments.checkpoint,
+        progress=True,
+    )
     traj.save(path)
     if scene.left_out:
         print(scene.left_out)

@@ -8,6 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+# Held while a file is written that must be complete before an interrupted process ends.
+cleaning_up = threading.RLock()
+
 
 @contextmanager
 def held_interrupt() -> Iterator[Callable[[], bool]]:

@@ -12,10 +12,10 @@ from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError
 from ..common.parameter import Parameter
 from ..system.attitude import attitude_of
-from ..system.ball_forces import relative_attitude, rotation_vector
 from ..system.force_interface import finite
 from .force import Limit, Named, Symbols, Terms, limited
 from .signals import Attitude, Signal
+from .tracking import attitude_errors
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 _NARROWEST = 0.003  # differences of cosines are at most 2, and exp(2/0.003) is finite
@@ -66,19 +66,19 @@ class BallPD(Named):
             The terms of this force.
         """
         q, first = s.ball(self.joint, self.name)
-        rates = [s.xdot[first + k] for k in range(3)]
-        if isinstance(self.attitude, Attitude):
-            target, sigma, _ = self.attitude.written(s.t, s.within, number)
-            vector, real = _relative_to(target, q)
-            follow = _turned_back(vector, real, sigma)
-            rates = [rate - follow[k] for k, rate in enumerate(rates)]
-        else:
-            vector, real = relative_attitude(self.attitude, q)
-        error = rotation_vector(vector, real)
+        sigma = s.xdot[first : first + 3]
+        errors = attitude_errors(self._motion(s, number), q, sigma)
         torque = {
-            first + k: -number(self.kp) * error[k] - number(self.kd) * rates[k] for k in range(3)
+            first + k: number(self.kp) * e.position + number(self.kd) * e.rate
+            for k, e in enumerate(errors)
         }
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
+
+    def _motion(self, s: Symbols, number: Callable[[Any], Any]) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return R_d as a quaternion, (4,), σ_d, (3,), and its derivative, (3,)."""
+        if isinstance(self.attitude, Attitude):
+            return self.attitude.written(s.t, s.within, number)
+        return ca.SX(ca.DM(self.attitude)), ca.SX(3, 1), ca.SX(3, 1)
 
 
 @checks_arguments
@@ -158,19 +158,6 @@ def _target(value: Any, what: str) -> Any:
     if len(entries) == 3 and any(isinstance(v, (Signal, Parameter, str)) for v in entries):
         return _target(Attitude(entries), what)
     return attitude_of(value, what)
-
-
-def _relative_to(target: ca.SX, q: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return vector part (3,) and real part of target⁻¹ ∘ q for unit quaternions."""
-    u, w, v, s = target[:3], target[3], q[:3], q[3]
-    return w * v - s * u - ca.cross(u, v), w * s + ca.dot(u, v)
-
-
-def _turned_back(vector: ca.SX, real: ca.SX, sigma: ca.SX) -> ca.SX:
-    """Return Eᵀ σ, (3,), for the rotation E of a unit quaternion."""
-    turned = ca.cross(vector, sigma)
-    back: ca.SX = sigma - 2.0 * real * turned + 2.0 * ca.cross(vector, turned)
-    return back
 
 
 def _softplus(y: ca.SX, width: float) -> ca.SX:

@@ -23,7 +23,6 @@ from ..system.force_interface import finite as finite
 from .signals import Signal
 
 PerJoint: TypeAlias = float | Parameter | Mapping[str, float | Parameter]
-Reference: TypeAlias = Mapping[str, Signal | float | Parameter]
 
 
 class Named(Force):
@@ -76,29 +75,6 @@ class Limit:
         return bounded
 
 
-def motions(
-    reference: Reference, s: Symbols, number: Callable[[Any], Any], what: str
-) -> dict[int, tuple[Any, Any, Any]]:
-    """Return the reference motion of each joint as expressions of time.
-
-    Args:
-        reference: Signal or number by joint name.
-        s: Variables of the forces.
-        number: Function that replaces a number by a symbol.
-        what: Name of the force in messages.
-    Returns:
-        Position, rate and acceleration, (x_d, ẋ_d, ẍ_d), by joint index.
-    """
-    import casadi as ca
-
-    by_joint = {}
-    for name, value in reference.items():
-        x = of_time(value, s, number, f"{what}['{name}']")
-        xdot = ca.jacobian(x, s.t)
-        by_joint[s.joint(name, what)] = (x, xdot, ca.jacobian(xdot, s.t))
-    return by_joint
-
-
 def of_time(value: Any, s: Symbols, number: Callable[[Any], Any], what: str) -> Any:
     """Return a Signal or a number as a CasADi expression of time.
 
@@ -135,12 +111,6 @@ def checked(what: str, wanted: str, value: Any, *kinds: type) -> None:
         raise InputError(f"{what} must be {wanted}, got {value!r}")
 
 
-def checked_reference(reference: Any, what: str) -> None:
-    """Raise InputError if a value is not a mapping from joints to signals."""
-    if not isinstance(reference, Mapping):
-        raise InputError(f"{what} must have {{joint: Signal or number}}, got {reference!r}")
-
-
 def limited(
     limit: Limit | None,
     s: Symbols,
@@ -174,7 +144,7 @@ def per_joint(
     """Return the value for each joint, given one value for all joints or values by joint name.
 
     Args:
-        values: One value, or values by joint name.
+        values: One value, or values by name of a joint or of an axis of a ball.
         joints: Indices of the joints that need a value.
         s: Variables of the forces.
         what: Name of the values in messages.
@@ -186,7 +156,11 @@ def per_joint(
     joints = list(joints)
     if not isinstance(values, Mapping):
         return dict.fromkeys(joints, finite(values, what))
-    by_joint = {s.joint(name, what): finite(v, f"{what} at '{name}'") for name, v in values.items()}
+    by_joint = {
+        k: finite(v, f"{what} at '{name}'")
+        for name, v in values.items()
+        for k in s.rates(name, what)
+    }
     missing = [s.every_name[k] for k in joints if k not in by_joint]
     if missing:
         raise InputError(f"{what} has no value for '{missing[0]}'")

@@ -15,8 +15,9 @@ from ..system.model_parameters import ModelParameters
 from ..system.system import System
 from ..system.variants import nominal
 from .force import Force
+from .force_keys import NotKeyedError, key_of_force
 from .force_model import ForceModel
-from .kinds import Damper, Friction, Spring
+from .kinds import Spring
 from .prescribed_joints import Plan
 from .signals import Attitude, Constant, Expression, Signal
 
@@ -54,10 +55,7 @@ def cached_force_model(
     sprung = [_spring(name, pair) for name, pair in springs.items()]
     key = (
         tuple(sprung),
-        *(
-            force if isinstance(force, (Spring, Damper, Friction)) else id(force)
-            for force in forces
-        ),
+        *map(_key_of_force, forces),
         *((name, _key_of(signal)) for name, signal in prescribed.items()),
         freed,
         links,
@@ -69,6 +67,16 @@ def cached_force_model(
 
     model, _ = recent(owner, key, make, _REMEMBERED, cached_force_model)
     return model if system is owner else model.on(system)
+
+
+def _key_of_force(force: Force) -> Hashable:
+    """Return the key of a force; its identity if it may change in place."""
+    try:
+        key = key_of_force(force)
+        hash(key)
+    except (NotKeyedError, TypeError):
+        return id(force)
+    return key
 
 
 def _key_of(signal: Plan) -> Hashable:

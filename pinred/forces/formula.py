@@ -123,6 +123,11 @@ class Watched:
         }
         self._function = ca.Function("watched", [*arguments, symbols], [ca.densify(column)])
 
+    @property
+    def text(self) -> str:
+        """The expressions as text, equal in all processes."""
+        return str(self._function.serialize())
+
     def numbers(self, values: Mapping[str, Any]) -> Array:
         """Return the values (p,) of the parameters in the expressions.
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from ..common.argument_kinds import checks_arguments
-from ..common.errors import InputError
 from ..common.parameter import Parameter
 from ..system.ball_forces import BallSpring as BallSpring
 from ..system.force_interface import SeenState as SeenState
@@ -28,21 +27,18 @@ from .force import Force as Force
 from .force import Limit as Limit
 from .force import (
     Named,
-    PerJoint,
-    Reference,
     Symbols,
     Terms,
     acting_value,
     called,
     checked,
-    checked_reference,
     limited,
-    motions,
-    per_joint,
     scalar,
     signals_in,
 )
 from .signals import Signal
+from .tracking import PD as PD
+from .tracking import ComputedTorque as ComputedTorque
 from .wrench import Wrench as Wrench
 
 __all__ = [
@@ -143,113 +139,4 @@ class Torque(Named):
             torque = {
                 k: scalar(v, f"{self.name} at '{s.every_name[k]}'") for k, v in values.items()
             }
-        return Terms(torque=limited(self.limit, s, torque, number, self.name))
-
-
-@checks_arguments
-@dataclass(frozen=True)
-class _Tracking(Named):
-    """Base class of forces that track a reference with feedback of the error."""
-
-    reference: Reference
-    kp: PerJoint
-    kd: PerJoint
-    limit: Limit | None = None
-
-    def __post_init__(self) -> None:
-        checked_reference(self.reference, self.name)
-
-    @property
-    def signals(self) -> Iterable[Signal]:
-        """Signals in the reference."""
-        return signals_in(self.reference.values())
-
-    def _feedback(
-        self, s: Symbols, number: Callable[[Any], Any], references: dict[int, tuple[Any, Any, Any]]
-    ) -> dict[int, Any]:
-        """Return kp (x_d − x) + kd (ẋ_d − ẋ) for each joint of the reference."""
-        kp = per_joint(self.kp, references, s, f"kp of {self.name}")
-        kd = per_joint(self.kd, references, s, f"kd of {self.name}")
-        return {
-            k: number(kp[k]) * (x - s.position(k, self.name)) + number(kd[k]) * (xdot - s.xdot[k])
-            for k, (x, xdot, _) in references.items()
-        }
-
-
-@checks_arguments
-@dataclass(frozen=True)
-class PD(_Tracking):
-    """PD control: τ = kp (x_d − x) + kd (ẋ_d − ẋ) at the joints of the reference.
-
-    Attributes:
-        reference: Signal or number by joint [rad | m].
-        kp: Stiffness [N·m/rad | N/m]: one value for all joints of the reference, or values by name.
-        kd: Damping [N·m·s/rad | N·s/m]: one value for all joints of the reference, or values by
-            name.
-        limit: Bounds on the torques, or None.
-        name: Name in messages and results.
-    """
-
-    name: str = "pd"
-
-    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques as expressions.
-
-        Args:
-            s: Variables of the forces.
-            number: Function that replaces a number by a symbol.
-        Returns:
-            The terms of this force.
-        """
-        references = motions(self.reference, s, number, self.name)
-        torque = self._feedback(s, number, references)
-        return Terms(torque=limited(self.limit, s, torque, number, self.name))
-
-
-@checks_arguments
-@dataclass(frozen=True)
-class ComputedTorque(_Tracking):
-    """Torques computed with inverse dynamics that make every joint follow its reference.
-
-    ẍ = ẍ_d + kd (ẋ_d − ẋ) + kp (x_d − x) on the reduced system, with all other torques compensated.
-    Wrenches on the base are not compensated.
-
-    Attributes:
-        reference: Signal or number by joint, for every joint that is not prescribed [rad | m].
-        kp: Stiffness [1/s²]: one value for all joints, or values by name.
-        kd: Damping [1/s]: one value for all joints, or values by name.
-        limit: Bounds on the torques, or None.
-        name: Name in messages and results.
-        last: Whether the force is evaluated after all others, whose sum it needs.
-    """
-
-    name: str = "computed torque"
-    last: ClassVar[bool] = True
-
-    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques as expressions.
-
-        Args:
-            s: Variables of the forces.
-            number: Function that replaces a number by a symbol.
-        Returns:
-            The terms of this force.
-        Raises:
-            InputError: The reference lacks a moving joint or contains a prescribed one.
-        """
-        references = motions(self.reference, s, number, self.name)
-        for k in references:
-            s.refuse_follower(k, f"{self.name} has a reference")
-        missing = [k for k in range(len(s.names)) if k not in {*references, *s.accelerations}]
-        if missing:
-            raise InputError(f"{self.name} has no reference for joint '{s.names[missing[0]]}'")
-        if driven := [k for k in references if k in s.accelerations]:
-            raise InputError(
-                f"{self.name} has a reference for '{s.names[driven[0]]}', which is prescribed"
-            )
-        accelerations = dict(s.accelerations)
-        for k, feedback in self._feedback(s, number, references).items():
-            accelerations[k] = references[k][2] + feedback
-        torques = s.required_torque(accelerations) - s.others
-        torque = {k: torques[k] for k in references}
         return Terms(torque=limited(self.limit, s, torque, number, self.name))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +20,7 @@ from ..common.errors import (
     TooManySteps,
 )
 from .methods.method import Method
+from .run_keeper import RunKeeper, SavedRun, saved_state, unpacked_registers
 from .solution import Solution, checked_times
 from .stepping.codes import AUTO, DIVERGED, DONE, FIXED_POINT, FULL, NOT_FINITE, UNDERFLOW, WANTED
 from .stepping.run_state import ENDS_KEPT, LAYOUT, NOTHING_KEPT, STAGES_KEPT, Runs, new_run
@@ -130,6 +132,7 @@ class Integration:
         stages: bool = False,
         progress: Progress | None = None,
         watch: Callable[[Solution], bool] | None = None,
+        keeper: RunKeeper | None = None,
     ) -> Solution:
         """Return the solution from y0 (n,) at time 0.
 
@@ -141,6 +144,7 @@ class Integration:
             progress: Called repeatedly with the finished fraction of the time.
             watch: Called with the solution so far, repeatedly and before a failure; if it
                 returns True, the integration stops there and the solution is not complete.
+            keeper: Saves the run at its pauses, and continues a saved run; not with `stages`.
         Returns:
             The solution.
         Raises:
@@ -157,22 +161,28 @@ class Integration:
         reported = np.empty((len(times), n))
         knots, end_states = np.empty(capacity), np.empty((capacity, width))
         advance = stepper.loops.advance
+        if keeper is not None and (saved := keeper.saved()) is not None:
+            run, work, reported, knots, end_states = self._continued(saved, run)
         while True:
+            if keeper is not None:
+                keeper.pause(partial(saved_state, run, reported, knots, end_states, work))
             status = advance(run, params, work, times, reported, knots, end_states)
             if status == DONE:
                 if progress is not None:
                     progress(run["t"].item() / self._end)
+                if keeper is not None:
+                    keeper.finish(saved_state(run, reported, knots, end_states))
                 return Solution(
                     self._method, times, read_only(reported), True, params, run, knots, end_states
                 )
             if watch is not None and run["steps"]:
                 count = run["next"].item()
-                partial = Solution(
+                so_far = Solution(
                     self._method, times[:count], read_only(reported[:count]), False, params, run,
                     knots, end_states,
                 )  # fmt: skip
-                if watch(partial):
-                    return partial
+                if watch(so_far):
+                    return so_far
             if status == FULL:
                 self._capacity = 2 * len(knots)
                 if stages and 8 * self._capacity * width > MOST_STAGE_BYTES:
@@ -185,6 +195,17 @@ class Integration:
                 raise failure(status, run, work[Y, :n].copy())
             if progress is not None:
                 progress(run["t"].item() / self._end)
+
+    def _continued(self, saved: SavedRun, first: Runs) -> tuple[Runs, Array, Array, Array, Array]:
+        """Return the registers, rows and arrays of a saved run, from its registers at the start."""
+        run = unpacked_registers(saved["run"], first)
+        if run["tangent"]:
+            give_tangent(self._tangent, self._method, run)
+        rows = saved["rows"]
+        capacity = max(saved.get("capacity", 0), len(rows))
+        knots, end_states = np.empty(capacity), np.empty((capacity, rows.shape[1]))
+        knots[: len(rows)], end_states[: len(rows)] = saved["knots"], rows
+        return run, saved.get("work", self._work), saved["reported"], knots, end_states
 
 
 def begun_by(

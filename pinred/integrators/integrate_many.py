@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from threading import Lock
+from threading import Lock, local
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +41,7 @@ STATUS = {
 _LOOK = 0.1  # interval of progress reports [s]
 # More than one share per thread, so that threads with short runs can take further shares.
 _SHARES_PER_THREAD = 8
+_kept = local()  # `pool`: the process and the pool with one thread of a calling thread
 
 
 @dataclass(frozen=True)
@@ -245,7 +247,7 @@ def over_threads(
         progress: Called with the finished fraction of the members, or None.
     """
     batch = asked.batch
-    with ThreadPoolExecutor(asked.threads) as pool:
+    with _workers(asked.threads) as pool:
         futures = [pool.submit(share) for share in shares]
         try:
             look = None if progress is None else _LOOK
@@ -257,8 +259,30 @@ def over_threads(
                 future.result()
         except BaseException:
             batch.stop[0] = 1  # threads check this at their next pause
-            pool.shutdown(wait=False, cancel_futures=True)
+            for future in futures:
+                future.cancel()
+            wait(futures)
             raise
+
+
+@contextmanager
+def _workers(threads: int) -> Iterator[ThreadPoolExecutor]:
+    """Yield a pool of threads; a single thread is kept for further calls of the same caller.
+
+    The caller itself must not run the shares: Ctrl-C and progress reports would wait for their end.
+    """
+    if threads > 1:
+        pool = ThreadPoolExecutor(threads)
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+        return
+    # A forked process has a copy of the pool, but not its thread.
+    kept: tuple[int, ThreadPoolExecutor] | None = getattr(_kept, "pool", None)
+    if kept is None or kept[0] != os.getpid():
+        _kept.pool = kept = os.getpid(), ThreadPoolExecutor(1)
+    yield kept[1]
 
 
 def solutions(method: Method, batch: Batch) -> Solutions:

@@ -136,7 +136,7 @@ class CouplingConstraints:
         if self._loops is None:
             multipliers = np.linalg.solve(J @ responses.T, J @ free)
         else:
-            multipliers = np.linalg.lstsq(J @ responses.T, J @ free + bias, rcond=RANK)[0]
+            multipliers = np.linalg.lstsq(J @ responses.T, J @ free + bias, rcond=RANK**2)[0]
         return np.asarray(free - multipliers @ responses)
 
     def _solve_with_multipliers(

@@ -16,7 +16,7 @@ from ..system.loops.loop_assembly import assemble
 from ..system.state_fields import State
 from ..system.system import System
 
-RANK = 1e-10  # singular values below this fraction of the largest belong to redundant equations
+RANK = 1e-6  # singular values below this fraction of the largest belong to redundant equations
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,9 @@ class LoopErrors:
     """Violations of the loops along a motion.
 
     Attributes:
-        gap: Largest |φ|, in units of the size of the loops or 1 rad; None without loops.
+        gap: Largest |φ|, in units of the size of the loops or 1 rad; None without loops.  Files
+            round numbers, so redundant equations may differ by rounding from others; the part of φ
+            that no joint can change is left out.
         rate: Largest |φ̇|, relative to its largest value if all joints moved at the fastest rate;
             None without loops.
     """
@@ -42,13 +44,22 @@ def loop_errors(system: System, states: State) -> LoopErrors:
     gap, rates, terms = 0.0, np.zeros(len(unit)), np.zeros(len(unit))
     for q, v in zip(system.sorted_q(states.q), system.sorted_v(states.v), strict=True):
         J = kinematics.jacobian(q)
-        gap = max(gap, float((np.abs(kinematics.values(q)) / unit).max()))
+        gap = max(
+            gap, float(np.abs(_reachable(J[:, system.r :], kinematics.values(q)) / unit).max())
+        )
         rates = np.maximum(rates, np.abs(J @ v) / unit)
         # The joints of a loop may rest exactly, so the unit is the fastest rate of any joint.
         fastest = float(np.abs(v[system.r :]).max(initial=0.0))
         terms = np.maximum(terms, np.abs(J).sum(axis=1) * fastest / unit)
     largest = float(terms.max())
     return LoopErrors(gap, float(rates.max()) / largest if largest > 0.0 else 0.0)
+
+
+def _reachable(J: Array, values: Array) -> Array:
+    """Return the part of values of φ, (c,), that joints can change."""
+    U, sizes, _ = np.linalg.svd(J, full_matrices=False)
+    U = U[:, sizes > RANK * sizes[0]]
+    return np.asarray(U @ (U.T @ values))
 
 
 def closed(system: System, x: Array, xdot: Array) -> tuple[Array, Array]:

@@ -29,6 +29,46 @@ def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
     return values
 
 
+def evaluate_runs(
+    address: int, constants: Array, y: Array, times: Array, entries: int, values: Array
+) -> None:
+    """Evaluate the outputs of N runs at common times.
+
+    Args:
+        address: Address of the machine code.
+        constants: Constants of each run, (N, p).
+        y: States, (N, T, k).
+        times: Times, (T,), the last input of the code [s]; empty if the states contain the time.
+        entries: Number of entries of a state that are inputs of the code.
+        values: Outputs, (N, T, size), filled.
+    """
+    row = np.zeros(entries + 1)
+    _evaluate_runs(
+        address, np.ascontiguousarray(constants), np.ascontiguousarray(y), times, entries, row,
+        values,
+    )  # fmt: skip
+
+
+@compiled
+def _evaluate_runs(
+    address: int,
+    constants: Array,
+    y: Array,
+    times: Array,
+    entries: int,
+    row: Array,
+    values: Array,
+) -> None:
+    has_times = len(times) > 0
+    for i in range(y.shape[0]):
+        for j in range(y.shape[1]):
+            for k in range(entries):
+                row[k] = y[i, j, k]
+            if has_times:
+                row[entries] = times[j]
+            call(address, row, constants[i], values[i, j])
+
+
 def repeat(address: int, parameters: Array, y: Array, count: int) -> None:
     """Evaluate a kernel repeatedly at one state, for timing.
 

@@ -88,11 +88,30 @@ class InitialConditionsKernel:
         Returns:
             The initial conditions.
         """
-        m, r, k = self.system.m, self.system.r, self.system.group.linear
         states = np.concatenate([pose, x, xdot, motion], axis=1)
+        return self.split(self.evaluate(states, numbers))
+
+    @property
+    def size(self) -> int:
+        """Number of outputs."""
+        return self.system.m + 2 * self.system.r
+
+    def evaluate(self, states: Array, numbers: Array | None = None) -> Array:
+        """Compute the outputs of the kernel, (N, size).
+
+        Args:
+            states: Pose, shape, shape rate and body twist or momentum of N states, (N, …).
+            numbers: Values of the variable body parameters, as for a call.
+        Returns:
+            The outputs.
+        """
         if numbers is None:
             numbers = free_numbers(self.system, self.freed) if self.freed else np.zeros(1)
-        values = evaluate(self.code.address, numbers, states, m + 2 * r)
+        return evaluate(self.code.address, numbers, states, self.size)
+
+    def split(self, values: Array) -> InitialConditions:
+        """Split the outputs of the kernel, (N, size)."""
+        m, r, k = self.system.m, self.system.r, self.system.group.linear
         about, fixed, c0, v0 = m, m + r - k, m + 2 * (r - k), m + 2 * (r - k) + k
         return InitialConditions(
             pi=values[:, :about],

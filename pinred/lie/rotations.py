@@ -10,6 +10,7 @@ import numpy as np
 from ..common.arrays import Array
 
 TAU = 2.0 * np.pi
+_TINY = 1e-300
 
 
 def wrap(angle: Array) -> Array:
@@ -84,16 +85,22 @@ def unwrapped_rotation_vectors(q: Array) -> Array:
     """
     vectors = quaternion_log(q)
     for k in range(1, len(vectors)):
-        w, before = vectors[k], vectors[k - 1]
-        angle = float(np.linalg.norm(w))
-        if angle > 0.0:
-            axis = w / angle
-            turns = np.rint((before @ axis - angle) / TAU)
-            vectors[k] = (angle + TAU * turns) * axis
-        elif np.linalg.norm(before) > 0.0:
-            axis = before / np.linalg.norm(before)
-            vectors[k] = TAU * np.rint(before @ axis / TAU) * axis
+        vectors[k] = closest_rotation_vectors(q[k], vectors[k - 1])
     return vectors
+
+
+def closest_rotation_vectors(q: Array, near: Array) -> Array:
+    """Return the rotation vectors, (..., 3), of unit quaternions, (..., 4), closest to others.
+
+    The vectors of one rotation differ by full turns about its axis; without rotation, the axis is
+    that of `near`, (..., 3).
+    """
+    w = quaternion_log(q)
+    angle = np.linalg.norm(w, axis=-1, keepdims=True)
+    length = np.linalg.norm(near, axis=-1, keepdims=True)
+    axis = np.where(angle > 0.0, w, near) / np.where(angle > 0.0, angle, np.maximum(length, _TINY))
+    turns = np.rint((np.sum(near * axis, axis=-1, keepdims=True) - angle) / TAU)
+    return np.asarray((angle + TAU * turns) * axis)
 
 
 def left_jacobian(w: Array) -> Array:

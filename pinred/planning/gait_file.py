@@ -183,6 +183,10 @@ _LIMITS = {
     ),
 }  # fmt: skip
 _TARGET = Either((NUMBER, NUMBERS))
+_TARGETS = (
+    "one angle [rad], a rotation vector of three numbers [rad], or all numbers of a pose with its "
+    "quaternion (x, y, z, w) last"
+)
 OPTIMISE = Table(
     {
         "objective": Key(
@@ -193,7 +197,7 @@ OPTIMISE = Table(
             "axis of the rotation or displacement: x, y, z, or a vector", command="--axis AXIS",
         ),
         "target": Key(
-            _TARGET, "target of objective target: angle or rotation vector [rad], or pose",
+            _TARGET, "target of objective target: " + _TARGETS,
             command="--target V1,V2,…",
         ),
         "cost": Key(
@@ -226,7 +230,7 @@ OPTIMISE = Table(
 REORIENT = Table(
     {
         "target": Key(
-            _TARGET, "rotation vector or angle [rad], or a pose, whose attitude is the target",
+            _TARGET, _TARGETS + ", of which only the attitude counts",
             required=True, command="--target V1,V2,…",
         ),
         **_LIMITS,

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array, read_only
+from ..system.loops.loop_closure import loop_rates
 from ..system.scale import radius_of_gyration
 from ..system.shape_space import PlacedJoint
 from ..system.system import System
@@ -49,7 +50,7 @@ class SymmetricBall:
 def symmetric_balls(system: System, touched: Collection[int] = ()) -> tuple[SymmetricBall, ...]:
     """Find the balls whose body has an axis of symmetry about which no torque acts.
 
-    The body must be the last of its branch, with the axis through the ball.
+    The body must be the last of its branch, with the axis through the ball, and in no closed loop.
 
     Args:
         system: The system.
@@ -60,14 +61,14 @@ def symmetric_balls(system: System, touched: Collection[int] = ()) -> tuple[Symm
     if not system.space.balls:
         return ()
     reach, carriers = _reach(system), {*system.model.parents.tolist()[1:]}
-    found = []
+    affected, found = {*touched} | loop_rates(system), []
     for ball in system.space.balls:
         i = system.joints[ball.v.start]
         if i in carriers:
             continue
         symmetric, axis = _axis_of_symmetry(system, system.model.inertias[i], reach)
         rates = [ball.v.start + k for k in range(3) if axis is None or abs(axis[k]) > _ALIGNED]
-        if symmetric and not {*rates} & {*touched}:
+        if symmetric and not {*rates} & affected:
             found.append(SymmetricBall(ball, axis))
     return tuple(found)
 

@@ -18,6 +18,7 @@ from ..reduction.pointwise_reduction import PointwiseReduction
 from ..system.system import System
 
 _RESOLUTION = 1e-6  # largest spacing of floats at an accepted angle [rad]
+_LARGEST_SAFE = 2.0**32  # angle at which the spacing of floats is below _RESOLUTION [rad]
 _TURN = 2.0 * math.pi  # angle of a full turn [rad]
 
 
@@ -112,6 +113,8 @@ def refuse_vague(x: Array, system: System) -> None:
     Raises:
         InputError: An angle is too large.
     """
+    if np.abs(x).max(initial=0.0) <= _LARGEST_SAFE:
+        return
     for name, angle in _angles(x, system):
         if np.spacing(abs(angle)) > _RESOLUTION:
             raise InputError(

@@ -5,17 +5,21 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import InputError, LoopWarning
 from ..common.names import quoted
+from ..integrators.methods import Method
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..system.loops.loop_assembly import CLOSED, assemble, describe_gap, loop_gaps
 from ..system.loops.loop_closure import project_rates
 from ..system.system import System
+
+if TYPE_CHECKING:
+    from ..forces.force_model import ForceModel
 
 _NOTICEABLE = 1e-6  # change of an initial state that is reported [relative]
 
@@ -41,6 +45,30 @@ def held_joints(x0: Any, xdot0: Any) -> tuple[HeldJoints, HeldJoints]:
     return HeldJoints(x0 is not None, by_name[0]), HeldJoints(xdot0 is not None, by_name[1])
 
 
+def refuse_in_loops(
+    system: System,
+    prescribed: Mapping[str, Any],
+    model: ForceModel | None,
+    method: Method | None,
+) -> None:
+    """Reject options that do not support closed loops, if the system has any.
+
+    Args:
+        system: The system.
+        prescribed: Motions of joints by name.
+        model: Forces of the scene; None if there are none.
+        method: The requested method; None if it is chosen.
+    Raises:
+        UnsupportedOperationError: An option does not support closed loops.
+    """
+    if prescribed:
+        system.refuse_loops("prescribed joints")
+    if model is not None and model.weighed:
+        system.refuse_loops("forces with inverse dynamics")
+    if method is not None and method.steady_momentum:
+        system.refuse_loops(f"method {method.name}")
+
+
 def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = False) -> Array:
     """Return the shape nearest to x, (nx,), by least squares, that closes all loops.
 
@@ -62,7 +90,10 @@ def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = F
     free = _free(system, held)
     start = x
     if not free.all():  # other joints start from a closed shape instead of zero
-        start = np.where(free, system.closure.x, x)
+        start = x.copy()
+        for joint in system.space.joints:
+            if free[joint.v].all():
+                start[joint.x] = system.closure.x[joint.x]
         closed, remaining = assemble(system, start, length, free)
         if remaining.max() <= CLOSED:
             return closed
@@ -77,7 +108,11 @@ def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = F
         )
     if (held.stated or report) and gaps.max() > _NOTICEABLE:
         name = quoted(system.loops[int(np.argmax(gaps))].name)
-        _warn(system, f"x0 leaves loop {name} open by {gaps.max() * length:.3g} m", closed - x)
+        _warn(
+            system,
+            f"x0 leaves loop {name} open by {gaps.max() * length:.3g} m",
+            system.space.difference(x, closed),
+        )
     return closed
 
 
@@ -111,7 +146,10 @@ def closed_rates(
 
 def _free(system: System, held: HeldJoints) -> Array:
     """Return which shape rates are not held, (m,)."""
-    return np.array([name not in held.names for name in system.shape_names])
+    free = np.ones(system.m, dtype=bool)
+    for joint in system.space.joints:
+        free[joint.v] = joint.name not in held.names
+    return free
 
 
 def _warn(system: System, what: str, change: Array) -> None:
@@ -119,7 +157,7 @@ def _warn(system: System, what: str, change: Array) -> None:
     unit = system.units[k]
     warnings.warn(
         f"{what}. The nearest state that keeps the loops of '{system.name}' closed is used; it "
-        f"changes joint {quoted(system.shape_names[k])} by {change[k]:.3g} {unit} (or {unit}/s). "
+        f"changes joint {quoted(system.space.names[k])} by {change[k]:.3g} {unit} (or {unit}/s). "
         "To keep chosen joints, state only those, by name.",
         LoopWarning,
         stacklevel=2,

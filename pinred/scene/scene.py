@@ -14,6 +14,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, positive, read_only, vector, vector_or_zero, whole
 from ..common.default_marker import is_given
 from ..common.errors import InputError
+from ..common.memo import recent
 from ..common.names import brief, one_of
 from ..forces.force import Force
 from ..integrators.methods import Method
@@ -24,7 +25,7 @@ from . import input_formats
 from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .joint_values import order_by_joint
-from .loop_states import HeldJoints, closed_rates, closed_shape, held_joints
+from .loop_states import HeldJoints, closed_rates, closed_shape, held_joints, refuse_in_loops
 from .option_checks import (
     check_keyframe,
     check_span,
@@ -37,6 +38,7 @@ from .random_state import random_state
 from .scene_options import ENGINES as ENGINES
 from .scene_options import OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields
 from .scene_options import Engine as Engine
+from .scene_structure import MOST_STRUCTURES, Shared, structure_key
 from .tolerances import MOMENTUM_MARGIN, TIGHTEST, check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
@@ -71,11 +73,29 @@ class Scene(SceneFields):
     """
 
     def __post_init__(self) -> None:
-        checked_system(self.system, "a scene", loops=True)
-        self._apply_robot_parameters()
-        self._check_conflicts()
+        owner, key = checked_system(self.system, "a scene", loops=True), structure_key(self)
+        if key is None:
+            shared = self._check_structure()
+        else:
+            shared = recent(owner, key, self._check_structure, MOST_STRUCTURES, Shared)
+            forces = list_forces(self.forces)
+            vars(self).update(shared.options)
+            self._keep("forces", forces)
+            self._keep("prescribed", dict(self.prescribed))
+        self._keep("_shared", shared)
         if self.seed is not None:
             self._keep("seed", whole(self.seed, "seed", 0))
+        self._keep("_held", held_joints(self.x0, self.xdot0))
+        for name in ("x0", "xdot0"):
+            value = order_by_joint(getattr(self, name), self.system, name)
+            self._keep(name, value)
+        self._keep("_given", self._resolve())
+
+    def _check_structure(self) -> Shared:
+        """Check all options except the numbers of the initial state; return these options."""
+        unchecked = dict(vars(self))
+        self._apply_robot_parameters()
+        self._check_conflicts()
         if not one_of(self.outputs, OUTPUTS):
             raise InputError(
                 f"outputs must be one of {', '.join(OUTPUTS)}, got {brief(self.outputs)}"
@@ -90,17 +110,14 @@ class Scene(SceneFields):
         if method != "auto":
             check_tolerances(method, self.rtol, self.atol)
         self._keep("method", method)
-        self._keep("_held", held_joints(self.x0, self.xdot0))
-        for name in ("x0", "xdot0"):
-            value = order_by_joint(getattr(self, name), self.system, name)
-            self._keep(name, value)
         if self.duration is not None:
             self._keep("duration", positive(self.duration, "duration"))
         times = compute_report_times(self.times, self.duration, self.system)
         self._keep("_times", read_only(times))
         self._check_forces()
-        self._check_loops()
-        self._keep("_given", self._resolve())
+        refuse_in_loops(self.system, self.prescribed, self.force_model, self.integrator)
+        checked = vars(self).items()
+        return Shared({name: v for name, v in checked if v is not unchecked.get(name, unchecked)})
 
     def _check_conflicts(self) -> None:
         """Raise InputError if options of the initial state contradict each other."""
@@ -152,6 +169,12 @@ class Scene(SceneFields):
     def start(self) -> Start:
         """The complete initial state.  Raises SingularInertiaError or InputError."""
         return start_of(self.system, self.given)
+
+    @property
+    def shared(self) -> Shared:
+        """The options that the scene shares with others, and what plans computed from them."""
+        shared: Shared = vars(self)["_shared"]
+        return shared
 
     @property
     def given(self) -> GivenStates:
@@ -263,16 +286,6 @@ class Scene(SceneFields):
         model = model.with_values(self.parameters)
         check_span(model, self.end, base=self.outputs == "all")
         self._keep("_forces", model)
-
-    def _check_loops(self) -> None:
-        """Raise UnsupportedOperationError for options that do not support closed loops."""
-        model, method = self.force_model, self.integrator
-        if self.prescribed:
-            self.system.refuse_loops("prescribed joints")
-        if model is not None and model.weighed:
-            self.system.refuse_loops("forces with inverse dynamics")
-        if method is not None and method.steady_momentum:
-            self.system.refuse_loops(f"method {method.name}")
 
     def _check_events(self) -> Sequence[Parameter]:
         """Validate and store the events; return the Parameters in them."""

@@ -238,6 +238,12 @@ RUN_OPTIONS = {
         "find forces that steps skip, such as in a narrow range of the shape, and run again with "
         "stops there", default="false", table="run", command="--check-steps",
     ),
+    "checkpoint": Option(
+        Text((), "the name of a .ckpt file"),
+        "file to which the state of the run is written every minute, at Ctrl-C and at the end; "
+        "if it exists, the run continues from it", default="none",
+        table="run", command="--checkpoint FILE",
+    ),
 }  # fmt: skip
 
 

@@ -32,11 +32,20 @@ from ..system.system import System
 # Largest number of report times inside steps with AdaptiveGauss; each of them costs a step.
 _FEW = 3
 _STABLE = 4.0  # Largest product of decay rate and step length at which DOP853 is stable.
-# Ratio of decay to oscillation rate above which Radau is considered.  Its steps must resolve
-# oscillations, so Radau is faster only if decay is much faster than oscillation.
-_STIFF_RATIO = 100.0
-# Number of DOP853 steps, for six joints, above which Radau is faster despite its linear systems.
-_RADAU_STEPS = 1000.0
+# Costs of Radau, fitted to `pinred bench methods`.  A step costs _RADAU_STEP evaluations of DOP853,
+# and _RADAU_JOINT more for each joint, because of its linear systems.
+_RADAU_STEP, _RADAU_JOINT = 10.0, 5.0
+# Steps of Radau for the decay, and for each radian of the fastest oscillation, at rtol = _FITTED.
+_RADAU_DECAY, _RADAU_RADIAN = 500.0, 45.0
+_DOP853_STEP = 12.0  # Evaluations of a step of DOP853.
+# Steps of DOP853 for each radian of the fastest oscillation, at rtol = _FITTED.
+_DOP853_RADIAN = 4.0
+_FITTED = 1e-9
+# Least gain of Radau at which it is chosen; at equal tolerance it is less accurate than DOP853.
+RADAU_GAIN = 2.0
+LANES_GAIN = (
+    3.0  # Gain of DOP853 if it integrates one member in each SIMD lane; Radau has no lanes.
+)
 _SWEEP_COST = 1.9  # Cost of a sweep without identical branches, in evaluations of DOP853.
 # A sweep saves _AT_LOOSEST evaluations at rtol = 10^−_LOOSEST, and _PER_DIGIT more for each
 # further digit of accuracy.
@@ -69,11 +78,12 @@ def choose(scene: Scene, stops: Array) -> Choice:
     dop853 = DOP853(max(rtol, DOP853_LEAST), atol)
     rates = rates_near_rest(scene)
     steps = rates.decay * scene.end / _STABLE
-    if (
-        rates.decay > _STIFF_RATIO * rates.oscillation
-        and steps > _RADAU_STEPS * max(1.0, scene.system.m / 6) ** 2
-    ):
-        why = f"forces decay at {rates.decay:.0e}/s: stability alone requires {steps:.0f} steps"
+    gain = radau_gain(scene)
+    if gain > RADAU_GAIN:
+        why = (
+            f"forces decay at {rates.decay:.0e}/s: stability alone requires {steps:.0f} steps of "
+            f"DOP853, which cost {gain:.1f} times as much"
+        )
         return Choice(Radau(max(rtol, DOP853_LEAST), atol), why)
     reports = int((scene.report_times < scene.end).sum()) - int(scene.report_times[0] == 0.0)
     if reports > _FEW:
@@ -91,6 +101,28 @@ def choose(scene: Scene, stops: Array) -> Choice:
     if cost < saved:
         return Choice(AdaptiveGauss(rtol, atol), why)
     return Choice(dop853, why)
+
+
+def radau_gain(scene: Scene) -> float:
+    """Estimate the cost of DOP853 divided by that of Radau, for the forces of a scene.
+
+    The steps of DOP853 are limited by stability or by the fastest oscillation.  The steps of Radau
+    are limited by the same oscillation, and by the decay at the start.  The estimate does not
+    depend on the initial state, so that scenes which differ only in it use one method.
+
+    Args:
+        scene: The scene.
+    Returns:
+        The ratio of the costs; above 1 if Radau is faster.
+    """
+    rates, rtol = rates_near_rest(scene), max(scene.tolerance[0], DOP853_LEAST)
+    radians, finer = rates.oscillation * scene.end, _FITTED / rtol
+    stable = rates.decay * scene.end / _STABLE
+    explicit = _DOP853_STEP * max(stable, _DOP853_RADIAN * radians * finer**0.125)
+    # The controlled error of Radau is of order 3, at a tolerance proportional to rtol^(2/3).
+    implicit = (_RADAU_DECAY + _RADAU_RADIAN * radians) * finer ** (1.0 / 6.0)
+    gain: float = explicit / ((_RADAU_STEP + _RADAU_JOINT * scene.system.m) * implicit)
+    return gain
 
 
 def _limbs(system: System) -> float:

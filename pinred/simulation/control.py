@@ -6,13 +6,18 @@ another simulation runs under the same actions.
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..common.arrays import Array, read_only
+from ..common.errors import InputError
+from ..common.names import brief
+from ..forces.force_values import BaseInSpace
 from ..forces.named_arrays import Vector
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
@@ -93,6 +98,35 @@ class Control:
         numbers[forces.within] = time_within(t, until)
         return until
 
+    def saved(self) -> dict[str, Any]:
+        """Return the state of all controllers as nested values, to continue the run later.
+
+        Raises InputError if the state of a controller cannot be pickled.
+        """
+        return {
+            "states": [self._pickled(k) for k in range(len(self._states))],
+            "called": list(self._called),
+            "until": list(self._until),
+            "calls": [_saved_action(action) for action in self.calls],
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Continue from a saved state, which must be signed by the user: it is unpickled."""
+        self._states = [pickle.loads(data) for data in saved["states"]]
+        self._called, self._until = list(saved["called"]), list(saved["until"])
+        self.calls = [_restored_action(action) for action in saved["calls"]]
+
+    def _pickled(self, k: int) -> bytes:
+        try:
+            return pickle.dumps(self._states[k])
+        except Exception as error:
+            assert self._forces is not None
+            controller, _ = self._forces.held[k]
+            raise InputError(
+                f"checkpoint: expected a state of {controller.name} that can be pickled, got "
+                f"{brief(self._states[k])}: {error}. Use numbers, arrays, lists and dictionaries"
+            ) from error
+
     def _call(self, k: int, t: float, seen: Sample) -> tuple[Array, float]:
         """Call controller k; return its force parameters and the end of its pulse [s]."""
         forces, system = self._forces, self._scene.system
@@ -112,6 +146,19 @@ class Control:
         if width <= _ROUND_OFF * self._scene.end:
             return np.zeros_like(values), np.inf
         return values, t + width
+
+
+def _saved_action(action: ControlAction) -> dict[str, Any]:
+    seen = vars(action.seen) | {"base": action.seen.base and dict(vars(action.seen.base))}
+    return vars(action) | {"torque": dict(action.torque), "seen": seen}
+
+
+def _restored_action(saved: Mapping[str, Any]) -> ControlAction:
+    seen = dict(saved["seen"])
+    seen["base"] = seen["base"] and BaseInSpace(**seen["base"])
+    wrench = saved["wrench"]
+    wrench = wrench if wrench is None else read_only(wrench)
+    return ControlAction(**{**saved, "wrench": wrench, "seen": Sample(**seen)})
 
 
 def _measured(t: float, seen: Sample, system: System) -> SeenState:

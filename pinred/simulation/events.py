@@ -9,8 +9,9 @@ accurate as the motion. Scenes without events cost nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +107,19 @@ class Watch:
     def may_end(self) -> bool:
         """Whether one of the events is terminal."""
         return any(event.terminal for event in self._events)
+
+    def saved(self) -> dict[str, Any]:
+        """Return the state of the detection as nested values, to continue the run later."""
+        return {
+            "signs": self._signs,
+            "reached": self._reached,
+            "crossings": [dict(vars(crossing)) for crossing in self.crossings],
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Continue from a saved state."""
+        self._signs, self._reached = saved["signs"], saved["reached"]
+        self.crossings = [Crossing(**crossing) for crossing in saved["crossings"]]
 
     def look(self, segment: Segment) -> bool:
         """Locate the crossings in the new steps of a segment.

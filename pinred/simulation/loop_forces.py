@@ -24,7 +24,7 @@ from .sample import Sample
 if TYPE_CHECKING:
     from .motion import Motion
 
-_REDUNDANT = 1e-10  # singular values below this fraction of the largest belong to redundant rows
+_REDUNDANT = 1e-12  # singular values below this fraction of the largest belong to redundant rows
 _MOST = 400  # largest number of times at which the rank of the equations is checked
 _NEAR = 0.05  # fraction of the generic singular value below which a minimum is refined
 _SINGULAR = 1e-6  # fraction of the generic singular value at which equations are dependent

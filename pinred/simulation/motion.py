@@ -5,9 +5,10 @@ Integration stops where a force is not smooth, or where a controller is due.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from .control import Control, ControlAction, Replay
 from .events import Crossing, Watch, cut_at_event
 from .plan import Plan
 from .reduced_flow import Integrate, ReducedFlow, Segment, Segments
+from .run_record import Part, RunRecord
 from .sample import Sample
 
 
@@ -98,6 +100,8 @@ class Motion:
         """Return the reduced states at times (T,), (T, k)."""
         if len(self.segments) == 1:
             return np.asarray(self.segments[0].at(t))
+        if (stored := self.segments.reported(t)) is not None:
+            return stored
         y = np.empty((len(t), len(self.flow.y0)))
         for segment, rows in self._by_segment(self._which(t)):
             y[rows] = segment.at(t[rows])
@@ -167,11 +171,44 @@ class Motion:
         return np.minimum(np.searchsorted(self._ends, t, side="left"), len(self.segments) - 1)
 
 
+@dataclass(frozen=True)
+class _Followers:
+    """The controllers and events of a run, whose states are saved together."""
+
+    control: Control
+    watch: Watch | None
+
+    def saved(self) -> dict[str, Any]:
+        watch = None if self.watch is None else self.watch.saved()
+        return {"control": self.control.saved(), "watch": watch}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        self.control.restore(saved["control"])
+        if self.watch is not None:
+            self.watch.restore(saved["watch"])
+
+
+def _continue(
+    record: RunRecord, integrate: Integrate, followers: _Followers
+) -> tuple[list[Segment], Part | None]:
+    """Restore a saved run; return its finished segments, and the part that is not finished."""
+    segments = []
+    for part in record.finished:
+        record.begin(part)
+        segments.append(integrate(part.start, part.end, part.y0, part.parameters, None, record))
+    current = record.current
+    saved = record.follower if current is None else current.follower
+    if saved is not None:
+        followers.restore(saved)
+    return segments, current
+
+
 def follow(
     plan: Plan,
     flow: ReducedFlow,
     integrate: Integrate,
     through: Callable[[], Segments] | None = None,
+    record: RunRecord | None = None,
 ) -> Motion:
     """Integrate a flow from stop to stop, with the actions of controllers and events.
 
@@ -179,8 +216,9 @@ def follow(
         plan: The plan of the scene.
         flow: Reduced flow of the plan.
         integrate: The function that integrates the flow.
-        through: Integrates the flow through all stops of the plan at once, if `passes_stops` is
-            true; None if the engine cannot do this.
+        through: Integrates the flow through all stops of the plan at once; None if the engine
+            cannot do this.
+        record: Record of the run in a checkpoint, from which it continues; or None.
     Returns:
         The motion.
     Raises:
@@ -195,15 +233,27 @@ def follow(
     watch = None if watched is None else Watch(plan.scene, flow, watched)
     stopping = watch.look if watch is not None and watch.may_end else None
     segments: list[Segment] = []
+    part, followers = None, _Followers(control, watch)
+    if record is not None:
+        record.begin_run(followers.saved)
+        segments, part = _continue(record, integrate, followers)
+        if part is not None:
+            t, y, parameters[:] = part.start, part.y0, part.parameters
+        elif segments:  # the run is finished
+            t = plan.scene.end
     for stop in plan.stops.tolist():
         while t < stop and (watch is None or watch.end is None):
-            until = control.begin(numbers, t, stop, partial(flow.sample, t, y, parameters))
-            segment = integrate(t, until, y, read_only(parameters.copy()), stopping)
+            if part is None:
+                until = control.begin(numbers, t, stop, partial(flow.sample, t, y, parameters))
+                part = Part(t, until, y, read_only(parameters.copy()))
+            if record is not None:
+                record.begin(part)
+            segment = integrate(part.start, part.end, y, part.parameters, stopping, record)
             if watch is not None and watch.look(segment):
                 segments += cut_at_event(watch, segment, integrate)
                 break
             segments.append(segment)
-            t = until
+            t, part = part.end, None
             if t != plan.stops[-1]:
                 y = segment.at(np.array([t]))[0]
     varies = bool(plan.acting.driven) and len(segments) > 1

@@ -7,7 +7,7 @@ plan may differ.  `Plan.kind` returns the equations of either case.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -207,7 +207,10 @@ class Plan:
     @cached_property
     def choice(self) -> Choice:
         """The method of the compiled engine, with the reason for it."""
-        return choose(self.scene, self.stops)
+        shared = self.scene.shared
+        if self.stops is not vars(once(shared, Plan, lambda: self))["stops"]:
+            return choose(self.scene, self.stops)
+        return once(shared, Choice, lambda: choose(self.scene, self.stops))
 
     @property
     def method(self) -> Method:
@@ -348,7 +351,11 @@ def plan_of(scene: Scene) -> Plan:
         numbers = _NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end))
         return Plan(scene, acting, read_only(stops_of(scene)), numbers)
 
-    return once(scene, Plan, make)
+    def of_structure() -> Plan:
+        first = once(scene.shared, Plan, make)
+        return first if first.scene is scene else replace(first, scene=scene)
+
+    return once(scene, Plan, of_structure)
 
 
 def _acting(system: System, forces: ForceModel | None, varied: ModelParameters | None) -> Acting:

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..common.arrays import Array
+from ..integrators.run_keeper import RunKeeper
 from ..system.state_fields import ShapeState, State
 from ..system.system import System
 from .sample import Sample
@@ -86,7 +87,14 @@ class Segments(Sequence[Segment]):
     @cached_property
     def knots(self) -> Array:
         """Times of all step ends, (K,) sorted [s]."""
-        return np.unique(np.concatenate([segment.knots for segment in self._segments]))
+        return np.unique(np.concatenate([segment.knots for segment in self]))
+
+    def reported(self, t: Array) -> Array | None:  # noqa: ARG002
+        """Return the reduced states (T, k) if `t` is the array of report times and they are stored.
+
+        A single segment stores them itself, so the result is None here.
+        """
+        return None
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -105,6 +113,7 @@ class Integrate(Protocol):
         y0: Array,
         parameters: Array,
         watch: Callable[[Segment], bool] | None = None,
+        keeper: RunKeeper | None = None,
     ) -> Segment:
         """Integrate from a reduced state at the start.
 
@@ -116,6 +125,7 @@ class Integrate(Protocol):
                 afterwards.
             watch: Called repeatedly, and before a failure is raised, with the segment so far; if
                 `watch` returns True, the integration stops.
+            keeper: Saves the run at its pauses, and continues a saved run; compiled engine only.
         Returns:
             The segment.
         Raises:

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
@@ -20,11 +21,15 @@ from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
+from .checkpoint import Checkpoint, opened
 from .loop_forces import refuse_singular_loops
 from .motion import follow
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ReducedFlow, Segments
+from .run_record import RunRecord
 from .trajectory import Cost, Trajectory
+
+_OPTIONS = Scene.__dataclass_fields__.keys() - {"system"}
 
 
 @checks_arguments
@@ -36,6 +41,7 @@ def simulate(
     progress: Progress | bool | None = None,
     explain: bool = False,
     check: bool = False,
+    checkpoint: str | Path | None = None,
     **options: Unpack[SceneOptions],
 ) -> Trajectory:
     """Integrate the reduced equations of a scene and reconstruct the motion of the base.
@@ -51,6 +57,9 @@ def simulate(
             integrates.
         check: Whether to test between the stages of steps that no force is skipped, such as one
             that acts in a narrow range of the shape. It costs some further runs.
+        checkpoint: File (.ckpt) to which the state of the run is written every minute, at Ctrl-C
+            and at the end. If the file exists, the run continues from it, with the same bits as
+            without interruption.
         options: Fields of Scene.
     Returns:
         The trajectory.
@@ -73,20 +82,31 @@ def simulate(
         from .explain import explain as explained
 
         print(explained(plan))
-    with shown(progress, "reduced") as done:
-        trajectory = _simulated(plan, engine, done, check=check)
+    if checkpoint is not None and engine != "compiled":
+        raise InputError(
+            "checkpoint: expected none with engine 'pinocchio', whose integrator is SciPy's. Use "
+            "the compiled engine"
+        )
+    with opened(checkpoint) as file, shown(progress, "reduced") as done:
+        trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)
     for notice in trajectory.run.notices:
         warnings.warn(notice, AccuracyWarning, stacklevel=3)
     return trajectory
 
 
 def _simulated(
-    plan: Plan, engine: Engine, progress: Progress | None = None, *, check: bool = False
+    plan: Plan,
+    engine: Engine,
+    progress: Progress | None = None,
+    *,
+    check: bool = False,
+    checkpoint: Checkpoint | None = None,
 ) -> Trajectory:
     """Return the trajectory of a plan; with `check`, one whose steps skip no force."""
-    run_engine = _compiled if engine == "compiled" else _pinocchio
     again = partial(simulate, plan.scene, engine=engine, check=check)
-    run = partial(run_engine, progress=progress, again=again)
+    run = partial(_pinocchio, progress=progress, again=again)
+    if engine == "compiled":
+        run = partial(_compiled, progress=progress, again=again, checkpoint=checkpoint)
     if not check:
         return _resolved(plan, run)
     from .step_resolution import check_has_step_control, resolve_steps
@@ -118,10 +138,10 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
     Raises:
         InputError: An option is unknown or invalid.
     """
-    names = [name for name in Scene.__dataclass_fields__ if name != "system"]
-    for option in options:
-        if option not in names:
-            raise InputError(f"{what} has no option '{option}'; the options are {', '.join(names)}")
+    if not options.keys() <= _OPTIONS:
+        names = [name for name in Scene.__dataclass_fields__ if name != "system"]
+        unknown = next(option for option in options if option not in names)
+        raise InputError(f"{what} has no option '{unknown}'; the options are {', '.join(names)}")
     if not isinstance(scene, Scene):
         return Scene(system=checked_system(scene, what, loops=True), **options)
     parameters = options.get("parameters")
@@ -142,17 +162,26 @@ def _pinocchio(plan: Plan, progress: Progress | None, again: _Again) -> Trajecto
     return _integrate_plan(plan, flow, integrate, "pinocchio", "DOP853", again)
 
 
-def _compiled(plan: Plan, progress: Progress | None, again: _Again) -> Trajectory:
+def _compiled(
+    plan: Plan, progress: Progress | None, again: _Again, checkpoint: Checkpoint | None = None
+) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
+    from .compiled.thinned_segments import thinned
 
-    flow, through = CompiledFlow.of_plan(plan), None
-    if plan.passes_stops:
+    flow = CompiledFlow.of_plan(plan)
+    record = None if checkpoint is None else checkpoint.run(flow, plan)
+    through: Callable[[], Segments] | None = thinned(flow, plan, progress, record)
+    if through is None and plan.passes_stops and record is None:
         from .compiled.through_stops import through_stops
 
         through = through_stops(flow, plan, progress)
     integrate = integrator(flow, plan, progress)
-    return _integrate_plan(plan, flow, integrate, "compiled", plan.method.name, again, through)
+    name = plan.method.name
+    trajectory = _integrate_plan(plan, flow, integrate, "compiled", name, again, through, record)
+    if checkpoint is not None and record is not None:
+        checkpoint.close(record, flow, plan, cut=trajectory.ended_by is not None)
+    return trajectory
 
 
 def trajectory_of(scene: Scene) -> Trajectory:
@@ -168,9 +197,10 @@ def _integrate_plan(
     method: str,
     again: _Again,
     through: Callable[[], Segments] | None = None,
+    record: RunRecord | None = None,
 ) -> Trajectory:
     started = time.perf_counter()
-    motion = follow(plan, flow, integrate, through)
+    motion = follow(plan, flow, integrate, through, record)
     wall = time.perf_counter() - started
     refuse_singular_loops(plan.system, motion)
     run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)

@@ -258,7 +258,7 @@ class Trajectory(OverTime):
         fails, and a MissingPackageError if zarr is not installed.
 
         Args:
-            path: Path of the file; its suffix, .npz, .csv or .zarr, selects the format.
+            path: Path of the file; its suffix, .npz, .csv, .zarr or .xml, selects the format.
         """
         from .trajectory_files import save
 

@@ -1,4 +1,4 @@
-"""Files of trajectories in common formats: .npz, .csv and .zarr."""
+"""Files of trajectories in common formats: .npz, .csv, .zarr, and keyframes of MuJoCo (.xml)."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ def save(traj: OverTime, path: str | Path) -> None:
     robot.
     .csv has a row for each time and columns such as `pose.x`, `x.hinge` and `energy`.
     .zarr is a folder with the arrays of .npz, and texts as its attributes.
+    .xml has a keyframe of MuJoCo for each time; the robot must be from an MJCF file.
 
     InputError is raised for another suffix or a folder that does not exist, OutputError if
     writing fails, and MissingPackageError if zarr is not installed.
@@ -39,16 +40,24 @@ def save(traj: OverTime, path: str | Path) -> None:
         traj: A Trajectory or a Recording.
         path: Path of the file; its suffix selects the format.
     """
-    path = check_path(path, (".npz", ".csv", ".zarr"))
+    path = check_path(path, (".npz", ".csv", ".zarr", ".xml"))
     if path.suffix == ".zarr":
         write_zarr(path, _arrays(traj))
         return
-    write = _write_npz if path.suffix == ".npz" else _write_csv
+    write = {".npz": _write_npz, ".csv": _write_csv, ".xml": _write_keyframes}[path.suffix]
     write_atomic(path, lambda file: write(traj, file))
 
 
 def _write_npz(traj: OverTime, file: BinaryIO) -> None:
     np.savez_compressed(file, **_arrays(traj))
+
+
+def _write_keyframes(traj: OverTime, file: BinaryIO) -> None:
+    from ..system.mjcf.keyframe_export import write_keyframes
+
+    out = traj.states
+    rows = zip(out.t.tolist(), out.pose, out.x, out.xi, out.xdot, strict=True)
+    file.write(write_keyframes(traj.system, rows).encode())
 
 
 def _arrays(traj: OverTime) -> dict[str, Any]:

@@ -144,6 +144,24 @@ class Symbols:
         """
         return joint_index(name, self.every_name, what)
 
+    def is_ball(self, name: str) -> bool:
+        """Return whether a name is that of a ball joint."""
+        return f"{name}.qx" in self.x_names
+
+    def rates(self, name: str, what: str) -> list[int]:
+        """Return the indices of the rates of a joint, three for a ball.
+
+        Args:
+            name: Name of a joint, or of an axis of a ball.
+            what: Beginning of the error message.
+        Raises:
+            InputError: The name is unknown; the message lists the joints.
+        """
+        if self.is_ball(name):
+            first = self.names.index(f"{name}.x")
+            return [first, first + 1, first + 2]
+        return [self.joint(name, what)]
+
     def position(self, joint: int, what: str) -> Any:
         """Return the coordinate of a hinge or slide.
 

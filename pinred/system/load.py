@@ -47,6 +47,7 @@ from .passive import Spring, passive_contents
 from .read_sdf import read_sdf
 from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
+from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, Origin
 from .robot_files import is_mjcf, outermost, read_text, read_xml, text_in_file
 from .split_joints import split_joints
@@ -90,7 +91,9 @@ class _Robot:
 
 @checks_arguments
 def load(
-    source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec | None = None,
+    source: (
+        str | Path | Model | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec | None
+    ) = None,
     *,
     text: str | None = None,
     group: str | Group | None = None,
@@ -112,7 +115,7 @@ def load(
     Args:
         source: Name of a bundled robot or of one in example-robot-data; path of a URDF or MJCF
             file; pin.Model, which is copied; pin.RobotWrapper or pair (model, visual_model),
-            whose shapes playback shows; mujoco.MjModel; or mujoco.MjSpec.
+            whose shapes playback shows; mujoco.MjModel; mujoco.MjSpec; or pinred.Model.
         text: Content of a URDF, MJCF or SDF file instead of a source, such as ROS's parameter
             robot_description.  Relative paths in it are searched in `meshes` only.
         group: Symmetry group: "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, it follows
@@ -147,6 +150,9 @@ def load(
         InputError: The group, a joint, the root or another argument is not valid.
         MissingPackageError: The source is MJCF and mujoco is not installed.
     """
+    if isinstance(source, Model) and text is None:
+        balls = (source.balls or False) if balls is False else balls
+        text, source = source.urdf(), None
     if (source is None) == (text is None):
         given = "neither" if text is None else "both"
         raise InputError(f"load: expected either a source or text=, got {given}")

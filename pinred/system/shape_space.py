@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..common.names import quoted
-from ..lie.rotations import unwrapped_rotation_vectors
+from ..lie.rotations import (
+    closest_rotation_vectors,
+    left_jacobian,
+    unwrapped_rotation_vectors,
+)
 from .elementary_joints import ElementaryJoint
 
 _UNIT = 1e-3  # largest deviation of a quaternion's norm from 1, for values of few decimals
@@ -163,13 +167,15 @@ class ShapeSpace:
             return np.asarray(y - x)
         return self._by_joint(lambda j: j.kind.difference(x[..., j.x], y[..., j.x]))
 
-    def chart(self, x: Array) -> Array:
+    def chart(self, x: Array, *, near: Array | None = None) -> Array:
         """Return a coordinate for each rate over time, (T, m) [rad | m].
 
         The coordinates of a ball are its rotation vector, unwrapped so that it is continuous.
 
         Args:
             x: Shapes over time, (T, nx).
+            near: Coordinates close to those of the shapes, (T, m), from which rotation vectors
+                differ least; those of the shape before if None.
         Returns:
             Values of hinges and slides, and rotation vectors of balls.
         """
@@ -178,8 +184,26 @@ class ShapeSpace:
         chart = np.empty((len(x), self.m))
         chart[:, self.scalar_v] = x[:, self.scalar_x]
         for joint in self.balls:
-            chart[:, joint.v] = unwrapped_rotation_vectors(x[:, joint.x])
+            q = x[:, joint.x]
+            chart[:, joint.v] = (
+                unwrapped_rotation_vectors(q)
+                if near is None
+                else closest_rotation_vectors(q, near[:, joint.v])
+            )
         return chart
+
+    def chart_rate(self, w: Array, sigma: Array) -> Array:
+        """Return the derivatives, (T, m), of coordinates from `chart`, (T, m), at rates (T, m).
+
+        The derivative of a rotation vector is J⁻¹σ with the right Jacobian J.
+        """
+        if not self.balls:
+            return sigma
+        wdot = sigma.copy()
+        for joint in self.balls:
+            J = left_jacobian(-w[:, joint.v])
+            wdot[:, joint.v] = np.linalg.solve(J, sigma[:, joint.v, None])[..., 0]
+        return wdot
 
     def rate_map(self, x: Array) -> Array:
         """Return E(x), (..., nx, m), which maps rates along the frame to derivatives of x."""

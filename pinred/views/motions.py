@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
+from ..analysis.connections.connection import Connection
 from ..common.argument_kinds import checks_arguments
+from ..common.errors import InputError
 from ..common.signatures import shows_fields
 from ..simulation.trajectory import Trajectory
+from ..system.system import System
 from .playback.view_options import FILM_FPS, View, ViewOptions, as_view
 from .plots.by_kind import plot as plot
 
@@ -56,12 +59,21 @@ def play(
 
 @checks_arguments
 @shows_fields(View)
-def save_html(traj: Trajectory, path: str | Path, **options: Unpack[ViewOptions]) -> int:
-    """Write the playback as one self-contained HTML file.
+def save_html(
+    traj: Trajectory | System | Connection,
+    path: str | Path,
+    *,
+    feel: bool = False,
+    **options: Unpack[ViewOptions],
+) -> int:
+    """Write the playback of a motion, or the page of `feel`, as one self-contained HTML file.
 
     Args:
-        traj: The motion: a Trajectory, or a recording read from a file.
+        traj: The motion: a Trajectory, or a recording read from a file. With `feel`, a System or a
+            Connection.
         path: The .html file.
+        feel: Write the page on which joints are moved by hand and the base follows (see `feel`).
+            It takes only the options `pair` and `meshes`.
         ghost: Also draw the full simulation (Pinocchio's ABA) next to the motion.
         speed: Seconds of the motion in one second of playback, initially.
         fps: Frames per second of playback.
@@ -75,9 +87,71 @@ def save_html(traj: Trajectory, path: str | Path, **options: Unpack[ViewOptions]
         InputError: An option or the suffix is invalid.
         OutputError: The file cannot be written.
     """
+    if feel:
+        from .feel.feel_page import save_feel
+
+        return save_feel(_as_source(traj), path, **_feel_options(options))
+    if isinstance(traj, System | Connection):
+        raise InputError(
+            "save_html: expected a motion, got a "
+            f"{type(traj).__name__}. Pass feel=True for the page on which joints are moved by hand."
+        )
     from .playback.page import save_html as write
 
     return write(traj, path, as_view(options, "save_html"))
+
+
+@checks_arguments
+def feel(
+    source: System | Connection,
+    *,
+    pair: Sequence[str] | None = None,
+    meshes: bool | str | Path | Sequence[str | Path] = True,
+    port: int | None = None,
+    show: bool = True,
+    wait: bool | None = None,
+) -> Player:
+    """Open a page on which joints are moved by hand and the base turns by the connection.
+
+    Args:
+        source: A system, at zero momentum, or a connection of a system.
+        pair: Names of the joints on the axes of the shape plane. If None, the two with the largest
+            curvature.
+        meshes: Draw the shapes of the robot's file, see `play`.
+        port: Port of the server; an unused port if None.
+        show: Open the user's browser.
+        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
+    Returns:
+        The server of the page.
+    Raises:
+        InputError: The robot has no joints, an option is invalid, or the port is taken.
+        SymmetryError: Gravity changes the momenta.
+    """
+    from .feel.feel_page import feel_page
+    from .playback.server import check_port, serve
+
+    options = _feel_options({"pair": pair, "meshes": meshes})
+    check_port(port)
+    return serve(feel_page(source, **options), "page at", port=port, show=show, wait=wait)
+
+
+def _as_source(value: Trajectory | System | Connection) -> System | Connection:
+    if isinstance(value, System | Connection):
+        return value
+    raise InputError(
+        f"save_html: with feel=True, expected a System or a Connection, got {type(value).__name__}."
+    )
+
+
+def _feel_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Check the options of the page of `feel`: pair and meshes."""
+    for name in options:
+        if name not in ("pair", "meshes"):
+            raise InputError(
+                f"feel: the page has no option '{name}'; the options are pair, meshes."
+            )
+    view = as_view(options, "feel")
+    return {"pair": view.pair, "meshes": view.meshes}
 
 
 @checks_arguments

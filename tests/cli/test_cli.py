@@ -242,7 +242,10 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
         (("compare", "good.urdf", "--q0", "1,2"), "q0 must have shape (9,), got (2,)"),
         (("compare", "good.urdf", "--v0", "elbow=1"), "--v0 takes numbers"),
         (("compare", "good.urdf", "--seed", "1", "--v0", "0"), "do not combine it with v0"),
-        (("compare", "good.urdf", "--prescribed", "elbow"), "--prescribed takes JOINT=NUMBER or"),
+        (
+            ("compare", "good.urdf", "--prescribed", "elbow"),
+            "--prescribed takes JOINT=NUMBER, JOINT=FORMULA",
+        ),
         (("compare", "good.urdf", "--prescribed", "elbow=sin(x)"), "prescribed['elbow']: the expr"),
         (("compare", "good.urdf", "--prescribed", "knee=0"), "no shape joint 'knee'"),
         (

@@ -18,7 +18,7 @@ def test_gait_writes_the_printed_loop(tmp_path: Path, capsys: pytest.CaptureFixt
         words = "gait three_rods --limits 1.5 --harmonics 1 --starts 1 --out"
         assert main([*words.split(), str(path)]) == 0
         said = capsys.readouterr().out
-        for part in ("rotation / length", "winding number", "KKT residual", "margin to limits"):
+        for part in ("rotation / length", "winding number", "KKT residual", "margins "):
             assert part in said
         A = pinred.Connection.mechanical(pinred.load("three_rods"))
         best = pinred.optimise_gait(A, limits=1.5, harmonics=1, starts=1)

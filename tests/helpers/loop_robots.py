@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -44,6 +44,33 @@ def four_bar(
     return model, [Loop("coupler_tip", "rocker_tip", kind, "tips")]
 
 
+def five_bar() -> tuple[pin.Model, list[Loop]]:
+    """Return a five-bar linkage whose frame floats in the plane: two cranks, two couplers."""
+    model = pin.Model()
+    model.name = "five_bar"
+    model.gravity.setZero()
+    base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
+    lever = np.array([0.5, 0.0, 0.0])
+    model.appendBodyToJoint(base, _bar(2.0, 1.0), pin.SE3(np.eye(3), lever))
+    frame_type = pin.FrameType.OP_FRAME
+    for side, x in (("left", 0.0), ("right", 1.0)):
+        parent, at = base, x
+        for name, length in ((f"{side}_crank", 0.5), (f"{side}_coupler", 0.9)):
+            place = pin.SE3(np.eye(3), np.array([at, 0.0, 0.0]))
+            parent = model.addJoint(parent, pin.JointModelRZ(), place, name)
+            model.appendBodyToJoint(
+                parent, _bar(length, length), pin.SE3(np.eye(3), length * lever)
+            )
+            at = length
+        tip = pin.SE3(np.eye(3), np.array([at, 0.0, 0.0]))
+        model.addFrame(pin.Frame(f"{side}_tip", parent, 0, tip, frame_type))
+    return model, [Loop("left_tip", "right_tip", "3d", "tips")]
+
+
+def _bar(mass: float, length: float) -> pin.Inertia:
+    return pin.Inertia(mass, np.zeros(3), mass * length**2 / 12.0 * np.diag([0.1, 1.0, 1.0]))
+
+
 def crank_angles(crank: float, branch: float = -1.0) -> tuple[float, float]:
     """Return the angles of coupler and rocker of the four-bar at a crank angle, in closed form.
 
@@ -59,25 +86,29 @@ def crank_angles(crank: float, branch: float = -1.0) -> tuple[float, float]:
 
 
 def random_loops(
-    seed: int, kinds: tuple[LoopKind, ...], joints: int = 9
+    seed: int, kinds: tuple[LoopKind, ...], joints: int | Sequence[int] = 9, *, balls: bool = False
 ) -> tuple[pin.Model, list[Loop]]:
     """Return a random floating tree with a loop of each kind that closes at a random shape.
 
-    Each loop ties the ends of two random branches.
+    Each loop ties the ends of two random branches.  `joints` is the number of joints of a branch,
+    or of each branch.  With `balls` the first joint of each branch is a ball.
     """
+    lengths = [joints] * (2 * len(kinds)) if isinstance(joints, int) else list(joints)
     rng, model = np.random.default_rng(seed), pin.Model()
     model.name = f"random_loops_{seed}"
     model.gravity.setZero()
     base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
     model.appendBodyToJoint(base, _inertia(rng, 4.0), pin.SE3.Identity())
     loops, ends = [], []
-    for k in range(2 * len(kinds)):
+    for k, length in enumerate(lengths):
         parent = base
-        for n in range(joints):
+        for n in range(length):
             at = pin.SE3(pin.exp3(rng.normal(size=3)), 0.3 * rng.normal(size=3))
             axis = rng.normal(size=3)
             joint = pin.JointModelRevoluteUnaligned(*(axis / np.linalg.norm(axis)))
-            if n == 1:
+            if n == 0 and balls:
+                joint = pin.JointModelSpherical()
+            elif n == 1:
                 joint = pin.JointModelPrismaticUnaligned(*(axis / np.linalg.norm(axis)))
             parent = model.addJoint(parent, joint, at, f"j{k}_{n}")
             model.appendBodyToJoint(parent, _inertia(rng, 1.0), pin.SE3.Identity())
@@ -92,6 +123,39 @@ def random_loops(
         for joint, at, name in ((a, placement, f"a{k}"), (b, other, f"b{k}")):
             model.addFrame(pin.Frame(name, joint, 0, at, pin.FrameType.OP_FRAME))
         loops.append(Loop(f"a{k}", f"b{k}", kind))
+    return model, loops
+
+
+def planar_legs(seed: int = 0) -> tuple[pin.Model, list[Loop]]:
+    """Return a floating body with three planar legs of four hinges, and two more hinges.
+
+    Each leg closes by a weld, whose six equations have rank three: 14 joints, 18 equations of rank
+    9.
+    """
+    rng, model = np.random.default_rng(seed), pin.Model()
+    model.name = "planar_legs"
+    model.gravity.setZero()
+    base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, _inertia(rng, 4.0), pin.SE3.Identity())
+    frame_type, loops = pin.FrameType.OP_FRAME, []
+    for leg in range(3):
+        turn = pin.rpy.rpyToMatrix(0.0, 0.0, 2.0 * np.pi * leg / 3.0)
+        at = pin.SE3(turn, turn @ np.array([0.3, 0.0, 0.0]))
+        points = [(0.0, 0.0), (0.4, -0.3), (0.1, -0.8), (-0.2, -0.4)]  # a quadrangle in x and z
+        parent, place = base, at
+        for k in range(4):
+            start, end = (np.array([x, 0.0, z]) for x, z in (points[k], points[(k + 1) % 4]))
+            parent = model.addJoint(parent, pin.JointModelRY(), place, f"leg{leg}_{k}")
+            model.appendBodyToJoint(parent, _inertia(rng, 0.5), pin.SE3.Identity())
+            place = pin.SE3(np.eye(3), end - start)
+        model.addFrame(pin.Frame(f"end{leg}", parent, 0, place, frame_type))
+        model.addFrame(pin.Frame(f"hip{leg}", base, 0, at, frame_type))
+        loops.append(Loop(f"hip{leg}", f"end{leg}", "6d", f"leg{leg}"))
+    parent = base
+    for k in range(2):
+        at = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
+        parent = model.addJoint(parent, pin.JointModelRX(), at, f"arm{k}")
+        model.appendBodyToJoint(parent, _inertia(rng, 0.5), pin.SE3.Identity())
     return model, loops
 
 

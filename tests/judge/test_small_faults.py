@@ -32,7 +32,7 @@ def with_fault(system: pinred.System, kind: str, joint: int, axis: int) -> pinre
     else:
         turn = pin.exp3(BY * entry)
         model.jointPlacements[joint] = pin.SE3(place.rotation @ turn, place.translation)
-    return pinred.load(model)
+    return pinred.load(model, loops=system.loops)
 
 
 @cache
@@ -91,6 +91,9 @@ FAULTS = {
         ("mass", 1, 0), ("mass", 3, 0), ("lever", 4, 2), ("length", 2, 2), ("axis", 3, 1),
     ],
     "floating_arm": [("mass", 1, 0), ("mass", 3, 0), ("lever", 3, 0), ("length", 2, 0)],
+    "four_bar": [("mass", 1, 0), ("mass", 3, 0), ("lever", 4, 0)],
+    "gripper": [("mass", 1, 0), ("mass", 3, 0), ("lever", 4, 0)],
+    "parallel_biped": [("mass", 1, 0), ("mass", 3, 0), ("lever", 5, 2)],
 }  # fmt: skip
 
 
@@ -101,6 +104,9 @@ def test_all_bundled_robots_have_faults() -> None:
 
 # Robots whose comparisons take more than 4 s.
 LONG = {
+    "four_bar",
+    "gripper",
+    "parallel_biped",
     "astronaut",
     "diver",
     "snakeboard",

@@ -21,10 +21,12 @@ from pinred.laboratory.bench import (
     bench_many,
     bench_scaling,
     bench_threads,
+    method_choice,
     timing,
 )
 from pinred.laboratory.bench.batch_timing import BATCH_SOLVERS
 from pinred.laboratory.bench.chains import chain
+from pinred.laboratory.bench.method_choice import METHODS, MethodChoice
 
 pytestmark = pytest.mark.slow
 
@@ -184,3 +186,17 @@ def test_floquet_routes_agree_with_closed_form(
         assert float(row["error"]) < bounds.get(row["route"], 1e-8)
         assert float(row["wall"]) > 0.0
         assert row["robot"] in printed
+
+
+def test_bench_methods_compares_the_choice_with_the_fastest_accurate_method(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The ratio refers to the fastest method whose error is at most that of the chosen one."""
+    wall = dict(zip(METHODS, (2.0, 4.0, 3.0, 1.0), strict=True))
+    error = dict(zip(METHODS, (1e-9, 1e-10, 1e-10, 1e-6), strict=True))
+    assert MethodChoice("made", "DOP853", wall, error).ratio == 1.0  # Radau is less accurate.
+    assert MethodChoice("made", "Tsit5", wall, error).best == "AdaptiveGauss"
+    monkeypatch.setattr(method_choice, "METHODS", ("DOP853", "AdaptiveGauss"))
+    assert main(["bench", "methods", "planar1", "--held", "0", "--out", str(tmp_path)]) == 0
+    assert "of 1 scenes within 1.3 times the fastest method" in capsys.readouterr().out
+    assert (tmp_path / "methods.csv").read_text().startswith("scene,chosen,ratio,DOP853 wall")

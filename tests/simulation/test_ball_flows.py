@@ -162,6 +162,29 @@ def test_adapters_differentiate_quaternion_entries(bodies: pinred.System) -> Non
     np.testing.assert_array_equal(by_casadi[1].full(), jacobian[1])
 
 
+@pytest.mark.slow
+def test_jax_and_torch_differentiate_quaternion_entries(bodies: pinred.System) -> None:
+    """Both directions of derivatives equal those between vectors, also in a batch."""
+    jax, torch = (pytest.importorskip(name) for name in ("jax", "torch"))
+    flow = pinred.flow(bodies, **MOTION, method="DOP853", wrt=["x0", "xdot0"])
+    columns = flow.columns()
+    values = [1.7 * columns.starts[0], columns.starts[1]]
+    expected = columns.jacobian(*values)
+    with jax.enable_x64(True):
+        function = flow.jax()
+        for mode in (jax.jacfwd, jax.jacrev):
+            for found, J in zip(mode(function, (0, 1))(*values), expected, strict=True):
+                np.testing.assert_allclose(found, J, rtol=0.0, atol=1e-12)
+        batch = np.stack([values[0], columns.starts[0]])
+        rows = jax.vmap(function, in_axes=(0, None))(batch, values[1])
+        for row, x in zip(rows, batch, strict=True):
+            np.testing.assert_allclose(row, columns.value(x, values[1]), atol=1e-12)
+    tensors = tuple(torch.tensor(v) for v in values)
+    found = torch.autograd.functional.jacobian(flow.torch(), tensors)
+    for part, J in zip(found, expected, strict=True):
+        np.testing.assert_allclose(part, J, rtol=0.0, atol=1e-12)
+
+
 def test_flow_of_tree_with_prescribed_joint_equals_simulation() -> None:
     """A prescribed hinge between balls, whose indices of coordinate and rate differ."""
     system = ball_tree(11, 4)

@@ -15,7 +15,8 @@ from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.signals import Hold
-from pinred.simulation.choose_method import Choice, rates_near_rest
+from pinred.simulation.choose_method import LANES_GAIN, Choice, radau_gain, rates_near_rest
+from pinred.simulation.members.member_groups import members_plan
 from pinred.simulation.plan import plan_of
 
 
@@ -84,6 +85,30 @@ def test_stiff_forces_get_radau(damping: float) -> None:
     # A spring alone swings, and has to be followed.
     swinging = scene(cat, forces=[Spring(joint, 1e6)], rtol=1e-8)
     assert not isinstance(plan_of(swinging).choice.method, Radau)
+
+
+@pytest.mark.parametrize("oscillation", [0.0, 1e4])
+def test_radau_needs_slow_oscillations_and_costs_for_many_joints(oscillation: float) -> None:
+    """Radau's steps resolve oscillations, and batches prefer DOP853 in SIMD lanes for longer."""
+    chain = pinred.load("planar_chain5")
+    first, last = chain.shape_names[0], chain.shape_names[-1]
+
+    def held(damping: float) -> pinred.Scene:
+        forces = [Damper(first, damping), Spring(last, oscillation)]
+        return scene(chain, forces=forces, times=[2.0], rtol=1e-8)
+
+    # At m = 5 and without oscillation the gain is 12 λT/4 / (35 · 500).
+    hard, soft = held(3000.0), held(10.0)
+    swings = oscillation > 0.0
+    assert isinstance(plan_of(hard).choice.method, Radau) != swings
+    assert not isinstance(plan_of(soft).choice.method, Radau)
+    if not swings:
+        rates = rates_near_rest(hard)
+        assert radau_gain(hard) == pytest.approx(12.0 * rates.decay * 2.0 / 4.0 / 17500.0)
+        between = held(3000.0 * LANES_GAIN / radau_gain(hard))
+        assert isinstance(plan_of(between).choice.method, Radau)
+        assert isinstance(members_plan(between).method, DOP853)
+        assert isinstance(members_plan(held(3000.0 * 1e3 / radau_gain(hard))).method, Radau)
 
 
 def test_damped_forces_get_dop853() -> None:

@@ -12,7 +12,7 @@ from loop_robots import crank_angles, four_bar, gripper, random_loops
 
 import pinred
 from pinred.cli.main import main
-from pinred.common.errors import InputError, ModelError, UnsupportedOperationError
+from pinred.common.errors import InputError, ModelError
 from pinred.system.loops.kinematics import LoopKinematics
 from pinred.system.loops.loop import KINDS, Loop, parse_loops
 from pinred.system.loops.looped_system import loop_values
@@ -121,15 +121,6 @@ def test_loops_that_no_robot_can_have_are_refused_by_name() -> None:
         parse_loops("coupler_tip")
     with pytest.raises(InputError, match="two loops have the name 'tips'"):
         parse_loops([*loops, *loops])
-    ball = pin.Model()
-    root = ball.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    for name in ("one", "two"):
-        joint = ball.addJoint(root, pin.JointModelSpherical(), pin.SE3.Identity(), name)
-        ball.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
-        ball.addJointFrame(joint)
-    ball.appendBodyToJoint(root, pin.Inertia.Random(), pin.SE3.Identity())
-    with pytest.raises(UnsupportedOperationError, match="closed loops: ball joints"):
-        pinred.load(ball, loops="one=two")
 
 
 def test_redundant_equations_over_several_loops_are_found() -> None:

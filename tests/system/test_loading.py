@@ -21,6 +21,7 @@ from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 from pinred.system import catalogue
 from pinred.system.joints import root_joint
+from pinred.system.loops.looped_system import loop_jacobian, loop_values
 
 needs_robots = pytest.mark.skipif(
     not catalogue.has_example_robots(), reason="example-robot-data is not installed"
@@ -61,6 +62,11 @@ def test_bundled_robot_matches_catalogue() -> None:
         assert system.initial.x.shape == (system.nx,)
         assert system.initial.xdot.shape == (system.m,)
         assert bool(system.space.balls) == entry.balls
+        assert system.loops == entry.loops
+        if system.loops:
+            np.testing.assert_allclose(loop_values(system, system.initial.x), 0.0, atol=1e-12)
+            J = loop_jacobian(system, system.initial.x)
+            np.testing.assert_allclose(J @ system.initial.xdot, 0.0, atol=1e-12)
         assert system.initial.xi.shape == (system.r,)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from figures import drawn
+from matplotlib.axes import Axes
 from matplotlib.contour import QuadContourSet
 
 import pinred
@@ -17,6 +18,12 @@ CIRCLE = pinred.Gait.fourier([0.3, 0.2], [[0.5, 0.0]], [[0.0, 0.5]])
 def rods() -> pinred.Connection:
     """Load three rods in the plane."""
     return pinred.Connection.mechanical(pinred.load("three_rods"))
+
+
+def filled_contours(axes: Axes) -> QuadContourSet:
+    """Return the filled contours of some axes."""
+    sets = [item for item in axes.collections if isinstance(item, QuadContourSet)]
+    return next(item for item in sets if item.filled)
 
 
 def test_zero_contour_has_zero_curvature() -> None:
@@ -95,8 +102,8 @@ def test_loop_plot_of_gait_and_plan() -> None:
 
 def test_plots_of_connections_reject_invalid_input() -> None:
     """Wrong types, and other than two joints."""
-    with pytest.raises(pinred.InputError, match="field draws a Connection"):
-        plots.field(pinred.load("three_rods"))  # type: ignore[arg-type]
+    with pytest.raises(pinred.InputError, match="field takes a Connection, or a System"):
+        plots.field("three_rods")  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="loop draws a BestGait or a TurnPlan"):
         plots.loop(rods())  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="cycles draws a Phase"):
@@ -126,3 +133,42 @@ def test_zero_contour_over_axes_of_ball_has_zero_curvature() -> None:
         J = left_jacobian(-w)
         B = J.T @ red.curvature(cat.space.integrate(cat.space.neutral, w))[3] @ J
         assert abs(B[1, 2]) < 1e-3 * np.abs(B).max()
+
+
+def test_fields_of_both_signs_are_white_at_zero_with_equal_axes() -> None:
+    """The colours diverge from zero; angles have equal scales; one sign has the other colours."""
+    figure = plots.field(rods(), limits=[(-2, 1), (-1, 1)])
+    filled = filled_contours(figure.axes[0])
+    assert filled.get_cmap().name == "RdBu_r"
+    levels = np.asarray(filled.levels)
+    assert levels[0] == -levels[-1]
+    assert figure.axes[0].get_aspect() == 1.0
+    one_sign = plots.field(rods(), limits=[(0.1, 1.0), (0.1, 1.0)]).axes[0]
+    filled = filled_contours(one_sign)
+    assert filled.get_cmap().name == "cividis"
+
+
+def test_default_joints_move_most() -> None:
+    """The curvature is drawn over the two joints with the largest range of the motion."""
+    cat = pinred.load("falling_cat")
+    plan = {"bend": "0.01*sin(t)", "sway": "0.5*sin(t)", "twist": "0.4*cos(t)"}
+    traj = pinred.simulate(cat, duration=2.0, prescribed=plan, momentum=0)
+    assert "B(sway, twist)" in plots.curvature(traj).get_suptitle()
+    assert "bend" in plots.phase(traj).get_suptitle().split("\n")[1]
+    gait = pinred.Gait.fourier([0, 0, 0], [[0.01, 0.5, 0]], [[0, 0, 0.4]])
+    assert "B(sway, twist)" in plots.field(cat, gait=gait).get_suptitle()
+
+
+def test_loop_is_drawn_over_the_component_of_its_objective() -> None:
+    """A displacement along y is drawn over the component of v2, a rotation over that of ω."""
+    swimmer = pinred.load("purcell_swimmer")
+    drag = {link: pinred.Rod(1.0, across=2.0, along=1.0) for link in ("middle", "front", "rear")}
+    connection = pinred.Connection.viscous(swimmer, drag)
+    best = pinred.optimise_gait(
+        connection, objective="displacement", axis="x", harmonics=1, starts=1, limits=1.0
+    )
+    labels = [axes.get_ylabel() for axes in plots.loop(best).axes]
+    assert "B, component v1" in labels
+    title = plots.cycles(best.phase).get_suptitle()
+    assert title.endswith("m a cycle")
+    assert "°" not in title

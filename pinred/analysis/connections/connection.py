@@ -20,7 +20,7 @@ from ...reduction.potential import broken_by_gravity
 from ...system.shape_space import ShapeSpace
 from ...system.system import System
 from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
-from .mechanical_connection import mechanical_code
+from .loop_connection import code_with_loops, refuse_moved_loops
 from .other_frames import from_link, in_section
 from .rotation_chart import RotationChart, chart_about
 from .singular_shapes import refuse_singular, require_metric
@@ -32,8 +32,7 @@ from .wheels import Rolling, Wheel, kinematic_form
 class ConnectionField:
     """A connection at many shapes, with the leading axes of x first in every array.
 
-    Each array is computed at first use, cached, and read-only.  It raises SingularInertiaError
-    if A is not defined at one of the shapes.
+    Arrays are cached and read-only; SingularInertiaError is raised where A is not defined.
 
     Attributes:
         connection: The connection.
@@ -96,7 +95,6 @@ class Connection:
     ξ is the body twist of the base, (r,) [linear; angular].  ẋ are rates along the frame of the
     shape space, (m,): the derivatives of hinges and slides, and the angular velocities of balls in
     the axes of their children.  Momenta, drag and fluid also define a metric M on shape space.
-    Machine code computes the values, validated against Pinocchio.
 
     Attributes:
         form: Linear form of the velocities (ξ, ẋ) that vanishes on horizontal motions.
@@ -126,17 +124,19 @@ class Connection:
         return cls(form, ConnectionCode(form))
 
     @classmethod
-    def mechanical(cls, system: System) -> Connection:
+    def mechanical(cls, system: System, *, independent: Sequence[str] | None = None) -> Connection:
         """Return the mechanical connection of a system, A = I⁻¹ H_bs.
 
         Args:
             system: The system.
+            independent: Joints of a robot with loops, as many as `System.shape_dim`, whose
+                coordinates are the shapes; None: chosen where the loops were assembled.
         Returns:
             The connection, with the reduced metric [kg m² | kg m | kg].
         """
-        code = mechanical_code(system)
+        code, tree = code_with_loops(system, independent), None if system.loops else system
         gravity = broken_by_gravity(system)
-        return cls(code.form, code, system, is_mechanical=True, turned_by_gravity=gravity)
+        return cls(code.form, code, tree, is_mechanical=True, turned_by_gravity=gravity)
 
     @classmethod
     def viscous(cls, system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connection:
@@ -165,10 +165,8 @@ class Connection:
         Returns:
             The connection, with a metric.
         """
-        return replace(
-            cls.of(fluid_form(system, density, bodies)), system=system,
-            turned_by_gravity=broken_by_gravity(system),
-        )  # fmt: skip
+        flow = replace(cls.of(fluid_form(system, density, bodies)), system=system)
+        return replace(flow, turned_by_gravity=broken_by_gravity(system))
 
     @classmethod
     def kinematic(cls, system: System, wheels: Sequence[Wheel | Rolling]) -> Connection:
@@ -194,6 +192,7 @@ class Connection:
         Raises:
             InputError: The connection has no system, or the link is not admissible.
         """
+        refuse_moved_loops(self.code, "Connection.seen_from")
         if self.system is None or self.chart is not None:
             raise InputError("seen_from: expected a connection of a System, without a centre")
         return self._moved(from_link(self.form, self.system, link))
@@ -206,6 +205,7 @@ class Connection:
         Returns:
             The connection.
         """
+        refuse_moved_loops(self.code, "Connection.in_section")
         chart = self.in_chart()
         return replace(self._moved(in_section(chart.form, pose)), chart=chart.chart)
 
@@ -221,6 +221,7 @@ class Connection:
         """
         if centre is None and not self.space.balls:
             return self
+        refuse_moved_loops(self.code, "Connection.in_chart")
         chart = chart_about(self.space, self.system, centre, self.chart)
         code = once(self, chart.centre.tobytes(), partial(chart.code_of, self.form))
         return replace(self, form=code.form, code=code, chart=chart)
@@ -296,8 +297,7 @@ class Connection:
     def curvature(self, x: ArrayLike) -> Array:
         """Compute the curvature B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] − c^γ_αβ A_γ.
 
-        The bracket is that of twists.  c are the structure constants of the shape space's frame,
-        zero without balls.
+        The bracket is that of twists; c are structure constants, zero without balls.
 
         Args:
             x: Shape, (nx,) [rad | m].
@@ -333,7 +333,7 @@ class Connection:
         xdot = vectors(xdot, self.m, "xdot", self.joints)
         if x.shape[:-1] != xdot.shape[:-1]:
             raise InputError(f"x and xdot differ in shape, {x.shape} and {xdot.shape}")
-        xi, _ = self.horizontal(x.reshape(-1, self.nx), xdot.reshape(-1, self.m))
+        xi = self.horizontal(x.reshape(-1, self.nx), xdot.reshape(-1, self.m))[0]
         return xi.reshape(*x.shape[:-1], self.r)
 
     def horizontal(self, x: Array, xdot: Array) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from ...common.errors import InputError
 from ...forces.signals import Attitude, Fourier
 from ...kernels.connection.connection_code import ConnectionCode
 from ...kernels.connection.connection_form import ConnectionForm, form_of
-from ...lie.rotations import TAU, left_jacobian, quaternion_exp
+from ...lie.rotations import TAU, conjugate, left_jacobian, quaternion_exp, quaternion_product
 from ...scene.joint_values import order_by_joint
 from ...system.shape_space import ShapeSpace
 from ...system.system import System
@@ -52,6 +52,17 @@ class RotationChart(FrozenArrays):
     def shapes(self, w: Array) -> Array:
         """Return the shapes x, (..., nx), of coordinates w, (..., m)."""
         return self.space.integrate(self.centre, w)
+
+    def shape_graph(self, w: ca.SX) -> ca.SX:
+        """Return the expressions of the shape x, (nx,), at coordinates w, (m,)."""
+        return self._shape(self._terms(w), w)
+
+    def coordinates(self, x: Array) -> Array:
+        """Return the coordinates over time, (T, m), of shapes, (T, nx)."""
+        about = x.copy()
+        for ball in self.space.balls:
+            about[:, ball.x] = quaternion_product(conjugate(self.centre[ball.x]), x[:, ball.x])
+        return self.space.chart(about)
 
     def rate_maps(self, w: Array) -> Array:
         """Return J(w), (..., m, m), which maps ẇ to rates σ along the frame."""

@@ -131,7 +131,7 @@ class ShapeField(FrozenArrays):
         return self.x.reshape(math.prod(self.x.shape[:-1]), self.system.nx)
 
     def _as_field(self, array: Array) -> Array:
-        return read_only(array.reshape(*self.x.shape[:-1], *array.shape[1:]))
+        return read_only(array.reshape((*self.x.shape[:-1], *array.shape[1:])))
 
 
 def _refuse_singular(system: System, x: Array, H: Array) -> None:

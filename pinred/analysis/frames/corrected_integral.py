@@ -12,7 +12,8 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
-from ..connections.connection import Connection
+from ...common.summary import Rows, Summary
+from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.gait import Gait
 from ..phases.phase import phase
 from .optimal_frame import OptimalFrame
@@ -22,8 +23,8 @@ _TRUSTED = 0.05  # relative error below which the integral is trusted
 
 
 @checks_arguments
-@dataclass(frozen=True)
-class CorrectedIntegral(FrozenArrays):
+@dataclass(frozen=True, repr=False)
+class CorrectedIntegral(Summary, FrozenArrays):
     """The corrected body-velocity integral −∬B of a gait, and the true phase.
 
     Attributes:
@@ -40,21 +41,39 @@ class CorrectedIntegral(FrozenArrays):
     error: float
     trusted: bool
 
+    def title(self) -> str:
+        """Return the first line of the text."""
+        return "corrected integral −∬B of a gait, against its phase"
+
+    def rows(self) -> Rows:
+        """Return the rows of the text."""
+        judgement = "trusted" if self.trusted else f"not trusted: above {_TRUSTED:g}"
+        return [
+            ("integral", _numbers(self.integral)),
+            ("log of the phase", _numbers(self.log)),
+            ("phase", _numbers(self.phase)),
+            ("relative error", f"{self.error:.3g}, {judgement}"),
+        ]
+
+
+def _numbers(values: Array) -> str:
+    return ", ".join(f"{value:.9g}" for value in values)
+
 
 @checks_arguments
 def corrected_integral(
-    connection: Connection, gait: Gait, frame: OptimalFrame | None = None
+    connection: ConnectionSource, gait: Gait, frame: OptimalFrame | None = None
 ) -> CorrectedIntegral:
     """Compute −∬B over the disc spanned by a Fourier gait, and the true phase.
 
     Args:
-        connection: Connection that lifts the gait.
+        connection: Connection that lifts the gait, or a System for its mechanical connection.
         gait: Gait that is one Fourier series.
         frame: Frame of the curvature, B′ = Ad_{h⁻¹}B; by default the base frame.
     Returns:
         Integral, phase and relative error.
     """
-    connection = connection.in_chart()
+    connection = connection_of(connection, "corrected_integral").in_chart()
     group, disc = connection.group, Disc(gait)
     u = disc.nodes
     x = disc.shapes(u)

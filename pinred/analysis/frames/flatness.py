@@ -17,6 +17,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, vector
 from ...common.errors import InputError
 from ..connections.connection import Connection
+from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.arcs import line
 from ..gaits.gait import Gait
 from ..phases.closure import is_closed
@@ -127,21 +128,21 @@ class Flatness(FrozenArrays):
 
 @checks_arguments
 def flatness(
-    connection: Connection, limits: ArrayLike | None = None, *, samples: int | None = None
+    connection: ConnectionSource, limits: ArrayLike | None = None, *, samples: int | None = None
 ) -> Flatness:
     """Decide whether a connection is flat over a box of shapes.
 
     Args:
-        connection: The connection.
+        connection: The connection, or a System for its mechanical connection.
         limits: (low, high) of each joint, (m, 2); ±1 by default.
         samples: Grid points per joint for up to three joints, else number of random shapes.
     Returns:
         The verdict with its numbers.
     Raises:
-        InputError: The limits are invalid.
+        InputError: An argument is of the wrong kind, or the limits are invalid.
         SingularInertiaError: A is undefined at a sampled shape.
     """
-    connection = connection.in_chart()
+    connection = connection_of(connection, "flatness").in_chart()
     m, n = connection.m, connection.group.linear
     bounds = np.tile([-1.0, 1.0], (m, 1)) if limits is None else as_floats(limits, "limits")
     if bounds.shape != (m, 2) or not np.isfinite(bounds).all() or (np.diff(bounds) <= 0.0).any():

@@ -28,6 +28,7 @@ from ...common.errors import InputError, NoConvergence
 from ...lie.group import Group
 from ...lie.rotations import hat, quaternion_exp, quaternion_product, rotation
 from ..connections.connection import Connection
+from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.gait import Gait
 from ..phases.lift import in_space
 from .norm_distance import norm_distance
@@ -136,7 +137,7 @@ class OptimalFrame:
 
 @checks_arguments
 def optimal_frame(
-    connection: Connection,
+    connection: ConnectionSource,
     limits: ArrayLike | Gait,
     *,
     joints: Sequence[int] | None = None,
@@ -147,7 +148,7 @@ def optimal_frame(
     """Compute the minimum-perturbation frame over a box of joints or the disc of a gait.
 
     Args:
-        connection: Connection in the base frame.
+        connection: Connection in the base frame, or a System for its mechanical connection.
         limits: (low, high) of one to three joints, (k, 2); or a Fourier gait, for any number of
             joints.
         joints: Indices of the joints that vary; by default the first ones.
@@ -162,7 +163,7 @@ def optimal_frame(
         SingularInertiaError: A is undefined on the patch.
         NoConvergence: The iteration of the attitude does not converge.
     """
-    connection = connection.in_chart()
+    connection = connection_of(connection, "optimal_frame").in_chart()
     if isinstance(limits, Gait):
         if joints is not None or at is not None or nodes is not None:
             raise InputError("joints, at and nodes apply to a box of joint limits, not to a gait")

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...common.errors import InputError
 from ..connections.connection import Connection
+from ..connections.loop_connection import LoopConnectionCode
 from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
 
@@ -60,7 +61,9 @@ def _open_joint(connection: Connection, gait: Gait) -> str:
     xi = connection.code.velocities(x, xdot).xi
     size = float(np.abs(xi).max(initial=0.0))
     for k in np.flatnonzero(rise).tolist():
-        turned = x + TAU * np.eye(connection.m)[k]
+        # Joints of a closed loop may turn together although none of them can turn alone.
+        alone = TAU * np.eye(connection.m)[k]
+        turned = x + (rise if isinstance(connection.code, LoopConnectionCode) else alone)
         change = float(np.abs(connection.code.velocities(turned, xdot).xi - xi).max(initial=0.0))
         if connection.form.units[k] != "rad" or not change <= _REPEATS * size:
             return connection.joints[k]

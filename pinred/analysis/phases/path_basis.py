@@ -21,6 +21,7 @@ from ...integrators.gauss.tables import tables
 from ...kernels.connection.connection_code import ConnectionCode
 from ...lie.group import Group
 from ..connections.connection import Connection
+from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lifted, nodes
 
@@ -343,11 +344,13 @@ class PhaseSlopes(FrozenArrays):
 
 
 @checks_arguments
-def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = None) -> PhaseSlopes:
+def phase_slopes(
+    connection: ConnectionSource, gait: Gait, *, pieces: int | None = None
+) -> PhaseSlopes:
     """Compute the phase and the effort of a Fourier gait, and their derivatives.
 
     Args:
-        connection: Connection that lifts the gait.
+        connection: Connection that lifts the gait, or a System for its mechanical connection.
         gait: Gait that is one Fourier series.
         pieces: Number of segments of order 16; by default eight per harmonic.
     Returns:
@@ -355,7 +358,7 @@ def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = Non
     Raises:
         InputError: The gait is not one Fourier series.
     """
-    connection = connection.in_chart()
+    connection = connection_of(connection, "phase_slopes").in_chart()
     connection.refuse_gravity()
     arc = gait.series
     harmonics, m = len(arc.cos), connection.m

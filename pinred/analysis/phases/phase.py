@@ -19,9 +19,11 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
+from ...common.summary import Rows, Summary
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
+from ..connections.connection_source import ConnectionSource, connection_of
 from ..connections.singular_shapes import refuse_crossing, refuse_singular
 from ..gaits.gait import Gait
 from .closure import refuse_open, turns_ball
@@ -37,8 +39,8 @@ MOST = 2**15  # largest number of samples
 
 
 @checks_arguments
-@dataclass(frozen=True, eq=False)
-class Phase(FrozenArrays):
+@dataclass(frozen=True, eq=False, repr=False)
+class Phase(Summary, FrozenArrays):
     """The motion of the base over one cycle of a gait.
 
     Attributes:
@@ -65,6 +67,35 @@ class Phase(FrozenArrays):
     length: float
     samples: int
     _segments: PathSegments = field(repr=False)
+
+    def title(self) -> str:
+        """Return the first line of the text."""
+        return f"one cycle of {self.times[-1]:g} s moves the base in {self.group.name}"
+
+    def rows(self) -> Rows:
+        """Return the rows of the text: the pose with its error, its factors and its screw."""
+        rows = [("pose", self.in_words(self.pose))]
+        error = self.error
+        rows.append(("error at most", f"{error.rotation:.1e} rad, {error.translation:.1e} m"))
+        if self.momentum.any():
+            rows.append(("geometric", self.in_words(self.geometric)))
+            rows.append(("dynamic", self.in_words(self.dynamic)))
+        screw = self.screw
+        axis = ", ".join(f"{value:.6g}" for value in screw.axis)
+        turn = f"{screw.angle:.12g} rad about ({axis}), slide {screw.slide:.12g} m"
+        rows.append(("turn", turn))
+        if self.length == self.length:  # not NaN
+            rows.append(("length of the gait", f"{self.length:.12g}, in the connection's metric"))
+        return [*rows, ("samples", str(self.samples))]
+
+    def in_words(self, pose: Array) -> str:
+        """Return the names and values of a pose in one line.
+
+        Args:
+            pose: Pose, (size,).
+        """
+        named = zip(self.group.pose_names, pose, strict=True)
+        return "  ".join(f"{name} {value:.12g}" for name, value in named)
 
     @cached_property
     def dynamic(self) -> Array:
@@ -116,7 +147,7 @@ class Phase(FrozenArrays):
 
 @checks_arguments
 def phase(
-    connection: Connection,
+    connection: ConnectionSource,
     gait: Gait,
     momentum: ArrayLike | float = 0,
     *,
@@ -128,8 +159,9 @@ def phase(
     Fourier series, convergence is spectral.
 
     Args:
-        connection: Connection that lifts the gait. If there are ball joints, the gait is given in
-            rotation vectors, about the centre of `Connection.in_chart` or else about rest.
+        connection: Connection that lifts the gait, or a System for its mechanical connection. If
+            there are ball joints, the gait is given in rotation vectors, about the centre of
+            `Connection.in_chart` or else about rest.
         gait: Closed path in shape space.
         momentum: 0, or the body momentum μ at the start, (r,). Ad*_{g⁻¹} μ is conserved.
         tolerance: Tolerance of the pose, in rotation [rad] and translation [m].
@@ -141,12 +173,9 @@ def phase(
         IntegrationError: The tolerance is not reached with the largest number of samples.
         InputError: An argument is of the wrong kind, or gait and connection do not match.
     """
-    if not isinstance(connection, Connection) or not isinstance(gait, Gait):
-        raise InputError(
-            f"phase takes a Connection and a Gait, got {type(connection).__name__} and "
-            f"{type(gait).__name__}"
-        )
-    connection = connection.in_chart()
+    if not isinstance(gait, Gait):
+        raise InputError(f"phase takes a Connection and a Gait, got {type(gait).__name__}")
+    connection = connection_of(connection, "phase").in_chart()
     connection.refuse_gravity()
     refuse_open(connection, gait)
     goal = max(positive(tolerance, "tolerance"), _LEAST)

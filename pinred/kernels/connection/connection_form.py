@@ -144,6 +144,15 @@ def velocity_graph(form: ConnectionForm) -> ca.Function:
     return _function("velocity", ca.vertcat(x, xdot), outputs)
 
 
+def momentum_velocity_graph(form: ConnectionForm) -> ca.Function:
+    """Return (x, ẋ, μ) → ξ = P_b⁻¹ (μ − P_s ẋ), (r,), at body momentum μ."""
+    r, m = form.r, form.m
+    x, xdot, mu = ca.SX.sym("x", form.nx), ca.SX.sym("xdot", m), ca.SX.sym("mu", r)
+    F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
+    xi = _solved(form, _locked(form, x), mu - F[:r])
+    return _function("velocity", ca.vertcat(x, xdot, mu), [xi])
+
+
 def velocity_slope_graph(form: ConnectionForm) -> ca.Function:
     """Return (x, ẋ) → the derivative of (ξ, ẋᵀ M ẋ) in (x, ẋ), in column-major order."""
     y = ca.SX.sym("y", form.nx + form.m)

@@ -17,6 +17,8 @@ from .force_timing import ForcesTiming as ForcesTiming
 from .force_timing import bench_forces as bench_forces
 from .kernel_timing import KernelTiming as KernelTiming
 from .kernel_timing import bench_kernels as bench_kernels
+from .method_choice import MethodChoice as MethodChoice
+from .method_choice import bench_methods as bench_methods
 from .pinred_methods import own_method as own_method
 from .problems import Problem as Problem
 from .record import read_record as read_record

@@ -120,6 +120,21 @@ def _threads(robot: str, members: int) -> Result:
     return str(result), {"threads": times, "threads_memory": memory}
 
 
+def _methods(scenes: Sequence[str], held: int) -> Result:
+    from .method_choice import METHODS, bench_methods, summary
+
+    results = bench_methods(scenes or None, held=held, progress=True)
+    records: Records = [
+        {
+            "scene": result.scene, "chosen": result.chosen, "ratio": result.ratio,
+            **{f"{name} wall": result.wall[name] for name in METHODS},
+            **{f"{name} error": result.error[name] for name in METHODS},
+        }
+        for result in results
+    ]  # fmt: skip
+    return summary(results), {"methods": records}
+
+
 MEASUREMENTS: dict[str, Callable[..., Result]] = {
     "kernels": _kernels,
     "forces": _forces,
@@ -129,4 +144,5 @@ MEASUREMENTS: dict[str, Callable[..., Result]] = {
     "floquet": _floquet,
     "many": _many,
     "threads": _threads,
+    "methods": _methods,
 }

@@ -12,6 +12,7 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.phase import Phase
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
+from ...common.summary import Rows, Summary
 from ...judge.compare import compare
 from ...judge.verdict import Report
 from ...lie.group import PoseError
@@ -68,9 +69,12 @@ def group_optima(optima: list[Optimum]) -> tuple[Optimum, ...]:
 _ROOTS = {1: "", 2: "√", 4: "⁴√"}
 
 
+_SHOWN = 3  # number of local optima in the text
+
+
 @checks_arguments
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class BestGait(Optimum):
+class BestGait(Summary, Optimum):
     """The best loop of an optimisation, with all other local optima.
 
     Attributes:
@@ -156,48 +160,36 @@ class BestGait(Optimum):
             )
         return connection.system
 
-    def __repr__(self) -> str:
-        return (
-            f"<BestGait of {self.task.connection}: merit {self.merit:.9g}, "
-            f"{self.found} of {self.starts} starts, {len(self.optima)} local optima>"
-        )
+    def title(self) -> str:
+        """Return the first line of the text."""
+        connection = self.task.connection
+        return f"best gait of {connection.form.what}, {connection.group.name} × {connection.m}"
 
-    def __str__(self) -> str:
-        task, group = self.task, self.task.connection.group
-        lines = [f"best gait of {task.connection.form.what}, {group.name} × {task.connection.m}"]
-
-        def add_row(name: str, value: float | str, note: str = "") -> None:
-            shown = value if isinstance(value, str) else f"{value:.10g}"
-            lines.append(f"  {name:<26} {shown:>16}{'  ' + note if note else ''}")
-
+    def rows(self) -> Rows:
+        """Return the rows of the text: objective, cost, accuracy, margins and local optima."""
+        task, error = self.task, self.phase.error
         if isinstance(task.aim, TargetAim):
-            add_row("deviation from target", self.value)
+            rows = [("deviation from target", f"{self.value:.10g}")]
         else:
-            add_row(f"{task.aim.kind} a cycle [{task.aim.unit}]", self.value)
+            rows = [(f"{task.aim.kind} a cycle [{task.aim.unit}]", f"{self.value:.10g}")]
         if task.cost is not None:
-            add_row(task.cost, self.cost, ABOUT[task.cost])
+            rows.append((task.cost, f"{self.cost:.10g}  {ABOUT[task.cost]}"))
         if task.per_cost and isinstance(task.aim, AxisAim):
-            add_row(
-                f"{task.aim.kind} / {_ROOTS[DEGREES[task.cost or 'time']]}{task.cost}", self.merit
-            )
-        add_row("period [s]", self.gait.period)
+            root = _ROOTS[DEGREES[task.cost or "time"]]
+            rows.append((f"{task.aim.kind} / {root}{task.cost}", f"{self.merit:.10g}"))
+        rows.append(("period [s]", f"{self.gait.period:.10g}"))
         if self.winding is not None:
-            add_row("winding number", f"{self.winding:g}")
-        error = self.phase.error
-        add_row(
-            "error of the phase",
-            f"{float(error.rotation):.1e} rad",
-            f"{float(error.translation):.1e} m, by doubled samples",
-        )
-        add_row("KKT residual", f"{self.residual:.1e}", "relative to the merit")
-        for name, margin in self.margins.items():
-            add_row(f"margin to {name}", f"{margin:.2e}")
-        lines.append(f"  local optima, from {self.starts} starts:")
-        lines += [
-            f"    merit {opt.merit:.10g}, found {opt.found} times, residual {opt.residual:.1e}"
-            for opt in self.optima
+            rows.append(("winding number", f"{self.winding:g}"))
+        accuracy = f"{float(error.rotation):.1e} rad, {float(error.translation):.1e} m"
+        rows += [
+            ("error of the phase", f"{accuracy}, by doubled samples"),
+            ("KKT residual", f"{self.residual:.1e}, relative to the merit"),
         ]
-        lines += [
-            f"    failed {self.lost.count(why)} times: {why}" for why in sorted(set(self.lost))
-        ]
-        return "\n".join(lines)
+        if self.margins:
+            margins = ", ".join(f"{name} {value:.2e}" for name, value in self.margins.items())
+            rows.append(("margins", margins))
+        merits = ", ".join(f"{o.merit:.10g} ({o.found} times)" for o in self.optima[:_SHOWN])
+        more = f", and {len(self.optima) - _SHOWN} more" if len(self.optima) > _SHOWN else ""
+        rows.append((f"optima of {self.starts} starts", f"merit {merits}{more}"))
+        failed = [f"{self.lost.count(why)} times: {why}" for why in sorted(set(self.lost))]
+        return [*rows, ("failed starts", "; ".join(failed))] if failed else rows

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
+from ...analysis.connections.connection_source import ConnectionSource, connection_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift, polygon_basis
 from ...common.argument_kinds import checks_arguments
@@ -76,7 +77,7 @@ _CONTINUED = (1, 3, 5, 9)  # numbers of harmonics in the successive optimisation
 
 @checks_arguments
 def optimise_gait(
-    connection: Connection,
+    connection: ConnectionSource,
     *,
     objective: AimKind = "rotation",
     axis: str | ArrayLike | None = None,
@@ -102,7 +103,8 @@ def optimise_gait(
     this requires two joints and a winding number.
 
     Args:
-        connection: The connection. The loops of balls are rotation vectors (`Connection.in_chart`).
+        connection: The connection, or a System for its mechanical connection. The loops of balls
+            are rotation vectors (`Connection.in_chart`).
         objective: "rotation" about an axis, "displacement" along an axis (with zero rotation),
             or "target".
         axis: 'x', 'y', 'z' or a vector in the initial frame of the base; required for rotations
@@ -133,12 +135,7 @@ def optimise_gait(
         SymmetryError: Gravity rotates the base.
         NoOptimum: No start converged to an optimum.
     """
-    if not isinstance(connection, Connection):
-        raise InputError(
-            f"optimise_gait takes a Connection, got {type(connection).__name__}; "
-            "create one with Connection.mechanical(system)"
-        )
-    connection = connection.in_chart()
+    connection = connection_of(connection, "optimise_gait").in_chart()
     connection.refuse_gravity()
     if connection.m < 2:
         raise InputError("a loop needs two joints: a single joint can only retrace its path")

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
+from ...analysis.connections.connection_source import ConnectionSource, system_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import phase
@@ -46,7 +47,7 @@ _SECONDS = 2.0  # default duration of a cycle [s]
 
 @checks_arguments
 def reorient(
-    system: System,
+    system: ConnectionSource,
     target: ArrayLike,
     *,
     limits: LimitsLike | None = None,
@@ -64,7 +65,7 @@ def reorient(
     the twist `TurnPlan.left`.  Conservation fixes this twist for the final shape.
 
     Args:
-        system: The system.
+        system: The system, or its mechanical connection.
         target: Rotation vector (3,) or angle [rad] in the initial frame of the base, or a pose,
             of which only the attitude is used: the position follows from the centre of mass.
             With nonzero momentum, full turns of an angle are ignored.
@@ -85,7 +86,7 @@ def reorient(
         SymmetryError: Gravity rotates the base.
         NoOptimum: No loop within the limits was found.
     """
-    system = checked_system(system, "reorient")
+    system = checked_system(system_of(system, "reorient"), "reorient")
     centre, group = _centre(system, x0), system.group
     connection = Connection.mechanical(system).in_chart(centre)
     if not group.turns:

@@ -82,7 +82,8 @@ def solve_with_loops(
     m = system.m
     column = ca.vertcat(*x)
     phi = ca.vertcat(*constraint_values(system, bodies, x))
-    jacobian = ca.jacobian(phi, column)
+    frame = _rate_map(system, x)
+    jacobian = ca.jacobian(phi, column) @ frame
     J = [[_scalar(jacobian[i, k]) for k in range(m)] for i in range(phi.numel())]
     response = [sweep(list(row), False).xdot for row in J]
     open_rates = sweep(list(momentum), True).xdot
@@ -91,11 +92,24 @@ def solve_with_loops(
     pi = [sub(p, a) for p, a in zip(momentum, along, strict=True)]
     swept = sweep(pi, True)
     symbol, rate = ca.SX.sym("nu", len(nu)), ca.SX.sym("rate", m)
-    turning = ca.gradient(ca.dot(symbol, jacobian @ rate), column)
+    turning = ca.jtimes(jacobian.T @ symbol, column, frame @ rate)
     values = [ca.vertcat(*(ca.SX(n) for n in numbers)) for numbers in (nu, swept.xdot)]
     (turning,) = ca.substitute([turning], [symbol, rate], values)
     rates = [sub(_scalar(turning[k]), mul(GAUGE_RATE, along[k])) for k in range(m)]
     return LoopTerms(swept, pi, rates)
+
+
+def _rate_map(system: System, x: Sequence[ca.SX]) -> ca.SX:
+    """Return E(x), (nx, m), which maps rates along the frame to derivatives of x."""
+    E = ca.SX(system.nx, system.m)
+    for joint in system.space.joints:
+        if joint.kind.nx == joint.kind.m:
+            E[joint.x, joint.v] = ca.SX.eye(joint.kind.m)
+            continue
+        a, b, c, d = x[joint.x]
+        rows = [[d, -c, b], [c, d, -a], [-b, a, d], [-a, -b, -c]]
+        E[joint.x, joint.v] = 0.5 * ca.vertcat(*(ca.horzcat(*row) for row in rows))
+    return E
 
 
 def _scalar(entry: ca.SX) -> Scalar:

@@ -13,7 +13,7 @@ from ...forces import kinds
 from ...forces.force import Force
 from ...forces.wrench import AXES
 from .schema import ByName, Either, Flag, Key, ListOf, Node, Table, Tagged, Text
-from .signal_tables import ACTION, ATTITUDE, NUMBER, NUMBERS, PER_JOINT, POSITIVE, SIGNAL
+from .signal_tables import ACTION, ATTITUDE, NUMBER, NUMBERS, PER_JOINT, PLAN, POSITIVE
 
 FunctionFormat: TypeAlias = Literal["of the shape", "by joint", "on the base"]
 KeyTexts: TypeAlias = Mapping[str, tuple[Node, str]]  # {key: (type of the value, meaning)}
@@ -85,7 +85,10 @@ _BALL = (Text((), "the name of a ball joint"), "name of the ball joint")
 _ATTITUDE = "rotation vector [rad] or quaternion (x, y, z, w)"
 _STIFFNESS = Either((NUMBER, ListOf(ListOf(NUMBER, 3), 3)))
 _CONTROL: KeyTexts = {
-    "reference": (ByName(SIGNAL), "desired motion of each joint [rad | m]"),
+    "reference": (
+        ByName(PLAN),
+        "desired motion of each joint [rad | m]; of a ball an attitude over time",
+    ),
     "kp": (PER_JOINT, "gain of the position error"),
     "kd": (PER_JOINT, "gain of the rate error"),
 }

@@ -40,11 +40,13 @@ class SceneFile:
         scene: The scene.
         engine: The engine that simulates it.
         check: Whether to find forces that steps skip.
+        checkpoint: Checkpoint file of the run, or None.
     """
 
     scene: Scene
     engine: Engine
     check: bool
+    checkpoint: Path | None
 
 
 @checks_arguments
@@ -74,7 +76,7 @@ class _Builder:
 
     def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
         self.place, self.document = place, document
-        self.signals = SignalReader(folder)
+        self.signals, self.folder = SignalReader(folder), folder
         parameters = file_parameters(document, place)
         robot = robot_in(document, folder, place)
         self.system, others = with_robot_parameters(robot, parameters, place)
@@ -87,6 +89,7 @@ class _Builder:
         options = options_in(self.document, FILE_OPTIONS)
         options["parameters"] = {name: each.value for name, each in self.parameters.items()}
         engine, check = options.pop("engine", ENGINES[0]), options.pop("check", False)
+        file = options.pop("checkpoint", None)
         if "samples" in options:
             initial = self.system.initial
             end = options.get("duration", DURATION if initial is None else initial.duration)
@@ -112,7 +115,7 @@ class _Builder:
             _ = scene.start  # Evaluated here, so that errors name the file, too.
         except PinredError as error:
             self._explain(error, options)
-        return SceneFile(scene, engine, check)
+        return SceneFile(scene, engine, check, None if file is None else self.folder / file)
 
     def _option_place(self, name: str) -> Place:
         table = FILE_OPTIONS[name].table
@@ -165,7 +168,7 @@ class _Builder:
                 options[name] = self._per_joint(options[name], place / name)
         if "reference" in options:
             at = place / "reference"
-            options["reference"] = self._by_joint(options["reference"], at, self.signals.value)
+            options["reference"] = self._by_joint(options["reference"], at, self.signals.plan)
         if "attitude" in options:
             options["attitude"] = self._attitude(options["attitude"], place / "attitude")
         at = place / "function"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +15,12 @@ from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
 from ...kernels.derived_code import tangent_of, wide_rate
-from ...kernels.evaluate import evaluate
-from ...kernels.initial_conditions import InitialConditions, initial_conditions_kernel
+from ...kernels.evaluate import evaluate, evaluate_runs
+from ...kernels.initial_conditions import (
+    InitialConditions,
+    InitialConditionsKernel,
+    initial_conditions_kernel,
+)
 from ...kernels.kernel import Kernel
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
@@ -26,9 +31,11 @@ from ...system.variants import nominal
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan
 from ..reduced_flow import entry_name
 from ..sample import Sample
+from .flow_start import Constants, PreparedStart, assemble, prepare_start
 
 # Number of members that are set up together, limited to bound the memory.
 _AT_ONCE = 512
+_OUTPUTS_AT_ONCE = 2**15  # Number of outputs per block, few enough to fit into the CPU's cache.
 # Number of kernels that a System keeps.  Their machine code occupies two memory maps each.
 MOST_KERNELS = 16
 
@@ -58,11 +65,24 @@ class CompiledFlow:
             plan: The plan.
             all_momenta: Whether constant momenta of symmetric balls are integrated, too.
         """
-        states = plan.scene.given
-        start = _initial_conditions(plan, states, NO_DIFFERENCES)
-        zero = not start.about.any()
-        kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
-        return _set_up(plan, states, start, NO_DIFFERENCES, kernel)[0]
+        given, shared = plan.scene.given, plan.scene.shared
+        kernel = _conditions_kernel(plan, given, NO_DIFFERENCES)
+        state = np.concatenate([given.pose, given.x, given.xdot, given.motion], axis=1)
+        values = kernel.evaluate(state)
+        conditions = kernel.split(values)
+        zero = not conditions.about.any()
+
+        def make() -> PreparedStart | None:
+            flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
+            constants = _constants(plan, NO_DIFFERENCES, flow_kernel)
+            return prepare_start(flow_kernel, given, kernel, constants)
+
+        key = PreparedStart, type(plan.method), zero, given.mu is None, all_momenta
+        prepared = once(shared, key, make)
+        if prepared is None:
+            flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
+            return _set_up(plan, given, conditions, NO_DIFFERENCES, flow_kernel)[0]
+        return cls(prepared.kernel, *prepared.start(state[0], values[0]))
 
     def __getitem__(self, members: object) -> CompiledFlow:
         """Return the flow of the selected member or members."""
@@ -138,28 +158,30 @@ class CompiledFlow:
         fields = {name: where.read_field(name, outputs, system) for name in where.fields}
         return state_class(t=t.copy(), **fields)
 
-    def states_of_members(self, t: Array, y: Array) -> State | ShapeState:
-        """Compute full states of N members, with the bits of `states` for each.
+    def fill_states(
+        self, t: Array, y: Array, members: Indices, fields: Mapping[str, Array]
+    ) -> None:
+        """Compute the states of N members at common times, with the bits of `states`.
 
         Args:
-            t: Times of all members, (T,) [s].
+            t: Times, (T,) [s].
             y: Reduced states, (N, T, k).
-        Returns:
-            The states, with arrays (N, T, …).
+            members: Row of each member in `fields`, (N,).
+            fields: Fields of State except the time, (M, T, …), of which the members' rows are
+                filled.
         """
-        kernel, system, where = self.kernel, self.kernel.system, self.kernel.where
-        (count, times), layout = y.shape[:2], kernel.layout
-        inputs = y.reshape(count * times, -1)[:, : layout.size]
-        if not layout.clock:
-            inputs = np.concatenate([inputs, np.tile(t, count)[:, None]], axis=1)
-        constants = np.concatenate([self.parameters, self.path], axis=1)
-        if times > 1:
-            constants = np.repeat(constants, times, axis=0)
-        outputs = evaluate(kernel.outputs.address, constants, inputs, where.size)
-        outputs = outputs.reshape(count, times, where.size)
-        state_class = State if layout.base_requested else ShapeState
-        fields = {name: where.read_field(name, outputs, system) for name in where.fields}
-        return state_class(t=np.broadcast_to(t, (count, times)), **fields)
+        kernel, (N, T, _) = self.kernel, y.shape
+        layout, where = kernel.layout, kernel.where
+        times = t[:0] if layout.clock else t
+        count = max(1, _OUTPUTS_AT_ONCE // (T * where.size))
+        values = np.empty((min(count, N), T, where.size))
+        for first in range(0, N, count):
+            chunk = slice(first, min(first + count, N))
+            outputs = values[: chunk.stop - first]
+            constants = np.concatenate([self.parameters[chunk], self.path[chunk]], axis=1)
+            evaluate_runs(kernel.outputs.address, constants, y[chunk], times, layout.size, outputs)
+            for name, field in fields.items():
+                field[members[chunk]] = where.read_field(name, outputs, kernel.system)
 
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
         """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if needed."""
@@ -267,53 +289,44 @@ def _stacked(flows: list[CompiledFlow]) -> CompiledFlow:
 
 
 def _initial_conditions(plan: Plan, given: GivenStates, own: MemberParameters) -> InitialConditions:
-    freed = plan.freed(generic=own.robot is not None)
-    kernel = initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
+    kernel = _conditions_kernel(plan, given, own)
     return kernel(given.pose, given.x, given.xdot, given.motion, own.robot)
+
+
+def _conditions_kernel(
+    plan: Plan, given: GivenStates, own: MemberParameters
+) -> InitialConditionsKernel:
+    freed = plan.freed(generic=own.robot is not None)
+    return initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
 
 
 def _set_up(
     plan: Plan, given: GivenStates, start: InitialConditions, own: MemberParameters, kernel: Kernel
 ) -> CompiledFlow:
     """Return the flow of N members, all with or all without angular momentum."""
-    x, N, system = given.x, len(given.x), plan.system
-    layout, base = kernel.layout, kernel.layout.base
-    if plan.method.steady_momentum and base.momentum:
+    constants = _constants(plan, own, kernel)
+    down = np.empty((len(given.x), 0))
+    if kernel.layout.base.down:
+        down = _down(plan, given.pose[:, plan.system.group.linear :], own)
+    arrays = assemble(kernel.layout, given, start, constants, down)
+    finite_start(*arrays)
+    return CompiledFlow(kernel, *arrays)
+
+
+def _constants(plan: Plan, own: MemberParameters, kernel: Kernel) -> Constants:
+    """Return the numbers of a flow that do not depend on the initial state."""
+    if plan.method.steady_momentum and kernel.layout.base.momentum:
         raise InputError(
             f"{plan.method.name} needs a constant angular momentum, but gravity or a wrench "
             "changes it. Use another method, such as Gauss."
         )
-    attitude = given.pose[:, system.group.linear :]
-    state = [*layout.shape_entries(x, start.pi), attitude[:, : base.attitude]]
-    if base.down:
-        state.append(_down(plan, attitude, own))
-    state += [start.about[:, : base.momentum], np.zeros((N, base.push + layout.clock))]
     gravity, fall = own.gravity, own.fall
     if gravity is None or fall is None:
-        gravity, fall = plan.acting.gravity, root_of(system).g
-    bodies = free_numbers(system, layout.freed) if own.robot is None else own.robot
+        gravity, fall = plan.acting.gravity, root_of(plan.system).g
+    freed = kernel.layout.freed
+    bodies = free_numbers(plan.system, freed) if own.robot is None else own.robot
     numbers = plan.numbers if own.numbers is None else own.numbers
-    path = _fill(np.empty((N, 3 * system.group.linear)), [start.c0, start.v0, fall])
-    parameters = _fill(
-        np.empty((N, layout.parameters)),
-        [
-            start.fixed[:, : base.spin], start.pi[:, layout.constant_pi],
-            gravity[..., list(layout.gravity)], bodies, path[:, : layout.com_path], numbers,
-        ],
-    )  # fmt: skip
-    y0 = np.concatenate(state, axis=1)
-    finite_start(y0, parameters, path)
-    return CompiledFlow(kernel, y0, parameters, path)
-
-
-def _fill(rows: Array, columns: list[Array]) -> Array:
-    """Concatenate columns (N, …), or (…) if all members share them, into `rows`; return `rows`."""
-    first = 0
-    for column in columns:
-        if width := column.shape[-1]:
-            rows[:, first : first + width] = column
-            first += width
-    return rows
+    return Constants(gravity, fall, bodies, numbers)
 
 
 def _down(plan: Plan, attitude: Array, own: MemberParameters) -> Array:

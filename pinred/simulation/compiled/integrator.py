@@ -15,9 +15,11 @@ from ...common.errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
+from ...common.memo import once
 from ...common.names import quoted
 from ...integrators.integrate import Integration
 from ...integrators.methods import Method
+from ...integrators.run_keeper import RunKeeper
 from ...integrators.solution import Solution
 from ...kernels.kernel import Kernel
 from ...reduction.inertia_split import lost_inertia
@@ -49,17 +51,33 @@ def integrator(
     reports, address = scene.report_times, flow.address(method)
     divisions = divisions_of(plan)
 
+    n = max(1, len(flow.y0))
+
+    def prepare(end: float, times: Array) -> Integration:
+        return Integration(
+            method, address, n, end, times, layout.quaternions, layout.canonical, flow.tangent
+        )
+
+    def prepare_whole() -> tuple[Integration, Kernel, Method]:
+        # The objects whose identities are the key stay alive with the value.
+        return prepare(scene.end, reports), flow.kernel, method
+
+    def whole() -> Integration:
+        """Return the integration over the whole time, which scenes of one structure share."""
+        key = Integration, id(flow.kernel), id(method)
+        return once(scene.shared, key, prepare_whole)[0]
+
     def run(
         start: float,
         end: float,
         y0: Array,
         parameters: Array,
         watch: Callable[[Segment], bool] | None = None,
+        keeper: RunKeeper | None = None,
     ) -> Segment:
         # The time of an integration starts at 0; time-dependent equations have the true time in y.
         is_complete = start == 0.0 and end == scene.end
         # Pass read-only arrays only: numba would compile another version for writable arrays.
-        times = reports if is_complete else _NO_TIMES
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)
 
@@ -75,13 +93,14 @@ def integrator(
 
             return Segment(knots, at, parameters, solution.steps, solution.evaluations)
 
-        integrate = Integration(
-            method, address, len(y0), end - start, times, layout.quaternions, layout.canonical,
-            flow.tangent,
-        )  # fmt: skip
+        integrate = whole() if is_complete else prepare(end - start, _NO_TIMES)
         try:
             solution = integrate(
-                parameters, y0, progress=done, watch=watch and (lambda part: watch(segment(part)))
+                parameters,
+                y0,
+                progress=done,
+                watch=watch and (lambda part: watch(segment(part))),
+                keeper=keeper,
             )
         except IntegrationError as stop:
             raise explained(stop, flow, scene, start, parameters) from None

@@ -72,7 +72,8 @@ def integrate_members(
         if entry[j] >= 0:
             reason = f"{flow.entry_name(int(entry[j]))} is {reason}"
         failures.append(Failure(int(members[j]), float(end[j]), reason))
-    wild = ((j, wild_steps(flow.kernel, plan, y[j], reports)) for j in alive.tolist())
+    unchecked = [] if plan.method.adaptive else alive.tolist()
+    wild = ((j, wild_steps(flow.kernel, plan, y[j], reports)) for j in unchecked)
     failures += [Failure(int(members[j]), plan.scene.end, reason) for j, reason in wild if reason]
     wall = (perf_counter() - began) / count
     return Batch(members, flow, plan.method.name, y, steps, evaluations, failures, wall)

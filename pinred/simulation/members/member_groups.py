@@ -10,13 +10,14 @@ import numpy as np
 
 from ...common.errors import InputError
 from ...common.names import brief
-from ...integrators.methods import DOP853_LEAST, AdaptiveGauss
+from ...integrators.methods import DOP853_LEAST, AdaptiveGauss, Radau
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.variants import nominal
+from ..choose_method import LANES_GAIN, RADAU_GAIN, radau_gain
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan, plan_of
 
 
@@ -68,14 +69,17 @@ class Members:
 def members_plan(scene: Scene) -> Plan:
     """Return the plan of a scene for the integration of many members.
 
-    If the scene does not select a method, DOP853 replaces AdaptiveGauss.  DOP853 integrates one
-    member in each SIMD lane, but AdaptiveGauss uses the lanes for its stages.
+    If the scene does not select a method, DOP853 replaces AdaptiveGauss, and Radau unless DOP853
+    costs more even in lanes.  DOP853 integrates one member in each SIMD lane, but AdaptiveGauss
+    uses the lanes for its stages, and Radau does not use them.
     """
     plan = plan_of(scene)
-    exact = scene.tolerance[0] < DOP853_LEAST
-    if scene.method == "auto" and isinstance(plan.method, AdaptiveGauss) and not exact:
-        return plan_of(replace(scene, method="DOP853"))
-    return plan
+    if scene.method != "auto" or scene.tolerance[0] < DOP853_LEAST:
+        return plan
+    in_lanes = isinstance(plan.method, AdaptiveGauss)
+    if isinstance(plan.method, Radau):
+        in_lanes = radau_gain(scene) < LANES_GAIN * RADAU_GAIN
+    return plan_of(replace(scene, method="DOP853")) if in_lanes else plan
 
 
 def of_scenes(scenes: Sequence[Scene]) -> Members:

@@ -25,9 +25,6 @@ from ..simulate import trajectory_of
 from ..trajectory import Cost, Trajectory
 from ..trajectory_files import robot_arrays, write_zarr
 
-# Largest number of states that are computed together, limited to bound the memory.
-_ROWS = 2**15
-
 if TYPE_CHECKING:
     from ..compiled.compiled_flow import CompiledFlow
 
@@ -71,11 +68,6 @@ class Batch:
     evaluations: NDArray[np.int64]
     failures: list[Failure]
     wall: float
-
-    def rows_at_once(self, times: int) -> list[slice]:
-        """Return slices of the members whose states at so many times are computed together."""
-        count = max(1, _ROWS // max(times, 1))
-        return [slice(k, k + count) for k in range(0, len(self.members), count)]
 
 
 @checks_arguments
@@ -172,24 +164,23 @@ class Trajectories(OverTime):
     @cached_property
     def outputs(self) -> State | ShapeState:
         """States of all members at the report times, (N, T, …), computed at first access."""
-        count, times = len(self), len(self.t)
+        kind, N = State if self._wanted else ShapeState, len(self)
         missing = _missing_states(self.system, self.t, wanted=self._wanted)
         fields = {
-            name: np.full((count, *values.shape), np.nan)
-            for name, values in arrays_of(missing).items()
+            name: np.empty((N, *row.shape))
+            for name, row in arrays_of(missing).items()
             if name != "t"
         }
+        alone = np.ones(N, bool)
         for batch in self._batches:
             assert batch.flow is not None
-            for rows in batch.rows_at_once(times):
-                states = batch.flow[rows].states_of_members(self.t, batch.y[rows])
-                for name, values in fields.items():
-                    values[batch.members[rows]] = getattr(states, name)
-        for member in self._single:
+            batch.flow.fill_states(self.t, batch.y, batch.members, fields)
+            alone[batch.members] = False
+        for member in np.flatnonzero(alone).tolist():
             states = self._states(member)
-            for name, values in fields.items():
-                values[member] = getattr(states, name)
-        return type(missing)(t=self.t, **fields)
+            for name, field in fields.items():
+                field[member] = getattr(states, name)
+        return kind(t=self.t, **fields)
 
     def __getitem__(self, member: int) -> Trajectory:
         """Return the motion of one member.
@@ -214,7 +205,9 @@ class Trajectories(OverTime):
             )
         if member in self._single:
             return self._single[member]
-        scene, (batch, k) = self._scene_of(member), self._place(member)
+        scene, place = self._scene_of(member), self._place(member)
+        assert place is not None
+        batch, k = place
         steps, evaluations = int(batch.steps[k]), int(batch.evaluations[k])
         run = Cost("compiled", batch.method, steps, evaluations, batch.wall)
         again = partial(trajectory_of, scene)
@@ -257,19 +250,20 @@ class Trajectories(OverTime):
             return map_arrays(lambda values: values[member], member_outputs)
         if member in self._single:
             return _up_to(self._single[member], self.t, self.system, wanted=self._wanted)
-        if not any(member in batch.members for batch in self._batches):
+        place = self._place(member)
+        if place is None:
             return _missing_states(self.system, self.t, wanted=self._wanted)
-        batch, k = self._place(member)
+        batch, k = place
         assert batch.flow is not None
         return batch.flow[k].states(self.t, batch.y[k])
 
-    def _place(self, member: int) -> tuple[Batch, int]:
-        """Return the batch of a member, and the index of the member in that batch."""
+    def _place(self, member: int) -> tuple[Batch, int] | None:
+        """Return the batch of a member, and the index of the member in that batch, if any."""
         for batch in self._batches:
             k = int(np.searchsorted(batch.members, member))
             if k < len(batch.members) and batch.members[k] == member:
                 return batch, k
-        raise IndexError(member)
+        return None
 
 
 def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State | ShapeState:

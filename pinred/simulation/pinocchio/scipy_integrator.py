@@ -10,6 +10,7 @@ from scipy.integrate import DOP853, DenseOutput, OdeSolution
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...integrators.methods import DOP853_LEAST
+from ...integrators.run_keeper import RunKeeper
 from ...reduction.inertia_split import lost_inertia
 from ..plan import Plan
 from ..reduced_flow import Integrate, Segment
@@ -40,6 +41,7 @@ def integrator(
         y0: Array,
         parameters: Array,
         watch: Callable[[Segment], bool] | None = None,
+        keeper: RunKeeper | None = None,  # noqa: ARG001
     ) -> Segment:
         if y0.size == 0:  # a single body that only translates has no reduced state
             return Segment(

@@ -19,7 +19,7 @@ from .looped_system import (
 
 CLOSED = 1e-10  # largest gap of a closed loop, relative to its length [1 | rad]
 NEARBY = 0.3  # displacement to a nearby closed shape [rad, or fraction of the loop's length]
-_SMALLEST = 1e-9  # smallest singular value that a step inverts, relative to the largest
+_SMALLEST = 1e-6  # smallest singular value that a step inverts, relative to the largest
 _LONGEST_STEP = 0.5  # longest step of the assembly [rad, or fraction of the loop's length]
 _MOST_STEPS = 200  # largest number of steps of one assembly
 _STARTS = 20  # number of random starts if the loops do not close from the given shapes
@@ -46,7 +46,7 @@ def assemble(
         step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
         factor, best = 1.0, gap
         while factor > 1e-6:
-            moved = x + factor * units * step
+            moved = system.space.integrate(x, factor * units * step)
             best = loop_gaps(system, moved, length)
             if np.linalg.norm(best) < np.linalg.norm(gap):
                 break
@@ -89,7 +89,9 @@ def assemble_from_any(system: LoopedSystem, length: float) -> Array:
     starts += [keyframe.x for keyframe in system.keyframes.values()]
     starts.append(system.space.neutral)
     units = rate_units(system, length)
-    starts += [NEARBY * k**0.5 * units * rng.uniform(-1, 1, system.m) for k in range(1, _STARTS)]
+    for k in range(1, _STARTS):
+        displacement = NEARBY * k**0.5 * units * rng.uniform(-1.0, 1.0, system.m)
+        starts.append(system.space.integrate(system.space.neutral, displacement))
     for start in starts:
         x, gaps = assemble(system, start, length)
         if gaps.max() <= CLOSED:

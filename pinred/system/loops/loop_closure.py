@@ -11,8 +11,8 @@ import numpy as np
 from scipy.linalg import qr
 
 from ...common.arrays import Array
-from ...common.errors import InputError, ModelError, UnsupportedOperationError
-from ...common.names import listed, quoted
+from ...common.errors import InputError, ModelError
+from ...common.names import quoted
 from .kinematics import loop_ends
 from .loop import Loop
 from .loop_assembly import (
@@ -26,7 +26,9 @@ from .loop_assembly import (
 )
 from .looped_system import Closure, LoopedSystem, loop_jacobian
 
-_RANK = 1e-9  # smallest pivot of independent equations, relative to the largest
+# Smallest pivot of independent equations, relative to the largest.  Files round angles to four or
+# more digits, so redundant equations have singular values of about 1e-9.
+_RANK = 1e-6
 _SHAPES = 3  # number of closed shapes at which the rank is determined
 
 
@@ -43,13 +45,7 @@ def close_loops(system: LoopedSystem) -> Closure:
     Raises:
         InputError: A frame is unknown, belongs to the world, or a loop closes nothing.
         ModelError: A loop does not close; the message names the loop and its gap.
-        UnsupportedOperationError: The robot has balls.
     """
-    if system.space.balls:
-        raise UnsupportedOperationError(
-            f"closed loops: ball joints are not supported in robots with loops, and "
-            f"'{system.name}' has some. Replace each by three hinges, or remove the loops."
-        )
     for loop in system.loops:
         _check_loop(system, loop)
     length = loop_length(system)
@@ -111,17 +107,6 @@ def loop_rates(system: LoopedSystem) -> frozenset[int]:
     return frozenset(np.flatnonzero(system.coupled.G[moving].any(axis=0)).tolist())
 
 
-def describe_loops(system: LoopedSystem) -> str:
-    """Return loops, equations, rank and dimension of the shape in words; empty without loops."""
-    closure = system.closure
-    if closure is None:
-        return ""
-    return (
-        f"{listed([str(loop) for loop in system.loops])}; {closure.equations} equations of rank "
-        f"{closure.rank}, shape of dimension {system.shape_dim}"
-    )
-
-
 def _path(system: LoopedSystem, joint: int) -> set[int]:
     """Return the joints from a joint to the root."""
     path = set[int]()
@@ -151,7 +136,8 @@ def _independent_rows(system: LoopedSystem, x: Array, length: float) -> tuple[Ar
     rng, units = np.random.default_rng(0), rate_units(system, length)
     best: tuple[int, float, Array] = (-1, 0.0, np.empty(0, dtype=int))
     for k in range(_SHAPES + 1):
-        start = x if k == 0 else x + NEARBY * units * rng.uniform(-1.0, 1.0, system.m)
+        nearby = NEARBY * units * rng.uniform(-1.0, 1.0, system.m)
+        start = x if k == 0 else system.space.integrate(x, nearby)
         shape, gaps = assemble(system, start, length)
         if gaps.max() > CLOSED:
             continue

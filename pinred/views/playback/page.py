@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...common.errors import LoadError
 from ...common.files import check_path, write_atomic
+from ...system.system import System
 from ..motion_source import MotionSource
 from .drawn_bodies import Bodies, drawn_bodies
 from .framing import frame
@@ -24,7 +26,8 @@ from .view_options import View
 
 # The page contains the viewer, so it must contain the viewer's licences.
 _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")
-_SCRIPTS = ("panel.js", "overlays.js", "player.js")
+STAGE = ("field.js", "overlays.js", "stage.js")  # scripts that all pages with a robot share
+_SCRIPTS = (*STAGE, "panel.js", "player.js")
 
 
 def page(source: MotionSource, view: View) -> bytes:
@@ -33,18 +36,34 @@ def page(source: MotionSource, view: View) -> bytes:
     bodies = drawn_bodies(film.system, meshes=view.meshes)
     pair = None if view.pair is None else (view.pair[0], view.pair[1])
     panel = shape_panel(film.system, film.x, film.xdot, pair)
-    blob = _Blob()
+    blob = Blob()
     head = _head(film, bodies, panel, view, blob)
-    text = json.dumps(head, allow_nan=False).replace("<", "\\u003c")
+    return assemble(resource("page.html"), head, blob, map(resource, _SCRIPTS))
+
+
+def assemble(template: str, head: Mapping[str, Any], blob: Blob, scripts: Iterable[str]) -> bytes:
+    """Build a self-contained page with meshcat's viewer.
+
+    Args:
+        template: HTML with placeholders %HEAD%, %BLOB%, %STYLE%, %MESHCAT%, %LICENCES%, %SCRIPT%.
+        head: Data of the scripts, with arrays as entries of the blob.
+        blob: The arrays.
+        scripts: Texts of the scripts, in order.
+    Returns:
+        The page in UTF-8.
+    Raises:
+        LoadError: meshcat's viewer is not installed.
+    """
     contents = {
-        "%HEAD%": text,
+        "%HEAD%": json.dumps(head, allow_nan=False).replace("<", "\\u003c"),
         "%BLOB%": base64.b64encode(bytes(blob.data)).decode("ascii"),
+        "%STYLE%": resource("style.css"),
         "%MESHCAT%": _meshcat("viewer/dist/main.min.js"),
         "%LICENCES%": "\n".join(map(_meshcat, _LICENCES)),
-        "%PLAYER%": "".join(map(_resource, _SCRIPTS)),
+        "%SCRIPT%": "".join(scripts),
     }
-    template = re.split("(%[A-Z]+%)", _resource("page.html"))
-    return "".join(contents.get(text, text) for text in template).encode("utf-8")
+    parts = re.split("(%[A-Z]+%)", template)
+    return "".join(contents.get(part, part) for part in parts).encode("utf-8")
 
 
 def save_html(source: MotionSource, path: str | Path, view: View) -> int:
@@ -63,7 +82,7 @@ def save_html(source: MotionSource, path: str | Path, view: View) -> int:
     return len(content)
 
 
-class _Blob:
+class Blob:
     """Concatenated bytes of arrays; the page's head stores their offsets."""
 
     _TYPES: ClassVar[dict[str, type[np.generic]]] = {
@@ -71,6 +90,7 @@ class _Blob:
     }  # fmt: skip
 
     def __init__(self) -> None:
+        """Start without arrays."""
         self.data = bytearray()
 
     def add(self, array: NDArray[Any], kind: str = "f4") -> dict[str, Any]:
@@ -83,11 +103,11 @@ class _Blob:
 
 
 def _head(
-    film: Playback, bodies: Bodies, panel: ShapePanel | None, view: View, blob: _Blob
+    film: Playback, bodies: Bodies, panel: ShapePanel | None, view: View, blob: Blob
 ) -> dict[str, Any]:
     """Return the data of the page's script, with arrays moved to the blob."""
     framing = frame(film, bodies)
-    placed = {name: _plain(value) for name, value in vars(framing).items()}
+    placed = plain_fields(framing)
     largest = float(np.linalg.norm(film.momentum.vector, axis=1).max())
     ghost = None
     if film.ghost is not None:
@@ -103,36 +123,51 @@ def _head(
             "body": film.sphere.body,
             "path": blob.add(film.sphere.path),
         }
-    balls = {joint.name for joint in film.system.space.balls}
-    return placed | {
-        "title": film.system.name or "robot",
+    return (
+        placed
+        | robot_head(film.system, bodies, blob)
+        | {
+            "speed": view.speed,
+            "t": blob.add(film.t, "f8"),
+            "placements": blob.add(film.placements),
+            "com": blob.add(film.com),
+            "ellipsoid": blob.add(film.ellipsoid),
+            "momentum": {
+                "vector": blob.add(film.momentum.vector),
+                "tail": blob.add(film.momentum.tail),
+                "words": film.momentum.words,
+                "unit": film.momentum.unit,
+                "largest": largest,
+            },
+            "ghost": ghost,
+            "sphere": sphere,
+            "panel": None if panel is None else _panel(panel, blob),
+        }
+    )
+
+
+def robot_head(system: System, bodies: Bodies, blob: Blob) -> dict[str, Any]:
+    """Return the robot's names and shapes for `stage.js`, with arrays moved to the blob."""
+    balls, names = {joint.name for joint in system.space.balls}, list(system.model.names)
+    return {
+        "title": system.name or "robot",
         "note": bodies.note,
-        "speed": view.speed,
-        "t": blob.add(film.t, "f8"),
-        "joints": list(film.system.model.names),
-        "placements": blob.add(film.placements),
-        "com": blob.add(film.com),
-        "ellipsoid": blob.add(film.ellipsoid),
-        "momentum": {
-            "vector": blob.add(film.momentum.vector),
-            "tail": blob.add(film.momentum.tail),
-            "words": film.momentum.words,
-            "unit": film.momentum.unit,
-            "largest": largest,
-        },
-        "ghost": ghost,
-        "balls": [k for k, name in enumerate(film.system.model.names) if name in balls],
-        "sphere": sphere,
+        "joints": names,
+        "balls": [k for k, name in enumerate(names) if name in balls],
         "meshes": [
             {"vertices": blob.add(mesh.vertices), "faces": blob.add(mesh.faces, "u4")}
             for mesh in bodies.meshes
         ],
-        "solids": [{name: _plain(v) for name, v in vars(solid).items()} for solid in bodies.solids],
-        "panel": None if panel is None else _panel(panel, blob),
+        "solids": [plain_fields(solid) for solid in bodies.solids],
     }
 
 
-def _panel(panel: ShapePanel, blob: _Blob) -> dict[str, Any]:
+def plain_fields(value: object) -> dict[str, Any]:
+    """Return the fields of a dataclass with arrays as lists."""
+    return {name: _plain(entry) for name, entry in vars(value).items()}
+
+
+def _panel(panel: ShapePanel, blob: Blob) -> dict[str, Any]:
     return {
         "labels": panel.labels,
         "path": blob.add(panel.path),
@@ -148,7 +183,8 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _resource(name: str) -> str:
+def resource(name: str) -> str:
+    """Read a file of this package."""
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 

@@ -18,6 +18,7 @@ from typing import Any
 
 from ...common.errors import InputError, OutputError
 from ..motion_source import MotionSource
+from .inline_frame import inline_frame, is_notebook
 from .page import page
 from .view_options import View
 
@@ -74,6 +75,9 @@ class Player:
 
     def __repr__(self) -> str:
         return f"Player({self.url!r})"
+
+    def _repr_html_(self) -> str:
+        return inline_frame(self._server.content)
 
 
 def check_port(port: int | None) -> None:
@@ -165,11 +169,35 @@ def play(
         KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
     """
     check_port(port)  # check the port first, because building the page may take long
-    player = Player(page(source, view), port)
-    wait = not hasattr(sys, "ps1") if wait is None else wait
+    return serve(page(source, view), "playing at", port=port, show=show, wait=wait)
+
+
+def serve(
+    content: bytes,
+    words: str,
+    *,
+    port: int | None = None,
+    show: bool = True,
+    wait: bool | None = None,
+) -> Player:
+    """Serve a page and print its address.
+
+    Args:
+        content: The page.
+        words: Text before the address.
+        port: Port; an unused port if None.
+        show: Open the user's browser.
+        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
+    Returns:
+        The server.
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
+    """
+    player = Player(content, port)
+    wait = not (hasattr(sys, "ps1") or is_notebook()) if wait is None else wait
     try:
-        print(f"playing at {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)
-        if show:
+        print(f"{words} {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)
+        if show and not is_notebook():  # A notebook shows the page in its cell.
             player.open()
         if wait:
             player.wait()

@@ -9,6 +9,7 @@ import numpy as np
 from ...analysis.full_reduction import Reduction
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
+from ...lie.group import Group
 from ...system.system import System
 
 _FINE = 61  # number of grid points along each axis of the curvature field
@@ -102,14 +103,21 @@ def _range(path: Array) -> tuple[Array, Array]:
 
 def _sort_components(system: System, field: Array, per: str) -> tuple[tuple[str, ...], Array]:
     """Sort the components of the field, rotations first, each kind by decreasing magnitude."""
-    axes, linear, r = system.group.axes, system.group.linear, system.r
-    turns = [f"turn about {'xyz'[axis - 3]}" for axis in axes[linear:]]
-    if len(turns) == 1:
-        turns = ["turn"]
-    shifts = [f"shift along {'xyz'[axis]}" for axis in axes[:linear]]
-    if len(shifts) == 1:
-        shifts = ["shift"]
-    names = [f"{name} [m/{per}]" for name in shifts] + [f"{name} [rad/{per}]" for name in turns]
+    linear, r = system.group.linear, system.r
+    names = [
+        f"{words} [{'m' if k < linear else 'rad'}/{per}]"
+        for k, words in enumerate(motion_words(system.group))
+    ]
     strength = np.abs(field).max(axis=(1, 2))
     order = sorted(range(r), key=lambda k: (k < linear, -strength[k]))
     return tuple(names[k] for k in order), np.ascontiguousarray(field[order])
+
+
+def motion_words(group: Group) -> list[str]:
+    """Return the description of each component of a twist of the group, (r,)."""
+    turns = [f"turn about {'xyz'[axis - 3]}" for axis in group.axes[group.linear :]]
+    shifts = [f"shift along {'xyz'[axis]}" for axis in group.axes[: group.linear]]
+    return [
+        *(shifts if len(shifts) > 1 else ["shift"] * len(shifts)),
+        *(turns if len(turns) > 1 else ["turn"] * len(turns)),
+    ]

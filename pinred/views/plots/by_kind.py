@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from ...analysis.branches.follow import Branches
-    from ...analysis.connections.connection import Connection
+    from ...analysis.connections.connection_source import ConnectionSource
     from ...analysis.gaits.gait import Gait
     from ...analysis.phases.phase import Phase
     from ...judge.verdict import Report
@@ -96,7 +96,7 @@ def plot(
 
 @overload
 def plot(
-    source: Connection,
+    source: ConnectionSource,
     kind: Literal["field"],
     *,
     joints: Sequence[str | int] | None = None,
@@ -134,8 +134,8 @@ def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     Each kind accepts only some of the options; see the functions of pinred.plots.
 
     Args:
-        source: Argument of the function: a Connection for field, a Phase for cycles, a BestGait or
-            TurnPlan for loop, Branches for branches, results of `bench_accuracy` for
+        source: Argument of the function: a Connection or System for field, a Phase for cycles, a
+            BestGait or TurnPlan for loop, Branches for branches, results of `bench_accuracy` for
             work_precision, and a Trajectory for all other kinds.
         kind: Name of the function, such as "shape", "energy" or "phase".
         joints: Names or indices of joints.

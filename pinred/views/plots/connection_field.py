@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
+from ...analysis.connections.connection_source import ConnectionSource, connection_of
 from ...analysis.full_reduction import Reduction
 from ...analysis.gaits.gait import Gait
 from ...common.argument_kinds import checks_arguments
@@ -29,13 +30,13 @@ Part = Literal["curvature", "exterior", "bracket", "connection"]
 _PARTS = ("curvature", "exterior", "bracket", "connection")
 _ALONG_GAIT = 400
 
-Source: TypeAlias = System | Reduction | MotionSource
+Source: TypeAlias = System | Connection | Reduction | MotionSource
 
 
 @checks_arguments
 @styled
 def field(
-    source: Connection,
+    source: ConnectionSource,
     *,
     joints: Sequence[str | int] | None = None,
     component: str | int | None = None,
@@ -47,8 +48,10 @@ def field(
     """Draw a component of a connection's curvature over two joints, with its zero contour.
 
     Args:
-        source: The connection; rotation vectors are the coordinates of balls (`in_chart`).
-        joints: Names or indices of two joints; the first two if None.
+        source: The connection, or a System for its mechanical connection. Rotation vectors are the
+            coordinates of balls (`in_chart`).
+        joints: Names or indices of two joints; if None, the two that the gait moves most, or else
+            the first two.
         component: v1 … ω3 (or w3), or an index in the body twist. If None, the
             rotation with the largest values.
         part: "curvature" B, its terms "exterior" ∂_αA_β − ∂_βA_α and "bracket" [A_α, A_β], or
@@ -62,14 +65,13 @@ def field(
     Raises:
         InputError: `source` is not a Connection, or an option is invalid.
     """
-    if not isinstance(source, Connection):
-        raise InputError(f"field draws a Connection, got {type(source).__name__}")
+    source = connection_of(source, "field")
     if part not in _PARTS:
         raise InputError(f"part must be one of {', '.join(_PARTS)}, got {part!r}")
     source = source.in_chart()
     names = labels_of_connection(source)
-    pair = names.pair(joints, "a field")
     path = None if gait is None else _closed_path(source, gait)
+    pair = names.pair(joints, "a field", path)
     start = np.zeros(source.m) if path is None else path[0]
     frozen = start if at is None else vector(at, source.m, "at", source.joints)
     units = [source.form.units[k] for k in pair]
@@ -147,8 +149,9 @@ def curvature(
     The coordinates of a ball are its rotation vector, and B_αβ belongs to these coordinates.
 
     Args:
-        source: A System, a Reduction, or a motion, whose path is drawn.
-        joints: Names or indices of two joints, or axes of balls; the first two if None.
+        source: A System, a Connection, a Reduction, or a motion, whose path is drawn.
+        joints: Names or indices of two joints, or axes of balls; if None, the two that move most
+            on the path, or else the first two.
         component: v1 … ω3 (or w3), or an index in the body twist. If None, the
             rotation with the largest values.
         limits: (low, high) of each joint [rad | m]; around the path, or their range if None.
@@ -160,14 +163,20 @@ def curvature(
         InputError: Fewer than two joints, or an invalid option.
         LoadError: The robot of a recording cannot be loaded.
     """
+    if isinstance(source, Connection):
+        if path is not None:
+            raise InputError(
+                "path: a Connection draws gaits; use plot(connection, 'field', gait=…)"
+            )
+        return field(source, joints=joints, component=component, limits=limits, at=at)
     system = _system(source)
     names, chart = labels_of(system), system.space.chart
-    pair = names.pair(joints, "a plot of the curvature")
     drawn: Array | None = None
     if path is not None:
         drawn = chart(checked_path(path, system.nx))
     elif isinstance(source, (Trajectory, Recording)):
         drawn = chart(fine_path(source).x)
+    pair = names.pair(joints, "a plot of the curvature", drawn)
     start = np.zeros(system.m) if drawn is None else drawn[0]
     frozen = start
     if at is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -40,6 +41,19 @@ def fine_path(motion: MotionSource) -> Path:
     return motion.at(np.union1d(t, times[(times >= t[0]) & (times <= t[-1])]))
 
 
+def charted_path(motion: MotionSource) -> Path:
+    """Return fine_path with a coordinate for each rate, and the derivatives of these coordinates.
+
+    Balls have rotation vectors.  LoadError if a recording has balls and its robot is not found.
+    """
+    path = fine_path(motion)
+    if path.x.shape[-1] == path.xdot.shape[-1]:
+        return path
+    space = motion.system.space
+    w = space.chart(path.x)
+    return replace(path, x=w, xdot=space.chart_rate(w, path.xdot))
+
+
 def state_at(motion: MotionSource, time: float) -> Path:
     """Return the state at a time, or at the nearest report time of a recording.
 
@@ -59,7 +73,7 @@ def state_at(motion: MotionSource, time: float) -> Path:
 
 
 def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:
-    """Return the function from times (T,) to shapes and rates, (T, m) each.
+    """Return the function from times (T,) to coordinates and their derivatives, (T, m) each.
 
     A recording is interpolated with cubic Hermite splines (shapes have order 4, rates order 3).
 
@@ -68,15 +82,19 @@ def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:
     Raises:
         InputError: A recording with a single time has no path.
     """
+    if len(motion.t) < 2 and not isinstance(motion, Trajectory):
+        raise InputError(f"{motion.path} contains only one time, so it has no path")
+    path = charted_path(motion)
     if isinstance(motion, Trajectory):
+        space = motion.system.space
 
         def dense(t: Array) -> tuple[Array, Array]:
             states = motion.at(t)
-            return states.x, states.xdot
+            near = np.clip(np.searchsorted(path.t, t), 0, len(path.t) - 1)
+            w = space.chart(states.x, near=path.x[near])
+            return w, space.chart_rate(w, states.xdot)
 
         return dense
-    if len(motion.t) < 2:
-        raise InputError(f"{motion.path} contains only one time, so it has no path")
-    x = CubicHermiteSpline(motion.t, motion.x, motion.xdot)
+    x = CubicHermiteSpline(motion.t, path.x, path.xdot)
     xdot = x.derivative()
     return lambda t: (np.asarray(x(t)), np.asarray(xdot(t)))

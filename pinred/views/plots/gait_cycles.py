@@ -21,6 +21,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...lie.group import Group
 from ...planning.optimisation.best_gait import BestGait
+from ...planning.optimisation.objective import AxisAim
 from ...planning.reorientation.turn_plan import TurnPlan
 from .connection_field import component_of
 from .motion_labels import labels_of_connection
@@ -30,6 +31,7 @@ from .style import BLACK, RED, figure, legend, line, styled
 _MOST = 1000
 
 _TIMES = 400
+_STILL = 1e-9  # largest rotation [rad] and displacement [m] that count as zero
 _OTHERS = 5  # largest number of other local optima in the figure
 
 
@@ -56,9 +58,9 @@ def cycles(source: Phase, *, count: int = 5) -> Figure:
     starts = np.array([source.cycles(k) for k in range(number + 1)])
     poses = np.concatenate([group.compose(start[None], source.path) for start in starts[:-1]])
     times = np.concatenate([source.times + k * source.times[-1] for k in range(number)])
-    rotation = f"{np.degrees(source.screw.angle):.4g}° a cycle"
+    motion = _motion_of(source)
     if group.plane:
-        drawing = figure(f"the base over {number} cycles: {rotation}", height=4.4)
+        drawing = figure(f"the base over {number} cycles: {motion}", height=4.4)
         axes = drawing.subplots()
         i, j = group.plane
         axes.plot(poses[:, i], poses[:, j], color=BLACK, linewidth=1.0, label="path")
@@ -67,7 +69,7 @@ def cycles(source: Phase, *, count: int = 5) -> Figure:
         axes.set_aspect("equal", adjustable="datalim")
         legend(axes)
         return drawing
-    drawing = figure(f"the base over {number} cycles: {rotation}", height=3.2)
+    drawing = figure(f"the base over {number} cycles: {motion}", height=3.2)
     axes = drawing.subplots()
     log = np.unwrap(in_space(group, group.log(poses)), axis=0)
     names = ("x", "y", "z", "θx", "θy", "θz")
@@ -76,6 +78,18 @@ def cycles(source: Phase, *, count: int = 5) -> Figure:
     axes.set(xlabel="time [s]", ylabel="logarithm of the pose [m | rad]")
     legend(axes)
     return drawing
+
+
+def _motion_of(source: Phase) -> str:
+    """Describe the motion of the base in a cycle: its rotation and displacement, if not zero."""
+    group, angle = source.group, float(source.screw.angle)
+    distance = float(np.linalg.norm(source.pose[: group.linear]))
+    parts = []
+    if abs(angle) > max(float(source.error.rotation), _STILL):
+        parts.append(f"{np.degrees(angle):.4g}°")
+    if distance > max(float(source.error.translation), _STILL):
+        parts.append(f"{distance:.4g} m")
+    return " and ".join(parts) + " a cycle" if parts else "returns after each cycle"
 
 
 def _arrows(axes: Axes, places: Array, angles: Array, path: Array) -> None:
@@ -96,8 +110,9 @@ def _arrows(axes: Axes, places: Array, angles: Array, path: Array) -> None:
 def loop(source: BestGait | TurnPlan) -> Figure:
     """Draw a best gait or a reorientation plan: the loop, its joints, and the base.
 
-    The loop is drawn over the curvature of the two joints that move most, with the other joints at
-    their initial values; thin lines are further local optima. The panels over time are the joints,
+    The loop is drawn over the curvature of the two joints that move most, in the component that the
+    objective concerns, with the other joints at their initial values; thin lines are further local
+    optima. The panels over time are the joints,
     and the rotation of the base [°], or its position if it cannot rotate [m].
 
     Args:
@@ -119,7 +134,8 @@ def loop(source: BestGait | TurnPlan) -> Figure:
         if source.chart is not None:
             connection = connection.in_chart(source.chart.centre)
         gait, traj = source.gait, source.trajectory
-        times, shapes, at, poses = traj.t, traj.x, traj.t, traj.pose
+        times, at, poses = traj.t, traj.t, traj.pose
+        shapes = traj.x if source.chart is None else source.chart.coordinates(traj.x)
         title = f"{source.cycles} cycles, {source.remaining:.1e} rad remain"
     else:
         raise InputError(
@@ -129,7 +145,8 @@ def loop(source: BestGait | TurnPlan) -> Figure:
     drawing = figure(f"{connection.form.what}: {title}", width=9.6, height=4.4)
     panels: Any = drawing.subfigures(1, 2, width_ratios=(1.25, 1.0))
     field_panel, time_panel = panels
-    _on_curvature(field_panel.subplots(), connection, gaits[: 1 + _OTHERS])
+    component = _component_of(connection.group, source)
+    _on_curvature(field_panel.subplots(), connection, gaits[: 1 + _OTHERS], component)
     joints, base = time_panel.subplots(2, 1, sharex=True)
     moving = np.argsort(-gait.amplitude, kind="stable")[:6]
     for k, joint in enumerate(sorted(moving)):
@@ -141,7 +158,18 @@ def loop(source: BestGait | TurnPlan) -> Figure:
     return drawing
 
 
-def _on_curvature(axes: Axes, connection: Connection, gaits: list[Gait]) -> None:
+def _component_of(group: Group, source: BestGait | TurnPlan) -> int | None:
+    """Return the component of the curvature that the objective concerns; None for a target."""
+    aim = source.task.aim if isinstance(source, BestGait) else source.aim
+    if not isinstance(aim, AxisAim):
+        return None
+    largest = int(np.argmax(np.abs(aim.axis)))
+    return largest + (group.linear if aim.kind == "rotation" else 0)
+
+
+def _on_curvature(
+    axes: Axes, connection: Connection, gaits: list[Gait], component: int | None
+) -> None:
     """Draw the loops over the curvature of the two joints that the first loop moves most."""
     gait = gaits[0]
     pair = sorted(np.argsort(-gait.amplitude, kind="stable")[:2].tolist())
@@ -151,12 +179,12 @@ def _on_curvature(axes: Axes, connection: Connection, gaits: list[Gait]) -> None
     limits = around(np.concatenate(paths)[:, pair], units)
     shapes = plane(pair, limits, paths[0][0])
     curvature = connection.grid(shapes.shapes).curvature[..., pair[0], pair[1]]
-    index = component_of(connection.group, None, curvature)
+    index = component_of(connection.group, component, curvature)
     names = [labels_of_connection(connection).with_unit(k) for k in pair]
     what = f"B, component {connection.group.twist_names[index]}"
     draw_field(axes, shapes, curvature[..., index], names, what, path=paths[0])
     for path in paths[1:]:
-        axes.plot(path[:, pair[0]], path[:, pair[1]], color="white", linewidth=0.8, zorder=3)
+        axes.plot(path[:, pair[0]], path[:, pair[1]], color=BLACK, linewidth=0.6, zorder=3)
 
 
 def _over_time(axes: Axes, group: Group, t: Array, poses: Array) -> None:

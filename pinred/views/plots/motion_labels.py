@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ...common.arrays import Array
 from ...common.errors import InputError, LoadError
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
@@ -70,10 +73,20 @@ class Labels:
                 f"but '{self.robot}' has {len(self.joints)}"
             )
 
-    def pair(self, joints: Sequence[str | int] | None, what: str) -> list[int]:
-        """Return the indices of two joints, the first two if None; or raise InputError."""
+    def pair(
+        self, joints: Sequence[str | int] | None, what: str, path: Array | None = None
+    ) -> list[int]:
+        """Return the indices of two joints.
+
+        Args:
+            joints: The joints; if None, the two that move most on the path, or else the first two.
+            what: Name of the plot in messages.
+            path: Shapes over time, (T, m), or None.
+        Raises:
+            InputError: There are fewer than two joints, or other than two are given.
+        """
         self.require(2, what)
-        pair = self.indices((0, 1) if joints is None else joints)
+        pair = self.indices(moving_most(path, 2) if joints is None else joints)
         if len(pair) != 2:
             raise InputError(f"joints: expected two joints for {what}, got {len(pair)}")
         return pair
@@ -104,6 +117,18 @@ class Labels:
 
     def _listed(self) -> str:
         return ", ".join(self.joints) or "none"
+
+
+def moving_most(path: Array | None, count: int) -> list[int]:
+    """Return the joints with the largest range on a path, (T, m), in order of the shape.
+
+    Joints whose ranges are equal up to round-off, or all without a path, count in order.
+    """
+    if path is None:
+        return list(range(count))
+    ranges = np.ptp(path, axis=0)
+    close = np.round(ranges / max(float(ranges.max(initial=0.0)), 1e-300), 6)
+    return sorted(np.argsort(-close, kind="stable")[:count].tolist())
 
 
 def labels(motion: MotionSource) -> Labels:

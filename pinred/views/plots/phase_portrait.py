@@ -18,8 +18,8 @@ from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State, with_base
 from ...system.system import System
 from ..motion_source import MotionSource
-from .fine_path import Path, fine_path, state_at
-from .motion_labels import Labels, labels, robot_of
+from .fine_path import Path, charted_path, state_at
+from .motion_labels import Labels, labels, moving_most, robot_of
 from .shape_plane import Limits, Plane, around, draw_path, mark_start, plane, title_at
 from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, styled
 
@@ -48,11 +48,11 @@ def phase(
     in the body frame, so the potential is valid at `when` only. Potentials of forces are included,
     torques are not. No potential is drawn for a pivot in gravity, or for a recording without its
     robot. The same holds for a recording whose energy includes forces, because a recording does not
-    store them.
+    store them. Balls have unwrapped rotation vectors and their derivatives.
 
     Args:
         motion: Trajectory, or a recording read from a file.
-        joints: Names or indices of one or two joints; the first two if None.
+        joints: Names or indices of one or two joints; the two that move most if None.
         limits: (low, high) of each joint [rad | m]; around the path if None.
         when: Time of the momentum and of the other joints [s]; a recording uses its nearest time.
     Returns:
@@ -62,17 +62,18 @@ def phase(
     """
     names = labels(motion)
     names.require(1, "a phase portrait")
-    selected = names.indices(joints if joints is not None else range(min(2, len(names.joints))))
+    path = charted_path(motion)
+    count = min(2, len(names.joints))
+    selected = names.indices(moving_most(path.x, count) if joints is None else joints)
     if len(selected) > 2:
         raise InputError(f"joints: expected one or two for a phase portrait, got {len(selected)}")
     units = [names.units[k] for k in selected]
-    path = fine_path(motion)
     if limits is None:
         limits = around(path.x[:, selected], units)
     system = robot_of(motion)
     reason = _why_no_potential(motion, system)
     landscape = None if system is None or reason else _Landscape(motion, system, when)
-    at = motion.x[0] if landscape is None else landscape.x
+    at = path.x[0] if landscape is None else landscape.x
     shapes = plane(selected, limits, at)
     values = None if landscape is None else landscape.potential(shapes.shapes)
     title = f"{names.robot}: phase portrait" + (reason or _remark(names, landscape, values))
@@ -90,7 +91,8 @@ class _Landscape:
     def __init__(self, motion: MotionSource, system: System, time: float) -> None:
         """Evaluate the momentum and the shape of the motion at a time."""
         state = with_base(state_at(motion, time), system.name)
-        self.x, self.time = state.x, float(state.t)
+        self._space = system.space
+        self.x, self.time = self._space.chart(state.x[None])[0], float(state.t)
         self._forces = motion.scene.force_model if isinstance(motion, Trajectory) else None
         self._reduction = Reduction(system)
         group = system.group
@@ -102,8 +104,14 @@ class _Landscape:
         self.is_exact = group.turns < 3 or not self.mu.any()
         self._xdot = state.xdot
 
-    def potential(self, shapes: Array) -> Array | None:
-        """Return V + ½ μᵀ I⁻¹ μ at shapes (…, m), or None if the motion has no such potential."""
+    def _shapes(self, points: Array) -> Array:
+        """Return the shapes, (…, nx), with the given coordinates, (…, m)."""
+        space = self._space
+        return space.integrate(space.neutral, points) if space.balls else points
+
+    def potential(self, points: Array) -> Array | None:
+        """Return V + ½ μᵀ I⁻¹ μ at points (…, m), or None if the motion has no such potential."""
+        shapes = self._shapes(points)
         field = self._reduction.grid(shapes)
         try:
             values = np.array(field.amended_potential(self.mu))
@@ -115,9 +123,9 @@ class _Landscape:
             values += np.reshape(extra, values.shape)
         return values
 
-    def metric(self, shapes: Array) -> Array:
-        """Return the shape-space metric M at shapes (…, m), as (…, m, m)."""
-        return self._reduction.grid(shapes).reduced_metric
+    def metric(self, points: Array) -> Array:
+        """Return the shape-space metric M at points (…, m), as (…, m, m)."""
+        return self._reduction.grid(self._shapes(points)).reduced_metric
 
     def energy(self) -> float:
         """Return the energy ½ ẋᵀ M ẋ + V + ½ μᵀ I⁻¹ μ at the time of the landscape [J]."""

@@ -13,8 +13,8 @@ from ...common.errors import InputError
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ..motion_source import MotionSource
-from .fine_path import fine_path, fine_times, shape_path
-from .motion_labels import labels
+from .fine_path import charted_path, fine_times, shape_path
+from .motion_labels import labels, robot_of
 from .style import dots, figure, legend, styled
 
 _HALVINGS = 64  # number of bisections, enough to resolve adjacent floating-point numbers
@@ -31,13 +31,14 @@ def poincare(
 ) -> Figure:
     """Draw the rate of one joint against its value, whenever another joint crosses a value.
 
-    A recording is interpolated by cubic splines between its times.
+    A recording is interpolated by cubic splines between its times.  Balls have unwrapped rotation
+    vectors and their derivatives.
 
     Args:
         motions: A motion, or several motions of one robot; each gets a separate marker.
         joints: Names or indices of the crossing joint and the drawn joint; the first two if None.
-        value: Value of the crossing joint [rad | m], modulo 2π for rotations; the middle of its
-            range if None.
+        value: Value of the crossing joint [rad | m], modulo 2π for hinges; the middle of its range
+            if None.
         direction: Sign of the rate at the crossing: 1, −1, or 0 for both.
     Returns:
         The figure.
@@ -55,14 +56,14 @@ def poincare(
         raise InputError(f"direction must be 1, -1 or 0 for both, got {direction!r}")
     unit = names.units[crossed]
     if value is None:
-        x = fine_path(sources[0]).x[:, crossed]
+        x = charted_path(sources[0]).x[:, crossed]
         value = 0.5 * float(x.min() + x.max())
     where = float(as_floats(value, "value"))
     if not np.isfinite(where):
         raise InputError(f"value must be finite, got {value}")
+    turns = unit == "rad" and not _of_ball(sources[0], crossed)
     points = [
-        section(motion, crossed, where, direction, turns=unit == "rad", shown=shown)
-        for motion in sources
+        section(motion, crossed, where, direction, turns=turns, shown=shown) for motion in sources
     ]
     if not any(len(crossed_at) for crossed_at in points):
         raise InputError(
@@ -85,6 +86,12 @@ def poincare(
     axes.set(xlabel=names.with_unit(shown), ylabel=rate)
     legend(axes)
     return drawing
+
+
+def _of_ball(motion: MotionSource, joint: int) -> bool:
+    """Return whether a coordinate is an entry of the rotation vector of a ball."""
+    system = robot_of(motion)
+    return system is not None and joint in system.space.ball_v
 
 
 def section(

@@ -20,7 +20,7 @@ from ...common.errors import InputError
 from ...system.joints import is_prismatic
 from ...system.system import System
 from .motion_labels import Labels
-from .style import BLACK, FIELD, RED, legend
+from .style import BLACK, FIELD, SIGNED, legend
 
 _POINTS = {1: 241, 2: 61}  # number of points along each axis of a line or a plane
 Limits: TypeAlias = Sequence[Sequence[float]]
@@ -110,7 +110,7 @@ def checked_path(path: Any, m: int) -> Array:
 def draw_path(axes: Axes, x: Array, y: Array) -> None:
     """Draw a curve with a white outline over a field, and a dot at its start."""
     halo = [Stroke(linewidth=3.4, foreground="white"), withStroke(linewidth=0.0)]
-    axes.plot(x, y, color=RED, linewidth=1.6, label="path", path_effects=halo, zorder=4)
+    axes.plot(x, y, color=BLACK, linewidth=1.6, label="path", path_effects=halo, zorder=4)
     mark_start(axes, x, y)
 
 
@@ -144,7 +144,7 @@ def draw_field(
         axes: Axes in which the function is drawn.
         plane: The shapes.
         values: The function, on the grid of the plane.
-        labels: Names and units of both joints.
+        labels: Names and units of both joints; axes of equal units have equal scales.
         value: Name and unit of the function.
         path: Shapes of a path to draw, (T, m) [rad | m].
         contours: Whether to draw level curves.
@@ -157,6 +157,8 @@ def draw_field(
     axes.grid(visible=False)
     x, y = plane.axes
     axes.set(xlabel=labels[0], ylabel=labels[1], xlim=x[[0, -1]], ylim=y[[0, -1]])
+    if unit_of(labels[0]) == unit_of(labels[1]):
+        axes.set_aspect("equal", adjustable="box")
     bar = axes.figure.colorbar(filled, ax=axes, location="left", pad=0.02, shrink=0.9)
     bar.set_label(value)
     legend(axes)
@@ -167,19 +169,26 @@ def _fill(axes: Axes, plane: Sequence[Array], values: Array) -> QuadContourSet:
     low, high = float(values.min()), float(values.max())
     if high - low < NONE:
         low, high = low - 1.0, high + 1.0
-    if low < 0.0 < high:  # a symmetric range puts zero in the middle of the colour map
+    signed = low < 0.0 < high
+    if signed:  # a symmetric range puts zero in the middle of the colour map
         low, high = -max(-low, high), max(-low, high)
     levels = MaxNLocator(_LEVELS).tick_values(low, high)
-    return axes.contourf(*plane, values, levels=levels, cmap=FIELD)
+    return axes.contourf(*plane, values, levels=levels, cmap=SIGNED if signed else FIELD)
+
+
+def unit_of(label: str) -> str:
+    """Return the unit in the label of an axis, "name [unit]"."""
+    return label.rpartition(" [")[2]
 
 
 def _outline(axes: Axes, plane: Sequence[Array], values: Array, filled: QuadContourSet) -> None:
-    """Draw every second level as a line, and zero as a thick line, unless all is round-off."""
+    """Draw every second level as a line, and zero as a dashed line, unless all is round-off."""
     if np.abs(values).max() < NONE:
         return
     axes.contour(
         *plane, values, levels=np.asarray(filled.levels)[::2], colors=BLACK, linewidths=0.4
     )
     if values.min() < 0.0 < values.max():
-        axes.contour(*plane, values, levels=[0.0], colors=BLACK, linewidths=2.0)
-        axes.plot([], [], color=BLACK, linewidth=2.0, label="zero")
+        style: dict[str, Any] = {"linewidths": 1.2, "linestyles": "--"}
+        axes.contour(*plane, values, levels=[0.0], colors=BLACK, **style)
+        axes.plot([], [], color=BLACK, linewidth=1.2, linestyle="--", label="zero")

@@ -33,6 +33,7 @@ DASHES: tuple[Any, ...] = (
 )
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 FIELD = "cividis"  # colour map that is also readable in grey
+SIGNED = "RdBu_r"  # colour map of values of both signs, white at zero
 WIDTH = 6.4  # text width of a page [in]
 PANEL = 1.9  # height of a panel in a figure with several panels [in]
 STEADY = 1e-6  # largest relative change of values that count as constant

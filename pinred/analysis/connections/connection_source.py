@@ -1,0 +1,48 @@
+"""Arguments that are a connection, or a system that stands for its mechanical connection."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from ...common.errors import InputError
+from ...system.system import System
+from .connection import Connection
+
+ConnectionSource: TypeAlias = Connection | System
+
+
+def connection_of(source: ConnectionSource, what: str) -> Connection:
+    """Return a connection, or the mechanical connection of a system.
+
+    Args:
+        source: The connection or the system.
+        what: Name of the function in messages.
+    Raises:
+        InputError: The source is neither.
+    """
+    if isinstance(source, System):
+        return Connection.mechanical(source)
+    if not isinstance(source, Connection):
+        raise InputError(
+            f"{what} takes a Connection, or a System for its mechanical connection; got "
+            f"{type(source).__name__}"
+        )
+    return source
+
+
+def system_of(source: ConnectionSource, what: str) -> System:
+    """Return a system, or the system of a mechanical connection.
+
+    Args:
+        source: The system or the connection.
+        what: Name of the function in messages.
+    Raises:
+        InputError: The source is neither, or the connection is not mechanical.
+    """
+    if not isinstance(source, Connection):
+        return source
+    if source.system is None or not source.is_mechanical:
+        raise InputError(
+            f"{what} simulates a robot by its mechanical connection, got {source}; pass the System"
+        )
+    return source.system

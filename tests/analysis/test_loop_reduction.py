@@ -1,0 +1,205 @@
+"""The reduction and the connection of robots with loops, against differences and Pinocchio."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from loop_robots import five_bar, four_bar, planar_legs, random_loops
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.common.errors import InputError, SingularInertiaError, UnsupportedOperationError
+from pinred.system.loops.loop import Loop
+
+ROBOTS: dict[str, Callable[[], tuple[pin.Model, list[Loop]]]] = {
+    "five-bar": five_bar,
+    "in space": lambda: random_loops(1, ("6d",), 4),
+    "redundant": planar_legs,
+    "with balls": lambda: random_loops(3, ("3d", "3d"), 3, balls=True),
+}
+INDEPENDENT = ("left_crank", "right_crank")
+
+
+def linkage() -> pinred.System:
+    """Return the five-bar linkage."""
+    model, loops = five_bar()
+    return pinred.load(model, loops=loops)
+
+
+def circle(centre: Array, radius: float) -> pinred.Gait:
+    """Return a circle in the plane of the two cranks."""
+    return pinred.Gait.fourier(centre, [[radius, 0.0]], [[0.0, radius]])
+
+
+def derivative(function: Callable[[Array], Array], u: Array, h: float = 2e-3) -> Array:
+    """Return central differences of order 6 with the index of u last."""
+    columns = []
+    for unit in np.eye(len(u)):
+        f = [function(u + k * h * unit) for k in (-3, -2, -1, 1, 2, 3)]
+        columns.append((f[5] - f[0] + 9.0 * (f[1] - f[4]) + 45.0 * (f[3] - f[2])) / (60.0 * h))
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("robot", ["five-bar", "in space", "redundant"])
+def test_curvature_and_derivatives_equal_differences(robot: str) -> None:
+    """GᵀBG is the curvature of A G, and all derivatives contain that of G."""
+    model, loops = ROBOTS[robot]()
+    system = pinred.load(model, loops=loops)
+    red = pinred.LoopReduction(system)
+    at = [system.shape_names.index(name) for name in red.independent]
+    assert system.closure is not None
+    u = system.closure.x[at] + 0.03 * np.random.default_rng(0).normal(size=len(at))
+    here = red.at(red.shape(u))
+    np.testing.assert_allclose(here.x[at], u, atol=1e-14)
+    names = ("local_connection", "G", "reduced_metric", "locked_inertia")
+
+    def values(u: Array) -> Array:
+        at = red.at(red.shape(u))
+        return np.concatenate([getattr(at, name).ravel() for name in names])
+
+    changes = derivative(values, u)
+    for name, change in zip(names, (here.dA, here.dG, here.dM, here.dI), strict=True):
+        expected, changes = changes[: change[..., 0].size], changes[change[..., 0].size :]
+        expected = expected.reshape(change.shape)
+        np.testing.assert_allclose(change, expected, atol=1e-10 * max(1.0, np.abs(change).max()))
+        if name == "local_connection":
+            A, ad = here.local_connection, system.group.ad
+            bracket = np.stack([ad(column) @ A for column in A.T], axis=1)
+            B = expected.transpose(0, 2, 1) - expected - bracket
+            np.testing.assert_allclose(here.curvature, B, atol=1e-10)
+
+
+@pytest.mark.parametrize("robot", ["five-bar", "with balls"])
+def test_rates_of_a_motion_are_those_of_the_independent_joints(robot: str) -> None:
+    """Along a simulated motion ẋ = G u̇, and the kinetic energy is that of the reduced metric."""
+    model, loops = ROBOTS[robot]()
+    system = pinred.load(model, loops=loops)
+    start = pinred.Scene(system=system, seed=1).start
+    traj = pinred.simulate(
+        system, x0=start.x, xdot0=start.xdot, momentum=0, duration=0.02, engine="pinocchio"
+    )
+    red = pinred.LoopReduction(system)
+    here, xdot = red.at(traj.x[-1]), traj.xdot[-1]
+    rates = xdot[[system.space.names.index(name) for name in red.independent]]
+    np.testing.assert_allclose(here.G @ rates, xdot, atol=1e-9 * np.abs(xdot).max())
+    xi = -here.local_connection @ rates
+    np.testing.assert_allclose(xi, traj.xi[-1], atol=1e-9 * np.abs(traj.xi).max())
+    energy = 0.5 * rates @ here.reduced_metric @ rates
+    np.testing.assert_allclose(energy, traj.energy[-1], rtol=1e-9)
+    assert here.amended_potential(np.zeros(system.r)) == 0.0
+
+
+def test_phase_of_a_gait_equals_an_integration_with_pinocchio() -> None:
+    """The couplers follow the cranks; SciPy closes the linkage, and CRBA gives the momentum."""
+    system = linkage()
+    connection = pinred.Connection.mechanical(system, independent=INDEPENDENT)
+    red = pinred.LoopReduction(system, independent=INDEPENDENT)
+    assert connection.joints == red.independent == INDEPENDENT
+    centre, size = np.array([2.0, 1.0]), 0.4
+    gait = circle(centre, size)
+    model, data, frames = system.model, system.model.createData(), ("left_tip", "right_tip")
+    names = [system.shape_names.index(name) for name in INDEPENDENT]
+    others = [k for k in range(4) if k not in names]
+    x = red.shape(gait.at(0.0)[0])
+
+    def closed(u: Array) -> Array:
+        def gap(couplers: Array) -> Array:
+            q = np.concatenate([[0.0, 0.0, 1.0, 0.0], np.zeros(4)])
+            q[[4 + k for k in names]], q[[4 + k for k in others]] = u, couplers
+            pin.framesForwardKinematics(model, data, q)
+            a, b = (data.oMf[model.getFrameId(name)].translation for name in frames)
+            return np.asarray((a - b)[:2])
+
+        x[names] = u
+        x[others] = fsolve(gap, x[others], xtol=1e-11)
+        return x
+
+    def rate(t: float, pose: Array) -> Array:
+        u, udot = gait.at(t)
+        h = 1e-4
+        ahead, behind = (closed(u + k * h * udot).copy() for k in (1, -1))
+        q = np.concatenate([[0.0, 0.0, 1.0, 0.0], closed(u)])
+        H = pin.crba(model, data, q)
+        H = np.triu(H) + np.triu(H, 1).T
+        v = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ (ahead - behind) / (2.0 * h))
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])
+
+    end = solve_ivp(rate, (0.0, gait.period), np.zeros(3), "DOP853", rtol=1e-9, atol=1e-11).y[:, -1]
+    pose = pinred.phase(connection, gait).pose
+    assert abs(end[2]) > 1e-3
+    np.testing.assert_allclose(pose, end, atol=1e-8)
+
+
+def test_legs_of_a_biped_turn_as_a_whole() -> None:
+    """A turn of both hips of a leg closes the gait; it turns the torso backwards."""
+    biped = pinred.load("parallel_biped", gravity=[0.0, 0.0, 0.0])
+    motors = [f"{side}_{end}_hip" for side in ("left", "right") for end in ("front", "rear")]
+    connection = pinred.Connection.mechanical(biped, independent=motors)
+    mean, still = [-0.9, 0.9] * 2, np.zeros((1, 4))
+    turn = pinred.phase(connection, pinred.Gait.fourier(mean, still, still, turns=[1] * 4))
+    assert -110.0 < np.degrees(turn.log[4]) < -90.0
+
+
+def test_slopes_of_horizontal_motions_equal_differences() -> None:
+    """The derivative of the twist contains that of G."""
+    connection = pinred.Connection.mechanical(linkage(), independent=INDEPENDENT)
+    u, rate = np.array([2.0, 1.0]), np.array([0.5, -0.7])
+
+    def values(y: Array) -> Array:
+        xi, square = connection.horizontal(y[None, :2], y[None, 2:])
+        return np.append(xi[0], square[0])
+
+    slopes = connection.horizontal_slopes(u[None], rate[None])[0]
+    np.testing.assert_allclose(slopes, derivative(values, np.append(u, rate)), atol=1e-10)
+    terms = connection.grid(u[None])
+    np.testing.assert_allclose(terms.curvature, terms.exterior - terms.bracket, atol=1e-15)
+
+
+def test_inspection_reports_loops_rank_and_dimension() -> None:
+    """The matrices are those of independent joints."""
+    system = linkage()
+    inspection = pinred.inspect(system)
+    text = str(inspection)
+    assert "tips: left_tip = right_tip (3d)" in text
+    assert "3 equations of rank 2, closed shapes of dimension 2" in text
+    assert inspection.at.local_connection.shape == (3, 2)
+    assert not inspection.flat
+    model, loops = four_bar()
+    assert pinred.inspect(pinred.load(model, loops=loops)).flat
+
+
+def test_charts_that_do_not_fit_are_refused_by_name() -> None:
+    """Unknown joints, a wrong number, dead points, open shapes, frames and robots without loops."""
+    system = linkage()
+    with pytest.raises(InputError, match="independent: no joint 'knee'"):
+        pinred.LoopReduction(system, independent=["knee", "left_crank"])
+    with pytest.raises(InputError, match="independent: expected 2 joints, got 1"):
+        pinred.LoopReduction(system, independent=["left_crank"])
+    red = pinred.LoopReduction(system, independent=INDEPENDENT)
+    with pytest.raises(InputError, match="expected a closed shape of 'five_bar', but loop 'tips'"):
+        red.at(np.zeros(4))
+    with pytest.raises(SingularInertiaError, match=r"the loops tips of.*independent="):
+        red.shape([np.pi, 0.0])
+    tree = pinred.load("planar_chain5")
+    with pytest.raises(InputError, match="expected a robot with loops"):
+        pinred.LoopReduction(tree)
+    with pytest.raises(InputError, match="independent: expected none"):
+        pinred.Connection.mechanical(tree, independent=["a"])
+    connection = pinred.Connection.mechanical(system, independent=INDEPENDENT)
+    for change in (
+        lambda: connection.in_chart([0.1, 0.2]),
+        lambda: connection.seen_from("left_crank"),
+        lambda: connection.in_section(lambda x: x),
+        lambda: pinred.Reduction(system),
+    ):
+        with pytest.raises(UnsupportedOperationError, match="closed loops are not supported here"):
+            change()
+    model, loops = four_bar()
+    crank = pinred.LoopReduction(pinred.load(model, loops=loops), independent=["crank"])
+    assert crank.at(crank.shape([3.0])).curvature.shape == (3, 1, 1)

@@ -1,0 +1,127 @@
+"""The page of `feel` in a real browser: mouse, keyboard, presets, momentum."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred.cli.main import main
+from pinred.common.arrays import Array
+from pinred.views.playback.headless_browser import Browser
+
+pytestmark = pytest.mark.browser
+
+
+def show(screen: Browser, path: Path, width: int = 900) -> None:
+    """Open a page and wait until it is drawn."""
+    screen.open(path.as_uri(), width=width, height=640)
+    screen.wait_for("window.pinred !== undefined")
+
+
+def complaints(screen: Browser) -> list[str]:
+    """Return console messages, uncaught errors and log entries."""
+    kinds = ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded")
+    return [str(event["params"]) for event in screen.events if event["method"] in kinds]
+
+
+def mouse(screen: Browser, kind: str, x: float, y: float) -> None:
+    """Send a mouse event at a point of the window [px]."""
+    screen.call(
+        "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1
+    )
+
+
+def press(screen: Browser, key: str, times: int = 1) -> None:
+    """Press a key."""
+    codes = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Enter": 13}
+    for _ in range(times):
+        for kind in ("rawKeyDown", "keyUp"):
+            screen.call(
+                "Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=codes[key]
+            )
+
+
+def base(screen: Browser) -> Array:
+    """Return the quaternion of the base."""
+    return np.array(screen.run("pinred.pose.slice(3)"))
+
+
+def rest(screen: Browser) -> None:
+    """Wait until the robot has gone through all shapes."""
+    screen.wait_for("pinred.resting")
+
+
+def test_mouse_and_keyboard_move_the_robot(screen: Browser, tmp_path: Path) -> None:
+    """Sliders, a loop drawn by mouse, one by keys, and a preset; the page is small and silent."""
+    path = tmp_path / "cat.html"
+    assert main(["feel", "falling_cat", "--out", str(path)]) == 0
+    assert path.stat().st_size < 1.9e6
+    show(screen, path)
+    # A slider by keyboard, there and back: the base turns, and turns back.
+    screen.run("document.querySelector('#sliders input').focus()")
+    press(screen, "ArrowRight", 10)
+    rest(screen)
+    assert screen.run("pinred.shape[0]") == pytest.approx(0.16, abs=1e-9)
+    assert np.linalg.norm(base(screen)[:3]) > 1e-3
+    press(screen, "ArrowLeft", 10)
+    rest(screen)
+    np.testing.assert_allclose(base(screen), [0, 0, 0, 1], atol=1e-8)
+    # A loop by mouse: the base ends where the phase says.
+    x, y, width, height = screen.run(
+        "(() => { const b = document.querySelector('#panel canvas').getBoundingClientRect();"
+        "return [b.x, b.y, b.width, b.height] })()"
+    )
+    turn = np.linspace(0.0, 2.0 * np.pi, 25)
+    points = np.column_stack(
+        [x + width * (0.55 + 0.2 * np.cos(turn)), y + height * (0.45 + 0.2 * np.sin(turn))]
+    )
+    mouse(screen, "mousePressed", *points[0])
+    rest(screen)
+    start = base(screen)
+    for point in points[1:-1]:
+        mouse(screen, "mouseMoved", *point)
+    mouse(screen, "mouseReleased", *points[-2])
+    rest(screen)
+    loop = screen.run("pinred.loop")
+    assert loop["name"] == "your loop"
+    change = np.array(pinred.lie.SO3.compose(pinred.lie.SO3.inverse(start), base(screen)))
+    assert np.linalg.norm(change[:3]) > 0.05
+    np.testing.assert_allclose(change, loop["phase"][3:], atol=1e-5)
+    # A loop by keys.
+    screen.run("document.querySelector('#panel canvas').focus()")
+    press(screen, "Enter")
+    for key in ("ArrowRight", "ArrowUp", "ArrowLeft", "ArrowDown"):
+        press(screen, key, 4)
+    press(screen, "Enter")
+    rest(screen)
+    assert np.linalg.norm(screen.run("pinred.loop.phase")[3:6]) > 1e-3
+    # A preset repeats; there and back has no phase.
+    screen.run("document.querySelector('#presets button:last-child').click()")
+    assert np.linalg.norm(screen.run("pinred.loop.phase")[3:6]) < 1e-10
+    screen.wait_for("pinred.loop.cycles > 0")
+    assert "1 done" in screen.run("document.getElementById('phase').textContent")
+    # Momentum turns the base of a still robot.
+    screen.run("document.getElementById('reset').click()")
+    screen.run("document.querySelector('#momentum input').click()")
+    screen.wait_for("Math.hypot(...pinred.pose.slice(3, 6)) > 0.1")
+    assert screen.run("pinred.shape") == [0.0, 0.0, 0.0]
+    assert complaints(screen) == []
+
+
+@pytest.mark.parametrize("name", ["falling_cat_ball", "elroys_beanie"])
+def test_balls_and_single_joints_are_shown(screen: Browser, tmp_path: Path, name: str) -> None:
+    """The sliders of a ball move its rotation vector; one joint has no shape plane."""
+    system = pinred.load(name)
+    pinred.save_html(system, tmp_path / "page.html", feel=True)
+    show(screen, tmp_path / "page.html", width=480)
+    names = screen.run("[...document.querySelectorAll('#sliders span')].map((e) => e.textContent)")
+    assert tuple(names) == system.shape_names
+    screen.run("document.querySelector('#sliders input').focus()")
+    press(screen, "ArrowRight", 5)
+    rest(screen)
+    assert screen.run("pinred.shape[0]") > 0.05
+    assert np.linalg.norm(base(screen)[:3]) > 1e-3
+    assert complaints(screen) == []
