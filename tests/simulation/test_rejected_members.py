@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ def test_negative_mass_becomes_failure_of_its_member() -> None:
     """The other members have the bits of a batch without the rejected one."""
     masses = np.array([1.0, -0.5, 2.0, 0.0])
     xdot0 = np.full((4, 1), 0.3)
-    options = {"momentum": 0, "times": [0.0, 0.5]}
+    options: dict[str, Any] = {"momentum": 0, "times": [0.0, 0.5]}
     with pytest.warns(pinred.RejectedWarning, match="2 of 4 members are rejected"):
         many = pinred.simulate_many(
             SYSTEM, members={f"{LINK}.mass": masses, "xdot0": xdot0}, **options
