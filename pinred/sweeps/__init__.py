@@ -1,0 +1,1 @@
+"""Sweeps: many points of one scene, stored in blocks that survive interruptions."""
