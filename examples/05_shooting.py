@@ -28,8 +28,8 @@ initial: dict[str, Any] = {"x0": [0.0] * 3, "xi0": [0.0] * 6, "duration": 1.0}
 step = pinred.flow(cat, forces=[actuation], wrt=names, method="DOP853", **initial).step(H)
 
 n, r, m = cat.n, cat.r, cat.m
-# Crocoddyl orders tangents as (pose, x, ξ, ẋ); a step of pinred uses (pose, x, ẋ, ξ).
-ORDER = [*range(n), *range(n + m, 2 * n), *range(n, n + m)]
+# Crocoddyl orders tangents as (pose, x, ξ, ẋ).
+ORDER = [k for part in ("pose", "x", "xi", "xdot") for k in range(2 * n)[step.outputs[part]]]
 
 
 class Step(crocoddyl.ActionModelAbstract):  # type: ignore[misc]

@@ -21,7 +21,7 @@ from pinred.common.errors import InputError, PinredError, ShapeError
 if TYPE_CHECKING:
     from decimal import Decimal
 
-_TEXT = r"\bstr\b|Literal|Outcome|Axes|Part$|Form$|Engine|Kind\b|WantedOutputs|Method"
+_TEXT = r"\bstr\b|Literal|Outcome|Axes|Part$|Form$|Engine|Kind\b|WantedOutputs|Method|Invalid"
 _NUMBERS = r"Array|float|Numbers|PerJoint|LimitsLike|Counts"
 _ANY = r"^(Any|Hashable|T)$"
 # Values, each with the annotations that may admit it.  All other parameters have to reject it.

@@ -61,10 +61,10 @@ def test_typed_options_are_the_fields(typed: type, kind: type) -> None:
         (
             pinred.simulate_many,
             pinred.Scene,
-            {"threads", "seeds", "progress", "members", "explain"},
+            {"threads", "seeds", "progress", "members", "explain", "invalid"},
         ),
         (pinred.play, View, {"port", "show", "wait"}),
-        (pinred.save_html, View, set()),
+        (pinred.save_html, View, {"feel"}),
         (pinred.save_film, View, {"size", "progress"}),
     ],
 )

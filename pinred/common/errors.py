@@ -5,6 +5,7 @@ A message states the value, the expected value, and a way to fix the problem.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -66,6 +67,27 @@ class SingularInertiaError(PinredError, ArithmeticError):
 
 class MissingPackageError(PinredError, ImportError):
     """An optional package that this function needs is not installed."""
+
+
+class RejectedValuesError(InputError):
+    """Values of some members are not physical.
+
+    Attributes:
+        reasons: {member: reason}.
+    """
+
+    def __init__(self, reasons: Mapping[int, str]) -> None:
+        """Store the reasons.
+
+        Args:
+            reasons: {member: reason}, at least one.
+        """
+        first = min(reasons)
+        super().__init__(f"member {first}: {reasons[first]}")
+        self.reasons = dict(reasons)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.reasons,)
 
 
 class OutputError(PinredError):
@@ -142,6 +164,10 @@ class NonFiniteState(_Stopped):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (str(self), self.time, self.state, self.entry)
+
+
+class RejectedWarning(UserWarning):
+    """Some members of a batch have values that were rejected; the others were simulated."""
 
 
 class LeftOutWarning(UserWarning):

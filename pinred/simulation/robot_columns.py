@@ -78,6 +78,39 @@ class RobotColumns:
             constants[:first] = acting
             constants[self._fall_at :] = fall
 
+    def rows(self, changes: Mapping[str, Array]) -> tuple[Array, dict[int, str]]:
+        """Return the variable parameters of the bodies for many values of the parameters.
+
+        Args:
+            changes: Changed values, {name: (N, size)}.
+        Returns:
+            The parameters, (N, s), and {row: reason} of the rows that are not physical.
+        """
+        count, size = len(next(iter(changes.values()))), self._layout.freed.size
+        fall = len(falling(self._system))
+        constants = np.zeros(self._fall_at + fall)
+        numbers, reasons = np.empty((count, size)), dict[int, str]()
+        among = self._among_constants(slice(0, size))
+        inertial = self._varied.body_rows(changes, self.values)
+        if inertial is not None:
+            self.put(constants, self.values, self.values.keys())
+            numbers[:] = constants[among]
+            for i, moments in inertial[0].items():
+                # One product for each row, so that its bits do not depend on the other rows.
+                numbers[:, self._layout.freed.of_inertia(i)] = (
+                    self._maps[i] @ moments[:, :, None]
+                )[:, :, 0]
+            return numbers, inertial[1]
+        for k in range(count):
+            try:
+                values = self.now({name: column[k] for name, column in changes.items()})
+            except InputError as error:
+                reasons[k] = str(error)
+                continue
+            self.put(constants, values, values.keys())
+            numbers[k] = constants[among]
+        return numbers, reasons
+
     def slopes(
         self, now: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[slice, str, Array]]:

@@ -9,7 +9,7 @@ from typing import Any, Unpack
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import entries_of, whole
 from ..common.errors import InputError, IntegrationError
-from ..common.names import brief
+from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
 from ..scene.scene import Scene
@@ -17,6 +17,7 @@ from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
 from .members.member_groups import Members, of_scenes
 from .members.member_options import MemberOptions
+from .members.rejected_members import INVALID, Invalid, separate_rejected, warn_of_rejected
 from .members.trajectories import Batch, Failure, Trajectories
 from .simulate import trajectory_of
 from .trajectory import Trajectory
@@ -32,6 +33,7 @@ def simulate_many(
     threads: int | None = None,
     progress: Progress | bool | None = None,
     explain: bool = False,
+    invalid: Invalid = "record",
     **options: Unpack[SceneOptions],
 ) -> Trajectories:
     """Simulate many motions of one system with one kernel, in SIMD lanes and on threads.
@@ -46,7 +48,8 @@ def simulate_many(
     Where `simulate` would choose AdaptiveGauss, DOP853 is used, which costs less for many members.
     Members with controllers, events, or prescribed joints whose plans have breaks are simulated
     one by one, as by `simulate`.  A member that fails is listed in `failures` and does not affect
-    the others.
+    the others.  So is a member whose values are rejected, such as a negative mass, and a
+    RejectedWarning counts these members.
 
     Values of x0, xdot0, xi0, momentum, pose0, q0, v0 and parameters that have a leading axis (N, …)
     differ between members.
@@ -60,6 +63,8 @@ def simulate_many(
         threads: Number of threads; as many as processors if None.
         progress: As in `simulate`, but called with the completed fraction of the members.
         explain: Whether to print how the members are integrated.
+        invalid: "record" to list members with rejected values in `failures`, "raise" to raise the
+            error of the first one.
         options: Fields of Scene.
     Returns:
         The trajectories of all members.
@@ -67,8 +72,13 @@ def simulate_many(
         InputError: The scenes or options are invalid, or differ in system or report times.
         ShapeError: Arrays have different numbers of members.
     """
+    rejected: list[Failure] = []
+    if not one_of(invalid, INVALID):
+        raise InputError(f"invalid: expected one of {', '.join(INVALID)}, got {brief(invalid)}")
     if isinstance(system, (System, Scene)):
-        resolved = MemberOptions(system, options, members, _checked(seeds)).members()
+        member_options = MemberOptions(system, options, members, _checked(seeds))
+        resolved, rejected = separate_rejected(member_options, invalid)
+        warn_of_rejected(rejected, resolved.count)
     else:
         scenes = entries_of(system)
         if scenes is None:
@@ -84,7 +94,7 @@ def simulate_many(
         print(_explained(resolved))
     name = resolved.groups[0].plan.system.name
     with shown(progress, f"simulating {resolved.count} of {name}") as done:
-        return _run(resolved, threads, done)
+        return _run(resolved, threads, done, rejected)
 
 
 def _checked(seeds: Sequence[int] | None) -> list[int] | None:
@@ -118,15 +128,18 @@ def _explained(resolved: Members) -> str:
 
 
 def _run(
-    members: Members, threads: int | None, progress: Callable[[float], None] | None
+    members: Members,
+    threads: int | None,
+    progress: Callable[[float], None] | None,
+    rejected: Sequence[Failure] = (),
 ) -> Trajectories:
     from .compiled.compiled_flow import flows_of
     from .members.integrate_members import integrate_members
 
     batches: list[Batch] = []
     single: dict[int, Trajectory] = {}
-    failures: list[Failure] = []
-    done = 0
+    failures = list(rejected)
+    done = len(failures)
 
     def report(report_part: float, share: int) -> None:
         if progress is not None:

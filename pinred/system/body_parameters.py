@@ -21,6 +21,7 @@ import pinocchio as pin
 from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError
 from ..common.names import listed, nearest, quoted
+from .inertia_rows import LEAST, find_unphysical, moments_of_rows
 from .system import System
 
 # Number of values of each kind of parameter.
@@ -31,8 +32,6 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # entries xx, xy, xz,
 # Permutation from pinred's order of moments to that of Pinocchio's dynamic parameters (xx, xy, yy,
 # xz, yz, zz).  The permutation is its own inverse.
 _TO_PINOCCHIO = [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]
-# Eigenvalues of a pseudo-inertia below this fraction of the largest one count as round-off.
-_LEAST = 1e-12
 
 
 @dataclass(frozen=True)
@@ -154,6 +153,30 @@ class Bodies:
             if not any(value.flags.writeable for value in own_values):
                 self._last[body] = last
         return last[1]
+
+    def rows(
+        self, changes: Mapping[str, Array], values: Mapping[str, Array]
+    ) -> tuple[dict[int, Array], dict[int, str]] | None:
+        """Compute moments of bodies for many values (see ModelParameters.body_rows)."""
+        if not all(name in self._body_of for name in changes):
+            return None
+        count = len(next(iter(changes.values())))
+        moments, reasons = dict[int, Array](), dict[int, str]()
+        for body in self.changed_by(changes):
+            names = self._names[body]
+            if "log_cholesky" in names:
+                return None
+            kinds = {
+                kind: np.atleast_2d(changes.get(name, values[name]))
+                if (name := names.get(kind))
+                else self._nominal_value(body, kind)[None]
+                for kind in ("mass", "com", "inertia", "payload.mass", "payload.at")
+            }
+            rows = {kind: np.broadcast_to(v, (count, v.shape[1])) for kind, v in kinds.items()}
+            for k, reason in find_unphysical(rows, names).items():
+                reasons.setdefault(k, reason)
+            moments[body] = moments_of_rows(rows)
+        return moments, reasons
 
     def _dynamic(self, body: int, values: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
         names = self._names[body]
@@ -300,7 +323,7 @@ def _refuse_unphysical(moments: Array, name: str) -> None:
         raise InputError(f"parameters: '{name}' is too large, so that moments are not finite")
     pseudo = pin.PseudoInertia.FromDynamicParameters(moments[_TO_PINOCCHIO])
     eigenvalues = np.linalg.eigvalsh(pseudo.toMatrix())
-    if not eigenvalues[0] >= -_LEAST * eigenvalues[-1]:
+    if not eigenvalues[0] >= -LEAST * eigenvalues[-1]:
         raise InputError(
             f"parameters: '{name}' is not physical: no positive masses have these moments (each "
             "principal moment is at most the sum of the other two)"

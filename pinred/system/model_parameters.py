@@ -236,6 +236,20 @@ class ModelParameters:
             bodies[i] = moments, slopes
         return dict(sorted(bodies.items()))
 
+    def body_rows(
+        self, changes: Mapping[str, Array], values: Mapping[str, Array]
+    ) -> tuple[dict[int, Array], dict[int, str]] | None:
+        """Return the moments of bodies for many values of their parameters.
+
+        Args:
+            changes: Changed values, {name: (N, size)}.
+            values: Values of all parameters, {name: (size,)}, for those that do not change.
+        Returns:
+            {body: (N, 10)} as `inertias`, and {row: reason} of the rows that are not physical; or
+            None if a change is not of a body's mass, centre, inertia or payload.
+        """
+        return self._bodies.rows(changes, values)
+
     def placements(
         self, values: Mapping[str, Array], changed: Collection[str] | None = None
     ) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:

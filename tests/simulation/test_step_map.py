@@ -65,13 +65,14 @@ def test_step_and_jacobians_agree_with_aba(method: str, t: float) -> None:
     group, r, m = system.group, system.r, system.m
     jacobian = np.hstack([found.by_state, found.by_parameters])
     assert jacobian.shape == (step.ndx, step.ndx + step.nu)
+    assert step.outputs == flow.outputs  # the same order, so that slices fit both
     h = 1e-4
     for k in range(jacobian.shape[1]):
         ends = []
         for sign in (-h, h):
             d = np.zeros(jacobian.shape[1])
             d[k] = sign
-            eta, dx, dxdot, dxi, du = np.split(d, np.cumsum([r, m, m, r]))
+            dx, dxdot, eta, dxi, du = np.split(d, np.cumsum([m, m, r, r]))
             state = SimpleNamespace(
                 pose=group.compose(start.pose, group.exp(eta)),
                 x=start.x + dx, xdot=start.xdot + dxdot, xi=start.xi + dxi,
@@ -80,7 +81,7 @@ def test_step_and_jacobians_agree_with_aba(method: str, t: float) -> None:
             ends.append((system.configuration(q), system.velocity(v)))
         (low, slow), (high, fast) = ends
         turned = group.log(group.compose(group.inverse(low.pose), high.pose))
-        parts = [turned, high.x - low.x, fast.xdot - slow.xdot, fast.xi - slow.xi]
+        parts = [high.x - low.x, fast.xdot - slow.xdot, turned, fast.xi - slow.xi]
         np.testing.assert_allclose(jacobian[:, k], np.concatenate(parts) / (2.0 * h), atol=1e-6)
 
 

@@ -236,7 +236,7 @@ def test_hostile_values_are_rejected() -> None:
     with pytest.raises(InputError, match="by a right angle from the robot's placement"):
         turned.jacobian(**{"bend.placement": [0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2 - 5e-7]})
     with pytest.raises(InputError, match=r"member 1: parameters: 'back.mass' must be above zero"):
-        pinred.simulate_many(cat, members={"back.mass": [1.0, -1.0]}, **options)
+        pinred.simulate_many(cat, members={"back.mass": [1.0, -1.0]}, invalid="raise", **options)
     x0 = np.zeros((2, 3))
     same = pinred.simulate_many(cat, members={"x0": x0}, parameters="all", momentum=0, duration=0.1)
     assert same.x.shape[:2] == (2, 201)

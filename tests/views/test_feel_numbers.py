@@ -126,6 +126,19 @@ def test_page_agrees_with_connection_and_phase(name: str) -> None:
     assert distance(connection, pushed.geometric, page["turned"]) > 1e-2
 
 
+def test_page_of_a_swimmer_agrees_with_its_phase() -> None:
+    """The page takes other connections, too: drag defines no momentum."""
+    third = 1.0 / 3.0
+    rods = {
+        name: pinred.Rod(third, across=2.0, along=1.0, centre=(at, 0.0, 0.0))
+        for name, at in (("rear", -third / 2), ("middle", 0.0), ("front", third / 2))
+    }
+    swimmer = pinred.Connection.viscous(pinred.load("purcell_swimmer"), rods)
+    page = run_page(swimmer, np.array([[0.3, 0.2]]), np.zeros(6))
+    for gait, found in zip(gaits(np.array([0.3, 0.2])), page["phases"], strict=True):
+        assert distance(swimmer, pinred.phase(swimmer, gait).pose, found) < 3e-10
+
+
 def test_unsuitable_arguments_are_rejected() -> None:
     """Motions, robots without joints, options of playback, and unknown joints."""
     with pytest.raises(pinred.InputError, match="no joints"):

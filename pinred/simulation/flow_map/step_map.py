@@ -13,8 +13,8 @@ from ...common.names import brief
 from ...scene.scene import Scene
 from ...system.state_fields import Outcome, State
 
-# Field of State for each input that is a part of the state.
-STATE: dict[str, Outcome] = {"pose0": "pose", "x0": "x", "xdot0": "xdot", "xi0": "xi"}
+# Field of State for each input that is a part of the state, in the order of a flow's outputs.
+STATE: dict[str, Outcome] = {"x0": "x", "xdot0": "xdot", "pose0": "pose", "xi0": "xi"}
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,9 @@ class LinearStep(FrozenArrays):
 
     Attributes:
         state: State at the end of the step.
-        by_state: Derivative F_x of the tangent (pose, x, ẋ, ξ) at the end with respect to that at
-            the start, (2n, 2n); poses are in the body coordinates of their tangents.
+        by_state: Derivative F_x of the tangent (x, ẋ, pose, ξ) at the end with respect to that at
+            the start, (2n, 2n), in the order of `StepMap.outputs`; poses are in the body
+            coordinates of their tangents.
         by_parameters: Derivative F_u of that tangent with respect to the parameters, (2n, nu).
     """
 
@@ -42,6 +43,8 @@ class StepMap:
         h: Length of the step [s].
         parameters: Number of entries by name of the flow's inputs that are not parts of the state,
             which are the controls of a shooting solver.
+        outputs: Parts of the tangent of a state by name, which are those of `Flow.outputs` without
+            other outputs.
         ndx: Length 2n of the tangent of a state.
         nu: Number of entries of all parameters.
     """
@@ -67,6 +70,7 @@ class StepMap:
         names = [name for name in flow.inputs if name not in (*STATE, "momentum")]
         self._flow = flow.of_scene(complete, [*STATE, *names], tuple(STATE.values()))
         self.parameters = {name: self._flow.inputs[name] for name in names}
+        self.outputs = self._flow.outputs
         self.ndx, self.nu = 2 * scene.system.n, sum(self.parameters.values())
         self._own = start
 

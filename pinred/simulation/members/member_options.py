@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import Array, as_floats, dimensions, vectors
-from ...common.errors import InputError, ShapeError, SymmetryError
+from ...common.errors import InputError, RejectedValuesError, ShapeError, SymmetryError
 from ...common.names import brief, listed
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
@@ -20,6 +21,7 @@ from ...scene.initial_state import GivenStates, refuse_vague
 from ...scene.joint_values import order_by_joint
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
+from ...system.coordinates import Indices
 from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
 from ...system.system import System
 from ...system.variants import in_gravity, nominal
@@ -165,6 +167,18 @@ class MemberOptions:
         """Return the scene of one member, with the integrator that members use."""
         return replace(self.scene(member), method=method)
 
+    def select(self, members: Indices) -> MemberOptions:
+        """Return the options of the selected members, (K,) sorted indices."""
+        if len(members) == self.count:
+            return self
+        selected = copy(self)
+        selected.states = {name: rows[members] for name, rows in self.states.items()}
+        selected.parameters = {name: rows[members] for name, rows in self.parameters.items()}
+        selected.gravity = None if self.gravity is None else self.gravity[members]
+        selected.seeds = None if self.seeds is None else [self.seeds[k] for k in members.tolist()]
+        selected.count = len(members)
+        return selected
+
     def members(self) -> Members:
         """Group the members by the kernel they share.  Raises InputError for invalid scenes."""
         # Use common parameters only, so that results do not depend on member order.
@@ -178,15 +192,16 @@ class MemberOptions:
                     f"{kinds_near(self.system, name, [*STATES, *names])}; these scenes accept "
                     f"{_OPTIONS}: {listed(names, 60) or 'none'}"
                 )
-        first_scene = self.scene(0)  # validates the options that all members share
         varying = [name for name in self.robot if name in self.parameters]
         if varying:
             template = with_own(template, varying)
         elif self.gravity is not None:
             template = replace(template, system=self.system)
         numbers = self._numbers(template)
+        robot = self._robot_numbers(template) if varying else None
+        first_scene = self.scene(0)  # validates the options that all members share
         states = self._given(template, numbers)
-        parameters = MemberParameters(numbers, self._robot_numbers(template) if varying else None)
+        parameters = MemberParameters(numbers, robot)
         scene_of = partial(self._scene_by, members_plan(first_scene).scene.method)
         if self.gravity is None:
             groups = [Group(np.arange(self.count), members_plan(template), states, parameters)]
@@ -237,21 +252,19 @@ class MemberOptions:
     def _robot_numbers(self, template: Scene) -> Array:
         """Return the variable parameters of the bodies of each member, (N, s).
 
-        An InputError for an unphysical robot names the member.
+        Args:
+            template: The scene of all members.
+        Returns:
+            The parameters.
+        Raises:
+            RejectedValuesError: Some robots are not physical; it has the reason for each.
         """
         layout = members_plan(template).kind(zero_momentum=False, generic=True).layout
-        columns = RobotColumns(template, layout, 0)
-        first, size = len(layout.gravity), layout.freed.size
-        numbers = np.empty((self.count, size))
-        constants = np.zeros(first + size + len(falling(template.system)))
-        names = self.robot.keys() & self.parameters.keys()
-        for k in range(self.count):
-            try:
-                values = columns.now({name: self.parameters[name][k] for name in names})
-            except InputError as error:
-                raise type(error)(f"member {k}: {error}") from None
-            columns.put(constants, values, values)
-            numbers[k] = constants[first : first + size]
+        names = [name for name in self.robot if name in self.parameters]
+        values = {name: self.parameters[name].reshape(self.count, -1) for name in names}
+        numbers, reasons = RobotColumns(template, layout, 0).rows(values)
+        if reasons:
+            raise RejectedValuesError(reasons)
         return numbers
 
     def _given(self, scene: Scene, numbers: Array | None) -> GivenStates:

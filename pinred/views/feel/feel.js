@@ -72,7 +72,7 @@
     }
     const parts = describe(loop.phase, 4);
     $("phase").replaceChildren(`${loop.name}: ${head.turns ? "turns" : "moves"} the base by `, bold(parts[0]),
-      `${parts[1] ? `, moves it by ${parts[1]}` : ""} a cycle, at zero momentum${cycles ? ` · ${cycles} done` : ""}`);
+      `${parts[1] ? `, moves it by ${parts[1]}` : ""} a cycle${J ? ", at zero momentum" : ""}${cycles ? ` · ${cycles} done` : ""}`);
   }
 
   // -- loops --------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from typing import Any
 
 from ...common.errors import InputError, OutputError
 from ..motion_source import MotionSource
+from .inline_frame import inline_frame, is_notebook
 from .page import page
 from .view_options import View
 
@@ -74,6 +75,9 @@ class Player:
 
     def __repr__(self) -> str:
         return f"Player({self.url!r})"
+
+    def _repr_html_(self) -> str:
+        return inline_frame(self._server.content)
 
 
 def check_port(port: int | None) -> None:
@@ -190,10 +194,10 @@ def serve(
         KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
     """
     player = Player(content, port)
-    wait = not hasattr(sys, "ps1") if wait is None else wait
+    wait = not (hasattr(sys, "ps1") or is_notebook()) if wait is None else wait
     try:
         print(f"{words} {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)
-        if show:
+        if show and not is_notebook():  # A notebook shows the page in its cell.
             player.open()
         if wait:
             player.wait()
