@@ -20,6 +20,7 @@ import pytest
 import pinred
 from pinred.common.errors import InputError
 from pinred.forces import Command, Controller, Torque
+from pinred.integrators.stepping import run_state
 from pinred.integrators.stepping.run_state import LAYOUT
 from pinred.simulation import checkpoint as checkpoint_module
 from pinred.simulation.checkpoint import Checkpoint
@@ -41,6 +42,12 @@ METHODS: list[Any] = [
 
 class Killed(BaseException):
     """The run ends as if its process was killed."""
+
+
+@pytest.fixture(autouse=True)
+def _frequent_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pause often enough for several saves in each run."""
+    monkeypatch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 512)
 
 
 def cat_scene(**options: Any) -> pinred.Scene:
