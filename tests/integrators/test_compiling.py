@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import float64
 from numba.core.errors import TypingError
 
 import pinred
@@ -73,14 +72,13 @@ def loops_of(method: Method) -> list[Any]:
     return list(vars(method.stepper().loops).values())
 
 
-def test_each_loop_has_its_own_cache_key() -> None:
-    """The bytecode of the loops is equal, so only their names distinguish the keys."""
+def test_each_loop_has_its_own_cache_file() -> None:
+    """The bytecode of the loops is equal, so only their names distinguish the files."""
     loops = [loop for method in CASES.values() for loop in loops_of(method)]
     codes = {loop.py_func.__code__.co_code for loop in loops}
-    codegen = loops[0].targetctx.codegen()
-    keys = {loop._cache.compute_key((float64,), codegen) for loop in loops}
+    files = {loop._cache._cache_file._index_name for loop in loops}
     assert len(codes) == 4
-    assert len(keys) == len(loops) == 4 * len(METHODS)
+    assert len(files) == len(loops) == 4 * len(METHODS)
 
 
 def one(x: float) -> float:
@@ -119,7 +117,7 @@ def test_compiled_copies_need_distinct_names(named: bool, tmp_path: Path) -> Non
     for name in ("double", "half"):
         code = CODE.format(tests=str(Path(__file__).parent), named=named, name=name)
         done = subprocess.run(
-            [sys.executable, "-c", code], env={**os.environ, "PINRED_CACHE_DIR": str(tmp_path)},
+            [sys.executable, "-c", code], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
             cwd=PACKAGE.parent, capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
@@ -138,7 +136,7 @@ def test_cache_stamp_depends_on_all_sources() -> None:
     """A change in one file makes the machine code of all others stale."""
     for method in CASES.values():
         for compiled_loop in loops_of(method):
-            assert compiled_loop._cache.stamp == SOURCES
+            assert compiled_loop._cache._cache_file._source_stamp == SOURCES
 
 
 @pytest.mark.parametrize(
@@ -172,7 +170,7 @@ def test_changed_constant_of_module_elsewhere_is_compiled_again(tmp_path: Path) 
         (tmp_path / "other.py").write_text(CONSTANT.format(factor=factor), encoding="utf-8")
         done = subprocess.run(
             [sys.executable, "-B", "-c", "import other; print(other.scale(1.0))"],
-            env={**os.environ, "PINRED_CACHE_DIR": str(tmp_path / "cache"),
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
                  "PYTHONPATH": f"{tmp_path}:{PACKAGE.parent}"},
             capture_output=True, text=True, check=False,
         )  # fmt: skip
@@ -183,10 +181,10 @@ def test_changed_constant_of_module_elsewhere_is_compiled_again(tmp_path: Path) 
 
 def test_modules_with_compiled_functions_have_stamps_of_their_own() -> None:
     """Machine code outside of the integrators is stale when its file changes."""
-    found = lift._lift._cache.stamp  # type: ignore[attr-defined]
-    assert found == stamp_of(PACKAGE / "analysis/phases/lift.py")
-    assert found.startswith(SOURCES)
-    assert found != SOURCES
+    file = lift._lift._cache._cache_file  # type: ignore[attr-defined]
+    assert file._source_stamp == stamp_of(PACKAGE / "analysis/phases/lift.py")
+    assert file._source_stamp.startswith(SOURCES)
+    assert file._source_stamp != SOURCES
     assert stamp_of(PACKAGE / "integrators/integrate.py") == SOURCES
 
 

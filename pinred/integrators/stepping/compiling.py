@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
+from operator import attrgetter
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar
@@ -13,7 +14,6 @@ import numba
 from numba.extending import intrinsic
 
 from ...common.cpu_target import pin_numba
-from .code_cache import CodeCache
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 pin_numba(numba.config)  # before the first function is compiled
@@ -46,12 +46,14 @@ def stamp_of(path: Path) -> str:
 
 def compiled(function: _Function) -> _Function:
     """Compile a function at its first call, without the GIL, and cache it on disk."""
-    dispatcher: Any = numba.njit(**_OPTIONS)(function)
-    # Machine code contains code inlined from other files. The stamp makes it stale when any file
+    dispatcher: Any = numba.njit(cache=True, **_OPTIONS)(function)
+    # numba reuses cached machine code as long as the file of the function is unchanged, although
+    # it contains code inlined from other files. The stamp makes the cached code stale when any file
     # of the integrators or the file of the function changes; functions elsewhere call no compiled
-    # functions of further files. numba offers no public way to set the cache.
-    path = Path(function.__code__.co_filename)
-    vars(dispatcher)["_cache"] = CodeCache(dispatcher.py_func, stamp_of(path))
+    # functions of further files. numba offers no public way to set the stamp.
+    vars(attrgetter("_cache._cache_file")(dispatcher))["_source_stamp"] = stamp_of(
+        Path(function.__code__.co_filename)
+    )
     typed: _Function = dispatcher
     return typed
 
