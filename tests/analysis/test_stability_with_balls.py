@@ -55,7 +55,11 @@ def turn_of_ball(traj: Any, t: float) -> float:
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("springs", [0, 1], ids=["rotation", "oscillation"])
+@pytest.mark.parametrize(
+    "springs",
+    [0, pytest.param(1, marks=pytest.mark.by_hand)],
+    ids=["rotation", "oscillation"],
+)
 def test_multipliers_of_planar_motion_equal_those_of_flow(
     bodies: pinred.System, method: str, springs: int
 ) -> None:

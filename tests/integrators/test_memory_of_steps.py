@@ -10,10 +10,10 @@ from pinred.integrators import integrate
 
 @pytest.mark.parametrize("method", ["RKMK4", "Gauss", "Variational"])
 def test_steps_beyond_memory_are_refused_before_the_first(method: str) -> None:
-    """1e11 steps pass the limit of the counter, but no machine holds their ends."""
-    beanie = pinred.load("elroys_beanie")
+    """With events, 1e11 steps pass the limit of the counter, but no machine holds their ends."""
+    beanie, turn = pinred.load("elroys_beanie"), pinred.Event("x[0]", "turn")
     with pytest.raises(pinred.InputError, match=r"step: expected step ends that fit into"):
-        pinred.simulate(beanie, seed=1, duration=1.0, method=f"{method}(1e-11)")
+        pinred.simulate(beanie, seed=1, duration=1.0, method=f"{method}(1e-11)", events=[turn])
 
 
 def test_limit_is_the_size_of_the_step_ends(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -184,7 +184,7 @@ MANY_WRONG: list[tuple[dict[str, Any], str]] = [
 def test_invalid_state_of_any_member_is_refused(options: dict[str, Any], words: str) -> None:
     """The state of every member is validated."""
     with pytest.raises(pinred.InputError, match=words):
-        pinred.simulate_many(CAT, **options)
+        pinred.simulate_many(CAT, **options, invalid="raise")
 
 
 JOINTS = "the joints are bend, sway, twist"

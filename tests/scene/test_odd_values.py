@@ -145,7 +145,9 @@ def test_huge_angle_is_refused(cat: pinred.System) -> None:
     ):
         pinred.Scene(system=cat, x0=[1e15, 0, 0])
     with pytest.raises(pinred.InputError, match="only accurate to"):
-        pinred.simulate_many(cat, x0=np.array([[0, 0, 0], [0, 0, 1e15]]), duration=0.1)
+        pinred.simulate_many(
+            cat, x0=np.array([[0, 0, 0], [0, 0, 1e15]]), duration=0.1, invalid="raise"
+        )
     assert pinred.Scene(system=cat, x0=[1e6, 0, 0]).start.x[0] == 1e6
 
 

@@ -316,7 +316,7 @@ def test_keys_are_the_options_of_python() -> None:
     tables = [SCENE.keys[name].node for name in ("start", "run")]
     keys = {key for table in tables for key in table.keys}  # type: ignore[attr-defined]
     keys |= set(SCENE.keys) - {"robot", "load", "start", "run"}
-    assert keys == scene | {"samples", "engine", "check"}
+    assert keys == scene | {"samples", "engine", "check", "checkpoint"}
     assert set(LOAD.keys) == {
         "group",
         "gravity",

@@ -162,7 +162,7 @@ def test_adapters_differentiate_quaternion_entries(bodies: pinred.System) -> Non
     np.testing.assert_array_equal(by_casadi[1].full(), jacobian[1])
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_jax_and_torch_differentiate_quaternion_entries(bodies: pinred.System) -> None:
     """Both directions of derivatives equal those between vectors, also in a batch."""
     jax, torch = (pytest.importorskip(name) for name in ("jax", "torch"))

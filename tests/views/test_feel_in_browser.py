@@ -111,6 +111,7 @@ def test_mouse_and_keyboard_move_the_robot(screen: Browser, tmp_path: Path) -> N
     assert complaints(screen) == []
 
 
+@pytest.mark.by_hand
 @pytest.mark.parametrize("name", ["falling_cat_ball", "elroys_beanie"])
 def test_balls_and_single_joints_are_shown(screen: Browser, tmp_path: Path, name: str) -> None:
     """The sliders of a ball move its rotation vector; one joint has no shape plane."""

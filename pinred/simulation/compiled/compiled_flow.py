@@ -79,10 +79,12 @@ class CompiledFlow:
 
         key = PreparedStart, type(plan.method), zero, given.mu is None, all_momenta
         prepared = once(shared, key, make)
-        if prepared is None:
+        flow_kernel = None if prepared is None else prepared.kernel()
+        if flow_kernel is None:
             flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
+        if prepared is None:
             return _set_up(plan, given, conditions, NO_DIFFERENCES, flow_kernel)[0]
-        return cls(prepared.kernel, *prepared.start(state[0], values[0]))
+        return cls(flow_kernel, *prepared.start(state[0], values[0]))
 
     def __getitem__(self, members: object) -> CompiledFlow:
         """Return the flow of the selected member or members."""

@@ -7,6 +7,7 @@ For scenes of one structure, the indices of these copies are therefore computed 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import ref
 
 import numpy as np
 
@@ -85,14 +86,15 @@ class PreparedStart:
     """The indices of all copies at the start of a flow, for scenes of one structure.
 
     Attributes:
-        kernel: Kernel of the flow.
+        kernel: Weak reference to the kernel of the flow.  A structure does not keep kernels beyond
+            those that a system keeps.
         constants: Zero, and the numbers that the scenes share, (c,).
         y0_at: Indices of y0 in (constants, initial state, initial conditions), (k,).
         parameters_at: Indices of the parameters, (p,).
         path_at: Indices of the path, (3k,).
     """
 
-    kernel: Kernel
+    kernel: ref[Kernel]
     constants: Array
     y0_at: Indices
     parameters_at: Indices
@@ -149,12 +151,13 @@ def prepare_start(
     whole = np.concatenate(arrays, axis=1)
     if not (np.isin(whole, np.arange(count + conditions.size))).all():
         return None
-    prepared = PreparedStart(kernel, values, *(array[0].astype(np.intp) for array in arrays))
-    return prepared if _are_copies(prepared, given, conditions, constants) else None
+    prepared = PreparedStart(ref(kernel), values, *(array[0].astype(np.intp) for array in arrays))
+    return prepared if _are_copies(prepared, layout, given, conditions, constants) else None
 
 
 def _are_copies(
     prepared: PreparedStart,
+    layout: Layout,
     given: GivenStates,
     conditions: InitialConditionsKernel,
     constants: Constants,
@@ -166,7 +169,7 @@ def _are_copies(
     )
     states = GivenStates(pose, x, xdot, motion, None)
     outputs = rng.random((1, conditions.size))
-    expected = assemble(prepared.kernel.layout, states, conditions.split(outputs), constants, down)
+    expected = assemble(layout, states, conditions.split(outputs), constants, down)
     state = [states.pose[0], states.x[0], states.xdot[0], states.motion[0]]
     copies = prepared.start(np.concatenate(state), outputs[0])
     return all(np.array_equal(a[0], b) for a, b in zip(expected, copies, strict=True))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from typing import NamedTuple
+from weakref import ref
 
 import numpy as np
 
@@ -21,6 +24,7 @@ from ...integrators.integrate import Integration
 from ...integrators.methods import Method
 from ...integrators.run_keeper import RunKeeper
 from ...integrators.solution import Solution
+from ...kernels.derived_code import tangent_of
 from ...kernels.kernel import Kernel
 from ...reduction.inertia_split import lost_inertia
 from ...scene.scene import Scene
@@ -28,6 +32,22 @@ from ..loop_forces import near_singular_loops
 from ..plan import Plan
 from ..reduced_flow import Integrate, Segment
 from .compiled_flow import CompiledFlow
+
+
+class _Shared(NamedTuple):
+    """The integration of a structure with a kernel, which it does not keep alive."""
+
+    kernel: ref[Kernel]
+    method: Method
+    integration: Integration
+
+
+def _tangent_of(kernel: ref[Kernel]) -> int:
+    """Return the address of the derivative of a kernel that is in use."""
+    used = kernel()
+    assert used is not None
+    return tangent_of(used).address
+
 
 _compiled_methods: set[type[Method]] = set()
 # Largest rotation of a joint within one step of constant length [rad].
@@ -53,19 +73,22 @@ def integrator(
 
     n = max(1, len(flow.y0))
 
-    def prepare(end: float, times: Array) -> Integration:
+    def prepare(end: float, times: Array, tangent: Callable[[], int] = flow.tangent) -> Integration:
         return Integration(
-            method, address, n, end, times, layout.quaternions, layout.canonical, flow.tangent
+            method, address, n, end, times, layout.quaternions, layout.canonical, tangent
         )
-
-    def prepare_whole() -> tuple[Integration, Kernel, Method]:
-        # The objects whose identities are the key stay alive with the value.
-        return prepare(scene.end, reports), flow.kernel, method
 
     def whole() -> Integration:
         """Return the integration over the whole time, which scenes of one structure share."""
-        key = Integration, id(flow.kernel), id(method)
-        return once(scene.shared, key, prepare_whole)[0]
+        shared: dict[int, _Shared] = once(scene.shared, Integration, dict)
+        found = shared.get(id(flow.kernel))
+        if found is None or found.kernel() is not flow.kernel or found.method is not method:
+            for dropped in [k for k, each in list(shared.items()) if each.kernel() is None]:
+                shared.pop(dropped, None)
+            kernel = ref(flow.kernel)
+            integration = prepare(scene.end, reports, partial(_tangent_of, kernel))
+            found = shared[id(flow.kernel)] = _Shared(kernel, method, integration)
+        return found.integration
 
     def run(
         start: float,
