@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats, positive, read_only, whole
+from ..common.call_texts import build_from_text
 from ..common.errors import InputError
+from ..common.names import brief, quoted
 
-_TINY = 2.0**-64  # least distance of a uniform number from 0 and 1 in normal distributions
+# Least distances of a uniform number from 0 and from 1, so that normal values are finite.
+_ABOVE_0, _BELOW_1 = 2.0**-64, 2.0**-53
 
 
+@checks_arguments
 class Distribution(ABC):
     """A distribution of one number."""
 
@@ -29,6 +35,7 @@ class Distribution(ABC):
         """
 
 
+@checks_arguments
 class Listed(Distribution):
     """A distribution of equally probable listed values, which a grid takes in order."""
 
@@ -40,7 +47,7 @@ class Listed(Distribution):
     def at(self, u: Array) -> Array:
         """Return listed values; see Distribution."""
         values = self.listed
-        return values[np.minimum((u * len(values)).astype(int), len(values) - 1)]
+        return np.asarray(values[np.minimum((u * len(values)).astype(int), len(values) - 1)])
 
 
 @checks_arguments
@@ -108,7 +115,7 @@ class Normal(Distribution):
         """Return values; see Distribution."""
         from scipy.special import ndtri
 
-        return np.asarray(self.mean + self.deviation * ndtri(np.clip(u, _TINY, 1.0 - 2.0**-53)))
+        return np.asarray(self.mean + self.deviation * ndtri(np.clip(u, _ABOVE_0, 1.0 - _BELOW_1)))
 
 
 @checks_arguments
@@ -137,9 +144,9 @@ class Grid(Listed):
 
 
 @checks_arguments
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Values(Listed):
-    """Given values.
+    """Listed values, equally probable.
 
     Attributes:
         values: The values, (count,).
@@ -153,10 +160,46 @@ class Values(Listed):
             raise InputError("values of Values must be a list of finite numbers")
         object.__setattr__(self, "values", read_only(values.copy()))
 
+    def __repr__(self) -> str:
+        return f"Values({self.listed.tolist()})"
+
     @property
     def listed(self) -> Array:
         """The values, (count,)."""
         return np.asarray(self.values)
+
+
+DISTRIBUTIONS: Mapping[str, type[Distribution]] = {
+    kind.__name__: kind for kind in (Uniform, LogUniform, Normal, Grid, Values)
+}
+
+
+def parse_distribution(value: Any, key: str) -> Distribution:
+    """Convert a distribution, a text such as "Uniform(0.5, 2)", or a list of values.
+
+    Args:
+        value: The distribution.
+        key: Name of the number that varies, for messages.
+    Returns:
+        The distribution.
+    Raises:
+        InputError: The value has another form.
+    """
+    if isinstance(value, Distribution):
+        return value
+    if isinstance(value, str):
+        try:
+            kinds: Mapping[str, Any] = DISTRIBUTIONS
+            law: Distribution = build_from_text(value, kinds, "distribution", "", "Uniform(0.5, 2)")
+        except InputError as error:
+            raise InputError(f"vary: {quoted(key)}: {error}") from None
+        return law
+    if isinstance(value, (list, tuple, range, np.ndarray)):
+        return Values(value)
+    raise InputError(
+        f"vary: {quoted(key)}: expected a distribution ({', '.join(DISTRIBUTIONS)}), one of these "
+        f"as text, or a list of values, got {brief(value)}"
+    )
 
 
 def _increasing(low: float, high: float, name: str) -> None:
