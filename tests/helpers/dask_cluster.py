@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -33,8 +34,6 @@ class DaskCluster:
             if file.exists() and file.read_text():
                 break
             time.sleep(0.05)
-        import json
-
         self.address = str(json.loads(file.read_text())["address"])
         self.workers: list[subprocess.Popen[bytes]] = []
 
