@@ -116,6 +116,14 @@ from .simulation.recording import read_recording as read_recording
 from .simulation.simulate import simulate as simulate
 from .simulation.simulate_many import simulate_many as simulate_many
 from .simulation.trajectory import Trajectory as Trajectory
+from .sweeps.distributions import Distribution as Distribution
+from .sweeps.distributions import Grid as Grid
+from .sweeps.distributions import LogUniform as LogUniform
+from .sweeps.distributions import Normal as Normal
+from .sweeps.distributions import Uniform as Uniform
+from .sweeps.distributions import Values as Values
+from .sweeps.sweep import open_sweep as open_sweep
+from .sweeps.sweep import sweep as sweep
 from .system.coordinates import Configuration as Configuration
 from .system.coordinates import InitialState as InitialState
 from .system.coordinates import Velocity as Velocity
