@@ -128,6 +128,7 @@ from .system.coordinates import Configuration as Configuration
 from .system.coordinates import InitialState as InitialState
 from .system.coordinates import Velocity as Velocity
 from .system.load import load as load
+from .system.loops.loop import JointPolynomial as JointPolynomial
 from .system.loops.loop import Loop as Loop
 from .system.robot_description import Model as Model
 from .system.state_fields import ShapeState as ShapeState
