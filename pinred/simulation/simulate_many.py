@@ -134,6 +134,7 @@ def _run(
     rejected: Sequence[Failure] = (),
 ) -> Trajectories:
     from .compiled.compiled_flow import flows_of
+    from .members.closed_members import reject_singular
     from .members.integrate_members import integrate_members
 
     batches: list[Batch] = []
@@ -163,6 +164,7 @@ def _run(
             )
             batches.append(batch)
             failures += batch.failures
+            failures += reject_singular(batch, group.plan.scene.report_times, members.scene_of)
             done += len(members_of_flow)
     failures.sort(key=lambda failure: failure.member)
     return Trajectories((members.count, members.scene_of), batches, single, failures)

@@ -10,11 +10,12 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array, entries_of, read_only
-from ..common.errors import InputError
-from ..common.names import brief, nearest
+from ..common.errors import InputError, UnsupportedOperationError
+from ..common.names import brief, nearest, quoted
 from .body_parameters import SIZES as BODY_SIZES
 from .body_parameters import Bodies, body_names, body_parameter, inertia_of, numbers
 from .joint_parameters import PLACED, Joints, joint_parameter
+from .loops.loop_closure import loop_joints
 from .system import System
 from .variants import in_gravity, nominal, with_numbers
 
@@ -152,10 +153,8 @@ class ModelParameters:
             names: Names of the parameters.
         Raises:
             InputError: Two parameters set the same property.
-            UnsupportedOperationError: The robot has closed loops.
+            UnsupportedOperationError: A parameter changes the lengths of a closed loop.
         """
-        if names:
-            system.refuse_loops("robot parameters")
         self._system = system
         self._bodies, self._joints = Bodies(system, names), Joints(system, names)
         self._gravity = [name for name in names if isinstance(name, str) and name in GRAVITY]
@@ -175,6 +174,21 @@ class ModelParameters:
         self.free = tuple(sorted({*self._bodies.free, *self._joints.free}))
         self.placed, self.turned = self._joints.placed, self._joints.turned
         self.links = self._joints.links
+        self._refuse_lengths_of_loops()
+
+    def _refuse_lengths_of_loops(self) -> None:
+        """Raise UnsupportedOperationError if a placement changes the equations of a loop."""
+        model = self._system.model
+        joints = loop_joints(self._system) if self._system.loops else frozenset[int]()
+        placed = [model.names[i + 1] for i in self.placed if i + 1 in joints]
+        ends = {name for loop in self._system.loops for name in (loop.frame_a, loop.frame_b)}
+        placed += [model.frames[k].name for k in self.links if model.frames[k].name in ends]
+        if placed:
+            raise UnsupportedOperationError(
+                f"parameters: the placement of {quoted(placed[0])} changes the lengths of a closed "
+                f"loop of '{self._system.name}', and then the loops must be assembled again. Load "
+                "the robot with the other placement, or vary masses, centres and inertias."
+            )
 
     def own(self) -> dict[str, Array]:
         """Return the current values of the parameters in the system, {name: (size,)}."""

@@ -98,13 +98,20 @@ def singularity(system: LoopedSystem, x: Array) -> float:
 def loop_rates(system: LoopedSystem) -> frozenset[int]:
     """Return the indices of the shape rates that move a loop."""
     moving: list[int] = []
-    for loop in system.loops:
-        a, b = (_path(system, end.joint) for end in loop_ends(system.model, loop))
-        for joint in a ^ b:
-            moving += range(*system.tree.joints[joint - 2].v.indices(system.tree.m))
+    for joint in loop_joints(system):
+        moving += range(*system.tree.joints[joint - 2].v.indices(system.tree.m))
     if system.coupled is None:
         return frozenset(moving)
     return frozenset(np.flatnonzero(system.coupled.G[moving].any(axis=0)).tolist())
+
+
+def loop_joints(system: LoopedSystem) -> frozenset[int]:
+    """Return the indices in the model of the joints that move a loop."""
+    joints = set[int]()
+    for loop in system.loops:
+        a, b = (_path(system, end.joint) for end in loop_ends(system.model, loop))
+        joints |= a ^ b
+    return frozenset(joints)
 
 
 def _path(system: LoopedSystem, joint: int) -> set[int]:
