@@ -11,11 +11,12 @@ import pinocchio as pin
 
 from ..common.arrays import Array, entries_of, read_only
 from ..common.errors import InputError, UnsupportedOperationError
-from ..common.names import brief, nearest, quoted
+from ..common.names import brief, listed, nearest, quoted
 from .body_parameters import SIZES as BODY_SIZES
 from .body_parameters import Bodies, body_names, body_parameter, inertia_of, numbers
 from .joint_parameters import PLACED, Joints, joint_parameter
-from .loops.loop_closure import loop_joints
+from .loops.loop import Loop
+from .loops.loop_closure import moving_joints
 from .system import System
 from .variants import in_gravity, nominal, with_numbers
 
@@ -152,7 +153,8 @@ class ModelParameters:
             system: The robot.
             names: Names of the parameters.
         Raises:
-            InputError: Two parameters set the same property.
+            InputError: Two parameters set the same property, or a parameter would open a loop that
+                couplings replace.
             UnsupportedOperationError: A parameter changes the lengths of a closed loop.
         """
         self._system = system
@@ -174,20 +176,27 @@ class ModelParameters:
         self.free = tuple(sorted({*self._bodies.free, *self._joints.free}))
         self.placed, self.turned = self._joints.placed, self._joints.turned
         self.links = self._joints.links
-        self._refuse_lengths_of_loops()
+        self._refuse_in_loops()
 
-    def _refuse_lengths_of_loops(self) -> None:
-        """Raise UnsupportedOperationError if a placement changes the equations of a loop."""
-        model = self._system.model
-        joints = loop_joints(self._system) if self._system.loops else frozenset[int]()
-        placed = [model.names[i + 1] for i in self.placed if i + 1 in joints]
-        ends = {name for loop in self._system.loops for name in (loop.frame_a, loop.frame_b)}
-        placed += [model.frames[k].name for k in self.links if model.frames[k].name in ends]
-        if placed:
-            raise UnsupportedOperationError(
-                f"parameters: the placement of {quoted(placed[0])} changes the lengths of a closed "
-                f"loop of '{self._system.name}', and then the loops must be assembled again. Load "
-                "the robot with the other placement, or vary masses, centres and inertias."
+    def _refuse_in_loops(self) -> None:
+        """Reject parameters that change the lengths of loops."""
+        system = self._system
+        moved, links = {body + 1 for body in self.placed}, {*self.links}
+        for loop in (*system.loops, *system.contents.coupled_loops):
+            ends = {loop.frame_a, loop.frame_b} if isinstance(loop, Loop) else set()
+            fixed = loop in system.loops and not isinstance(loop, Loop)
+            if fixed or not (moving_joints(system, loop) & moved or ends & links):
+                continue
+            names = listed([name for name in self.names if "." in name], 6)
+            if loop in system.loops:
+                raise UnsupportedOperationError(
+                    f"parameters: {names} change the lengths of the closed loop "
+                    f"{quoted(loop.name)}, which would have to be assembled again. Load the robot "
+                    "with other placements, or vary masses, centres and inertias."
+                )
+            raise InputError(
+                f"parameters: {names}: loop {quoted(loop.name)} is a coupling for the "
+                "placements in the file, so they cannot vary. Load the robot with other placements."
             )
 
     def own(self) -> dict[str, Array]:
