@@ -204,7 +204,7 @@ def test_bar_shows_rate_and_remaining_time(monkeypatch: pytest.MonkeyPatch) -> N
             pass
 
     monkeypatch.setattr(progress, "_screen", Screen)
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("pinred.common.progress.time.monotonic", lambda: now[0])
     with progress.ProgressBar("sweep", 1000, "points") as bar:
         for elapsed, part in ((0.0, 0.5), (10.0, 0.6), (20.0, 0.95), (30.0, 1.0)):
             now[0] = 100.0 + elapsed
