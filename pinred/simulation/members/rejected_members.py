@@ -51,7 +51,7 @@ def separate_rejected(options: MemberOptions, invalid: Invalid) -> tuple[Members
     kept = np.setdiff1d(np.arange(options.count), list(reasons))
     resolved = options.select(kept).members()
     groups = [replace(group, members=kept[group.members]) for group in resolved.groups]
-    failures = [Failure(k, 0.0, reason) for k, reason in sorted(reasons.items())]
+    failures = [Failure(k, 0.0, reason, rejected=True) for k, reason in sorted(reasons.items())]
     return Members(options.count, groups, partial(_scene, resolved.scene_of, kept)), failures
 
 
