@@ -1,4 +1,4 @@
-"""Each row of the README's table from concept to code, on a robot with balls."""
+"""Each row of the table from concept to code, on a robot with balls."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+CONCEPTS = (Path(__file__).parents[1] / "docs/concepts.md").read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -351,8 +351,8 @@ ROWS: dict[str, Callable[[Diver], None]] = {
 
 
 def test_each_row_is_listed() -> None:
-    """A new row of the README needs an entry."""
-    table = README.split("## From concept to code")[1].split("\n## ")[0]
+    """A new row of docs/concepts.md needs an entry."""
+    table = CONCEPTS.split("# From concept to code")[1].split("\n## ")[0]
     lines = [line for line in table.splitlines() if line.startswith("| ")]
     assert [line.split(" | ")[0].removeprefix("| ") for line in lines[1:]] == list(ROWS)
 
