@@ -124,6 +124,13 @@ def sweep(folder: int) -> None:
             _remove_if_unlocked(folder, name)
 
 
+def remove_temporary_files(folder: Path) -> None:
+    """Remove temporary files of ended processes from a folder and all folders in it."""
+    for path in {file.parent for file in folder.rglob(".pinred-*.tmp")}:
+        with suppress(OSError), _folder(path / "any") as descriptor:
+            sweep(descriptor)
+
+
 def _remove_if_unlocked(folder: int, name: str) -> None:
     with suppress(OSError):
         descriptor = os.open(name, os.O_RDWR | os.O_NONBLOCK | _NO_LINKS, dir_fd=folder)

@@ -14,6 +14,7 @@ from ..common.errors import IntegrationError
 from ..common.names import listed
 from ..reduction.inertia_split import symmetric
 from ..system.loops.kinematics import rotation_axes
+from ..system.loops.loop import Loop
 from ..system.loops.loop_closure import singularity
 from ..system.loops.looped_system import loop_kinematics
 from ..system.state_fields import State
@@ -44,14 +45,19 @@ def loop_forces(
         samples: States that forces depend on, and parameters of the forces, at these times.
     Returns:
         {loop: wrench (T, 6)}: force [N] and moment [N·m] of frame a on frame b at its origin, in
-        the axes of frame a.
+        the axes of frame a.  A polynomial of joints has the force on its follower, (T, 1)
+        [N | N·m].
     """
     system = plan.system
-    wrenches = {loop.name: np.zeros((len(states.t), 6)) for loop in system.loops}
+    count = len(states.t)
+    wrenches = {
+        loop.name: np.zeros((count, 6 if isinstance(loop, Loop) else 1)) for loop in system.loops
+    }
     for k, sample in enumerate(samples if system.loops else ()):
         multipliers = _multipliers(plan, states, k, *sample)
         for loop, rows in zip(system.loops, loop_kinematics(system).rows, strict=True):
-            wrenches[loop.name][k] = _wrench(loop.kind, multipliers[rows])
+            own = multipliers[rows]
+            wrenches[loop.name][k] = _wrench(loop.kind, own) if isinstance(loop, Loop) else own
     return {name: read_only(wrench) for name, wrench in wrenches.items()}
 
 

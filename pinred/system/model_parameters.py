@@ -11,10 +11,12 @@ import pinocchio as pin
 
 from ..common.arrays import Array, entries_of, read_only
 from ..common.errors import InputError
-from ..common.names import brief, nearest
+from ..common.names import brief, listed, nearest, quoted
 from .body_parameters import SIZES as BODY_SIZES
 from .body_parameters import Bodies, body_names, body_parameter, inertia_of, numbers
 from .joint_parameters import PLACED, Joints, joint_parameter
+from .loops.loop import Loop
+from .loops.loop_closure import moving_joints
 from .system import System
 from .variants import in_gravity, nominal, with_numbers
 
@@ -151,7 +153,8 @@ class ModelParameters:
             system: The robot.
             names: Names of the parameters.
         Raises:
-            InputError: Two parameters set the same property.
+            InputError: Two parameters set the same property, or a parameter would open a loop that
+                couplings replace.
             UnsupportedOperationError: The robot has closed loops.
         """
         if names:
@@ -175,6 +178,20 @@ class ModelParameters:
         self.free = tuple(sorted({*self._bodies.free, *self._joints.free}))
         self.placed, self.turned = self._joints.placed, self._joints.turned
         self.links = self._joints.links
+        self._refuse_in_coupled_loops()
+
+    def _refuse_in_coupled_loops(self) -> None:
+        """Reject parameters that would open a loop that couplings replace."""
+        system = self._system
+        moved, links = {body + 1 for body in self.placed}, {*self.links}
+        for loop in system.contents.coupled_loops:
+            ends = {loop.frame_a, loop.frame_b} if isinstance(loop, Loop) else set()
+            if moving_joints(system, loop) & moved or ends & links:
+                names = listed([name for name in self.names if "." in name], 6)
+                raise InputError(
+                    f"parameters: {names}: loop {quoted(loop.name)} is a coupling for the "
+                    "placements in the file, so they cannot vary. Pass the loop with coupled=False."
+                )
 
     def own(self) -> dict[str, Array]:
         """Return the current values of the parameters in the system, {name: (size,)}."""

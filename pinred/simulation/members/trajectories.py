@@ -164,14 +164,23 @@ class Trajectories(OverTime):
     @cached_property
     def outputs(self) -> State | ShapeState:
         """States of all members at the report times, (N, T, …), computed at first access."""
-        kind, N = State if self._wanted else ShapeState, len(self)
-        missing = _missing_states(self.system, self.t, wanted=self._wanted)
-        fields = {
-            name: np.empty((N, *row.shape))
-            for name, row in arrays_of(missing).items()
-            if name != "t"
-        }
-        alone = np.ones(N, bool)
+        kind = State if self._wanted else ShapeState
+        names = [name for name in kind.__dataclass_fields__ if name != "t"]
+        return kind(t=self.t, **self.fields(names))
+
+    def fields(self, names: Sequence[str]) -> dict[str, Array]:
+        """Compute some fields of the states of all members, without the others.
+
+        Args:
+            names: Names of fields of State, except the time.
+        Returns:
+            {name: (N, T, …)}.
+        """
+        if "outputs" in vars(self):
+            return {name: getattr(self.outputs, name) for name in names}
+        missing = arrays_of(_missing_states(self.system, self.t, wanted=self._wanted))
+        fields = {name: np.empty((len(self), *missing[name].shape)) for name in names}
+        alone = np.ones(len(self), bool)
         for batch in self._batches:
             assert batch.flow is not None
             batch.flow.fill_states(self.t, batch.y, batch.members, fields)
@@ -180,7 +189,7 @@ class Trajectories(OverTime):
             states = self._states(member)
             for name, field in fields.items():
                 field[member] = getattr(states, name)
-        return kind(t=self.t, **fields)
+        return fields
 
     def __getitem__(self, member: int) -> Trajectory:
         """Return the motion of one member.
