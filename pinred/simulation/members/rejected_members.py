@@ -12,6 +12,7 @@ import numpy as np
 
 from ...common.errors import (
     InputError,
+    LoopWarning,
     PinredError,
     RejectedValuesError,
     RejectedWarning,
@@ -123,7 +124,9 @@ def _try_members(options: MemberOptions, members: Indices) -> dict[int, str]:
     if not members.size:
         return {}
     try:
-        options.select(members).members()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LoopWarning)  # the valid members repeat it together
+            options.select(members).members()
     except PinredError as error:
         return _find_rejected(options, members, error)
     return {}
