@@ -230,13 +230,16 @@ class Trajectories(OverTime):
         for its failure or "", and `reached`, (N,), the last time [s].  `gravity` is (N, 3), and
         `parameter_values`, (N, …), include the parameters of forces.
 
+        A .zarr folder names its dimensions, and replaces an existing one.  `read_members` and
+        `xarray.open_zarr(path, consolidated=False)` read it.
+
         An InputError is raised for another suffix or a missing folder, an OutputError if writing
         fails, and a MissingPackageError if zarr is not installed.
 
         Args:
             path: Path of the file; its suffix, .npz or .zarr, selects the format.
         """
-        path = check_path(path, (".npz", ".zarr"))
+        path = check_path(path, (".npz", ".zarr"), folders=(".zarr",))
         reasons, reached = [""] * len(self), np.full(len(self), float(self.t[-1]))
         for failure in self.failures:
             reasons[failure.member], reached[failure.member] = failure.reason, failure.time
@@ -250,7 +253,7 @@ class Trajectories(OverTime):
         if path.suffix == ".npz":
             write_atomic(path, lambda file: np.savez_compressed(file, **arrays))
         else:
-            write_zarr(path, arrays)
+            write_zarr(path, arrays, self.system)
 
     def _states(self, member: int) -> State | ShapeState:
         """Return the states of one member at the report times; NaN after the member has failed."""
