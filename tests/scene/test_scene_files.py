@@ -315,7 +315,7 @@ def test_keys_are_the_options_of_python() -> None:
     scene = {entry.name for entry in fields(pinred.Scene)} - {"system"}
     tables = [SCENE.keys[name].node for name in ("start", "run")]
     keys = {key for table in tables for key in table.keys}  # type: ignore[attr-defined]
-    keys |= set(SCENE.keys) - {"robot", "load", "start", "run"}
+    keys |= set(SCENE.keys) - {"robot", "load", "start", "run", "sweep"}
     assert keys == scene | {"samples", "engine", "check", "checkpoint"}
     assert set(LOAD.keys) == {
         "group",
