@@ -29,8 +29,10 @@ def with_closed_loops(
     J = np.zeros((system.closure.rank, len(v)))
     J[:, r:] = loop_jacobian(system, x)[system.closure.rows]
     response = np.linalg.solve(H, J.T)
-    v = v - response @ np.linalg.solve(J @ response, J @ v)
-    nu = rng.normal(size=len(J))
+    # Multipliers of this size have impulses of the size of the momenta, in every unit.
+    nu = np.linalg.solve(J @ response, J @ v)
+    v = v - response @ nu
+    nu *= rng.uniform(0.5, 2.0, len(nu))
     return v, (H @ v + J.T @ nu)[r:], nu
 
 
