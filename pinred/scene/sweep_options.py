@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias, get_args
 
 from .scene_options import Option
 from .toml.file_place import Place
-from .toml.schema import ByName, Either, ListOf, Node, Schema, Text, Whole
+from .toml.schema import ByName, Either, Key, ListOf, Node, Schema, Table, Text, Whole
 from .toml.signal_tables import NUMBERS
 
 Sampler: TypeAlias = Literal["sobol", "latin", "random", "grid"]
@@ -31,10 +31,12 @@ class Laws(Node):
         """Return {name with dots: text or list of numbers}."""
         laws: dict[str, Any] = {}
         for name, entry in value.items():
-            node: Node = self if isinstance(entry, dict) else _LAW
-            read = node.read(entry, place / name)
-            nested = {f"{name}.{end}": law for end, law in read.items()} if node is self else {}
-            for key, law in (nested or {name: read}).items():
+            if isinstance(entry, dict):
+                nested = self.read(entry, place / name)
+                read = {f"{name}.{end}": law for end, law in nested.items()}
+            else:
+                read = {name: _LAW.read(entry, place / name)}
+            for key, law in read.items():
                 if key in laws:
                     (place / name).fail(f"'{key}' is stated twice")
                 laws[key] = law
@@ -88,3 +90,5 @@ SWEEP_OPTIONS: Mapping[str, Option] = {
         Whole(1), "number of points of a block, which is stored at once", str(BLOCK), "--block N"
     ),
 }  # fmt: skip
+# The table of a scene file.
+SWEEP = Key(Table(SWEEP_OPTIONS, "a sweep"), "numbers that `pinred sweep` varies")

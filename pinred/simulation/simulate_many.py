@@ -144,6 +144,7 @@ def run_members(
         The trajectories of all members.
     """
     from .compiled.compiled_flow import flows_of
+    from .members.closed_members import reject_singular
     from .members.integrate_members import integrate_members
 
     batches: list[Batch] = []
@@ -173,6 +174,7 @@ def run_members(
             )
             batches.append(batch)
             failures += batch.failures
+            failures += reject_singular(batch, group.plan.scene.report_times, members.scene_of)
             done += len(members_of_flow)
     failures.sort(key=lambda failure: failure.member)
     return Trajectories((members.count, members.scene_of), batches, single, failures)

@@ -175,7 +175,7 @@ DISTRIBUTIONS: Mapping[str, type[Distribution]] = {
 
 
 def parse_distribution(value: Any, key: str) -> Distribution:
-    """Convert a distribution, a text such as "Uniform(0.5, 2)", or a list of values.
+    """Convert a distribution, a text such as "Uniform(0.5, 2)" or "[1, 2]", or a list of values.
 
     Args:
         value: The distribution.
@@ -190,7 +190,8 @@ def parse_distribution(value: Any, key: str) -> Distribution:
     if isinstance(value, str):
         try:
             kinds: Mapping[str, Any] = DISTRIBUTIONS
-            law: Distribution = build_from_text(value, kinds, "distribution", "", "Uniform(0.5, 2)")
+            text = f"Values({value})" if value.lstrip().startswith("[") else value
+            law: Distribution = build_from_text(text, kinds, "distribution", "", "Uniform(0.5, 2)")
         except InputError as error:
             raise InputError(f"vary: {quoted(key)}: {error}") from None
         return law

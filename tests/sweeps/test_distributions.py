@@ -44,7 +44,7 @@ def test_text_and_object_are_equal() -> None:
         law = parse_distribution(text, "gain")
         assert type(law) is kind
         assert parse_distribution(repr(law), "gain") == law
-    for value in ([1, 2], "Values([1, 2])", np.array([1.0, 2.0])):
+    for value in ([1, 2], "Values([1, 2])", "[1, 2]", np.array([1.0, 2.0])):
         listed = parse_distribution(value, "gain")
         assert isinstance(listed, pinred.Values)
         assert listed.listed.tolist() == [1.0, 2.0]

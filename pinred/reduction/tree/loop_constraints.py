@@ -20,12 +20,13 @@ from dataclasses import dataclass
 import casadi as ca
 import pinocchio as pin
 
+from ...common.memo import once
 from ...system.loops.kinematics import LoopEnd, loop_ends, rotation_axes
 from ...system.loops.loop import JointPolynomial, Loop
 from ...system.system import System
 from .all_joints import joint_values
 from .articulated_sweep import Swept, step_of
-from .body_frames import Body
+from .body_frames import Body, bodies_of
 from .scalars import Mat, Scalar, Vec, add, dot, mul, solve_ldl, sub, total
 
 GAUGE_RATE = 1.0  # rate at which the impetus approaches the canonical momentum [1/s]
@@ -63,6 +64,19 @@ def constraint_values(system: System, bodies: Sequence[Body], x: Sequence[Scalar
         else:
             values.append(_polynomial(loop, dict(zip(system.tree.x_names, joints, strict=True))))
     return [values[k] for k in system.closure.rows.tolist()]
+
+
+def jacobian_function(system: System) -> ca.Function:
+    """Return the map from a shape x (nx,) to the Jacobian (k, m) of the independent constraints."""
+
+    def make() -> ca.Function:
+        x = ca.SX.sym("x", system.nx)
+        entries = ca.vertsplit(x)
+        phi = ca.vertcat(*constraint_values(system, bodies_of(system), entries))
+        J = ca.jacobian(phi, x) @ _rate_map(system, entries)
+        return ca.Function("loop_jacobian", [x], [ca.densify(J)], {"cse": True})
+
+    return once(system, jacobian_function, make)
 
 
 def solve_with_loops(

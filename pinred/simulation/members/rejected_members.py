@@ -12,6 +12,7 @@ import numpy as np
 
 from ...common.errors import (
     InputError,
+    LoopWarning,
     PinredError,
     RejectedValuesError,
     RejectedWarning,
@@ -72,7 +73,7 @@ def separate_all_rejected(options: MemberOptions) -> tuple[Members, list[Failure
 
 def _without(options: MemberOptions, reasons: dict[int, str]) -> tuple[Members, list[Failure]]:
     """Return the members that are not rejected, and the failures of the rejected ones."""
-    failures = [Failure(k, 0.0, reason) for k, reason in sorted(reasons.items())]
+    failures = [Failure(k, 0.0, reason, rejected=True) for k, reason in sorted(reasons.items())]
     kept = np.setdiff1d(np.arange(options.count), list(reasons))
     if not kept.size:
         return Members(options.count, [], partial(options.scene, common_parameters=True)), failures
@@ -123,7 +124,9 @@ def _try_members(options: MemberOptions, members: Indices) -> dict[int, str]:
     if not members.size:
         return {}
     try:
-        options.select(members).members()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LoopWarning)  # the valid members repeat it together
+            options.select(members).members()
     except PinredError as error:
         return _find_rejected(options, members, error)
     return {}
