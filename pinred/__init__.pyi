@@ -109,6 +109,8 @@ from .simulation.balances import MomentumBalance as MomentumBalance
 from .simulation.events import Crossings as Crossings
 from .simulation.flow_map.flow import Flow as Flow
 from .simulation.flow_map.flow import flow as flow
+from .simulation.members.recorded_members import RecordedMembers as RecordedMembers
+from .simulation.members.recorded_members import read_members as read_members
 from .simulation.members.trajectories import Failure as Failure
 from .simulation.members.trajectories import Trajectories as Trajectories
 from .simulation.recording import Recording as Recording
