@@ -65,6 +65,29 @@ def refuse_in_loops(
         system.refuse_loops(f"method {method.name}")
 
 
+def closed_state(
+    system: System,
+    x: Array,
+    xdot: Array,
+    held: tuple[HeldJoints, HeldJoints],
+    report: tuple[bool, bool],
+    model: ForceModel | None,
+) -> tuple[Array, Array]:
+    """Return the nearest shape (nx,) and rates (m,) that keep all loops closed.
+
+    Args:
+        system: The system, with loops.
+        x: Shape, (nx,), with planned values of prescribed joints.
+        xdot: Shape rate, (m,), with planned values of prescribed joints.
+        held: How the user stated values and rates of joints.
+        report: Whether to report noticeable changes of values, and of rates, in any case.
+        model: Forces and prescribed joints; None if there are none.
+    """
+    driven = () if model is None else model.joints
+    x = closed_shape(system, x, held[0], report=report[0], driven=driven)
+    return x, closed_rates(system, x, xdot, held[1], report=report[1], driven=driven)
+
+
 def closed_shape(
     system: System,
     x: Array,

@@ -25,7 +25,7 @@ from . import input_formats
 from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .joint_values import order_by_joint
-from .loop_states import HeldJoints, closed_rates, closed_shape, held_joints, refuse_in_loops
+from .loop_states import HeldJoints, closed_state, held_joints, refuse_in_loops
 from .option_checks import (
     check_keyframe,
     check_span,
@@ -349,12 +349,8 @@ class Scene(SceneFields):
     def _closed_state(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Return the nearest state that closes all loops, and store it as x0 and xdot0."""
         held: tuple[HeldJoints, HeldJoints] = vars(self)["_held"]
-        model = self.force_model
-        driven = () if model is None else model.joints
-        x = closed_shape(self.system, x, held[0], report=self.q0 is not None, driven=driven)
-        xdot = closed_rates(
-            self.system, x, xdot, held[1], report=self.v0 is not None, driven=driven
-        )
+        report = self.q0 is not None, self.v0 is not None
+        x, xdot = closed_state(self.system, x, xdot, held, report, self.force_model)
         # A copy of the scene then starts at the same state, although it has no joint names.
         for name, values in (("x0", x), ("xdot0", xdot)):
             if getattr(self, name) is not None:
