@@ -1,27 +1,54 @@
-"""Formulas as MathML, which browsers draw without scripts, fonts or network."""
+"""Formulas as MathML, which browsers draw without scripts, with a font of the site."""
 
 from __future__ import annotations
+
+import re
+import shutil
+from importlib.util import find_spec
+from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
+_DIGITS = re.compile(r"\\([tdc]?frac)\s*(\d)\s*(\d)")  # such as \tfrac12
+
+
+def convert(formula: str, *, as_block: bool = False) -> str:
+    """Return a formula in LaTeX as MathML."""
+    # The converter of docutils reads the 12 of \tfrac12 as one number.
+    return str(tex2mathml(_DIGITS.sub(r"\\\1{\2}{\3}", formula), as_block=as_block))
+
+
+def copy_font(folder: Path) -> None:
+    """Copy the font STIX Two Math from the package ziamath, if it is installed.
+
+    Args:
+        folder: Folder of static files. Without the font, browsers use their own.
+    """
+    spec = find_spec("ziamath")
+    if spec is not None and spec.submodule_search_locations:
+        source = Path(spec.submodule_search_locations[0]) / "fonts/STIXTwoMath-Regular.ttf"
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, folder / "STIXTwoMath.ttf")
+
 
 def write_inline(writer: HTML5Translator, node: nodes.math) -> None:
     """Write a formula within a line."""
-    writer.body.append(tex2mathml(node.astext()))
+    writer.body.append(convert(node.astext()))
     raise nodes.SkipNode
 
 
 def write_block(writer: HTML5Translator, node: nodes.math_block) -> None:
     """Write a displayed formula."""
-    formula = tex2mathml(node.astext(), as_block=True)
+    formula = convert(node.astext(), as_block=True)
     writer.body.append(f'<div class="formula">{formula}</div>\n')
     raise nodes.SkipNode
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the renderer `mathml`."""
+    copy_font(Path(app.srcdir) / "generated/static")
     app.add_html_math_renderer("mathml", (write_inline, None), (write_block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
