@@ -165,6 +165,7 @@ def test_formulas_become_mathml(path: Path) -> None:
             assert "<mspace" not in fraction, formula
             assert not re.search(r"<mn>\d\d", fraction), formula
     assert "<mn>1</mn>" in convert(r"\tfrac12\,x")
+    assert "<mi>\N{MATHEMATICAL ITALIC SMALL X}\u0307</mi>" in convert(r"\dot x")
 
 
 def test_every_linked_file_has_a_page() -> None:

@@ -14,11 +14,32 @@ from sphinx.writers.html5 import HTML5Translator
 
 _DIGITS = re.compile(r"\\([tdc]?frac)\s*(\d)\s*(\d)")  # such as \tfrac12
 
+_ACCENT = re.compile(r'<mover accent="true">\s*<mi>(.)</mi>\s*<mo[^>]*>(.)</mo>\s*</mover>')
+_COMBINING = {"˙": "\u0307", "¨": "\u0308"}  # those of time derivatives
+
 
 def convert(formula: str, *, as_block: bool = False) -> str:
     """Return a formula in LaTeX as MathML."""
     # The converter of docutils reads the 12 of \tfrac12 as one number.
-    return str(tex2mathml(_DIGITS.sub(r"\\\1{\2}{\3}", formula), as_block=as_block))
+    formula = _DIGITS.sub(r"\\\1{\2}{\3}", formula)
+    return _ACCENT.sub(_combine, str(tex2mathml(formula, as_block=as_block)))
+
+
+def _combine(match: re.Match[str]) -> str:
+    """Return a letter with its accent as one text; browsers draw accents of `mover` too low."""
+    letter, accent = match.groups()
+    if accent not in _COMBINING:
+        return match[0]
+    return f"<mi>{italic(letter)}{_COMBINING[accent]}</mi>"
+
+
+def italic(letter: str) -> str:
+    """Return the italic form of a Latin or Greek letter, which `mi` uses for single letters."""
+    for first, last, start in (("A", "Z", 0x1D434), ("a", "z", 0x1D44E),
+                               ("Α", "Ω", 0x1D6E2), ("α", "ω", 0x1D6FC)):  # fmt: skip
+        if first <= letter <= last and letter != "h":
+            return chr(start + ord(letter) - ord(first))
+    return "ℎ" if letter == "h" else letter
 
 
 def copy_font(folder: Path) -> None:
