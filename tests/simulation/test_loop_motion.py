@@ -194,6 +194,7 @@ def test_compare_passes_for_a_four_bar_with_a_spring(engine: str) -> None:
     assert {"gap of loops", "rate of the gap [relative]"} <= set(report.checks)
 
 
+@pytest.mark.by_hand
 def test_compare_passes_for_a_gripper_with_a_coupling(tmp_path: Path) -> None:
     """Two loops and a follower leave one motion."""
     path = tmp_path / "gripper.xml"

@@ -73,7 +73,7 @@ def separate_all_rejected(options: MemberOptions) -> tuple[Members, list[Failure
 
 def _without(options: MemberOptions, reasons: dict[int, str]) -> tuple[Members, list[Failure]]:
     """Return the members that are not rejected, and the failures of the rejected ones."""
-    failures = [Failure(k, 0.0, reason) for k, reason in sorted(reasons.items())]
+    failures = [Failure(k, 0.0, reason, rejected=True) for k, reason in sorted(reasons.items())]
     kept = np.setdiff1d(np.arange(options.count), list(reasons))
     if not kept.size:
         return Members(options.count, [], partial(options.scene, common_parameters=True)), failures

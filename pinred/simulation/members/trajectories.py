@@ -38,11 +38,13 @@ class Failure:
         member: Index of the member.
         time: Last time that it reached [s].
         reason: Description of the cause.
+        rejected: Whether its values were rejected, so that it was never simulated.
     """
 
     member: int
     time: float
     reason: str
+    rejected: bool = False
 
 
 @dataclass(frozen=True)
@@ -228,7 +230,8 @@ class Trajectories(OverTime):
         The file contains `t`, (T,), one array (N, T, …) for each other field of State, and the
         robot as `Trajectory.save` writes it.  For each member there are `failure`, (N,), the reason
         for its failure or "", and `reached`, (N,), the last time [s].  `gravity` is (N, 3), and
-        `parameter_values`, (N, …), include the parameters of forces.
+        `parameter_values`, (N, …), include the parameters of forces.  Both are NaN for members
+        whose values were rejected.
 
         A .zarr folder names its dimensions, and replaces an existing one.  `read_members` and
         `xarray.open_zarr(path, consolidated=False)` read it.
@@ -250,6 +253,9 @@ class Trajectories(OverTime):
             "reached": reached,
             **_scene_arrays([self._scene_of(member) for member in range(len(self))]),
         }
+        rejected = [failure.member for failure in self.failures if failure.rejected]
+        for name in {"gravity", "parameter_values"} & set(arrays):
+            arrays[name][rejected] = np.nan
         if path.suffix == ".npz":
             write_atomic(path, lambda file: np.savez_compressed(file, **arrays))
         else:
