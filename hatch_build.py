@@ -8,6 +8,7 @@ from typing import Any
 
 from hatchling.metadata.plugin.interface import MetadataHookInterface
 
+_IMAGE = re.compile(r"!\[([^]]*)\]\((?!https?://)([^)]+)\)")
 _LINK = re.compile(r"\[([^]]+)\]\((?!https?://|#)([^)]+)\)")
 
 
@@ -19,11 +20,14 @@ def link_for_index(text: str, repository: str, version: str) -> str:
         repository: Address of the repository, or "" if there is none.
         version: Version of the package, and the name of its tag without the `v`.
     Returns:
-        The text, with absolute links; without an address, with the text of each link alone.
+        The text, with absolute links; without an address, with the text of each link alone and
+        without pictures.
     """
     if not repository:
-        return _LINK.sub(r"\1", text)
-    return _LINK.sub(rf"[\1]({repository.rstrip('/')}/blob/v{version}/\2)", text)
+        return _LINK.sub(r"\1", _IMAGE.sub("", text))
+    root = repository.rstrip("/")
+    text = _IMAGE.sub(rf"![\1]({root}/raw/v{version}/\2)", text)
+    return _LINK.sub(rf"[\1]({root}/blob/v{version}/\2)", text)
 
 
 class ReadmeHook(MetadataHookInterface):

@@ -21,7 +21,9 @@ from pinred.common.errors import InputError, PinredError, ShapeError
 if TYPE_CHECKING:
     from decimal import Decimal
 
-_TEXT = r"\bstr\b|Literal|Outcome|Axes|Part$|Form$|Engine|Kind\b|WantedOutputs|Method|Invalid"
+_TEXT = (
+    r"\bstr\b|Literal|Outcome|Axes|Part$|Form$|Engine|Kind\b|WantedOutputs|Method|Invalid|Sampler"
+)
 _NUMBERS = r"Array|float|Numbers|PerJoint|LimitsLike|Counts"
 _ANY = r"^(Any|Hashable|T)$"
 # Values, each with the annotations that may admit it.  All other parameters have to reject it.

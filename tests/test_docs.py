@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 import scene_tables
+import site_pages
 from mjcf_constructs import ACTING
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.main import COMMANDS, main
 from pinred.lie import GROUPS
 from pinred.system.catalogue import bundled_folder, bundled_robots
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-CODE: list[str] = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+CONCEPTS = (ROOT / "docs/concepts.md").read_text(encoding="utf-8")
+GROUP_TABLE = (ROOT / "docs/groups.md").read_text(encoding="utf-8")
+CODE: list[str] = site_pages.python_blocks(README)
 
 
 @pytest.mark.slow
@@ -57,15 +59,38 @@ def test_formulas_are_closed() -> None:
     assert prose.count("$`") == prose.count("`$") > 10
 
 
+def test_readme_is_short_and_names_all_commands() -> None:
+    """The README has at most 1,200 words and three pictures, and names every command."""
+    assert len(README.split()) <= 1200
+    pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", README)
+    assert len(pictures) == 3
+    assert [name for name in pictures if not (ROOT / name).exists()] == []
+    words = set(re.findall(r"\w+", " ".join(re.findall(r"`(?:pinred )?([a-z, `]+)`", README))))
+    assert [name for name in COMMANDS if name not in words] == []
+
+
+def test_readme_table_names_functions_that_exist() -> None:
+    """Every function in the table of capabilities exists in `pinred`."""
+    table = README[README.index("| you want |") :].split("\n\n")[0]
+    for row in table.splitlines()[2:]:
+        for name in re.findall(r"`([\w.]+)`", row.split("|")[2]):
+            if name == "pinred.laboratory.bench":
+                continue  # a module
+            module, _, function = name.removeprefix("pinred.").rpartition(".")
+            namespace = import_module(f"pinred.{module}") if module else pinred
+            assert hasattr(namespace, function), name
+
+
 def test_first_readme_example_has_ten_lines() -> None:
     """The first example has at most ten lines and two imports."""
     assert len(CODE[0].strip().splitlines()) <= 12
 
 
 @pytest.mark.slow
-def test_readme_scene_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The scene file of the README runs unchanged and passes its comparison."""
-    (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
+def test_scene_of_howto_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The scene file of the page on scene files runs unchanged and passes its comparison."""
+    page = (ROOT / "docs/howto/scene_file.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     path = tmp_path / "scene.toml"
     path.write_text(text, encoding="utf-8")
     assert main(["run", str(path), "--compare"]) == 0
@@ -99,7 +124,7 @@ def test_concept_table_names_code_that_exists() -> None:
     red = pinred.Reduction(system)
     traj = pinred.simulate(system, duration=0.1)
     scope = {"pinred": pinred, "system": system, "red": red, "traj": traj, "at": red.at(traj.x[0])}
-    table = README[README.index("| concept |") :].split("\n\n")[0]
+    table = CONCEPTS[CONCEPTS.index("| concept |") :].split("\n\n")[0]
     names = re.findall(r"`([a-z]+(?:\.[A-Za-z_]+)+)", table)
     assert len(names) > 12
     for name in names:
@@ -133,10 +158,10 @@ def test_ignored_mjcf_elements_are_documented() -> None:
     assert [kind for kind in (*ACTING, *GROUPS) if kind not in text] == []
 
 
-def test_readme_lists_all_groups() -> None:
+def test_groups_page_lists_all_groups() -> None:
     """Each group has a row with its pose and twist coordinates in their order."""
     rows = {}
-    for line in README[README.index("| `group` |") :].split("\n\n")[0].splitlines()[2:]:
+    for line in GROUP_TABLE[GROUP_TABLE.index("| `group` |") :].split("\n\n")[0].splitlines()[2:]:
         name, *cells = (cell.strip().strip("`()") for cell in line.strip("|").split("|"))
         rows[name] = cells
     assert list(rows) == list(GROUPS)
@@ -156,9 +181,7 @@ def test_errata_name_tests_that_exist() -> None:
         assert f"def {name}(" in source
 
 
-@pytest.mark.parametrize(
-    "path", sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")]), ids=lambda p: p.name
-)
+@pytest.mark.parametrize("path", [ROOT / "README.md", *site_pages.sources()], ids=lambda p: p.name)
 def test_files_that_documents_name_exist(path: Path) -> None:
     """Paths in a document are relative to the project, the package or the document."""
     text = path.read_text(encoding="utf-8")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import api_index
+import site_pages
 
 ROOT = Path(__file__).parent.parent
 _ENTRY = r" +((?:\*{0,2}\w+, )*\*{0,2}\w+)(?: \(.*?\))?:"  # such as `x, xdot (Array): …`
@@ -69,7 +70,7 @@ def test_index_of_public_names_is_complete() -> None:
 
 def test_public_names_appear_in_docs_or_examples() -> None:
     """Every public name is used or explained in a page, an example or the README."""
-    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.py")]
+    pages = [ROOT / "README.md", *site_pages.sources(), *(ROOT / "examples").rglob("*.py")]
     text = "\n".join(page.read_text("utf-8") for page in pages)
     words = set(re.findall(r"\w+", text))
     assert [name for name in api_index.public_names() if name.rpartition(".")[2] not in words] == []

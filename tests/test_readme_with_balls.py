@@ -1,4 +1,4 @@
-"""Each row of the README's table from concept to code, on a robot with balls."""
+"""Each row of the table from concept to code, on a robot with balls."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+CONCEPTS = (Path(__file__).parents[1] / "docs/concepts.md").read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -263,6 +263,24 @@ def pivoted(_: Diver) -> None:
     assert pinred.compare(traj).passed
 
 
+def closed_loops(_: Diver) -> None:
+    """A gripper on closed loops moves as by ABA with multipliers, which it reports."""
+    traj = pinred.simulate(pinred.load("gripper"), seed=1, duration=0.1)
+    assert pinred.compare(traj).passed
+    assert all(np.isfinite(force).all() for force in traj.loop_forces.values())
+
+
+def loop_reduction(_: Diver) -> None:
+    """Joint rates along G keep the loops closed, and their base motion has no momentum."""
+    four_bar = pinred.load("four_bar")
+    traj = pinred.simulate(four_bar, seed=1, duration=0.1)
+    at = pinred.LoopReduction(four_bar).at(traj.x[0])
+    xdot = at.G[:, 0]
+    v = four_bar.v(-at.local_connection[:, 0], xdot)
+    model, q = four_bar.model, traj.q[0]
+    close(pin.computeCentroidalMomentum(model, model.createData(), q, v).vector, 0.0, 10.0)
+
+
 def shape_alone(d: Diver) -> None:
     """The shape does not depend on whether the base is reconstructed."""
     alone = pinred.simulate(d.system, seed=1, duration=0.2, outputs="shape")
@@ -338,6 +356,8 @@ ROWS: dict[str, Callable[[Diver], None]] = {
     "reduced simulation and reconstruction": simulate,
     "forces, prescribed joints, balances, driving torques": forces,
     "heavy tops, pinned chains": pivoted,
+    "closed loops: four-bars, grippers, parallel legs": closed_loops,
+    "the same in independent joints, ẋ = G u̇": loop_reduction,
     "the shape alone": shape_alone,
     "batches over states, parameters, gravity, scenes": many,
     "skipped terms of a scene": skipped,
@@ -351,8 +371,8 @@ ROWS: dict[str, Callable[[Diver], None]] = {
 
 
 def test_each_row_is_listed() -> None:
-    """A new row of the README needs an entry."""
-    table = README.split("## From concept to code")[1].split("\n## ")[0]
+    """A new row of docs/concepts.md needs an entry."""
+    table = CONCEPTS.split("# From concept to code")[1].split("\n## ")[0]
     lines = [line for line in table.splitlines() if line.startswith("| ")]
     assert [line.split(" | ")[0].removeprefix("| ") for line in lines[1:]] == list(ROWS)
 

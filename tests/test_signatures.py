@@ -163,7 +163,14 @@ console_entry()
 
 
 @pytest.mark.slow
-def test_mypy_reports_only_the_misspelt_options_and_wrong_types(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "folders",
+    [["pinred"], pytest.param(["pinred", "tests", "examples"], marks=pytest.mark.by_hand)],
+    ids=len,
+)
+def test_mypy_reports_only_the_misspelt_options_and_wrong_types(
+    folders: list[str], tmp_path: Path
+) -> None:
     """Mypy finds no fault in the checkout, and exactly the marked lines of the snippet.
 
     One run checks both, because it takes a minute.  A cache is used where there is one; to write
@@ -174,7 +181,7 @@ def test_mypy_reports_only_the_misspelt_options_and_wrong_types(tmp_path: Path) 
     cache = ROOT / ".mypy_cache"
     options = ["--no-pretty", f"--cache-dir={cache if cache.exists() else os.devnull}"]
     process = subprocess.run(
-        [sys.executable, "-c", MYPY, *options, "pinred", "tests", "examples", str(path)],
+        [sys.executable, "-c", MYPY, *options, *folders, str(path)],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     pattern = r"^(.*):(\d+): error: .*\[([\w-]+)\]$"

@@ -261,6 +261,7 @@ def test_tutorial_cat_in_one_formula_prints_reference_values(
         assert np.cos(float(printed)) == pytest.approx(np.cos(roll), abs=1e-8)
 
 
+@pytest.mark.by_hand
 def test_tutorial_trusted_height_function_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:
@@ -426,6 +427,7 @@ def test_tutorial_runs_as_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert "".join(output.get("text", "") for output in outputs).count("verdict: PASSED") == 1
 
 
+@pytest.mark.by_hand
 def test_tutorial_steady_spins_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:
@@ -453,6 +455,7 @@ def test_tutorial_double_spherical_pendulum_prints_reference_values(
     assert output.numbers("follows it to N of") == pytest.approx([0.0], abs=1e-2)
 
 
+@pytest.mark.by_hand
 def test_tutorial_twisting_somersault_prints_reference_values(
     run_tutorial: Callable[[str], Output],
 ) -> None:

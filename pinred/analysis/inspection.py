@@ -73,7 +73,7 @@ class Inspection:
             f"{system.mass:g} kg",
             *_wrapped("joints", kinds),
             *(_wrapped("followers", [*map(str, system.couplings)]) if system.couplings else []),
-            *(_wrapped("loops", _loops(system)) if system.loops else []),
+            *(_wrapped("loops", loops) if (loops := _loops(system)) else []),
             f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
             *_wrapped("symmetries", self.symmetries),
             *_wrapped("Casimirs", [", ".join(self.casimirs)] if self.casimirs else []),
@@ -206,11 +206,15 @@ def _is_flat(red: PointwiseReduction) -> bool:
 
 def _loops(system: System) -> list[str]:
     """Return one line for each loop, and one for the equations; none without loops."""
+    coupled = [
+        f"{loop}: linear in independent joints, so its joints are followers"
+        for loop in system.contents.coupled_loops
+    ]
     if system.closure is None:
-        return []
+        return coupled
     count, rank = system.closure.equations, system.closure.rank
     sizes = f"{count} equations of rank {rank}, closed shapes of dimension {system.shape_dim}"
-    return [*map(str, system.loops), sizes]
+    return [*coupled, *map(str, system.loops), sizes]
 
 
 def _labels(inspection: Inspection) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from ..common.errors import (
     LeftOutWarning,
     ModelWarning,
     PinredError,
+    RejectedWarning,
 )
 from ..common.names import plain
 from ..common.version import __version__
@@ -37,6 +38,7 @@ COMMANDS = {  # {command: description}
     "compare": "simulate the reduced equations and compare with the full simulation by ABA",
     "simulate": "simulate the reduced equations and write the motion to a file",
     "run": "simulate the scene in a TOML file",
+    "sweep": "simulate many points of the scene in a TOML file, and store the results",
     "plot": "draw a motion, or the results of `pinred bench accuracy`",
     "play": "play a motion in a browser, or write it as a film",
     "feel": "move the joints by hand in a browser, while the base turns by the connection",
@@ -83,7 +85,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         with warnings.catch_warnings():
             # Overflow and NaN are reported by pinred, so numpy's warnings would repeat them.
             warnings.simplefilter("ignore", RuntimeWarning)
-            for category in (AccuracyWarning, ModelWarning, LeftOutWarning):
+            for category in (AccuracyWarning, ModelWarning, LeftOutWarning, RejectedWarning):
                 warnings.simplefilter("always", category)
             warnings.showwarning = _print_warning  # type: ignore[assignment]
             code: int = options.run(options)

@@ -124,6 +124,13 @@ def sweep(folder: int) -> None:
             _remove_if_unlocked(folder, name)
 
 
+def remove_temporary_files(folder: Path) -> None:
+    """Remove temporary files of ended processes from a folder and all folders in it."""
+    for path in {file.parent for file in folder.rglob(".pinred-*.tmp")}:
+        with suppress(OSError), _folder(path / "any") as descriptor:
+            sweep(descriptor)
+
+
 def _remove_if_unlocked(folder: int, name: str) -> None:
     with suppress(OSError):
         descriptor = os.open(name, os.O_RDWR | os.O_NONBLOCK | _NO_LINKS, dir_fd=folder)
@@ -139,12 +146,15 @@ FIGURES = (".png", ".pdf", ".svg")
 _PATH = getattr(os, "O_PATH", os.O_RDONLY)  # flag for opening folders, also without read permission
 
 
-def check_path(path: str | Path, suffixes: Sequence[str] = DATA) -> Path:
+def check_path(
+    path: str | Path, suffixes: Sequence[str] = DATA, folders: Sequence[str] = ()
+) -> Path:
     """Check that a file can be written at a path.
 
     Args:
         path: Name of the file.
         suffixes: Allowed suffixes.
+        folders: Suffixes of formats that are folders, so that an existing folder is admitted.
     Returns:
         The path.
     Raises:
@@ -160,7 +170,7 @@ def check_path(path: str | Path, suffixes: Sequence[str] = DATA) -> Path:
     try:
         if not path.parent.is_dir():
             raise InputError(f"cannot write {name}: there is no folder {quoted_path(path.parent)}")
-        if path.exists():
+        if path.exists() and not (path.suffix in folders and path.is_dir()):
             _check_old(path, name)
         # Try to write before a long simulation starts, so that it does not fail at its end.
         with _folder(path) as folder, temporary(folder):

@@ -24,11 +24,19 @@ _PATIENCE = 0.5  # time before the first draw [s], so that short work shows no b
 class ProgressBar:
     """A progress bar that disappears when the work ends."""
 
-    def __init__(self, title: str) -> None:
-        """Prepare a bar, which is drawn only in terminals and notebooks."""
-        self._title = title
+    def __init__(self, title: str, count: int = 0, unit: str = "") -> None:
+        """Prepare a bar, which is drawn only in terminals and notebooks.
+
+        Args:
+            title: Title of the bar.
+            count: Number of items; if stated, rate and remaining time are shown, too.
+            unit: Name of the items, in the plural.
+        """
+        self._title, self._count, self._unit = title, count, unit
         self._screen = _screen()
-        self._next = time.monotonic() + _PATIENCE
+        self._began = time.monotonic()
+        self._first: float | None = None  # fraction that was complete at the first call
+        self._next = self._began + _PATIENCE
         self._drawn = False
 
     def __enter__(self) -> ProgressBar:
@@ -40,26 +48,50 @@ class ProgressBar:
 
     def __call__(self, part: float) -> None:
         """Show the completed fraction `part` of the work, from 0 to 1."""
+        if self._first is None:
+            self._first = part
         if self._screen is None or time.monotonic() < self._next:
             return
         self._next, self._drawn = time.monotonic() + _EVERY, True
-        self._screen.draw(self._title, part)
+        self._screen.draw(self._title, part, self._pace(part))
+
+    def _pace(self, part: float) -> str:
+        """Return the rate and the remaining time in words; "" if they are unknown."""
+        done = part - (self._first or 0.0)
+        if not self._count or done <= 0.0:
+            return ""
+        elapsed = time.monotonic() - self._began
+        left = elapsed * (1.0 - part) / done
+        return f", {done * self._count / elapsed:.3g} {self._unit}/s, {_duration(left)} left"
 
 
-def shown(progress: Progress | bool | None, title: str) -> AbstractContextManager[Progress | None]:
+def _duration(seconds: float) -> str:
+    """Return a duration in words, such as "12 s" or "1 h 05 min"."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+def shown(
+    progress: Progress | bool | None, title: str, count: int = 0, unit: str = ""
+) -> AbstractContextManager[Progress | None]:
     """Return a context that yields the function to call with the completed fraction.
 
     Args:
         progress: True for a bar, None or False for no bar, or a function that is called with the
             completed fraction.
         title: Title of the bar.
+        count: Number of items; if stated, the bar shows rate and remaining time, too.
+        unit: Name of the items, in the plural.
     Returns:
         The context; it yields None if no progress is shown.
     Raises:
         InputError: `progress` has another type.
     """
     if progress is True:
-        return ProgressBar(title)
+        return ProgressBar(title, count, unit)
     if not (progress is None or progress is False or callable(progress)):
         raise InputError(
             f"progress must be True or a function of the completed fraction, got {progress!r}"
@@ -96,8 +128,8 @@ def quiet(part: float) -> None:
 class _Screen(Protocol):
     """An output device that can draw a bar."""
 
-    def draw(self, title: str, part: float) -> None:
-        """Draw the bar over the previous one."""
+    def draw(self, title: str, part: float, pace: str) -> None:
+        """Draw the bar over the previous one, with rate and remaining time in words."""
 
     def clear(self) -> None:
         """Remove the bar."""
@@ -114,8 +146,8 @@ def _screen() -> _Screen | None:
 class _Terminal:
     """A bar in one line of standard error."""
 
-    def draw(self, title: str, part: float) -> None:
-        sys.stderr.write(f"\r\033[K{_line(title, part)}")
+    def draw(self, title: str, part: float, pace: str) -> None:
+        sys.stderr.write(f"\r\033[K{_line(title, part)}{pace}")
         sys.stderr.flush()
 
     def clear(self) -> None:
@@ -128,10 +160,10 @@ class _Notebook:
 
     _handle: Any = None
 
-    def draw(self, title: str, part: float) -> None:
+    def draw(self, title: str, part: float, pace: str) -> None:
         bar = f'<progress value="{part:.3f}" max="1"></progress>'
-        html = f"<div>{escape(title)} {bar} {100 * part:.0f} %</div>"
-        self._show({"text/plain": _line(title, part), "text/html": html})
+        html = f"<div>{escape(title)} {bar} {100 * part:.0f} %{escape(pace)}</div>"
+        self._show({"text/plain": _line(title, part) + pace, "text/html": html})
 
     def clear(self) -> None:
         # A single output cannot be removed, so make it empty instead.

@@ -14,6 +14,7 @@ from ..common.parameter import Parameter
 from ..system.attitude import attitude_of
 from ..system.force_interface import finite
 from .force import Limit, Named, Symbols, Terms, limited
+from .prescribed_joints import signals_of
 from .signals import Attitude, Signal
 from .tracking import attitude_errors
 
@@ -54,7 +55,7 @@ class BallPD(Named):
     @property
     def signals(self) -> Iterable[Signal]:
         """Signals in the attitude."""
-        return tuple(self.attitude.vector) if isinstance(self.attitude, Attitude) else ()
+        return signals_of(self.attitude)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the torques as expressions.

@@ -71,11 +71,7 @@ def rates_of_joint(system: System, name: str, plan: Any, what: str) -> list[int]
     space = system.space
     balls = {joint.name: joint for joint in space.balls}
     if name in balls:
-        if not isinstance(plan, Attitude):
-            raise InputError(
-                f"{what}['{name}'] is a ball joint: expected an Attitude, or three signals, "
-                f"numbers or formulas of a rotation vector, got {plan!r}"
-            )
+        require_attitude(plan, f"{what}['{name}']")
         return list(range(balls[name].v.start, balls[name].v.stop))
     if balls and name in space.names and name not in space.x_names:
         ball, _, _ = name.rpartition(".")
@@ -91,6 +87,15 @@ def rates_of_joint(system: System, name: str, plan: Any, what: str) -> list[int]
             "got an Attitude"
         )
     return [space.names.index(name)]
+
+
+def require_attitude(plan: Any, what: str) -> None:
+    """Raise InputError if the plan of a ball joint is no Attitude."""
+    if not isinstance(plan, Attitude):
+        raise InputError(
+            f"{what} is a ball joint: expected an Attitude, or three signals, numbers or formulas "
+            f"of a rotation vector, got {plan!r}"
+        )
 
 
 def prescribed_motion(

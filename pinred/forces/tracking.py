@@ -18,7 +18,7 @@ from ..common.errors import InputError
 from ..common.parameter import Parameter
 from ..system.ball_forces import rotation_vector
 from .force import Limit, Named, PerJoint, Symbols, Terms, limited, of_time, per_joint
-from .prescribed_joints import signals_of
+from .prescribed_joints import differentiated, require_attitude, signals_of
 from .signals import Attitude, Signal
 from .signals.attitude_signal import parse_attitude
 
@@ -66,14 +66,10 @@ def tracking_errors(
             errors |= {first + k: e for k, e in enumerate(attitude_errors(target, q, sigma))}
             continue
         if s.is_ball(name):
-            raise InputError(
-                f"{what}['{name}'] is a ball joint: expected an Attitude, or three signals, "
-                f"numbers or formulas of a rotation vector, got {value!r}"
-            )
+            require_attitude(value, f"{what}['{name}']")
         k = s.joint(name, what)
-        x = of_time(value, s, number, f"{what}['{name}']")
-        xdot = ca.jacobian(x, s.t)
-        acceleration = ca.jacobian(xdot, s.t)
+        goal = of_time(value, s, number, f"{what}['{name}']")
+        x, xdot, acceleration = differentiated([goal], s.t)
         errors[k] = TrackingError(x - s.position(k, what), xdot - s.xdot[k], acceleration)
     return errors
 

@@ -1,4 +1,4 @@
-"""Closed loops as constraints of the full state, by Pinocchio.
+"""Closed loops as constraints of the full state, by Pinocchio; also loops that are couplings.
 
 The loops' equations and Jacobian come from the frames in Pinocchio's model, and all equations are
 used, also redundant ones.  The reduced equations use other expressions and independent equations.
@@ -12,7 +12,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..system.loops.kinematics import LoopKinematics
-from ..system.loops.loop_assembly import assemble
+from ..system.loops.loop_assembly import assemble, loop_length
 from ..system.state_fields import State
 from ..system.system import System
 
@@ -37,10 +37,11 @@ class LoopErrors:
 
 def loop_errors(system: System, states: State) -> LoopErrors:
     """Measure the violations of the loops with Pinocchio at the q and v of states."""
-    if system.closure is None:
+    loops = (*system.loops, *system.contents.coupled_loops)
+    if not loops:
         return LoopErrors()
-    kinematics = LoopKinematics(system.model, system.loops)
-    unit = np.where(kinematics.is_length, system.closure.length, 1.0)
+    kinematics = LoopKinematics(system.model, loops)
+    unit = np.where(kinematics.is_length, loop_length(system, loops), 1.0)
     gap, rates, terms = 0.0, np.zeros(len(unit)), np.zeros(len(unit))
     for q, v in zip(system.sorted_q(states.q), system.sorted_v(states.v), strict=True):
         J = kinematics.jacobian(q)

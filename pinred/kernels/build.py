@@ -14,6 +14,7 @@ from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..reduction.tree.identical_branches import Lanes
 from ..reduction.tree.loop_constraints import GAUGE_RATE
 from ..system.loops.kinematics import loop_ends
+from ..system.loops.loop import Loop
 from ..system.system import System
 from ..system.variants import nominal
 from .kernel import Kernel
@@ -56,6 +57,12 @@ def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
     if system.closure is not None:
         digest.update(system.closure.rows.tobytes() + str(GAUGE_RATE).encode())
         for loop in system.loops:
+            if not isinstance(loop, Loop):
+                digest.update(repr(loop).encode())
+                digest.update(
+                    f"{[model.getJointId(n) for n in (loop.follower, loop.leader)]}".encode()
+                )
+                continue
             digest.update(loop.kind.encode())
             for end in loop_ends(model, loop):
                 digest.update(f"{end.joint}".encode() + end.placement.homogeneous.tobytes())

@@ -123,7 +123,9 @@ class CanonicalForm:
         """
         H = symmetric(self.mass_matrix(x))
         fixed = self._r + np.array(driven, dtype=np.intp)
-        free = np.setdiff1d(np.arange(len(momentum)), fixed)
+        is_free = np.ones(len(momentum), bool)
+        is_free[fixed] = False
+        free = np.flatnonzero(is_free)
         v = np.empty(len(momentum))
         v[fixed] = rates
         momentum_of_free = momentum[free] - H[np.ix_(free, fixed)] @ rates

@@ -6,10 +6,11 @@ H(x) = [[I, IA], [AᵀI, M̃]],   A = I⁻¹ H_bs,   M = H_ss − Aᵀ I A.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, vector
@@ -236,7 +237,13 @@ def mass_matrix_at(
 
 def symmetric(upper: Array) -> Array:
     """Return the symmetric matrix with the upper triangle of H; CRBA fills only this triangle."""
-    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
+    return np.add(np.where(_upper(len(upper)), upper, upper.T), 0.0, order="C")
+
+
+@lru_cache(maxsize=64)
+def _upper(n: int) -> NDArray[np.bool_]:
+    """Return the mask of the upper triangle, (n, n)."""
+    return ~np.tri(n, k=-1, dtype=bool)
 
 
 def com_derivative(system: System, x: Array) -> Array:

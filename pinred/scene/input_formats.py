@@ -7,9 +7,6 @@ Signal, a number or a formula.  Pinocchio's (q, v) may replace pose, shape and v
 
 from __future__ import annotations
 
-import ast
-import warnings
-from dataclasses import MISSING, fields
 from numbers import Real
 from typing import Any, Literal
 
@@ -17,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
+from ..common.call_texts import build_from_text, parse_call
 from ..common.errors import InputError, PinredError
-from ..common.names import brief, nearest, quoted
+from ..common.names import brief, quoted
 from ..common.parameter import Parameter
 from ..forces.signals import Attitude, Constant, Expression, Signal
 from ..forces.signals.attitude_signal import parse_attitude
@@ -27,6 +25,7 @@ from ..system.coordinates import Configuration, Velocity
 from ..system.coupling import following
 from ..system.system import System
 
+_OTHERS, _EXAMPLE = " and auto", "RKMK4(0.01)"  # for messages about methods
 _UNIT = 1e-3  # tolerance for the unit norm of (cosine, sine), for values rounded to few decimals
 
 
@@ -165,56 +164,10 @@ def _method_of_text(text: str) -> Method | Literal["auto"]:
     """Return the integrator that a text names; the text is parsed and never executed."""
     if text == "auto":  # Skip the parser in the most frequent case.
         return "auto"
-    name, positional, named = _parse_call(text)
+    name, positional, named = parse_call(text, METHODS, "method", _OTHERS, _EXAMPLE)
     if name == "auto":
         if positional or named:
             raise InputError(f"method auto has no options, got {quoted(text)}")
         return "auto"
-    if name not in METHODS:
-        raise InputError(
-            f"unknown method {quoted(name)}; {nearest(name, list(METHODS))}"
-            f"the methods are {', '.join(METHODS)} and auto"
-        )
-    kind = METHODS[name]
-    options = {entry.name: entry.default for entry in fields(kind)}
-    unknown = [key for key in named if key not in options]
-    if unknown or len(positional) > len(options):
-        excess = f"option {quoted(unknown[0])}" if unknown else f"{len(positional)} options"
-        raise InputError(f"method {name} has no {excess}; its options are {', '.join(options)}")
-    repeated = [key for key in list(options)[: len(positional)] if key in named]
-    if repeated:
-        raise InputError(f"method {quoted(text)} sets {repeated[0]} twice; set it once")
-    named |= dict(zip(options, positional, strict=False))
-    missing = [key for key, default in options.items() if default is MISSING and key not in named]
-    if missing:
-        raise InputError(f"method {quoted(text)} needs a {missing[0]}, as in {name}(0.01)")
-    return kind(**named)
-
-
-def _parse_call(text: str) -> tuple[str, list[Any], dict[str, Any]]:
-    """Parse a text NAME or NAME(1, key=2); return name, positional and named options."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # Treat syntax warnings as errors.
-            node = ast.parse(text.strip(), mode="eval").body
-        if isinstance(node, ast.Name):
-            return node.id, [], {}
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            return (
-                node.func.id,
-                [_value(argument) for argument in node.args],
-                {str(word.arg): _value(word.value) for word in node.keywords},
-            )
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
-        pass
-    raise InputError(
-        f"method {quoted(text)} must be a name, or a name with options such as RKMK4(0.01); "
-        f"the methods are {', '.join(METHODS)} and auto"
-    )
-
-
-def _value(node: ast.expr) -> Any:
-    """Return the number or text of a syntax node; inf and nan are numbers, as in repr."""
-    if isinstance(node, ast.Name) and node.id in ("inf", "nan"):
-        return float(node.id)
-    return ast.literal_eval(node)
+    method: Method = build_from_text(text, METHODS, "method", _OTHERS, _EXAMPLE)
+    return method

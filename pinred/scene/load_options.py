@@ -7,6 +7,27 @@ from ..system.loops.loop import KINDS
 from .toml.schema import ByName, Either, Flag, Key, ListOf, Table, Text
 from .toml.signal_tables import NUMBER, NUMBERS
 
+LOOP = Table(
+    {
+        "frame_a": Key(Text((), "a link or frame"), "link or frame", required=True),
+        "frame_b": Key(Text((), "a link or frame"), "other link or frame", required=True),
+        "kind": Key(
+            Text(KINDS),
+            "3d: the origins coincide; 6d: the frames coincide; x, y or z: the origins and this "
+            "axis coincide",
+            default="3d",
+        ),
+        "name": Key(Text((), "a name"), "name in messages", default="frame_a = frame_b"),
+        "coupled": Key(
+            Flag(),
+            "whether couplings replace the loop if its closed shapes are linear in independent "
+            "joints",
+            default="true",
+        ),
+    },
+    "a closed loop",
+)
+
 LOAD = Table(
     {
         "group": Key(
@@ -40,29 +61,11 @@ LOAD = Table(
             command="--balls all or B1,B2,…",
         ),
         "loops": Key(
-            ListOf(
-                Table(
-                    {
-                        "frame_a": Key(Text((), "a link or frame"), "link or frame", required=True),
-                        "frame_b": Key(
-                            Text((), "a link or frame"), "other link or frame", required=True
-                        ),
-                        "kind": Key(
-                            Text(KINDS),
-                            "3d: the origins coincide; 6d: the frames coincide; x, y or z: the "
-                            "origins and this axis coincide",
-                            default="3d",
-                        ),
-                        "name": Key(
-                            Text((), "a name"), "name in messages", default="frame_a = frame_b"
-                        ),
-                    },
-                    "a closed loop",
-                )
-            ),
-            "closed kinematic loops, besides those of the robot's file",
+            Either((Text((), "a YAML file, or loops A=B:KIND,…"), ListOf(LOOP))),
+            "closed kinematic loops, besides those of the robot's file: tables, or a YAML file "
+            "relative to this file",
             default="none",
-            command="--loops A=B:KIND,…",
+            command="--loops A=B:KIND,… or FILE.yaml",
         ),
         "root": Key(
             Text((), "the name of a body"),

@@ -32,8 +32,9 @@ from ..system.system import System
 # Largest number of report times inside steps with AdaptiveGauss; each of them costs a step.
 _FEW = 3
 _STABLE = 4.0  # Largest product of decay rate and step length at which DOP853 is stable.
-# Costs of Radau, fitted to `pinred bench methods`.  A step costs _RADAU_STEP evaluations of DOP853,
-# and _RADAU_JOINT more for each joint, because of its linear systems.
+# Costs of Radau, estimated from some of the scenes of `pinred bench methods`.  A step costs
+# _RADAU_STEP evaluations of DOP853, and _RADAU_JOINT more for each joint, because of its linear
+# systems.
 _RADAU_STEP, _RADAU_JOINT = 10.0, 5.0
 # Steps of Radau for the decay, and for each radian of the fastest oscillation, at rtol = _FITTED.
 _RADAU_DECAY, _RADAU_RADIAN = 500.0, 45.0
@@ -43,9 +44,8 @@ _DOP853_RADIAN = 4.0
 _FITTED = 1e-9
 # Least gain of Radau at which it is chosen; at equal tolerance it is less accurate than DOP853.
 RADAU_GAIN = 2.0
-LANES_GAIN = (
-    3.0  # Gain of DOP853 if it integrates one member in each SIMD lane; Radau has no lanes.
-)
+# Gain of DOP853 if it integrates one member in each SIMD lane; Radau has no lanes.
+LANES_GAIN = 3.0
 _SWEEP_COST = 1.9  # Cost of a sweep without identical branches, in evaluations of DOP853.
 # A sweep saves _AT_LOOSEST evaluations at rtol = 10^−_LOOSEST, and _PER_DIGIT more for each
 # further digit of accuracy.

@@ -35,7 +35,7 @@ from .trajectory_files import lock_in, parameters_in, save
 if TYPE_CHECKING:
     from ..system.system import System
 
-_ORIGIN = (
+ORIGIN = (
     "source", "lock_joints", "lock_sizes", "lock_values", "gravity", "root",
     "parameter_names", "parameter_sizes", "parameter_values",
 )  # fmt: skip
@@ -101,7 +101,7 @@ class Recording(OverTime):
             LoadError: The robot cannot be loaded.
             InputError: The robot does not match the recorded states.
         """
-        system = _load_robot(
+        system = load_recorded_robot(
             self.path, self.robot, self.group, self.origin, confirmed=self.confirmed
         )
         if system.shape_names != self.joints or system.group.name != self.group:
@@ -144,7 +144,7 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
             f"{quoted_path(path)} is not a motion that pinred wrote: it has no array "
             f"'{min(missing)}'"
         )
-    origin: dict[str, Any] = {name: content[name] for name in _ORIGIN if name in content}
+    origin: dict[str, Any] = {name: content[name] for name in ORIGIN if name in content}
     recording = Recording(
         path, str(content["robot"]), str(content["group"]),
         tuple(map(str, np.atleast_1d(content["joints"]))), _read_states(path, content),
@@ -188,7 +188,7 @@ def _read_states(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
     return state_class(**arrays)
 
 
-def _load_robot(
+def load_recorded_robot(
     path: Path, robot: str, group: str, origin: Mapping[str, Any], *, confirmed: bool
 ) -> System:
     """Load the robot of a recording.

@@ -22,11 +22,11 @@ from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
 from .checkpoint import Checkpoint, opened
-from .loop_forces import refuse_singular_loops
 from .motion import follow
 from .plan import Plan, plan_of
 from .reduced_flow import Integrate, ReducedFlow, Segments
 from .run_record import RunRecord
+from .singular_loops import refuse_singular_loops
 from .trajectory import Cost, Trajectory
 
 _OPTIONS = Scene.__dataclass_fields__.keys() - {"system"}

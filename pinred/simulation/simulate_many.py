@@ -94,7 +94,7 @@ def simulate_many(
         print(_explained(resolved))
     name = resolved.groups[0].plan.system.name
     with shown(progress, f"simulating {resolved.count} of {name}") as done:
-        return _run(resolved, threads, done, rejected)
+        return run_members(resolved, threads, done, rejected)
 
 
 def _checked(seeds: Sequence[int] | None) -> list[int] | None:
@@ -127,13 +127,24 @@ def _explained(resolved: Members) -> str:
     return "\n".join(lines)
 
 
-def _run(
+def run_members(
     members: Members,
     threads: int | None,
     progress: Callable[[float], None] | None,
     rejected: Sequence[Failure] = (),
 ) -> Trajectories:
+    """Integrate members.
+
+    Args:
+        members: The members, in groups.
+        threads: Number of threads; as many as processors if None.
+        progress: Called with the completed fraction of the members.
+        rejected: Failures of the members that belong to no group.
+    Returns:
+        The trajectories of all members.
+    """
     from .compiled.compiled_flow import flows_of
+    from .members.closed_members import reject_singular
     from .members.integrate_members import integrate_members
 
     batches: list[Batch] = []
@@ -163,6 +174,7 @@ def _run(
             )
             batches.append(batch)
             failures += batch.failures
+            failures += reject_singular(batch, group.plan.scene.report_times, members.scene_of)
             done += len(members_of_flow)
     failures.sort(key=lambda failure: failure.member)
     return Trajectories((members.count, members.scene_of), batches, single, failures)

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..common.errors import OutputError
+from ..common.errors import LoadError
 from ..common.files import check_path, write_atomic
 from ..common.names import quoted_path
-from ..common.optional_packages import optional_package
+from ..common.zarr_folders import (
+    create_array,
+    create_group,
+    import_zarr,
+    open_group,
+    replace_folder,
+)
 from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY
-from ..system.state_fields import FIELDS, arrays_of, axis_labels
+from ..system.state_fields import FIELDS, arrays_of, axis_labels, dimension
 from ..system.system import System
 from .over_time import OverTime
 
@@ -30,7 +35,8 @@ def save(traj: OverTime, path: str | Path) -> None:
     `root` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the
     robot.
     .csv has a row for each time and columns such as `pose.x`, `x.hinge` and `energy`.
-    .zarr is a folder with the arrays of .npz, and texts as its attributes.
+    .zarr is a folder with the arrays of .npz, dimension names, and texts as its attributes; an
+    existing one is replaced.
     .xml has a keyframe of MuJoCo for each time; the robot must be from an MJCF file.
 
     InputError is raised for another suffix or a folder that does not exist, OutputError if
@@ -40,9 +46,9 @@ def save(traj: OverTime, path: str | Path) -> None:
         traj: A Trajectory or a Recording.
         path: Path of the file; its suffix selects the format.
     """
-    path = check_path(path, (".npz", ".csv", ".zarr", ".xml"))
+    path = check_path(path, (".npz", ".csv", ".zarr", ".xml"), folders=(".zarr",))
     if path.suffix == ".zarr":
-        write_zarr(path, _arrays(traj))
+        write_zarr(path, _arrays(traj), traj.system)
         return
     write = {".npz": _write_npz, ".csv": _write_csv, ".xml": _write_keyframes}[path.suffix]
     write_atomic(path, lambda file: write(traj, file))
@@ -181,29 +187,71 @@ def _quote_for_csv(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
-def write_zarr(path: Path, arrays: dict[str, Any]) -> None:
-    """Write arrays to a zarr folder, which gets its final name only when it is complete.
+def write_zarr(path: Path, arrays: dict[str, Any], system: System) -> None:
+    """Write arrays to a zarr folder (format 3), which gets its final name when it is complete.
+
+    Arrays name their dimensions, so that xarray reads them with labels and units.
 
     Args:
-        path: Path of the folder, which must not exist.
-        arrays: Arrays by name; texts become attributes of the folder.
+        path: Path of the folder; an existing zarr folder is replaced.
+        arrays: Arrays by name; texts, whole numbers and empty arrays become attributes.
+        system: The robot, whose labels become coordinates.
     Raises:
+        InputError: Something else than a zarr folder has this name.
         MissingPackageError: zarr is not installed.
         OutputError: Writing fails.
     """
-    zarr = optional_package(
-        "zarr",
-        f"{quoted_path(path)}: files of zarr need the package zarr: pip install 'pinred[zarr]'",
-    )
+    import_zarr(path)
+    members = len(arrays["x"]) if np.ndim(arrays["x"]) == 3 else 0
+    dims = {name: _dims_of(name, array, system, members) for name, array in arrays.items()}
+    stored = {n: a for n, a in arrays.items() if a.ndim and a.size and a.dtype.kind == "f"}
+    labels = {dimension(system, axis): names for axis, names in axis_labels(system).items()}
+
+    def write(folder: Path) -> None:
+        attributes = {name: array.tolist() for name, array in arrays.items() if name not in stored}
+        root = create_group(folder, attributes)
+        for name, array in stored.items():
+            unit = FIELDS[name].unit if name in FIELDS else ""
+            create_array(root, name, dims[name], {"units": unit}, data=np.ascontiguousarray(array))
+        for dim in sorted({entry for name in stored for entry in dims[name]} & labels.keys()):
+            texts = np.array([str(label) for label in labels[dim]], dtype=object)
+            coordinate = create_array(root, dim, (dim,), {}, shape=texts.shape, dtype="string")
+            coordinate[:] = texts
+
+    replace_folder(path, write)
+
+
+def _dims_of(name: str, array: Any, system: System, members: int) -> tuple[str, ...]:
+    """Return the names of the dimensions of an array in a file."""
+    leading: tuple[str, ...]
+    if name in FIELDS:
+        axis = FIELDS[name].axis
+        leading = ("t",) if name == "t" or not members else ("member", "t")
+        return leading if axis is None else (*leading, dimension(system, axis))
+    leading = ("member",) if members and np.shape(array)[:1] == (members,) else ()
+    return (*leading, *(f"{name}_{k}" for k in range(len(leading), np.ndim(array))))
+
+
+def read_zarr(path: Path, most: int) -> dict[str, Any]:
+    """Return the arrays of a zarr folder that `write_zarr` wrote, texts included.
+
+    Args:
+        path: Path of the folder.
+        most: Largest accepted size of all arrays together [bytes].
+    Returns:
+        The arrays by name.
+    Raises:
+        LoadError: The folder cannot be read, or is too large.
+        MissingPackageError: zarr is not installed.
+    """
     try:
-        with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as parent:
-            folder = Path(parent) / "complete"
-            root = zarr.open_group(str(folder), mode="w")
-            for name, array in arrays.items():
-                if array.ndim and array.dtype.kind == "f":
-                    root.create_array(name, data=array)
-                else:  # Store texts, and sizes of parameters, as attributes.
-                    root.attrs[name] = array.tolist()
-            folder.rename(path)
-    except OSError as error:
-        raise OutputError(f"cannot write {quoted_path(path)}: {error.strerror or error}") from error
+        root = open_group(path)
+        found = {name: array for name, array in root.arrays() if array.dtype.kind == "f"}
+        if (size := sum(array.nbytes for array in found.values())) > most:
+            raise LoadError(
+                f"{quoted_path(path)} would take {size / 1e9:.3g} GB; read it by xarray"
+            )
+        arrays = {name: np.asarray(array[...]) for name, array in found.items()}
+        return {name: np.array(value) for name, value in root.attrs.items()} | arrays
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        raise LoadError(f"{quoted_path(path)} cannot be read: {error}") from None

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import LoadError
-from .loops.loop import Loop, parse_loops
+from .loops.loop import Constraint, parse_loops
 
 INSTALL_ROBOTS = 'pip install "pinred[robots]"'
 
@@ -41,7 +41,7 @@ class BundledRobot:
     balls: bool = False
     closed_form: str = ""
     source: str = ""
-    loops: tuple[Loop, ...] = ()
+    loops: tuple[Constraint, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from ..common.errors import InputError, UnsupportedOperationError
 from ..common.names import listed
 from .coupling import following
 from .force_interface import Force
-from .loops.loop import Loop
+from .loops.loop import Constraint
 from .robot_file_contents import Contents, Coupling, Keyframe, LeftOut
 
 
@@ -36,7 +36,7 @@ class FromFile:
         return tuple(coupling.follower for coupling in self.couplings)
 
     @property
-    def loops(self) -> tuple[Loop, ...]:
+    def loops(self) -> tuple[Constraint, ...]:
         """Constraints that close kinematic loops."""
         return self.contents.loops
 

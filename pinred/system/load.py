@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -18,7 +17,6 @@ from ..common.arrays import Array
 from ..common.errors import (
     InputError,
     LeftOutWarning,
-    LoadError,
     ModelError,
     ModelWarning,
 )
@@ -28,8 +26,10 @@ from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from . import catalogue
 from .choose_root import on_root
+from .constant_loops import with_constant_loops
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
+from .example_model import example_model
 from .joints import is_ball, motion_group, places_on_root, root_chain
 from .locked_joints import (
     LockedJoints,
@@ -38,7 +38,8 @@ from .locked_joints import (
     lock_values,
     separate_attitudes,
 )
-from .loops.loop import Loop, parse_loops
+from .loops.loop import JointPolynomial, Loop, parse_loops
+from .loops.loop_file import LoopFile, requested_loops
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
@@ -49,10 +50,9 @@ from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, Origin
-from .robot_files import is_mjcf, outermost, read_text, read_xml, text_in_file
+from .robot_files import is_mjcf, outermost, read_text, text_in_file
 from .split_joints import split_joints
 from .system import System
-from .urdf_elements import mimic_couplings
 from .variants import checked_gravity
 from .visuals import Visuals, mesh_folders, with_visuals
 
@@ -104,7 +104,7 @@ def load(
     meshes: str | Path | Iterable[str | Path] = (),
     parameters: Mapping[str, ArrayLike] | None = None,
     balls: bool | Iterable[str] = False,
-    loops: str | Iterable[Loop | Mapping[str, str]] = (),
+    loops: str | Path | Iterable[Loop | JointPolynomial | Mapping[str, str]] = (),
 ) -> System:
     """Load a robot as symmetry group times shape.
 
@@ -141,7 +141,9 @@ def load(
             and whose armature, springs, damping and friction are equal.  `inspect` lists them.
             Bundled robots with balls merge theirs by default; an empty list keeps the hinges.
         loops: Closed kinematic loops between links or frames, besides those of the file: `Loop`
-            values, mappings with their attributes, or a text FRAME=FRAME:KIND,….
+            values, mappings with their attributes, a text FRAME=FRAME:KIND,…, or the path of a YAML
+            file in the format of example-parallel-robots, which may also change types of joints.
+            A relative path is relative to the current folder or to the robot's file.
     Returns:
         System of the robot.
     Raises:
@@ -162,7 +164,11 @@ def load(
     if not (root is None or isinstance(root, str)):
         raise InputError(f"root must be the name of a body, got {brief(root)}")
     new_gravity = None if gravity is None else checked_gravity(gravity)
-    locked, merged, added = lock_values(lock), requested_balls(balls), parse_loops(loops)
+    locked, merged, added = (
+        lock_values(lock),
+        requested_balls(balls),
+        requested_loops(loops, source),
+    )
     folders = mesh_folders(meshes)
     if text is None:
         system = _load_source(source, requested, locked, new_gravity, root, merged, folders, added)
@@ -185,7 +191,7 @@ def _load_source(
     root: str | None,
     balls: bool | tuple[str, ...],
     folders: tuple[str, ...],
-    loops: tuple[Loop, ...],
+    loops: LoopFile,
 ) -> System:
     """Load a source other than a text; the arguments are those of `load`, checked."""
     if mjcf_kind := _mjcf_kind(source):
@@ -216,7 +222,8 @@ def _load_source(
     robot = _read(source, group, locked, folders)
     bundled = catalogue.bundled_robots().get(str(source))
     balls = balls or (balls is False and bundled is not None and bundled.balls)
-    loops = (*(() if bundled is None else bundled.loops), *loops)
+    if bundled is not None:
+        loops = replace(loops, loops=(*bundled.loops, *loops.loops))
     return _load_model(robot, locked, gravity, visuals, balls, loops)
 
 
@@ -254,7 +261,7 @@ def _load_mujoco(
     *,
     root: str | None,
     balls: bool | tuple[str, ...],
-    loops: tuple[Loop, ...],
+    loops: LoopFile,
 ) -> System:
     """Load a MuJoCo source of a `kind` (see `_mjcf_kind`); other arguments: see `load`."""
     robot = read_mujoco(source, root=root, lock=locked, gravity=gravity, balls=balls)
@@ -265,8 +272,13 @@ def _load_mujoco(
     model.name = name
     root_group = motion_group(model.joints[1])
     contents = Contents() if root_group is None else robot.contents(root_group)
-    contents = replace(contents, loops=parse_loops((*contents.loops, *loops)))
-    return System(model, name=name, origin=origin, contents=contents)
+    if loops.joints:
+        raise InputError(
+            f"{loops.path}: joint_type: types of joints apply to URDF only; state them in the MJCF "
+            "file"
+        )
+    contents = replace(contents, loops=parse_loops((*contents.loops, *loops.loops)))
+    return with_constant_loops(System(model, name=name, origin=origin, contents=contents))
 
 
 def _read(
@@ -298,7 +310,7 @@ def _read(
         raw, couplings, warning = read_urdf(Path(source))
         origin = replace(origin, source=str(Path(source).absolute()))
         return _Robot(raw, couplings, Path(source).stem, origin, group, warning=warning)
-    return _Robot(*_example(name), name, origin, group)
+    return _Robot(*example_model(name), name, origin, group)
 
 
 def _load_model(
@@ -307,10 +319,11 @@ def _load_model(
     gravity: Array | None,
     visuals: Visuals | None,
     balls: bool | tuple[str, ...],
-    loops: tuple[Loop, ...],
+    loops: LoopFile,
 ) -> System:
     """Lock and merge joints of a robot, choose its root joint, and return its system."""
-    split = split_joints(robot.raw)
+    lock = {**dict.fromkeys(loops.fixed, 0.0), **lock}
+    split = split_joints(loops.with_joints(robot.raw))
     names = list(split.model.names)
     all_couplings = (*robot.couplings, *split.couplings)
     requested = split.locked(lock)
@@ -346,7 +359,7 @@ def _load_model(
         couplings=couplings,
         locked=locked_joints,
         merged=merge.triples,
-        loops=loops,
+        loops=parse_loops(loops.loops),
     )
     initial = robot.initial
     if initial is not None:
@@ -355,7 +368,7 @@ def _load_model(
     if gravity is not None:
         model.gravity.linear = gravity
     model.name = robot.name
-    return System(model, robot.name, initial, robot.origin, contents)
+    return with_constant_loops(System(model, robot.name, initial, robot.origin, contents))
 
 
 def is_path(name: str) -> bool:
@@ -366,27 +379,3 @@ def is_path(name: str) -> bool:
         return Path(name).is_file()
     except OSError:  # The operating system rejects the name.
         return False
-
-
-def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return the model of a robot in example-robot-data, with rotor armature, and its couplings."""
-    names = catalogue.example_robots()
-    if name not in names:
-        near = difflib.get_close_matches(name[:200], [*catalogue.bundled_robots(), *names], n=3)
-        hint = f"did you mean {' or '.join(near)}? " if near else ""
-        more = "" if names else f"; for solo12, talos, ur5 and others: {catalogue.INSTALL_ROBOTS}"
-        raise LoadError(
-            f"unknown robot {quoted(name)}; {hint}`pinred robots` lists what can be loaded{more}"
-        )
-    robot = catalogue.example_robot(name)
-    if robot.build is None:
-        model, couplings, _ = read_urdf(robot.urdf)
-    else:
-        model, couplings = without_mimics(robot.build().robot.model)
-        if not couplings:
-            candidates = mimic_couplings(read_xml(robot.urdf))
-            couplings = tuple(c for c in candidates if model.existJointName(c.follower))
-    if robot.rotors is not None:
-        pin.loadRotorParameters(model, str(robot.rotors), False)
-        model.armature = model.rotorInertia * model.rotorGearRatio**2
-    return model, couplings

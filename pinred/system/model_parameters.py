@@ -10,11 +10,13 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array, entries_of, read_only
-from ..common.errors import InputError
-from ..common.names import brief, nearest
+from ..common.errors import InputError, UnsupportedOperationError
+from ..common.names import brief, listed, nearest, quoted
 from .body_parameters import SIZES as BODY_SIZES
 from .body_parameters import Bodies, body_names, body_parameter, inertia_of, numbers
 from .joint_parameters import PLACED, Joints, joint_parameter
+from .loops.loop import Loop
+from .loops.loop_closure import moving_joints
 from .system import System
 from .variants import in_gravity, nominal, with_numbers
 
@@ -151,11 +153,10 @@ class ModelParameters:
             system: The robot.
             names: Names of the parameters.
         Raises:
-            InputError: Two parameters set the same property.
-            UnsupportedOperationError: The robot has closed loops.
+            InputError: Two parameters set the same property, or a parameter would open a loop that
+                couplings replace.
+            UnsupportedOperationError: A parameter changes the lengths of a closed loop.
         """
-        if names:
-            system.refuse_loops("robot parameters")
         self._system = system
         self._bodies, self._joints = Bodies(system, names), Joints(system, names)
         self._gravity = [name for name in names if isinstance(name, str) and name in GRAVITY]
@@ -175,6 +176,28 @@ class ModelParameters:
         self.free = tuple(sorted({*self._bodies.free, *self._joints.free}))
         self.placed, self.turned = self._joints.placed, self._joints.turned
         self.links = self._joints.links
+        self._refuse_in_loops()
+
+    def _refuse_in_loops(self) -> None:
+        """Reject parameters that change the lengths of loops."""
+        system = self._system
+        moved, links = {body + 1 for body in self.placed}, {*self.links}
+        for loop in (*system.loops, *system.contents.coupled_loops):
+            ends = {loop.frame_a, loop.frame_b} if isinstance(loop, Loop) else set()
+            fixed = loop in system.loops and not isinstance(loop, Loop)
+            if fixed or not (moving_joints(system, loop) & moved or ends & links):
+                continue
+            names = listed([name for name in self.names if "." in name], 6)
+            if loop in system.loops:
+                raise UnsupportedOperationError(
+                    f"parameters: {names} change the lengths of the closed loop "
+                    f"{quoted(loop.name)}, which would have to be assembled again. Load the robot "
+                    "with other placements, or vary masses, centres and inertias."
+                )
+            raise InputError(
+                f"parameters: {names}: loop {quoted(loop.name)} is a coupling for the "
+                "placements in the file, so they cannot vary. Load the robot with other placements."
+            )
 
     def own(self) -> dict[str, Array]:
         """Return the current values of the parameters in the system, {name: (size,)}."""

@@ -12,7 +12,7 @@ from ..common.names import plain
 from .force_interface import Force
 from .hinge_triples import HingeTriple
 from .locked_joints import LockedJoints, LockValue
-from .loops.loop import Loop
+from .loops.loop import Constraint
 from .visuals import Visuals
 
 
@@ -115,6 +115,8 @@ class Contents:
         locked: The locked joints; None if no joint was locked.
         merged: Hinges that became balls.
         loops: Constraints that close kinematic loops.
+        coupled_loops: Loops that couplings replace, because their closed shapes are linear in
+            independent joints.
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -126,7 +128,8 @@ class Contents:
     visuals: Visuals | None = None
     locked: LockedJoints | None = None
     merged: tuple[HingeTriple, ...] = ()
-    loops: tuple[Loop, ...] = ()
+    loops: tuple[Constraint, ...] = ()
+    coupled_loops: tuple[Constraint, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of mappings cannot be pickled.

@@ -108,7 +108,7 @@ def split_joints(raw: pin.Model) -> SplitModel:
         for before, part in pairwise(split)
         if part.ratio is not None
     ]
-    sliding = _copy_losses(raw, model, joints)
+    sliding = copy_losses(raw, model, joints)
     names = {str(raw.names[i]): tuple(p.name for p in split) for i, split in joints.items()}
     return SplitModel(model, names, tuple(couplings), sliding)
 
@@ -193,11 +193,15 @@ def _chain(raw: pin.Model, parts: Sequence[_SplitPart]) -> list[NewJoint]:
     return chain
 
 
-def _copy_losses(
+def copy_losses(
     raw: pin.Model, model: pin.Model, joints: Mapping[int, Sequence[_SplitPart]]
 ) -> tuple[str, ...]:
     """Copy damping and dry friction to the model whose joints are split.
 
+    Args:
+        raw: Original model.
+        model: Model with split joints.
+        joints: Parts of the joints that were split, by their index in `raw`.
     Returns:
         Names of the joints whose dry friction is not copied, because it does not act along parts.
     """

@@ -202,6 +202,7 @@ def test_pendulum_on_carousel_hangs_at_angle_of_centrifugal_balance() -> None:
     assert (equilibria[0].verdict, equilibria[0].stability.index) == ("stable", 0)
 
 
+@pytest.mark.by_hand
 def test_branches_of_hanging_brick_have_pitchforks_at_critical_momenta() -> None:
     """U'' = m g l + k − ω² (B − C) about x, for moments of inertia A, B, C about the ball."""
     A, B, C, length = 0.05, 0.04, 0.01, 0.2

@@ -91,7 +91,9 @@ def test_cat_with_ball_turns_over_as_kane_and_scher(
     close(p.pose[:3], np.zeros(3), 1e-15)
 
 
-@pytest.mark.parametrize(("seed", "group"), [(3, "SE3"), (4, "SE2")])
+@pytest.mark.parametrize(
+    ("seed", "group"), [pytest.param(3, "SE3", marks=pytest.mark.by_hand), (4, "SE2")]
+)
 def test_phase_of_trees_with_balls_agrees_with_pinocchio(seed: int, group: str) -> None:
     """Random gaits of balls, hinges and slides, with momentum, about a random centre."""
     system = ball_tree(seed, 3, group)

@@ -41,7 +41,7 @@ def agree(red: pinred.Reduction, shapes: Array) -> None:
             close(computed[index], getattr(red.at(shapes[index]), name))
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(cases(0, 8))
 def test_grid_mass_matrix_equals_crba(case: Case) -> None:
     """H at any pose of the base, and its blocks, for trees on every group."""
@@ -60,7 +60,7 @@ def test_grid_mass_matrix_equals_crba(case: Case) -> None:
 
 
 @pytest.mark.by_hand
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(cases(0, 6))
 def test_grid_curvature_equals_rnea_derivatives(case: Case) -> None:
     """B of trees on every group, with any leading axes."""
@@ -74,7 +74,9 @@ def test_grid_curvature_equals_rnea_derivatives(case: Case) -> None:
 TREES = [name for name, robot in sorted(bundled_robots().items()) if not robot.loops]
 
 
-@pytest.mark.parametrize("name", [*TREES, "solo12", "talos"])
+@pytest.mark.parametrize(
+    "name", [*TREES, "solo12", pytest.param("talos", marks=pytest.mark.by_hand)]
+)
 def test_grid_of_robots_equals_pinocchio(name: str) -> None:
     """Bundled robots (cyclic joints, balls, one without joints), a quadruped, a humanoid."""
     if name in ("solo12", "talos"):
@@ -161,7 +163,7 @@ def test_grid_of_cartpole_has_closed_form() -> None:
     close(field.amended_potential([1.2]), -4.905 * cosine + 0.24, 1e-13)
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(cases(0, 6))
 def test_grid_potential_equals_pinocchio(case: Case) -> None:
     """Springs, and gravity that keeps the symmetry, against Pinocchio's potential energy."""

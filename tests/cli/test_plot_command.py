@@ -167,7 +167,13 @@ COMMANDS = re.findall(r"^\$ pinred plot (?!measured)(.*)$", DOCUMENT, re.MULTILI
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(command, marks=pytest.mark.by_hand) if command.startswith("talos") else command
+        for command in COMMANDS
+    ],
+)
 def test_commands_of_plots_page_run(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,

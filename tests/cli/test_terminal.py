@@ -30,7 +30,7 @@ def run(
     [
         ("inspect", "falling_cat"),
         ("compare", "falling_cat", "--time", "0.1"),
-        ("run", SCENE, "--check", "--explain"),
+        pytest.param(("run", SCENE, "--check", "--explain"), marks=pytest.mark.by_hand),
         pytest.param(("run", SCENE, "--compare"), marks=pytest.mark.by_hand),
         ("robots",),
         ("run", "--schema"),

@@ -160,7 +160,7 @@ def test_progress_accepts_flags_and_functions(monkeypatch: pytest.MonkeyPatch) -
     drawn: list[tuple[str, float]] = []
 
     class Screen:
-        def draw(self, title: str, part: float) -> None:
+        def draw(self, title: str, part: float, _pace: str) -> None:
             drawn.append((title, part))
 
         def clear(self) -> None:
@@ -189,3 +189,28 @@ def test_progress_accepts_flags_and_functions(monkeypatch: pytest.MonkeyPatch) -
     for wrong in (1, "yes", 0.5):
         with pytest.raises(pinred.InputError, match="progress must be True or a function"):
             pinred.simulate(system, duration=1.0, progress=wrong)  # type: ignore[arg-type]
+
+
+def test_bar_shows_rate_and_remaining_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rate counts only what was done since the start, in terminals and notebooks."""
+    now = [100.0]
+    lines: list[str] = []
+
+    class Screen:
+        def draw(self, _title: str, _part: float, pace: str) -> None:
+            lines.append(pace)
+
+        def clear(self) -> None:
+            pass
+
+    monkeypatch.setattr(progress, "_screen", Screen)
+    monkeypatch.setattr("pinred.common.progress.time.monotonic", lambda: now[0])
+    with progress.ProgressBar("sweep", 1000, "points") as bar:
+        for elapsed, part in ((0.0, 0.5), (10.0, 0.6), (20.0, 0.95), (30.0, 1.0)):
+            now[0] = 100.0 + elapsed
+            bar(part)
+    assert lines == [
+        ", 10 points/s, 40 s left", ", 22.5 points/s, 2 s left", ", 16.7 points/s, 0 s left",
+    ]  # fmt: skip
+    assert progress._duration(3725.0) == "1 h 02 min"
+    assert progress._duration(125.0) == "2 min 05 s"

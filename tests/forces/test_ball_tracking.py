@@ -17,7 +17,7 @@ from pinred.common.arrays import Array
 from pinred.forces import PD, BallPD, BallSpring, ComputedTorque, Limit, SeenState, Torque, Wrench
 from pinred.lie.rotations import conjugate, quaternion_exp, quaternion_product, rotation
 from pinred.scene.scene import ENGINES, Engine
-from pinred.signals import Attitude, Expression
+from pinred.signals import Attitude, Expression, Spline
 
 MOVING = Attitude(["0.4*sin(2*t)", "0.3*cos(t)", "0.2*t"], [0.1, 0.2, 0.3])
 OPTIONS: dict[str, Any] = {"seed": 2, "duration": 0.4, "rtol": 1e-9, "atol": 1e-11}
@@ -166,3 +166,11 @@ def test_references_of_wrong_kind_are_refused(reference: Any, message: str) -> N
     """The message names the ball and what is expected."""
     with pytest.raises(InputError, match=message):
         pinred.simulate(ball_tree(3, 2), seed=0, duration=0.1, forces=[PD(reference, 1.0, 1.0)])
+
+
+@pytest.mark.parametrize("force", [PD, ComputedTorque, BallPD])
+def test_references_that_jump_are_refused(force: Any) -> None:
+    """A rotation vector jumps where a logarithm was not unwrapped; the message names the ball."""
+    jumping = Attitude([Spline([0.0, 0.5, 1.0], [0.0, 2.5, -2.5]), 0.0, 0.0])
+    with pytest.raises(InputError, match=r"jumps by 5 rad from t = 0.5 s to 1 s"):
+        force("neck", jumping, 1.0, 1.0) if force is BallPD else force({"neck": jumping}, 1.0, 1.0)

@@ -221,7 +221,7 @@ def test_push_along_free_slide(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("kind", [Spline, Hold, Linear])
+@pytest.mark.parametrize("kind", [Spline, Hold, pytest.param(Linear, marks=pytest.mark.by_hand)])
 def test_torque_from_table_equals_aba(kind: Any, engine: Engine) -> None:
     """ABA stops at every entry; report times lie on the entries, too."""
     system = pinred.load("planar_chain5")

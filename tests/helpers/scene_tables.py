@@ -22,6 +22,7 @@ def kind_of(schema: dict[str, Any], defs: dict[str, Any]) -> str:
             "plan": "a signal; for a ball a list of 3 signals, a quaternion or an `attitude` table",
             "attitude": "list of 3 signals, a quaternion or an `attitude` table",
             "parameters": "by name: number, or list of numbers",
+            "distributions": "by name: text, or list of numbers",
         }
         return known.get(name) or kind_of(defs[name], defs)
     if "anyOf" in schema:
@@ -56,7 +57,7 @@ def tables() -> str:
     schema = pinred.scene_schema()
     defs, keys = schema["$defs"], schema["properties"]
     out = [table("The file", schema, defs)]
-    out += [table(f"`[{name}]`", keys[name], defs) for name in ("load", "start", "run")]
+    out += [table(f"`[{name}]`", keys[name], defs) for name in ("load", "start", "run", "sweep")]
     for one in keys["run"]["properties"]["method"]["anyOf"][1]["oneOf"]:
         out.append(table(f"`run.method`: {one['properties']['name']['enum'][0]}", one, defs))
     signals = defs["plan_table"]["properties"]

@@ -23,7 +23,7 @@ MASSLESS = robot(
 )  # fmt: skip
 
 
-@settings(max_examples=40)
+@settings(max_examples=8)
 @given(coupled_cases())
 def test_acceleration_of_random_couplings(case: CoupledCase) -> None:
     """Multipliers by ABA and by one linear system agree with the projected equations."""
@@ -116,7 +116,14 @@ def test_acceleration_of_tree_that_is_singular_without_couplings(tmp_path: Path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("group", "seed"), [("SE3", 0), ("SE2", 4), ("SO3", 5), ("SO2", 8)])
+@pytest.mark.parametrize(
+    ("group", "seed"),
+    [
+        ("SE3", 0),
+        ("SO2", 8),
+        *(pytest.param(*case, marks=pytest.mark.by_hand) for case in (("SE2", 4), ("SO3", 5))),
+    ],
+)
 def test_compare_passes_with_couplings_and_forces(group: str, seed: int) -> None:
     """Random trees with couplings, and springs on leaders and followers."""
     system = make_case(group, 5, seed).system
@@ -168,8 +175,8 @@ def test_perturbation_satisfies_couplings() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [
-    "panda", "baxter", "tiago_pro",
-    *(pytest.param(name, marks=pytest.mark.by_hand) for name in ("pr2", "talos_full")),
+    "panda", "baxter",
+    *(pytest.param(name, marks=pytest.mark.by_hand) for name in ("tiago_pro", "pr2", "talos_full")),
 ])  # fmt: skip
 def test_compare_passes_for_robots_with_grippers(name: str) -> None:
     """Robots of example-robot-data, with both engines."""

@@ -104,6 +104,8 @@ def test_all_bundled_robots_have_faults() -> None:
 
 # Robots whose comparisons take more than 4 s.
 LONG = {
+    "coupled_spatial",
+    "elroys_beanie",
     "four_bar",
     "gripper",
     "parallel_biped",

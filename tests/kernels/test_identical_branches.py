@@ -114,7 +114,7 @@ def test_identical_branches_are_grouped() -> None:
 
 
 @pytest.mark.by_hand
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(groups, st.integers(2, 6), st.integers(1, 4), seeds, st.sampled_from(MADE))
 def test_kernels_with_identical_branches_equal_readable_route(
     group: str, limbs: int, joints: int, seed: int, made: Callable[..., pin.Model]

@@ -65,6 +65,7 @@ LONG = {
     "mass_ratios",
     "between",
     "frames",
+    "straight_chains",
 }
 
 

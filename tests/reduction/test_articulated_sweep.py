@@ -28,7 +28,7 @@ def evaluate(function: ca.Function, *arguments: Array) -> Array:
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=8)
 @given(cases(0))
 def test_sweep_random_momenta_solves_velocities_and_forces(case: Case) -> None:
     """H v = (μ, π) for any momentum, and π̇ of the canonical form, on every group."""
@@ -55,7 +55,7 @@ def test_sweep_random_momenta_solves_velocities_and_forces(case: Case) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(cases(1))
 def test_body_frames_have_joint_axis_along_z(case: Case) -> None:
     """At random shapes, bodies in their frames have Pinocchio's placements and inertias."""

@@ -31,7 +31,7 @@ def close(a: Array, b: Array, tolerance: float) -> bool:
     return bool(np.abs(a - b).max(initial=0.0) <= tolerance * scale)
 
 
-@settings(max_examples=60)
+@settings(max_examples=8)
 @given(cases(0))
 def test_split_equals_blocks_of_mass_matrix(case: Case) -> None:
     """I, A and M are the blocks of H by definition, at any pose of the base."""
@@ -45,7 +45,7 @@ def test_split_equals_blocks_of_mass_matrix(case: Case) -> None:
     assert close(red.reduced_metric(case.x), Hss - A.T @ I @ A, 1e-12)
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(cases())
 def test_energy_and_momentum_equal_sums_over_bodies(case: Case) -> None:
     """Kinetic energy, momentum and locked velocity against body-by-body sums."""
@@ -72,7 +72,7 @@ def test_energy_and_momentum_equal_sums_over_bodies(case: Case) -> None:
     assert split == pytest.approx(energy, rel=1e-12)
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(cases())
 def test_connection_equals_centroidal_map(case: Case) -> None:
     """For SE(3), A = A_g,b⁻¹ A_g,s with Pinocchio's centroidal momentum map at any pose."""
@@ -95,7 +95,7 @@ def difference(f: object, x: Array, step: float = 1e-3) -> Array:
     return np.stack(columns, axis=-1)
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_derivatives_and_curvature_equal_differences(case: Case) -> None:
     """dI, dA, dM and B against central differences of I, A and M."""
@@ -113,7 +113,7 @@ def test_derivatives_and_curvature_equal_differences(case: Case) -> None:
     assert close(at.curvature, -np.swapaxes(at.curvature, 1, 2), 1e-12)
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(cases(0, 6))
 def test_at_agrees_with_single_methods(case: Case) -> None:
     """`at` agrees with the single methods, is frozen, and its arrays are read-only."""

@@ -12,7 +12,7 @@ from pinred.reduction.canonical_form import CanonicalForm
 from pinred.reduction.potential import Potential
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_driven_velocity_keeps_momenta_of_free_joints(case: Case) -> None:
     """Momenta by RNEA give the velocity back; those of driven joints are not needed."""
@@ -31,7 +31,7 @@ def test_driven_velocity_keeps_momenta_of_free_joints(case: Case) -> None:
     assert form.velocity(case.x, momentum) == pytest.approx(case.v, rel=1e-6, abs=1e-6)
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_com_slope_equals_differences(case: Case) -> None:
     """By central differences of Pinocchio's centre of mass, in the root body's frame."""

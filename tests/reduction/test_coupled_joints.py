@@ -20,7 +20,7 @@ from pinred.reduction.tree.momenta import momenta
 from pinred.system.robot_file_contents import Contents, Coupling
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(coupled_cases())
 def test_coupled_mass_matrix_and_derivatives(case: CoupledCase) -> None:
     """At one shape by Pinocchio, and at many by compiled code: GᵀHG and its derivative."""
@@ -41,7 +41,7 @@ def test_coupled_mass_matrix_and_derivatives(case: CoupledCase) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(coupled_cases())
 def test_sweep_of_coupled_joints_solves_velocities_and_forces(case: CoupledCase) -> None:
     """H v = (μ, π) for any momentum, and π̇ against the derivative of the Lagrangian by y."""
@@ -83,7 +83,7 @@ def swept(system: pinred.System, y: Array, p: Array) -> tuple[Array, Array]:
 
 
 @pytest.mark.slow
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(coupled_cases())
 def test_sweep_with_prescribed_rate_computes_its_momentum(case: CoupledCase) -> None:
     """The momentum of a prescribed coordinate sums over all its joints."""
@@ -122,7 +122,7 @@ def check_prescribed(case: CoupledCase, driven: list[int]) -> None:
     np.testing.assert_allclose(pi, p[r:], rtol=0, atol=size * np.abs(p).max())
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(coupled_cases())
 def test_casadi_functions_of_coupled_joints(case: CoupledCase) -> None:
     """H v of CasADi's Functions, as users call them."""

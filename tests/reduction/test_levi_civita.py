@@ -28,7 +28,7 @@ def at_zero_momentum(case: Case) -> tuple[Array, Array]:
     return xi, np.asarray(pin.aba(model, data, case.q, v, np.zeros(system.n)))[r:]
 
 
-@settings(max_examples=40)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_aba_at_zero_momentum_has_no_covariant_acceleration(case: Case) -> None:
     """ẍ of ABA at zero momentum has no covariant acceleration."""
@@ -122,7 +122,7 @@ def above(case: Case, u: Array, v: Array) -> float:
     return float(np.einsum("XD,DCAB,X,C,A,B", H, R, u, v, u, v))
 
 
-@settings(max_examples=40)
+@settings(max_examples=8)
 @given(cases(2, 5))
 def test_oneill_formula(case: Case) -> None:
     """R_B(u, v, u, v) = R_Q of the horizontal lifts + ¾ B(u, v)ᵀ I B(u, v): M, A, B, R at once."""

@@ -56,7 +56,7 @@ def of_pinocchio(model: pin.Model, case: Case) -> Array:
     return np.asarray(pin.rnea(still, still.createData(), case.q, np.zeros(model.nv), case.v))
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_momenta_and_locked_inertia_equal_rnea_and_crba(case: Case) -> None:
     """From inertias, and from twice the same as tensors; with and without rotors."""
@@ -78,7 +78,7 @@ def test_momenta_and_locked_inertia_equal_rnea_and_crba(case: Case) -> None:
     assert number(found) == pytest.approx(2.0 * inner, **CLOSE)
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_centre_of_mass_and_point_speeds_equal_forward_kinematics(case: Case) -> None:
     """By forward kinematics: in the root body's frame, and along directions fixed to bodies."""
@@ -98,7 +98,7 @@ def test_centre_of_mass_and_point_speeds_equal_forward_kinematics(case: Case) ->
         assert found_speed == pytest.approx(speed, **CLOSE)
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_bracket_and_root_twist(case: Case) -> None:
     """The bracket is that of se(3); the root's twist gives the twist of a frame on a body."""
@@ -120,7 +120,7 @@ def test_bracket_and_root_twist(case: Case) -> None:
     assert number(found)[:, 0] == pytest.approx(case.xi, **CLOSE)
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_variable_bodies_equal_bodies_of_other_model(case: Case) -> None:
     """Inertias by their linear map, placements by their parameters; momenta by RNEA."""
@@ -170,7 +170,7 @@ def test_constants_of_step_pattern_are_not_read(name: str) -> None:
     assert Freed((0, 1), steps[:1], (2, 3)).size == 20 + 8 + 24
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_derivatives_of_placements_equal_differences(case: Case) -> None:
     """For the parameters of links and steps, by central differences of moved placements."""

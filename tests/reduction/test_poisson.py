@@ -29,7 +29,7 @@ def heavy(joints: int, seed: int) -> pinred.System:
     return pinred.load(model)
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(cases(0, 4))
 def test_canonical_tensor_maps_to_connection_tensor(case: Case) -> None:
     """With σ(x, π, μ) = (x, π − Aᵀμ, μ): Tσ P Tσᵀ, with A and its derivatives from CasADi."""
@@ -209,7 +209,7 @@ def test_casimirs_of_heavy_top_are_constant_by_aba() -> None:
         found[0](mu)
 
 
-@settings(max_examples=10)
+@settings(max_examples=8)
 @given(seeds)
 def test_observables_have_bracket_of_their_expressions(seed: int) -> None:
     """Functions with gradients have the bracket of the same CasADi expressions."""

@@ -57,7 +57,7 @@ def check(system: pinred.System, x: Array) -> None:
         np.testing.assert_allclose(found.d2com[0, ..., k], (ahead - behind) / 2e-3, atol=1e-5)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_second_derivatives_of_random_trees_equal_differences(case: Case) -> None:
     """Any group, branched, every kind of joint, with armature."""
@@ -84,7 +84,7 @@ def test_many_shapes_equal_single_shapes(count: int) -> None:
             np.testing.assert_allclose(getattr(every, name)[k], getattr(alone, name)[0], atol=1e-13)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_derivatives_of_some_joints_equal_all(case: Case) -> None:
     """Their rows and columns, and the base's, as without `of`."""

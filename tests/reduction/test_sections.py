@@ -68,7 +68,7 @@ def pinocchios(case: Case) -> Array:
     return np.asarray(H + np.triu(H, 1).T)
 
 
-@settings(max_examples=60)
+@settings(max_examples=8)
 @given(cases(1, 6))
 def test_change_section_transforms_all_terms(case: Case) -> None:
     """A′, B′, I′ to 1e-13 of their terms: by their definitions from Pinocchio's transformed H."""
@@ -101,7 +101,7 @@ def test_change_section_transforms_all_terms(case: Case) -> None:
     assert relative(moved.spatial_momentum(G.compose(case.pose, pose), mu), J) < 1e-12
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(cases(1, 5))
 def test_change_section_transforms_derivatives(case: Case) -> None:
     """∂(I′A′) and ∂I′ from the derivatives of Pinocchio's H and of Ad_h, exactly."""
@@ -128,7 +128,7 @@ def test_change_section_transforms_derivatives(case: Case) -> None:
     assert relative(across, there[:r, r:], size) < 1e-13
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(cases(1, 5))
 def test_com_slope_in_other_section_equals_differences(case: Case) -> None:
     """∂c′ by differences of Pinocchio's c, transformed by h."""
@@ -149,7 +149,7 @@ def test_com_slope_in_other_section_equals_differences(case: Case) -> None:
     assert relative(found.com_slope(case.x), slope) < 1e-7
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(cases(1, 5), st.booleans())
 @example(case=make_case("R", 1, 787), heavy=False)  # all terms nearly cancel
 def test_accelerations_do_not_depend_on_section(case: Case, heavy: bool) -> None:
@@ -179,7 +179,7 @@ def test_accelerations_do_not_depend_on_section(case: Case, heavy: bool) -> None
     assert relative(by_momenta.momentum.total, terms.momentum.total, size) < 1e-12
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(cases(1, 5))
 def test_grid_in_other_section_equals_at(case: Case) -> None:
     """After two changes of section, `grid` equals `at` at each shape."""
@@ -262,7 +262,7 @@ def test_change_section_checks_derivative_to_a_millionth() -> None:
         red.change_section(lambda _: (identity, np.full((3, 2), 4e-6)))
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(cases(0, 5))
 def test_connection_form_and_spatial_inertia(case: Case) -> None:
     """J = 𝕀 𝒜(v) by Pinocchio; 𝒜 of a rigid motion is its twist; 𝒜 is equivariant."""

@@ -84,13 +84,15 @@ WHEELS = ("wheel_x", "wheel_y", "wheel_z")
     ("force", "cyclic"),
     [
         (Damper("wheel_x", 0.1), ("wheel_y", "wheel_z")),
-        (Torque({"wheel_y": 0.01}), ("wheel_x", "wheel_z")),
-        (PD({"wheel_z": 0.3}, 1.0, 0.1), ("wheel_x", "wheel_y")),
+        pytest.param(Torque({"wheel_y": 0.01}), ("wheel_x", "wheel_z"), marks=pytest.mark.by_hand),
+        pytest.param(
+            PD({"wheel_z": 0.3}, 1.0, 0.1), ("wheel_x", "wheel_y"), marks=pytest.mark.by_hand
+        ),
         (Spring("wheel_x", 0.1), ("wheel_y", "wheel_z")),
         (PotentialEnergy(lambda x: ca.cos(x[1] - x[2])), ("wheel_z",)),
         # What depends on the rate of a wheel, not on its angle, leaves it cyclic.
         (Torque(lambda _, __, xdot, ___: {"panel_hinge": -0.1 * xdot[1]}), WHEELS),
-        (Damper("panel_hinge", 0.3), WHEELS),
+        pytest.param(Damper("panel_hinge", 0.3), WHEELS, marks=pytest.mark.by_hand),
         (Wrench([0.1, 0.0, 0.0, 0.0, 0.0, 0.02]), WHEELS),
     ],
 )

@@ -49,7 +49,7 @@ def springs_of(case: Case) -> dict[str, tuple[float, float]]:
     return dict.fromkeys(case.system.shape_names[::2], (1.5, 0.4))
 
 
-@settings(max_examples=60)
+@settings(max_examples=8)
 @given(cases(0))
 def test_lagrange_poincare_has_accelerations_of_aba(case: Case) -> None:
     """With joint torques, springs and a base wrench."""
@@ -69,7 +69,7 @@ def test_lagrange_poincare_has_accelerations_of_aba(case: Case) -> None:
     assert backward_error(H, found, wanted, terms.shape, terms.momentum, kinetic) <= RELATIVE
 
 
-@settings(max_examples=60)
+@settings(max_examples=8)
 @given(cases())
 def test_hamilton_poincare_has_rates_of_aba(case: Case) -> None:
     """ẋ, ṗ and μ̇ follow from ABA's accelerations by p = M ẋ and μ = I ξ + I A ẋ."""
@@ -90,7 +90,7 @@ def test_hamilton_poincare_has_rates_of_aba(case: Case) -> None:
     assert terms.energy == pytest.approx(energy, rel=1e-12)
 
 
-@settings(max_examples=60)
+@settings(max_examples=8)
 @given(cases(0))
 def test_canonical_form_has_rates_of_aba(case: Case) -> None:
     """In (x, π, μ): velocities from momenta, and π̇ = d/dt ∂L/∂ẋ from ABA's accelerations."""
@@ -109,7 +109,7 @@ def test_canonical_form_has_rates_of_aba(case: Case) -> None:
         assert agree(form.force(case.x, case.v), expected[r:], *parts)
 
 
-@settings(max_examples=40)
+@settings(max_examples=8)
 @given(cases(0, 0))
 def test_euler_poincare_has_accelerations_of_aba(case: Case) -> None:
     """A system without joints obeys Euler–Poincaré, with a wrench on the base."""
@@ -181,7 +181,7 @@ def test_invalid_states_raise_and_name_argument(
         lagrange_poincare(red, *arguments, **options)  # type: ignore[arg-type]
 
 
-@settings(max_examples=60)
+@settings(max_examples=8)
 @given(st.integers(0, 5), seeds)
 @example(joints=1, seed=1_073_741_823)  # terms of size 1 that sum to 0.004
 def test_equations_of_pivoted_tree_agree_with_aba(joints: int, seed: int) -> None:

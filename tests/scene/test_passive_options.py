@@ -74,7 +74,7 @@ def test_passive_options_equal_explicit_forces(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("options", "text", "words"), FORMS)
+@pytest.mark.parametrize(("options", "text", "words"), FORMS[2:])
 def test_left_out_passive_forces_are_reported_in_one_line(
     robot: Path,
     options: dict[str, Any],

@@ -204,7 +204,13 @@ def test_files_and_copies_with_balls_keep_all_arrays(tree: pinred.System, tmp_pa
     assert list(labels["xdot"].coords["joint"].values) == list(tree.shape_names)
 
 
-@pytest.mark.parametrize("name", ["falling_cat_ball", "diver", "astronaut"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "falling_cat_ball",
+        *(pytest.param(name, marks=pytest.mark.by_hand) for name in ("diver", "astronaut")),
+    ],
+)
 def test_bundled_robots_with_balls_pass_compare(name: str) -> None:
     """The first second of their generic motion; `balls=[]` keeps the hinges."""
     system = pinred.load(name)

@@ -158,16 +158,16 @@ def test_new_gravity_values_reuse_the_kernel(builds: list[str]) -> None:
         pinred.simulate(pinred.load("cartpole", gravity=(0, 0, -g)), duration=0.1, times=[0.1]).x[
             -1
         ]
-        for g in np.linspace(0.5, 20.0, 100)
+        for g in np.linspace(0.5, 20.0, 20)
     ]
     assert sorted(builds) == ["initial_conditions", "outputs", "rate"]
-    assert len(np.unique(ends, axis=0)) == 100
+    assert len(np.unique(ends, axis=0)) == 20
     cartpole = pinred.load("cartpole")
     by_name = [
         pinred.simulate(cartpole, duration=0.1, times=[0.1], parameters={"gravity.strength": g}).x[
             -1
         ]
-        for g in np.linspace(0.5, 20.0, 100)
+        for g in np.linspace(0.5, 20.0, 20)
     ]
     np.testing.assert_array_equal(by_name, ends)
     assert len(builds) == 3

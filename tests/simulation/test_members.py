@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -214,15 +215,61 @@ def test_zarr_of_members_has_the_arrays_of_npz(tmp_path: Path) -> None:
     np.testing.assert_array_equal(root["q"][:], many.q)
     assert root.attrs["robot"] == "falling_cat"
     assert [path.name for path in tmp_path.iterdir()] == ["many.zarr"]
-    with pytest.raises(pinred.InputError, match="it is a folder"):
-        many.save(tmp_path / "many.zarr")
+
+
+def test_saved_members_are_read_again(tmp_path: Path) -> None:
+    """Arrays and failures of .npz and .zarr are equal, and xarray reads names and units."""
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("zarr")
+    system = pinred.load("coupled_planar")
+    options: dict[str, Any] = {"duration": 100.0, "springs": {"hinge": (-1e6, 0.0)}}
+    many = pinred.simulate_many(system, x0=[[0.0], [1.0]], **options)
+    for name in ("many.npz", "many.zarr"):
+        many.save(tmp_path / name)
+        again = pinred.read_members(tmp_path / name)
+        assert (len(again), again.failures) == (2, list(many.failures))
+        for field in ("x", "pose", "energy"):
+            np.testing.assert_array_equal(getattr(again, field), getattr(many, field))
+        np.testing.assert_array_equal(again[0].pose, many.pose[0])
+        assert again.system.name == again[0].system.name == "coupled_planar"
+        with pytest.raises(pinred.IntegrationError, match="member 1 stopped at t"):
+            again[1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plain = xarray.open_zarr(str(tmp_path / "many.zarr"), consolidated=False)
+    assert plain["pose"].dims == ("member", "t", "coordinate")
+    assert plain["pose"].attrs["units"] == "m | rad | 1"
+    assert plain["coordinate"].values.tolist() == list(system.group.pose_names)
+    np.testing.assert_array_equal(plain["reached"], [100.0, many.failures[0].time])
+    other = pinred.simulate_many(system, x0=[[0.1], [0.2], [0.3]], duration=1.0)
+    other.save(tmp_path / "many.zarr")
+    np.testing.assert_array_equal(pinred.read_members(tmp_path / "many.zarr").x, other.x)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["many.npz", "many.zarr"]
+
+
+def test_folders_of_others_are_not_replaced(tmp_path: Path) -> None:
+    """Only a zarr folder is replaced; other files are not members."""
+    pytest.importorskip("zarr")
+    many = pinred.simulate_many(CAT, seeds=[1], times=TIMES)
+    folder = tmp_path / "many.zarr"
+    folder.mkdir()
+    (folder / "mine.txt").write_text("mine")
+    with pytest.raises(pinred.InputError, match="it exists and is not a zarr folder"):
+        many.save(folder)
+    assert (folder / "mine.txt").read_text() == "mine"
+    for path in (folder, tmp_path / "none.zarr", tmp_path / "none.npz"):
+        with pytest.raises((pinred.LoadError, pinred.InputError)):
+            pinred.read_members(path)
+    many[0].save(tmp_path / "one.npz")
+    with pytest.raises(pinred.LoadError, match="does not contain members"):
+        pinred.read_members(tmp_path / "one.npz")
 
 
 @pytest.mark.by_hand
 def test_documented_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     """The example of the documentation runs, and its member passes the comparison."""
     text = (Path(__file__).parents[2] / "docs/many.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    _, code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     exec(compile(code, "docs/many.md", "exec"), {})
     out = capsys.readouterr().out
     assert "40 members 8 at once in lanes, DOP853" in out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ SYSTEM = pinred.load("coupled_planar")
 LINK = str(SYSTEM.model.names[2])
 
 
-def test_negative_mass_becomes_failure_of_its_member() -> None:
+def test_negative_mass_becomes_failure_of_its_member(tmp_path: Path) -> None:
     """The other members have the bits of a batch without the rejected one."""
     masses = np.array([1.0, -0.5, 2.0, 0.0])
     xdot0 = np.full((4, 1), 0.3)
@@ -33,6 +34,10 @@ def test_negative_mass_becomes_failure_of_its_member() -> None:
     one = pinred.simulate(SYSTEM, parameters={f"{LINK}.mass": 2.0}, xdot0=[0.3], **options)
     np.testing.assert_allclose(many.pose[2], one.pose, rtol=1e-12, atol=1e-13)
     assert many[2].scene.parameters == {f"{LINK}.mass": 2.0}
+    many.save(tmp_path / "many.npz")
+    with np.load(tmp_path / "many.npz") as saved:
+        np.testing.assert_array_equal(saved["parameter_values"][:, 0], [1.0, np.nan, 2.0, np.nan])
+        assert np.isnan(saved["gravity"]).all(axis=1).tolist() == [False, True, False, True]
 
 
 def test_invalid_raise_names_the_member() -> None:

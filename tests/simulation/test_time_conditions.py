@@ -63,7 +63,7 @@ def written_end(traj: pinred.Trajectory, torque: Any, spacing: float = 2e-3) -> 
     return full.couplings.shape(y[7 : 7 + full.coordinates])
 
 
-@pytest.mark.parametrize("rtol", [1e-6, 1e-10])
+@pytest.mark.parametrize("rtol", [1e-6, pytest.param(1e-10, marks=pytest.mark.by_hand)])
 def test_pulses_equal_tables(rtol: float) -> None:
     """A pulse written in time takes the steps of the same pulse as a Hold, wherever it is."""
     rng = np.random.default_rng(0)
@@ -199,14 +199,22 @@ def richardson(function: Any, value: float, change: float) -> Any:
 @pytest.mark.parametrize(
     ("values", "function"),
     [
-        ({"a": 7.3, "b": 3.1}, lambda t, a, b: 0.02 * ca.floor(a * ca.fabs(ca.sin(b * t)))),
+        pytest.param(
+            {"a": 7.3, "b": 3.1},
+            lambda t, a, b: 0.02 * ca.floor(a * ca.fabs(ca.sin(b * t))),
+            marks=pytest.mark.by_hand,
+        ),
         # The floor jumps where fmod does, and moves with it.
         ({"a": 6.2, "b": 0.39}, lambda t, a, b: 0.05 * ca.floor(a * ca.fmod(t, b))),
         (
             {"a": 0.31, "b": 0.13},
             lambda t, a, b: 0.2 * ca.if_else(ca.fmod(t, a) < b, 1, -1),
         ),
-        ({"a": 3.4, "b": 2.7}, lambda t, a, b: 0.03 * ca.floor(a * ca.floor(b * t) * t)),
+        pytest.param(
+            {"a": 3.4, "b": 2.7},
+            lambda t, a, b: 0.03 * ca.floor(a * ca.floor(b * t) * t),
+            marks=pytest.mark.by_hand,
+        ),
     ],
 )
 def test_flow_by_nested_switch_times_equals_differences(values: Any, function: Any) -> None:

@@ -31,7 +31,11 @@ def mjcf(folder: Path, text: str) -> Path:
 
 @pytest.mark.parametrize(
     ("text", "balls", "sizes"),
-    [(DIVER, False, (7, 9)), (HUMANOID, True, (7, 9)), (HUMANOID, ["head"], (7, 8))],
+    [
+        (DIVER, False, (7, 9)),
+        pytest.param(HUMANOID, True, (7, 9), marks=pytest.mark.by_hand),
+        (HUMANOID, ["head"], (7, 8)),
+    ],
 )
 def test_balls_of_mjcf_are_simulated(
     tmp_path: Path, text: str, balls: bool | list[str], sizes: tuple[int, int]

@@ -34,7 +34,7 @@ def mimic(leader: str, numbers: str = "") -> str:
     return f'<mimic joint="{leader}" {numbers}/>'
 
 
-@settings(max_examples=60)
+@settings(max_examples=8)
 @given(coupled_cases())
 def test_coordinates_of_coupled_joints_round_trip(case: CoupledCase) -> None:
     """All joints are G y + b, also for batches of states, and q and v give y back."""

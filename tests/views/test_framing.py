@@ -102,6 +102,7 @@ def test_cards_do_not_cover_robot(
         assert_visible(screen, 820, 500)
 
 
+@pytest.mark.by_hand
 def test_films_do_not_cover_robot(screen: Browser, page: Path) -> None:
     """In small and large pictures."""
     for width, height in ((320, 240), (960, 720)):
@@ -111,6 +112,7 @@ def test_films_do_not_cover_robot(screen: Browser, page: Path) -> None:
         assert shown == (width == 960)
 
 
+@pytest.mark.by_hand
 def test_resizing_keeps_camera_of_user(screen: Browser, page: Path) -> None:
     """A resized window is framed again, unless the user has moved the camera."""
     show(screen, page, 1300, 900)
@@ -149,6 +151,7 @@ def grid_pixels_by_quarter(screen: Browser, t: float) -> NDArray[np.int64]:
     ("name", "seed"),
     [pytest.param("solo12", 0, marks=pytest.mark.by_hand), ("falling_cat", None)],
 )
+@pytest.mark.by_hand
 def test_grid_is_visible_at_all_times(
     screen: Browser, tmp_path: Path, name: str, seed: int | None
 ) -> None:

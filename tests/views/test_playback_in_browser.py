@@ -218,6 +218,7 @@ def test_scene_objects_have_pinocchio_placements(
         np.testing.assert_allclose(across, spin / np.linalg.norm(spin), atol=1e-5)
 
 
+@pytest.mark.by_hand
 def test_arrow_stays_still_on_screen(screen: Browser, tmp_path: Path) -> None:
     """The camera follows the CoM; the arrow's pixels stay while the cat's move."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=6.0)

@@ -78,6 +78,7 @@ def test_cycles_plot_passes_poses() -> None:
     assert rotated[-1] == pytest.approx(cat.group.log(q.cycles(2))[3], abs=1e-12)
 
 
+@pytest.mark.by_hand
 def test_loop_plot_of_gait_and_plan() -> None:
     """The path, the joints, and the final base of a best gait and of a plan."""
     best = pinred.optimise_gait(rods(), limits=1.5, harmonics=1, starts=1)

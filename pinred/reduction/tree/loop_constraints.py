@@ -14,18 +14,19 @@ fluid flow", 1995; O. Gonzalez, J. H. Maddocks and R. L. Pego, 1999.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import pinocchio as pin
 
+from ...common.memo import once
 from ...system.loops.kinematics import LoopEnd, loop_ends, rotation_axes
-from ...system.loops.loop import Loop
+from ...system.loops.loop import JointPolynomial, Loop
 from ...system.system import System
 from .all_joints import joint_values
 from .articulated_sweep import Swept, step_of
-from .body_frames import Body
+from .body_frames import Body, bodies_of
 from .scalars import Mat, Scalar, Vec, add, dot, mul, solve_ldl, sub, total
 
 GAUGE_RATE = 1.0  # rate at which the impetus approaches the canonical momentum [1/s]
@@ -56,8 +57,26 @@ def constraint_values(system: System, bodies: Sequence[Body], x: Sequence[Scalar
     """
     assert system.closure is not None
     joints = joint_values(system, x)
-    values = [v for loop in system.loops for v in _values(system.model, bodies, loop, joints)]
+    values: list[Scalar] = []
+    for loop in system.loops:
+        if isinstance(loop, Loop):
+            values += _values(system.model, bodies, loop, joints)
+        else:
+            values.append(_polynomial(loop, dict(zip(system.tree.x_names, joints, strict=True))))
     return [values[k] for k in system.closure.rows.tolist()]
+
+
+def jacobian_function(system: System) -> ca.Function:
+    """Return the map from a shape x (nx,) to the Jacobian (k, m) of the independent constraints."""
+
+    def make() -> ca.Function:
+        x = ca.SX.sym("x", system.nx)
+        entries = ca.vertsplit(x)
+        phi = ca.vertcat(*constraint_values(system, bodies_of(system), entries))
+        J = ca.jacobian(phi, x) @ _rate_map(system, entries)
+        return ca.Function("loop_jacobian", [x], [ca.densify(J)], {"cse": True})
+
+    return once(system, jacobian_function, make)
 
 
 def solve_with_loops(
@@ -138,6 +157,14 @@ def _values(
             values.append(mul(0.5, sub(forward, back)))
         return values
     return values + [dot(columns_a[i], columns_b[k]) for i, k in rotation_axes(loop.kind)]
+
+
+def _polynomial(law: JointPolynomial, joints: Mapping[str, Scalar]) -> Scalar:
+    """Return φ of a polynomial between two joints, by Horner's rule."""
+    leader, value = sub(joints[law.leader], law.leader_zero), 0.0
+    for c in reversed(law.coefficients):
+        value = add(mul(value, leader), c)
+    return sub(sub(joints[law.follower], law.follower_zero), value)
 
 
 def _chain(bodies: Sequence[Body], end: LoopEnd) -> list[int]:

@@ -12,6 +12,7 @@ from ...common.errors import InputError, LoadError, PinredError
 from ...common.files import is_file
 from ...system.catalogue import bundled_robots
 from ...system.load import load
+from ...system.loops.loop_file import SUFFIXES
 from ...system.system import System
 from .csv_columns import read_text
 from .file_place import Place, one_line
@@ -74,6 +75,9 @@ def robot_in(document: Mapping[str, Any], folder: Path, place: Place) -> System:
         meshes = options["meshes"]
         paths = [meshes] if isinstance(meshes, str) else meshes
         options["meshes"] = [folder / path for path in paths]
+    loops = options.get("loops")
+    if isinstance(loops, str) and loops.endswith(SUFFIXES):
+        options["loops"] = folder / loops
     source: str | Path = robot
     file = folder / robot
     exists = is_file(file)

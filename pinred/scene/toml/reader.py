@@ -41,12 +41,16 @@ class SceneFile:
         engine: The engine that simulates it.
         check: Whether to find forces that steps skip.
         checkpoint: Checkpoint file of the run, or None.
+        sweep: Arguments of `pinred.sweep`, {} without a table `sweep`.
+        place: Place of the table `sweep`, for messages.
     """
 
     scene: Scene
     engine: Engine
     check: bool
     checkpoint: Path | None
+    sweep: Mapping[str, Any]
+    place: Place
 
 
 @checks_arguments
@@ -115,7 +119,11 @@ class _Builder:
             _ = scene.start  # Evaluated here, so that errors name the file, too.
         except PinredError as error:
             self._explain(error, options)
-        return SceneFile(scene, engine, check, None if file is None else self.folder / file)
+        sweep = dict(self.document.get("sweep", {}))
+        if "store" in sweep:
+            sweep["store"] = self.folder / sweep["store"]
+        checkpoint = None if file is None else self.folder / file
+        return SceneFile(scene, engine, check, checkpoint, sweep, self.place / "sweep")
 
     def _option_place(self, name: str) -> Place:
         table = FILE_OPTIONS[name].table

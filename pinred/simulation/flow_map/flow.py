@@ -24,7 +24,7 @@ from ..plan import plan_of
 from ..simulate import as_scene
 from .inputs import Inputs, motion_of, with_varied
 from .propagator import Propagator
-from .resolved_run import Run
+from .resolved_run import Run, refuse_singular_run
 
 if TYPE_CHECKING:
     from .casadi_adapter import FlowCallback
@@ -44,7 +44,9 @@ class Flow:
     Parameters.  Inputs that a call omits have their values in the scene.  Derivatives are those of
     the integrator's steps, with the step lengths held constant.  A pose g among inputs or outputs
     is differentiated in body coordinates: with respect to η at η = 0 in g exp(η̂).  Likewise, the
-    attitude R of a ball joint in a shape is differentiated with respect to w in R exp(ŵ).
+    attitude R of a ball joint in a shape is differentiated with respect to w in R exp(ŵ).  With
+    closed loops, the shape and its rate are projected to a closed state as in `simulate`, and
+    derivatives contain this projection.
 
     Attributes:
         scene: The scene.
@@ -267,6 +269,7 @@ class Flow:
         last_run = self._last
         if last_run is None or last_run[0] != key:
             last_run = self._last = (key, self.propagator.run(columns, stages=stages))
+            refuse_singular_run(last_run[1])
         return last_run[1]
 
     def _covectors(self, covector: Any) -> Array:
@@ -324,7 +327,6 @@ def flow(
         The flow.
     """
     resolved = as_scene(scene, options, "flow")
-    resolved.system.refuse_loops("flow")
     resolved = with_varied(resolved, wrt)
     over_times = resolved.times is not None
     if not over_times:

@@ -122,8 +122,9 @@ class Columns:
         count = _common_count([len(batch) for batch in batches])
         if not count:
             return np.zeros((0, self.size))
-        if count == 1:
-            return self.value(*(batch[0] for batch in batches))[None]
+        if count == 1 or self.flow.system.loops:  # lanes store no steps at which loops are checked
+            rows = [[batch[k % len(batch)] for batch in batches] for k in range(count)]
+            return np.array([self.value(*row) for row in rows])
         arguments = [
             self._inputs.given(
                 {

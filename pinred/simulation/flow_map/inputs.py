@@ -21,6 +21,7 @@ from ...reduction.tree.free_bodies import free_numbers
 from ...scene.joint_values import order_by_joint
 from ...scene.scene import Scene
 from ..robot_columns import RobotColumns, with_own
+from .closed_inputs import close_inputs, closing_slopes
 
 _NONE: Mapping[str, Array] = MappingProxyType({})
 
@@ -34,11 +35,13 @@ class Given:
         constants: Parameters of the kernel from gravity on, then the acceleration of the centre
             of mass in free fall, (k,).
         robot: Values of robot parameters that the call states, by name.
+        rates: Shape rates before they are projected to keep loops closed, (m,); None without loops.
     """
 
     state: Array
     constants: Array
     robot: Mapping[str, Array] = field(default_factory=lambda: _NONE)
+    rates: Array | None = None
 
 
 class Inputs:
@@ -98,7 +101,8 @@ class Inputs:
         sizes |= {n: len(v) for n, v in self._robot_values.items()}
         self.sizes = {name: sizes.get(name, 1) for name in self.names}
         self._spans = _slices(self.sizes)
-        curved = ("pose0", "x0") if system.space.balls else ("pose0",)
+        curved = ["pose0", *["x0"] * bool(system.space.balls or system.loops)]
+        curved += ["xdot0"] * bool(system.loops)
         self._curved = [name for name in curved if name in self.sizes]
         self._scalars = {n for n, size in self.sizes.items() if size == 1 and n not in self._places}
         self._last: tuple[Given, tuple[Array, Array]] | None = None  # cache of `basis`
@@ -155,7 +159,16 @@ class Inputs:
         if "x0" in values:
             place = self._places["x0"]
             state[place] = self._system.space.normalized(state[place], "x0", near=False)
-        return Given(state, constants, robot)
+        if not (self._system.loops and {"x0", "xdot0"} & values.keys()):
+            return Given(state, constants, robot)
+        rates = state[self._places["xdot0"]].copy()
+        state[self._shape_at] = close_inputs(self._system, state[self._places["x0"]], rates, values)
+        return Given(state, constants, robot, rates)
+
+    @property
+    def _shape_at(self) -> slice:
+        """Place of the shape and its rate, which follows it, among the columns."""
+        return slice(self._places["x0"].start, self._places["xdot0"].stop)
 
     def directions(self, along: Mapping[str, Any], at: Given) -> tuple[Array, Array]:
         """Convert {input: direction} to directions (…, 1) of state and constants."""
@@ -209,14 +222,33 @@ class Inputs:
     def _put_tangents(self, state: Array, at: Given) -> None:
         """Write the directions of inputs whose tangents depend on their values."""
         system = self._system
+        if system.loops:
+            self._put_closing(state, at)
         for name in self._curved:
             place, span = self._places[name], self._spans[name]
+            if name != "pose0" and system.loops:
+                continue
             if name == "x0":
                 state[place, span] = system.space.rate_map(at.state[place])
                 continue
             group = system.group
             poses = np.broadcast_to(at.state[place], (group.dim, group.size))
             state[place, span] = group.rate(poses, np.eye(group.dim)).T
+
+    def _put_closing(self, state: Array, at: Given) -> None:
+        """Write the directions of shapes and rates that keep loops closed."""
+        names = [name for name in ("x0", "xdot0") if name in self._spans]
+        if not names:
+            return
+        x, xdot = at.state[self._places["x0"]], at.state[self._places["xdot0"]]
+        raw = xdot if at.rates is None else at.rates
+        shape, rates, by_rates = closing_slopes(self._system, x, xdot, raw)
+        if "x0" in names:
+            span = self._spans["x0"]
+            state[self._places["x0"], span] = self._system.space.rate_map(x) @ shape
+            state[self._places["xdot0"], span] = rates
+        if "xdot0" in names:
+            state[self._places["xdot0"], self._spans["xdot0"]] = by_rates
 
     def _put_robot(
         self, constants: Array, now: Mapping[str, Array], changed: Collection[str]

@@ -13,6 +13,7 @@ from ...common.errors import AccuracyWarning
 from ...integrators.solution import Solution
 from ..compiled.compiled_flow import CompiledFlow
 from ..plan import Plan, Span
+from ..singular_loops import may_pass_singular_shape, refuse_singular_shapes
 from ..time_resolution import (
     RERUNS,
     describe_unresolved,
@@ -74,6 +75,28 @@ def resolve_run(
         stops = joined_stops(np.array([span.stop for span in spans]), times)
         last, (spans, solutions) = solutions, solve(stops)
     return spans, solutions
+
+
+def refuse_singular_run(run: Run) -> None:
+    """Reject a run through a shape at which the equations of closed loops become dependent.
+
+    Args:
+        run: The run.
+    Raises:
+        IntegrationError: The run passes such a shape.
+    """
+    flow, system = run.flow, run.flow.kernel.system
+    if system.closure is None:
+        return
+    for span, solution in zip(run.spans, run.solutions, strict=True):
+
+        def shapes_at(t: Array, span: Span = span, solution: Solution = solution) -> Array:
+            y = solution.at(t - span.start)
+            return flow.outputs(t, y, solution.params)[:, flow.kernel.where.fields["x"]]
+
+        knots = span.start + solution.knots
+        if may_pass_singular_shape(system, shapes_at(knots)):
+            refuse_singular_shapes(system, knots, shapes_at)
 
 
 def _step_ends(spans: list[Span], solutions: list[Solution]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
@@ -12,7 +13,13 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import Array, as_floats, dimensions, vectors
-from ...common.errors import InputError, RejectedValuesError, ShapeError, SymmetryError
+from ...common.errors import (
+    InputError,
+    LoopWarning,
+    RejectedValuesError,
+    ShapeError,
+    SymmetryError,
+)
 from ...common.names import brief, listed
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
@@ -28,6 +35,7 @@ from ...system.variants import in_gravity, nominal
 from ..plan import MemberParameters
 from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene
+from .closed_members import close_members
 from .member_groups import Group, Members, members_plan
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
@@ -47,6 +55,7 @@ class MemberOptions:
         seeds: Seeds of random initial states, (N,), or None.
         common: Options that all members share.
         states: Initial states by option, (N, …).
+        by_name: {option: {joint: (N, …)}} of x0 and xdot0 if they name joints of loops.
         parameters: Values of parameters by name, (N,) or (N, k).
         gravity: Gravity in the world frame, (N, 3) [m/s²], or None.
         robot: Number of entries of each robot parameter that the call states, by name.
@@ -87,9 +96,16 @@ class MemberOptions:
             if name == "gravity" and vectors(value, 3, "gravity").ndim != 2:
                 raise ShapeError(f"gravity must have shape (N, 3), got {np.shape(value)}")
             (self.common if name in STATES else values)[name] = value
-        for name in ("x0", "xdot0"):
-            if name in self.common:
-                self.common[name] = order_by_joint(self.common[name], system, name)
+        ordered: dict[str, Any] = {
+            name: order_by_joint(self.common[name], system, name)
+            for name in ("x0", "xdot0")
+            if name in self.common
+        }
+        self.by_name = _named_rows(system, self.common, ordered)
+        for name, value in ordered.items():
+            # Joints of loops keep the values that are stated by name, so keep the names.
+            if not (system.loops and dimensions(value) == 1):
+                self.common[name] = value
         self.states = {
             name: as_floats(self.common.pop(name), name)
             for name in STATES
@@ -148,7 +164,13 @@ class MemberOptions:
 
     def scene(self, member: int, *, common_parameters: bool = False) -> Scene:
         """Return the scene of a member, optionally with only the parameters that all share."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LoopWarning)  # `close_members` emits one for all
+            return self._scene(member, common_parameters=common_parameters)
+
+    def _scene(self, member: int, *, common_parameters: bool = False) -> Scene:
         options: dict[str, Any] = {name: values[member] for name, values in self.states.items()}
+        options |= {name: _row(self.by_name[name], member) for name in self.by_name}
         values_of_member = {name: values[member] for name, values in self.parameters.items()}
         options |= self.common
         if not common_parameters:
@@ -159,9 +181,7 @@ class MemberOptions:
         if self.gravity is not None:
             system = in_gravity(self.system, self.gravity[member])
             base = replace(base, system=system) if isinstance(base, Scene) else system
-        scene = as_scene(base, options, "simulate_many")
-        scene.system.refuse_loops("simulate_many")
-        return scene
+        return as_scene(base, options, "simulate_many")
 
     def _scene_by(self, method: Method | str, member: int) -> Scene:
         """Return the scene of one member, with the integrator that members use."""
@@ -173,6 +193,7 @@ class MemberOptions:
             return self
         selected = copy(self)
         selected.states = {name: rows[members] for name, rows in self.states.items()}
+        selected.by_name = {n: _row(values, members) for n, values in self.by_name.items()}
         selected.parameters = {name: rows[members] for name, rows in self.parameters.items()}
         selected.gravity = None if self.gravity is None else self.gravity[members]
         selected.seeds = None if self.seeds is None else [self.seeds[k] for k in members.tolist()]
@@ -299,6 +320,8 @@ class MemberOptions:
         if "pose0" in states:
             pose = np.array([system.group.pose(row) for row in states["pose0"]])
         refuse_vague(np.abs(x).max(axis=0), system)
+        if system.loops:
+            x, xdot = close_members(self._scene, self.count)
         x, xdot = _with_prescribed(scene, x, xdot, numbers)
         xi, momentum = (
             rows("xi0", system.r, common_states.xi),
@@ -318,6 +341,31 @@ def _parameter_values(system: System, parameters: Any, own: Mapping[str, Any]) -
             "Give {name: value}."
         )
     return values | {name: own[name] for name in values if name in own}
+
+
+def _named_rows(
+    system: System, options: Mapping[str, Any], ordered: Mapping[str, Any]
+) -> dict[str, dict[str, Array]]:
+    """Return {option: {joint: rows (N, …)}} of members that state joints of loops by name."""
+    if not system.loops:
+        return {}
+    balls = {joint.name for joint in system.space.balls}
+    named = {}
+    for name, values in ordered.items():
+        if not (isinstance(options[name], Mapping) and dimensions(values) == 2):
+            continue
+        columns = {joint: as_floats(entry, joint) for joint, entry in options[name].items()}
+        named[name] = {
+            joint: np.broadcast_to(
+                column, (len(values), *column.shape[-1 if joint in balls else column.ndim :])
+            )
+            for joint, column in columns.items()
+        }
+    return named
+
+
+def _row(values: Mapping[str, Array], member: int | Indices) -> dict[str, Array]:
+    return {joint: rows[member] for joint, rows in values.items()}
 
 
 def _checked_members(members: Mapping[str, Any] | None) -> Mapping[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...common.errors import (
     InputError,
+    LoopWarning,
     PinredError,
     RejectedValuesError,
     RejectedWarning,
@@ -48,10 +49,36 @@ def separate_rejected(options: MemberOptions, invalid: Invalid) -> tuple[Members
             first = min(reasons)
             kind = InputError if isinstance(error, RejectedValuesError) else type(error)
             raise kind(f"member {first}: {reasons[first]}") from None
+    return _without(options, reasons)
+
+
+def separate_all_rejected(options: MemberOptions) -> tuple[Members, list[Failure]]:
+    """Return the members whose values are valid, perhaps none, and the failures of the others.
+
+    Args:
+        options: Options of all members; the options that all share are valid.
+    Returns:
+        The valid members, with their indices among all members, and the failures.
+    Raises:
+        ShapeError: An array has a wrong shape.
+    """
+    try:
+        return options.members(), []
+    except ShapeError:
+        raise
+    except PinredError as error:
+        reasons = _find_rejected(options, np.arange(options.count), error)
+    return _without(options, reasons)
+
+
+def _without(options: MemberOptions, reasons: dict[int, str]) -> tuple[Members, list[Failure]]:
+    """Return the members that are not rejected, and the failures of the rejected ones."""
+    failures = [Failure(k, 0.0, reason, rejected=True) for k, reason in sorted(reasons.items())]
     kept = np.setdiff1d(np.arange(options.count), list(reasons))
+    if not kept.size:
+        return Members(options.count, [], partial(options.scene, common_parameters=True)), failures
     resolved = options.select(kept).members()
     groups = [replace(group, members=kept[group.members]) for group in resolved.groups]
-    failures = [Failure(k, 0.0, reason) for k, reason in sorted(reasons.items())]
     return Members(options.count, groups, partial(_scene, resolved.scene_of, kept)), failures
 
 
@@ -97,7 +124,9 @@ def _try_members(options: MemberOptions, members: Indices) -> dict[int, str]:
     if not members.size:
         return {}
     try:
-        options.select(members).members()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LoopWarning)  # the valid members repeat it together
+            options.select(members).members()
     except PinredError as error:
         return _find_rejected(options, members, error)
     return {}

@@ -38,11 +38,13 @@ class Failure:
         member: Index of the member.
         time: Last time that it reached [s].
         reason: Description of the cause.
+        rejected: Whether its values were rejected, so that it was never simulated.
     """
 
     member: int
     time: float
     reason: str
+    rejected: bool = False
 
 
 @dataclass(frozen=True)
@@ -164,14 +166,23 @@ class Trajectories(OverTime):
     @cached_property
     def outputs(self) -> State | ShapeState:
         """States of all members at the report times, (N, T, …), computed at first access."""
-        kind, N = State if self._wanted else ShapeState, len(self)
-        missing = _missing_states(self.system, self.t, wanted=self._wanted)
-        fields = {
-            name: np.empty((N, *row.shape))
-            for name, row in arrays_of(missing).items()
-            if name != "t"
-        }
-        alone = np.ones(N, bool)
+        kind = State if self._wanted else ShapeState
+        names = [name for name in kind.__dataclass_fields__ if name != "t"]
+        return kind(t=self.t, **self.fields(names))
+
+    def fields(self, names: Sequence[str]) -> dict[str, Array]:
+        """Compute some fields of the states of all members, without the others.
+
+        Args:
+            names: Names of fields of State, except the time.
+        Returns:
+            {name: (N, T, …)}.
+        """
+        if "outputs" in vars(self):
+            return {name: getattr(self.outputs, name) for name in names}
+        missing = arrays_of(_missing_states(self.system, self.t, wanted=self._wanted))
+        fields = {name: np.empty((len(self), *missing[name].shape)) for name in names}
+        alone = np.ones(len(self), bool)
         for batch in self._batches:
             assert batch.flow is not None
             batch.flow.fill_states(self.t, batch.y, batch.members, fields)
@@ -180,7 +191,7 @@ class Trajectories(OverTime):
             states = self._states(member)
             for name, field in fields.items():
                 field[member] = getattr(states, name)
-        return kind(t=self.t, **fields)
+        return fields
 
     def __getitem__(self, member: int) -> Trajectory:
         """Return the motion of one member.
@@ -219,7 +230,11 @@ class Trajectories(OverTime):
         The file contains `t`, (T,), one array (N, T, …) for each other field of State, and the
         robot as `Trajectory.save` writes it.  For each member there are `failure`, (N,), the reason
         for its failure or "", and `reached`, (N,), the last time [s].  `gravity` is (N, 3), and
-        `parameter_values`, (N, …), include the parameters of forces.
+        `parameter_values`, (N, …), include the parameters of forces.  Both are NaN for members
+        whose values were rejected.
+
+        A .zarr folder names its dimensions, and replaces an existing one.  `read_members` and
+        `xarray.open_zarr(path, consolidated=False)` read it.
 
         An InputError is raised for another suffix or a missing folder, an OutputError if writing
         fails, and a MissingPackageError if zarr is not installed.
@@ -227,7 +242,7 @@ class Trajectories(OverTime):
         Args:
             path: Path of the file; its suffix, .npz or .zarr, selects the format.
         """
-        path = check_path(path, (".npz", ".zarr"))
+        path = check_path(path, (".npz", ".zarr"), folders=(".zarr",))
         reasons, reached = [""] * len(self), np.full(len(self), float(self.t[-1]))
         for failure in self.failures:
             reasons[failure.member], reached[failure.member] = failure.reason, failure.time
@@ -238,10 +253,13 @@ class Trajectories(OverTime):
             "reached": reached,
             **_scene_arrays([self._scene_of(member) for member in range(len(self))]),
         }
+        rejected = [failure.member for failure in self.failures if failure.rejected]
+        for name in {"gravity", "parameter_values"} & set(arrays):
+            arrays[name][rejected] = np.nan
         if path.suffix == ".npz":
             write_atomic(path, lambda file: np.savez_compressed(file, **arrays))
         else:
-            write_zarr(path, arrays)
+            write_zarr(path, arrays, self.system)
 
     def _states(self, member: int) -> State | ShapeState:
         """Return the states of one member at the report times; NaN after the member has failed."""

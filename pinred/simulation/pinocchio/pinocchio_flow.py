@@ -167,10 +167,12 @@ class PinocchioFlow:
 
     def _motion(self, t: float, y: Array, numbers: Array) -> tuple[Array, Array]:
         """Return the shape (nx,) and v = (ξ, ẋ) relative to the centre of mass."""
-        x, momentum = self.shape(t, y, numbers), self._momentum(y)
+        momentum = self._momentum(y)
         if self._forces is None or not self._driven:
+            x = self._shape(y)
             return x, self._form.velocity(x, momentum)
         planned = self._forces.prescribed(t, numbers)
+        x = self._shape(y, planned.x)
         return x, self._form.driven_velocity(x, momentum, self._driven, planned.xdot)
 
     def _momentum(self, y: Array) -> Array:
@@ -182,13 +184,19 @@ class PinocchioFlow:
 
     def shape(self, t: float, y: Array, numbers: Array) -> Array:
         """Return the shape (nx,) of a reduced state, with quaternions of length one."""
+        if self._forces is None or not self._driven:
+            return self._shape(y)
+        return self._shape(y, self._forces.prescribed(t, numbers).x)
+
+    def _shape(self, y: Array, planned: Array | None = None) -> Array:
+        """Return the shape (nx,) with the coordinates of the prescribed joints, if any."""
         x = np.empty(self._system.nx)
         x[self._free_x] = y[: len(self._free)]
         x[self._balls_x] = y[self._balls_at + len(self._balls) : self._base_at]
         for joint in self._ball_joints:
             x[joint.x] /= np.linalg.norm(x[joint.x])
-        if self._forces is not None and self._driven:
-            x[self._driven_x] = self._forces.prescribed(t, numbers).x
+        if planned is not None:
+            x[self._driven_x] = planned
         return x
 
     def _quaternion_rates(self, y: Array, xdot: Array) -> list[Array]:

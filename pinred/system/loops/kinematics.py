@@ -19,7 +19,8 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed, nearest, quoted
-from .loop import Loop
+from .joint_laws import JointLaw
+from .loop import Constraint, JointPolynomial, Loop
 
 _LOCAL = pin.ReferenceFrame.LOCAL
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -87,33 +88,54 @@ class LoopKinematics:
         is_length: Whether each equation is a length [m], instead of an angle [rad], (c,).
     """
 
-    def __init__(self, model: pin.Model, loops: Sequence[Loop]) -> None:
-        """Find the frames of the loops in the model."""
+    def __init__(self, model: pin.Model, loops: Sequence[Constraint]) -> None:
+        """Find the frames and joints of the loops in the model."""
         self.loops = tuple(loops)
         self._model, self._data = model, model.createData()
-        self._ends = [loop_ends(model, loop) for loop in loops]
+        self._ends: dict[int, tuple[LoopEnd, LoopEnd]] = {}
+        self._laws: dict[int, JointLaw] = {}
+        for k, loop in enumerate(loops):
+            if isinstance(loop, JointPolynomial):
+                self._laws[k] = JointLaw(model, loop)
+            else:
+                self._ends[k] = loop_ends(model, loop)
         self._root = int(model.joints[1].nv)
         first = np.cumsum([0, *(loop.equations for loop in loops)]).tolist()
         self.rows = [slice(a, b) for a, b in pairwise(first)]
         self.is_length = np.zeros(first[-1], dtype=bool)
-        for rows in self.rows:
-            self.is_length[rows.start : rows.start + 3] = True
+        for k, rows in enumerate(self.rows):
+            law = self._laws.get(k)
+            count = 3 if law is None else int(law.is_length)
+            self.is_length[rows.start : rows.start + count] = True
 
-    def placements(self, q: Array) -> list[pin.SE3]:
-        """Return the placement of frame b in frame a of each loop at configuration q, (nq,)."""
+    def placements(self, q: Array) -> list[pin.SE3 | None]:
+        """Return the placement of frame b in frame a of each loop at configuration q, (nq,).
+
+        Polynomials of joints have None.
+        """
         pin.forwardKinematics(self._model, self._data, q)
-        return [self._placement(k) for k in range(len(self.loops))]
+        count = range(len(self.loops))
+        return [self._placement(k) if k in self._ends else None for k in count]
 
     def values(self, q: Array) -> Array:
-        """Return φ(q), (c,) [m | 1]."""
-        places = zip(self.loops, self.placements(q), strict=True)
-        return np.concatenate([_values(loop.kind, X) for loop, X in places])
+        """Return φ(q), (c,) [m | rad | 1]."""
+        pin.forwardKinematics(self._model, self._data, q)
+        blocks = [
+            _values(loop.kind, self._placement(k))
+            if isinstance(loop, Loop)
+            else self._laws[k].value(q)
+            for k, loop in enumerate(self.loops)
+        ]
+        return np.concatenate(blocks)
 
     def jacobian(self, q: Array) -> Array:
         """Return the Jacobian J(q), (c, nv), with φ̇ = J v."""
         pin.computeJointJacobians(self._model, self._data, q)
         blocks = []
         for k, loop in enumerate(self.loops):
+            if not isinstance(loop, Loop):
+                blocks.append(self._laws[k].row(q))
+                continue
             X = self._placement(k)
             blocks.append(_rows(loop.kind, X.rotation, self._relative(k, X)))
         return np.vstack(blocks)
@@ -123,6 +145,9 @@ class LoopKinematics:
         pin.computeJointJacobiansTimeVariation(self._model, self._data, q, v)
         blocks = []
         for k, loop in enumerate(self.loops):
+            if not isinstance(loop, Loop):
+                blocks.append(self._laws[k].row_rate(q, v))
+                continue
             X = self._placement(k)
             R, D = X.rotation, self._relative(k, X)
             V = D @ v

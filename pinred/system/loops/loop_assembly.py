@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 
@@ -9,7 +11,7 @@ from ...common.arrays import Array
 from ...common.errors import ModelError
 from ...common.names import quoted
 from .kinematics import loop_ends
-from .loop import Loop
+from .loop import Constraint, Loop
 from .looped_system import (
     LoopedSystem,
     configuration,
@@ -66,10 +68,13 @@ def describe_gap(system: LoopedSystem, gaps: Array, length: float) -> str:
 
 def loop_gaps(system: LoopedSystem, x: Array, length: float) -> Array:
     """Return the gap of each loop, (loops,): norm of its distance over `length` and angle."""
-    gaps = []
-    places = loop_kinematics(system).placements(configuration(system, x))
-    for loop, X in zip(system.loops, places, strict=True):
-        gaps.append(np.hypot(np.linalg.norm(X.translation) / length, _angle(loop, X.rotation)))
+    kinematics, q = loop_kinematics(system), configuration(system, x)
+    values, gaps = np.abs(_weights(system, length) * kinematics.values(q)), []
+    for loop, rows, X in zip(system.loops, kinematics.rows, kinematics.placements(q), strict=True):
+        if X is None:
+            gaps.append(float(values[rows.start]))
+            continue
+        gaps.append(np.hypot(np.linalg.norm(X.translation) / length, loop_angle(loop, X.rotation)))
     return np.array(gaps)
 
 
@@ -105,11 +110,17 @@ def assemble_from_any(system: LoopedSystem, length: float) -> Array:
     )
 
 
-def loop_length(system: LoopedSystem) -> float:
-    """Return the size of the loops: the largest distance of a joint or end from its parent [m]."""
+def loop_length(system: LoopedSystem, loops: Sequence[Constraint] | None = None) -> float:
+    """Return the size of the loops: the largest distance of a joint or end from its parent [m].
+
+    Args:
+        system: The system.
+        loops: The loops; None for those of the system.
+    """
     placements = [system.model.jointPlacements[i] for i in range(2, system.model.njoints)]
-    for loop in system.loops:
-        placements += [end.placement for end in loop_ends(system.model, loop)]
+    for loop in system.loops if loops is None else loops:
+        if isinstance(loop, Loop):
+            placements += [end.placement for end in loop_ends(system.model, loop)]
     return max(float(np.linalg.norm(M.translation)) for M in placements) or 1.0
 
 
@@ -128,9 +139,9 @@ def _weights(system: LoopedSystem, length: float) -> Array:
     return np.where(loop_kinematics(system).is_length, 1.0 / length, 1.0)
 
 
-def _angle(loop: Loop, R: Array) -> float:
+def loop_angle(loop: Constraint, R: Array) -> float:
     """Return the angle between the frames, or between their axes [rad]."""
-    if loop.kind == "3d":
+    if not isinstance(loop, Loop) or loop.kind == "3d":
         return 0.0
     if loop.kind == "6d":
         return float(np.linalg.norm(pin.log3(R)))
@@ -150,9 +161,9 @@ def _linearised(system: LoopedSystem, x: Array, length: float) -> tuple[Array, A
     weights = _weights(system, length)
     residual, J = weights * kinematics.values(q), weights[:, None] * loop_jacobian(system, x)
     for loop, rows, X in zip(system.loops, kinematics.rows, kinematics.placements(q), strict=True):
-        angle = _angle(loop, X.rotation)
+        angle = 0.0 if X is None else loop_angle(loop, X.rotation)
         turn = slice(rows.start + 3, rows.stop)
-        if loop.kind == "3d" or angle < 1e-3:
+        if not isinstance(loop, Loop) or X is None or angle < 1e-3:
             continue
         if loop.kind == "6d":
             R = X.rotation

@@ -178,7 +178,7 @@ def loop_chart(system: LoopedSystem, independent: Sequence[str] | None = None) -
     assert closure is not None
     if independent is None:
         J = scaled_jacobian(system, closure.x, closure.length)[closure.rows]
-        J /= np.linalg.norm(J, axis=1, keepdims=True)
+        J /= np.maximum(np.linalg.norm(J, axis=1, keepdims=True), 1e-300)
         weight = np.ones(system.m)
         weight[system.space.ball_v] = 1.0 / _BALL
         _, _, order = qr(J * weight, mode="economic", pivoting=True)

@@ -13,8 +13,9 @@ from scipy.linalg import qr
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
 from ...common.names import quoted
+from .joint_laws import JointLaw
 from .kinematics import loop_ends
-from .loop import Loop
+from .loop import Constraint, JointPolynomial, Loop
 from .loop_assembly import (
     CLOSED,
     NEARBY,
@@ -47,7 +48,8 @@ def close_loops(system: LoopedSystem) -> Closure:
         ModelError: A loop does not close; the message names the loop and its gap.
     """
     for loop in system.loops:
-        _check_loop(system, loop)
+        if isinstance(loop, Loop):
+            _check_loop(system, loop)
     length = loop_length(system)
     x = assemble_from_any(system, length)
     rows, least = _independent_rows(system, x, length)
@@ -99,12 +101,19 @@ def loop_rates(system: LoopedSystem) -> frozenset[int]:
     """Return the indices of the shape rates that move a loop."""
     moving: list[int] = []
     for loop in system.loops:
-        a, b = (_path(system, end.joint) for end in loop_ends(system.model, loop))
-        for joint in a ^ b:
+        for joint in moving_joints(system, loop):
             moving += range(*system.tree.joints[joint - 2].v.indices(system.tree.m))
     if system.coupled is None:
         return frozenset(moving)
     return frozenset(np.flatnonzero(system.coupled.G[moving].any(axis=0)).tolist())
+
+
+def moving_joints(system: LoopedSystem, loop: Constraint) -> set[int]:
+    """Return the joints in the model that move a loop."""
+    if isinstance(loop, JointPolynomial):
+        return {*JointLaw(system.model, loop).joints}
+    a, b = (_path(system, end.joint) for end in loop_ends(system.model, loop))
+    return a ^ b
 
 
 def _path(system: LoopedSystem, joint: int) -> set[int]:

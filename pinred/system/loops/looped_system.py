@@ -16,7 +16,7 @@ from ..coupling import Coupled
 from ..robot_file_contents import Keyframe
 from ..shape_space import ShapeSpace
 from .kinematics import LoopKinematics
-from .loop import Loop
+from .loop import Constraint
 
 T = TypeVar("T")
 
@@ -55,7 +55,7 @@ class LoopedSystem(Protocol):
     def name(self) -> str: ...  # noqa: D102
 
     @property
-    def loops(self) -> tuple[Loop, ...]: ...  # noqa: D102
+    def loops(self) -> tuple[Constraint, ...]: ...  # noqa: D102
 
     @property
     def closure(self) -> Closure | None: ...  # noqa: D102

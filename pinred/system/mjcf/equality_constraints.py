@@ -1,7 +1,7 @@
 """Equality constraints of an MJCF file.
 
-Constraints that couple joints linearly become couplings.  Those between two links of the robot
-become loops.
+Constraints that couple joints linearly become couplings.  Other polynomials of joints, and
+constraints between two links of the robot, become loops.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import pinocchio as pin
 from ...common.errors import ModelError
 from ..coupling import ties_of, with_constants, with_followers
 from ..locked_joints import Tie
-from ..loops.loop import Loop, LoopKind
+from ..loops.loop import Constraint as LoopConstraint
+from ..loops.loop import JointPolynomial, Loop, LoopKind
 from ..robot_file_contents import Coupling
 from .linear_laws import (
     Constraint,
@@ -41,24 +42,25 @@ class Constraints:
         couplings: Couplings of followers in proportion to their leaders.
         outside: Names of constraints that tie the robot to other bodies, or act on tendons or
             flexible bodies.
-        loops: Constraints that close kinematic loops; their frames are in the model.
+        loops: Constraints that close kinematic loops, and polynomials of joints; the frames of
+            loops are in the model.
     """
 
     couplings: tuple[Coupling, ...]
     outside: tuple[str, ...]
-    loops: tuple[Loop, ...] = ()
+    loops: tuple[LoopConstraint, ...] = ()
 
 
 def constraints_of(tree: Tree) -> Constraints:
     """Return the constraints that act on a robot, and add the frames of loops to its model.
 
     Raises:
-        ModelError: A constraint attaches the robot to the world, fixes a joint, contradicts another
-            one, or couples joints by a law that is not linear.
+        ModelError: A constraint attaches the robot to the world, fixes a joint, or contradicts
+            another one.
     """
     couplings: list[Coupling] = []
     outside: list[str] = []
-    loops: list[Loop] = []
+    loops: list[LoopConstraint] = []
     for constraint in active_constraints(tree.world):
         if constraint.kind in ("connect", "weld"):
             if _ties_outside(tree, constraint):
@@ -66,7 +68,11 @@ def constraints_of(tree: Tree) -> Constraints:
             elif _closes_loop(tree, constraint):
                 loops.append(_loop(tree, constraint))
         elif constraint.kind == "joint":
-            couplings += _coupling(tree, constraint)
+            for law in _laws(tree, constraint):
+                if isinstance(law, Coupling):
+                    couplings.append(law)
+                else:
+                    loops.append(law)
         elif constraint.kind != "tendon" or _is_outside(tree, constraint):
             outside.append(constraint.name)
     return Constraints((*couplings, *_tendon_couplings(tree)), tuple(outside), tuple(loops))
@@ -180,13 +186,13 @@ def _is_ground(tree: Tree, body: int) -> bool:
     return True
 
 
-def _coupling(tree: Tree, constraint: Constraint) -> Sequence[Coupling]:
-    """Return the coupling that a joint constraint defines, if the follower is not locked.
+def _laws(tree: Tree, constraint: Constraint) -> Sequence[Coupling | JointPolynomial]:
+    """Return the law between joints of a constraint, if the follower is not locked.
 
     MuJoCo's polynomial applies to displacements from the reference configuration (qpos0).
 
     Raises:
-        ModelError: The constraint fixes a joint, is not proportional, or its leader is locked.
+        ModelError: The constraint fixes a joint, or its leader is locked.
     """
     world, free = tree.world, tree.free_joints
     first, second = constraint.objects
@@ -203,18 +209,17 @@ def _coupling(tree: Tree, constraint: Constraint) -> Sequence[Coupling]:
     if first not in free:  # The follower is locked, so the constraint would fix its leader.
         return ()
     leader = joint_of(world, second)
-    if any(higher):
-        raise ModelError(
-            f"a joint that follows '{leader.name}' nonlinearly is not supported: "
-            f"{words}; lock it (lock=['{follower.name}']), write a polynomial of degree one, or "
-            "remove the constraint"
-        )
     if second not in free:
         raise ModelError(
             f"'{leader.name}' is the leader of {words}, but it is locked; lock the follower as "
             f"well (lock=['{follower.name}']), or remove the constraint"
         )
-    return (proportional(follower, leader, constraint),)
+    if not any(higher):
+        return (proportional(follower, leader, constraint),)
+    name, coefficients = constraint.name, tuple(constraint.coefficients)
+    return (
+        JointPolynomial(follower.name, leader.name, coefficients, follower.q0, leader.q0, name),
+    )
 
 
 def locked_with_followers(

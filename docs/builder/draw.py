@@ -1,0 +1,66 @@
+"""Draw the pictures of docs/gallery.md again: `python docs/builder/draw.py [NAME …]`."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import time
+from pathlib import Path
+
+DOCS = Path(__file__).parents[1]
+
+
+def commands_of(text: str) -> dict[str, list[str]]:
+    """Return the words of the commands that draw pictures, by the name of the picture.
+
+    Args:
+        text: Markdown with console blocks whose commands end with `--out pictures/NAME.png`.
+    """
+    found = {}
+    for line in re.findall(r"^\$ pinred (.*)$", text, re.MULTILINE):
+        if match := re.search(r"--out pictures/([\w-]+)\.png$", line):
+            found[match[1]] = line.split()
+    return found
+
+
+def draw(words: list[str]) -> None:
+    """Run a command of the gallery in the current folder."""
+    from pinred.cli.main import main as run
+
+    code = run(words)
+    if code:
+        raise SystemExit(f"pinred {' '.join(words)} ended with code {code}")
+
+
+def shrink(path: Path, width: int = 1200) -> None:
+    """Store a picture with a palette, so that it has some tens of kilobytes.
+
+    Args:
+        path: PNG file.
+        width: Largest width [px].
+    """
+    from PIL import Image
+
+    image = Image.open(path).convert("RGB")
+    if image.width > width:
+        height = round(image.height * width / image.width)
+        image = image.resize((width, height), Image.Resampling.LANCZOS)
+    image.quantize(96, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def main() -> None:
+    """Draw the pictures that the arguments name, or all."""
+    sys.path.insert(0, str(DOCS.parent))
+    os.chdir(DOCS)
+    Path("pictures").mkdir(exist_ok=True)
+    for name, words in commands_of(Path("gallery.md").read_text("utf-8")).items():
+        if not sys.argv[1:] or name in sys.argv[1:]:
+            start = time.monotonic()
+            draw(words)
+            shrink(Path("pictures") / f"{name}.png")
+            print(f"{name}.png: {time.monotonic() - start:.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,33 @@
+"""Settings of the site: `python -m sphinx -W -b html docs site`, from the root of the project."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+sys.path[:0] = [str(DOCS.parent), str(DOCS / "builder")]
+
+from pinred.common.version import __version__  # noqa: E402
+
+project, author, copyright = "pinred", "The pinred authors", "2026, the pinred authors"  # noqa: A001
+version = release = __version__
+extensions = ["myst_parser", "github_markdown", "mathml", "generated_pages"]
+source_suffix = {".md": "markdown"}
+exclude_patterns = ["builder"]
+html_theme = "furo"
+html_title = "pinred"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_extra_path = ["generated/extra"]  # copied as they are
+(DOCS / "generated/extra").mkdir(parents=True, exist_ok=True)
+html_copy_source = False
+html_theme_options = {"navigation_with_keys": True}
+pygments_style, pygments_dark_style = "friendly", "monokai"
+# Lines of text blocks and of consoles are not code of a language.
+highlight_language = "text"
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist", "attrs_block", "attrs_inline"]
+myst_heading_anchors = 4
+myst_fence_as_directive = ["math"]
+toc_object_entries = False  # the reference has lists of its own
+html_math_renderer = "mathml"

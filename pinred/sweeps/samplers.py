@@ -1,0 +1,121 @@
+"""Samplers: uniform numbers of the points of a sweep, each of which depends on its index alone.
+
+Points first … last − 1 have the same bits however a sweep is divided.  Sobol's sequence is a
+linear function of the bits of the index, over the integers modulo 2.  So any point follows from
+the points 0, 1, 2, 4, 8, …, and no sequence has to be advanced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..common.arrays import Array
+from ..scene.sweep_options import Sampler
+from .distributions import Distribution, Listed
+
+_DRAWN = 4096  # number of random points that share a generator
+_BITS = 30  # resolution of SciPy's sequence
+MOST_SOBOL = 2**_BITS  # number of points of SciPy's sequence
+
+
+def sample_points(
+    sampler: Sampler, laws: Sequence[Distribution], first: int, last: int, points: int, seed: int
+) -> Array:
+    """Return the values of points first … last − 1.
+
+    Args:
+        sampler: Name of the sampler.
+        laws: Distribution of each number.
+        first: Index of the first point.
+        last: Index after the last point.
+        points: Number of points of the sweep; only the values of "latin" depend on it.
+        seed: Seed of the sampler.
+    Returns:
+        Values, (last − first, number of laws).
+    """
+    if sampler == "grid":
+        return _sample_grid(laws, first, last)
+    if sampler == "sobol":
+        u = _sample_sobol(len(laws), first, last, points, seed)
+    elif sampler == "latin":
+        u = _latin_hypercube(len(laws), points, seed)[first:last]
+    else:
+        u = _sample_random(len(laws), first, last, seed)
+    return np.stack([law.at(column) for law, column in zip(laws, u.T, strict=True)], axis=1)
+
+
+def grid_size(laws: Sequence[Distribution]) -> int:
+    """Return the number of points of a grid of listed values."""
+    size = 1
+    for law in laws:
+        size *= len(law.listed) if isinstance(law, Listed) else 1
+    return size
+
+
+def _sample_grid(laws: Sequence[Distribution], first: int, last: int) -> Array:
+    """Return points of the product of all lists; the last number varies fastest."""
+    lists = [law.listed for law in laws if isinstance(law, Listed)]
+    places = np.unravel_index(np.arange(first, last), [len(values) for values in lists])
+    return np.stack([values[k] for values, k in zip(lists, places, strict=True)], axis=1)
+
+
+def _sample_random(count: int, first: int, last: int, seed: int) -> Array:
+    start = first // _DRAWN
+    drawn = [
+        np.random.default_rng([seed, k]).random((_DRAWN, count))
+        for k in range(start, -(-last // _DRAWN))
+    ]
+    return np.concatenate(drawn)[first - start * _DRAWN : last - start * _DRAWN]
+
+
+@lru_cache(maxsize=1)
+def _latin_hypercube(count: int, points: int, seed: int) -> Array:
+    """Return all points of a Latin hypercube, (points, count)."""
+    from scipy.stats import qmc
+
+    return np.asarray(qmc.LatinHypercube(count, **_generator(seed)).random(points))
+
+
+def _sample_sobol(count: int, first: int, last: int, points: int, seed: int) -> Array:
+    directions = _sobol_directions(count, (points - 1).bit_length(), seed)
+    index = np.arange(first, last)
+    integers = np.repeat(directions[:1], len(index), axis=0)
+    for bit, direction in enumerate(directions[1:]):
+        integers ^= ((index >> bit) & 1)[:, None] * direction
+    return np.asarray(integers * 2.0**-_BITS)
+
+
+@lru_cache(maxsize=4)
+def _sobol_directions(count: int, bits: int, seed: int) -> NDArray[np.int64]:
+    """Return point 0 and its differences (exclusive or) from the points 1, 2, 4, …, as integers.
+
+    Args:
+        count: Number of coordinates.
+        bits: Number of bits of the largest index.
+        seed: Seed of the scrambling.
+    Returns:
+        Integers below 2^_BITS, (1 + bits, count).
+    """
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(count, **_generator(seed))
+    rows = [sequence.random(1)[0]]
+    for bit in range(bits):
+        skipped = 2**bit - sequence.num_generated
+        if skipped:  # SciPy fails if nothing is skipped.
+            sequence.fast_forward(skipped)
+        rows.append(sequence.random(1)[0])
+    integers = np.round(np.array(rows) * 2.0**_BITS).astype(np.int64)
+    integers[1:] ^= integers[0]
+    return integers
+
+
+def _generator(seed: int) -> dict[str, np.random.Generator]:
+    """Return the argument of SciPy's samplers for random numbers, "seed" before SciPy 1.15."""
+    newer = tuple(map(int, scipy.__version__.split(".")[:2])) >= (1, 15)
+    return {"rng" if newer else "seed": np.random.default_rng(seed)}

@@ -1,0 +1,213 @@
+"""sweep(): many points of one scene, computed in blocks and stored in a zarr folder."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..common.argument_kinds import checks_arguments
+from ..common.arrays import whole
+from ..common.errors import InputError, RejectedWarning
+from ..common.names import brief, nearest, one_of, quoted, quoted_path
+from ..common.optional_packages import optional_package
+from ..common.progress import Progress, shown
+from ..common.zarr_folders import import_zarr
+from ..scene.scene import Scene
+from ..scene.sweep_options import BLOCK, SAMPLERS, Sampler
+from .distributions import Listed, parse_distribution
+from .run_blocks import PointsDone, compute_locally
+from .samplers import MOST_SOBOL, grid_size
+from .sweep_job import FAILED, REJECTED, Block, SweepJob
+from .sweep_outputs import Outputs, parse_outputs
+from .sweep_store import SweepStore
+from .varied_numbers import VariedScene
+
+if TYPE_CHECKING:
+    from .sweep_result import SweepResult
+
+
+@checks_arguments
+def sweep(
+    scene: Scene,
+    vary: Mapping[str, Any],
+    *,
+    points: int | None = None,
+    sampler: Sampler | None = None,
+    seed: int = 0,
+    outputs: Mapping[str, Any] | Sequence[str] | None = None,
+    store: str | Path | None = None,
+    scheduler: Any = None,
+    block: int = BLOCK,
+    threads: int | None = None,
+    progress: Progress | bool | None = None,
+) -> SweepResult:
+    """Simulate many points of a scene, in blocks that are stored as soon as they are complete.
+
+    A sweep that was interrupted continues when it is called again with the same store.  All numbers
+    are independent of interruptions, threads and workers.  A point whose values are rejected, such
+    as a negative mass, or whose integration fails, has NaN as outputs and is listed in `failures`.
+
+    Args:
+        scene: The scene, which states all numbers that do not vary.
+        vary: Distributions by name: {"base.mass": Uniform(0.5, 2), "x0.bend": Grid(-1, 1, 50),
+            "gain": Normal(1, 0.1)}.  Names are those of Parameters, of parameters of the robot, of
+            entries of the initial state and of vectors, and of numbers in springs, forces and
+            prescribed joints (see docs/sweeps.md).  A distribution may be text; a list of numbers
+            is short for Values.
+        points: Number of points; by default, all points of the grid.
+        sampler: "sobol", "latin", "random", or "grid" for all combinations of Grid and Values.
+            Default: "grid" without points, else "sobol".
+        seed: Seed of the sampler.
+        outputs: {name: field or function}, or a list of fields.  "pose" is the pose at the last
+            report time, "pose.θ" an entry of it, and "pose(t)" the pose at all report times.  A
+            function takes the Trajectories of many points and returns one row for each.  Default:
+            x, xdot, pose and energy.
+        store: Path of the zarr folder of the results; by default, a temporary folder, which is
+            kept until the process ends.
+        scheduler: Address of a Dask scheduler, or a dask.distributed.Client, whose workers compute
+            the blocks; by default, threads of this process do.
+        block: Number of points of a block.
+        threads: Number of local threads; as many as processors if None.
+        progress: As in `simulate`, but called with the completed fraction of the points.
+    Returns:
+        The results, an xarray.Dataset.
+    Raises:
+        InputError: An argument is invalid, or the store belongs to another sweep.
+        MissingPackageError: zarr, xarray or dask is not installed.
+    """
+    job = _job(scene, vary, points, sampler, seed, outputs, block)
+    path = Path(_temporary_folder() if store is None else store)
+    if path.suffix != ".zarr" or not path.parent.is_dir():
+        raise InputError(
+            f"store: expected a name that ends in .zarr in an existing folder, got "
+            f"{quoted_path(path)}"
+        )
+    import_zarr(path, "sweep")
+    optional_package("xarray", "sweeps need the package xarray: pip install 'pinred[sweep]'")
+    results = SweepStore(path, job)
+    title = f"sweep of {job.varied.scene.system.name}"
+    with shown(progress, title, job.points, "points") as report:
+        done = PointsDone(job, results, report)
+        done.inside(0, 0.0)
+        for computed in _blocks(job, results.pending(), scheduler, threads, done):
+            results.write(computed)
+            done.finished(computed.index)
+    from .sweep_result import open_result
+
+    result = open_result(path, job)
+    _warn_of_failures(result)
+    return result
+
+
+@checks_arguments
+def open_sweep(store: str | Path) -> SweepResult:
+    """Open the results of a sweep without its scene.
+
+    Args:
+        store: Path of the zarr folder.
+    Returns:
+        The results, an xarray.Dataset; its method `point` needs the scene.
+    Raises:
+        InputError: The folder is not the store of a sweep.
+        MissingPackageError: zarr or xarray is not installed.
+    """
+    path = Path(store)
+    if not (path / "plan" / "plan.json").exists():
+        raise InputError(f"store: {quoted_path(path)} is not the store of a sweep")
+    import_zarr(path, "sweep")
+    optional_package("xarray", "sweeps need the package xarray: pip install 'pinred[sweep]'")
+    from .sweep_result import open_result
+
+    return open_result(path, None)
+
+
+def _job(
+    scene: Scene,
+    vary: Mapping[str, Any],
+    points: int | None,
+    sampler: Sampler | None,
+    seed: int,
+    outputs: Outputs | None,
+    block: int,
+) -> SweepJob:
+    """Check the arguments of `sweep`."""
+    if not vary:
+        raise InputError("vary: expected at least one number with its distribution")
+    laws = tuple(parse_distribution(value, key) for key, value in vary.items())
+    chosen: Sampler = sampler or ("grid" if points is None else "sobol")
+    if not one_of(chosen, SAMPLERS):
+        raise InputError(
+            f"sampler: expected one of {', '.join(SAMPLERS)}, got {brief(chosen)}; "
+            f"{nearest(str(chosen), SAMPLERS)}".rstrip("; ")
+        )
+    if chosen == "grid":
+        for key, law in zip(vary, laws, strict=True):
+            if not isinstance(law, Listed):
+                raise InputError(
+                    f"points: expected a number of points, because {quoted(key)} has no list of "
+                    "values. Without points, give a Grid or Values for each number"
+                )
+        if points not in (None, grid_size(laws)):
+            raise InputError(
+                f"points: the grid has {grid_size(laws)} points, got {points}. Omit points, or "
+                "choose another sampler"
+            )
+        points = grid_size(laws)
+    if points is None:
+        raise InputError(f"points: the sampler {chosen} needs a number of points")
+    count = whole(points, "points", 1)
+    if chosen == "sobol" and count > MOST_SOBOL:
+        raise InputError(f"points: the sampler sobol has {MOST_SOBOL} points; use sampler='random'")
+    varied = VariedScene(scene, list(vary))
+    varied.member_values(np.array([[float(law.at(np.array([0.5]))[0]) for law in laws]]))
+    return SweepJob(
+        varied, laws, chosen, count, whole(seed, "seed", 0),
+        parse_outputs(varied.scene, outputs), whole(block, "block", 1),
+    )  # fmt: skip
+
+
+def _blocks(
+    job: SweepJob, pending: list[int], scheduler: Any, threads: int | None, done: PointsDone
+) -> Iterator[Block]:
+    if scheduler is None:
+        return compute_locally(job, pending, threads, done.inside)
+    optional_package(
+        "distributed", "scheduler: this needs dask.distributed: pip install 'pinred[dask]'"
+    )
+    from .dask_engine import compute_on_dask
+
+    return compute_on_dask(job, pending, scheduler)
+
+
+_KEPT: list[tempfile.TemporaryDirectory[str]] = []
+
+
+def _temporary_folder() -> Path:
+    """Return a path in a new folder, which is removed when the process ends."""
+    folder = tempfile.TemporaryDirectory(prefix="pinred-sweep-")
+    _KEPT.append(folder)
+    return Path(folder.name) / "sweep.zarr"
+
+
+def _warn_of_failures(result: SweepResult) -> None:
+    """Warn once that some points were rejected or failed."""
+    status = result["status"].values
+    counts = {name: int((status == k).sum()) for name, k in _KINDS.items()}
+    if not any(counts.values()):
+        return
+    first = result.failures[0]
+    words = " and ".join(f"{count} {name}" for name, count in counts.items() if count)
+    warnings.warn(
+        f"{words} of {len(status)} points, listed in `failures`; the first is point "
+        f"{first.member}: {first.reason.rstrip('.')}.",
+        RejectedWarning,
+        stacklevel=4,
+    )
+
+
+_KINDS = {"rejected": REJECTED, "failed": FAILED}

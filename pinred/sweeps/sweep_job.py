@@ -1,0 +1,183 @@
+"""SweepJob: what a block of a sweep needs, and the computation of a block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.arrays import Array
+from ..common.cpu_target import cpu_target
+from ..common.errors import InputError
+from ..scene.sweep_options import Sampler
+from ..simulation.members.member_options import MemberOptions
+from ..simulation.members.rejected_members import separate_all_rejected
+from ..simulation.members.trajectories import Trajectories
+from ..simulation.simulate_many import run_members, simulate_many
+from ..simulation.trajectory import Trajectory
+from ..system.state_fields import axis_lengths
+from .distributions import Distribution
+from .samplers import sample_points
+from .sweep_outputs import Output
+from .varied_numbers import VariedScene
+
+# Status of a point in the store.
+MISSING, DONE, FAILED, REJECTED = 0, 1, 2, 3
+_MOST_BYTES = 2**25  # states of members that are computed together [bytes]
+
+
+@dataclass(frozen=True)
+class Block:
+    """The results of consecutive points.
+
+    Attributes:
+        index: Index of the block.
+        values: Values of the varied numbers, (n, number of them).
+        outputs: Outputs by name, (n, …); a function is missing if all points are rejected.
+        status: Status of each point, (n,).
+        reasons: Reason of each point that failed or was rejected, {index of the point: text}.
+        cpu: CPU for which the machine code was compiled.
+    """
+
+    index: int
+    values: Array
+    outputs: dict[str, Array]
+    status: NDArray[np.uint8]
+    reasons: dict[int, str]
+    cpu: str
+
+
+@dataclass(frozen=True, eq=False)
+class SweepJob:
+    """A sweep without its store; it can be pickled.
+
+    Attributes:
+        varied: The scene and the numbers that vary.
+        laws: Distribution of each number.
+        sampler: Name of the sampler.
+        points: Number of points.
+        seed: Seed of the sampler.
+        outputs: The outputs.
+        block: Number of points of a block.
+    """
+
+    varied: VariedScene
+    laws: tuple[Distribution, ...]
+    sampler: Sampler
+    points: int
+    seed: int
+    outputs: tuple[Output, ...]
+    block: int
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return ceil(self.points / self.block)
+
+    def span(self, index: int) -> tuple[int, int]:
+        """Return the first point of a block, and the index after its last point."""
+        return index * self.block, min((index + 1) * self.block, self.points)
+
+    def values(self, first: int, last: int) -> Array:
+        """Return the values of the varied numbers at points first … last − 1."""
+        return sample_points(self.sampler, self.laws, first, last, self.points, self.seed)
+
+    def trajectory(self, point: int) -> Trajectory:
+        """Simulate one point at the report times of the scene.
+
+        Args:
+            point: Index of the point.
+        Returns:
+            Its trajectory.
+        Raises:
+            InputError: There is no such point, or its values are rejected.
+        """
+        if not 0 <= point < self.points:
+            raise InputError(f"point: expected 0 to {self.points - 1}, got {point}")
+        members, seeds = self.varied.member_values(self.values(point, point + 1))
+        many = simulate_many(self.varied.scene, members=members, seeds=seeds, invalid="raise")
+        return many[0]
+
+    @cached_property
+    def _varied_scene(self) -> VariedScene:
+        """The scene with as few report times as the outputs need."""
+        if any(output.over_time for output in self.outputs):
+            return self.varied
+        scene = self.varied.scene
+        short = VariedScene(scene, [])
+        short.scene = replace(scene, duration=scene.end, times=scene.report_times[-1:])
+        short.numbers = self.varied.numbers
+        return short
+
+    @cached_property
+    def _together(self) -> int:
+        """Number of points that are computed together."""
+        scene = self._varied_scene.scene
+        numbers = 3 * sum(axis_lengths(scene.system).values()) * len(scene.report_times)
+        return max(1, _MOST_BYTES // (8 * numbers))
+
+    def compute(
+        self,
+        index: int,
+        threads: int | None,
+        progress: Callable[[float], None] | None = None,
+    ) -> Block:
+        """Compute a block.
+
+        Args:
+            index: Index of the block.
+            threads: Number of threads; as many as processors if None.
+            progress: Called with the completed fraction of the block.
+        Returns:
+            The results.
+        """
+        first, last = self.span(index)
+        values = self.values(first, last)
+        status = np.full(last - first, DONE, dtype=np.uint8)
+        reasons: dict[int, str] = {}
+        parts: list[dict[str, Array] | None] = []
+        starts = range(0, last - first, self._together)
+        for start in starts:
+            rows = values[start : start + self._together]
+            many, rejected = self._simulate(rows, threads)
+            for failure in many.failures:
+                row = start + failure.member
+                status[row] = REJECTED if failure.member in rejected else FAILED
+                reasons[first + row] = failure.reason
+            parts.append(None if len(rejected) == len(rows) else self._outputs_of(many))
+            if progress is not None:
+                progress((start + len(rows)) / (last - first))
+        outputs = _joined(parts, [len(values[s : s + self._together]) for s in starts])
+        return Block(index, values, outputs, status, reasons, cpu_target().name)
+
+    def _simulate(self, values: Array, threads: int | None) -> tuple[Trajectories, set[int]]:
+        varied = self._varied_scene
+        members, seeds = varied.member_values(values)
+        resolved, rejected = separate_all_rejected(MemberOptions(varied.scene, {}, members, seeds))
+        many = run_members(resolved, threads, None, rejected)
+        return many, {failure.member for failure in rejected}
+
+    def _outputs_of(self, many: Trajectories) -> dict[str, Array]:
+        fields = many.fields(sorted({output.field for output in self.outputs if output.field}))
+        return {output.name: output.read(fields, many) for output in self.outputs}
+
+
+def _joined(parts: list[dict[str, Array] | None], counts: list[int]) -> dict[str, Array]:
+    """Join the outputs of parts; the outputs of parts without valid points are NaN."""
+    shapes = {
+        name: values.shape[1:]
+        for part in parts
+        if part is not None
+        for name, values in part.items()
+    }
+    return {
+        name: np.concatenate([
+            np.full((count, *shape), np.nan) if part is None else part[name]
+            for part, count in zip(parts, counts, strict=True)
+        ])
+        for name, shape in shapes.items()
+    }  # fmt: skip

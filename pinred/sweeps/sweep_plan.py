@@ -1,0 +1,116 @@
+"""The plan of a sweep: a description in parts, each of which identifies what it describes."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from hashlib import sha256
+from types import CodeType, FunctionType
+from typing import Any
+
+import numpy as np
+
+from ..common.version import __version__
+from ..kernels.build import model_bytes
+from ..scene.scene import Scene
+from ..simulation.members.member_groups import members_plan
+from .sweep_job import SweepJob
+
+FORMAT = 1
+
+
+def plan_of_sweep(job: SweepJob) -> dict[str, Any]:
+    """Return a description of a sweep that can be written as JSON.
+
+    Its entry `hash` is equal for two sweeps only if all numbers in their stores are equal.
+
+    Args:
+        job: The sweep.
+    """
+    parts: dict[str, Any] = {
+        "format": FORMAT,
+        "pinred": __version__,
+        "robot": job.varied.scene.system.name,
+        "scene": _digest_of_scene(job.varied.scene),
+        "vary": {
+            number.key: repr(law) for number, law in zip(job.varied.numbers, job.laws, strict=True)
+        },
+        "sampler": job.sampler,
+        "seed": job.seed,
+        "points": job.points,
+        "block": job.block,
+        "outputs": {
+            output.name: _text_of_function(output.function)
+            if output.function is not None
+            else [output.field, output.entry, output.over_time]
+            for output in job.outputs
+        },
+    }
+    digest = sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return {**parts, "hash": digest}
+
+
+def changed_part(old: dict[str, Any], new: dict[str, Any]) -> str:
+    """Return the name of the first part in which two plans differ; "" if they are equal."""
+    return next((name for name in new if old.get(name) != new[name]), "")
+
+
+def _digest_of_scene(scene: Scene) -> str:
+    """Return a text that identifies all numbers of a scene and its expressions."""
+    plan, given, watched = members_plan(scene), scene.given, scene.watched
+    forces, varied = plan.forces, scene.varied
+    held = [] if forces is None else forces.held
+    controllers = [
+        [controller.name, controller.period, _text_of_function(controller.function)]
+        for controller, _ in held
+    ]
+    events = [[event.name, event.direction, event.terminal] for event in scene.events_given]
+    settings = [
+        None if forces is None else repr(forces.key), controllers, events,
+        watched and [watched.text, watched.numbers(scene.parameters).tolist()],
+        None if varied is None else list(varied.names),
+        {name: np.ravel(value).tolist() for name, value in scene.parameters.items()},
+        repr(plan.method), scene.end, scene.outputs, given.mu is None,
+    ]  # fmt: skip
+    digest = sha256(model_bytes(scene.system))
+    digest.update(json.dumps(settings, default=repr).encode())
+    arrays = (
+        given.pose, given.x, given.xdot, given.motion, plan.numbers, plan.stops,
+        scene.report_times, scene.system.gravity,
+    )  # fmt: skip
+    for array in arrays:
+        digest.update(repr(np.shape(array)).encode() + np.asarray(array, dtype=float).tobytes())
+    return digest.hexdigest()
+
+
+def _text_of_function(function: Any) -> str:
+    """Return a text that identifies a function by its code, constants and closure."""
+    digest = sha256()
+    if isinstance(function, FunctionType):
+        _add_code(digest, function.__code__)
+        cells = [cell.cell_contents for cell in function.__closure__ or ()]
+        for value in (function.__defaults__, function.__kwdefaults__, *cells):
+            digest.update(_bytes_of(value))
+    else:
+        digest.update(_bytes_of(function))
+    name = getattr(function, "__qualname__", type(function).__qualname__)
+    return f"{name} {digest.hexdigest()}"
+
+
+def _add_code(digest: Any, code: CodeType) -> None:
+    digest.update(code.co_code + repr(code.co_names).encode())
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            _add_code(digest, constant)
+        else:
+            digest.update(repr(constant).encode())
+
+
+def _bytes_of(value: Any) -> bytes:
+    """Return bytes that identify a value; the name of its type if it cannot be pickled."""
+    if isinstance(value, FunctionType):
+        return _text_of_function(value).encode()
+    try:
+        return pickle.dumps(value)
+    except Exception:  # Pickling may raise any exception.
+        return type(value).__qualname__.encode()

@@ -1,0 +1,278 @@
+"""The numbers of a scene that a sweep can vary: their keys, units, and values for members."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+from ..common.arrays import Array
+from ..common.errors import InputError, PinredError
+from ..common.names import listed, nearest, quoted
+from ..common.parameter import Parameter
+from ..forces.signals import Constant
+from ..scene.scene import Scene
+from ..system.model_parameters import ModelParameters, kinds_near, size_of
+from ..system.system import System
+from ..system.variants import nominal
+from .labels import label_entries, plain_label
+
+_XYZ = ("x", "y", "z")
+# Labels of the entries of robot parameters with several entries, by kind.
+_ENTRIES: Mapping[str, Sequence[str]] = {
+    "com": _XYZ, "at": _XYZ, "translation": _XYZ, "gravity": _XYZ,
+    "inertia": ("xx", "xy", "xz", "yy", "yz", "zz"),
+    "placement": (*_XYZ, "roll", "pitch", "yaw"),
+    "log_cholesky": tuple(map(str, range(10))),
+}  # fmt: skip
+_UNITS = {
+    "mass": "kg", "com": "m", "inertia": "kg·m²", "at": "m", "translation": "m",
+    "gravity": "m/s²", "strength": "m/s²",
+}  # fmt: skip
+_ANGLES = ("roll", "pitch", "yaw")
+_FORCE = re.compile(r"forces\[(\d+)\]\.(\w+)")
+# Options that cannot differ between points, with the remedy.
+_FIXED = {
+    "duration": "store an output over time, such as 'x(t)', and read it at the times",
+    "times": "store an output over time, such as 'x(t)', and read it at the times",
+    "rtol": "run one sweep for each tolerance", "atol": "run one sweep for each tolerance",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class VariedNumber:
+    """A number that varies.
+
+    Attributes:
+        key: Its name, such as "base.mass", "x0.bend" or "gravity.z".
+        member: Name of the member values of simulate_many that contain it.
+        entry: Index among the entries of these values; None if they are one number per member.
+        unit: Its unit; "" if unknown.
+    """
+
+    key: str
+    member: str
+    entry: int | None
+    unit: str
+
+
+class VariedScene:
+    """A scene with some numbers that vary.
+
+    Attributes:
+        scene: The scene, in which these numbers are inputs of its kernel.
+        numbers: The numbers, in the order of their keys.
+    """
+
+    def __init__(self, scene: Scene, keys: Sequence[str]) -> None:
+        """Prepare a scene.
+
+        Args:
+            scene: The scene.
+            keys: Names of the numbers that vary; docs/sweeps.md lists their forms.
+        Raises:
+            InputError: A name is unknown, or its number cannot vary.
+        """
+        self.scene = scene
+        self.numbers = tuple(self._find(key) for key in keys)
+        if any(number.member in _states(scene) for number in self.numbers):
+            self.scene = _with_stated_start(self.scene)
+
+    def member_values(self, values: Array) -> tuple[dict[str, Any], list[int] | None]:
+        """Return the values of members, {name: (N, …)}, and their seeds.
+
+        Args:
+            values: Values of the numbers, (N, number of numbers).
+        Returns:
+            The values as the argument `members` of simulate_many, and its argument `seeds`.
+        """
+        members: dict[str, Any] = {}
+        seeds = None
+        for number, column in zip(self.numbers, values.T, strict=True):
+            if number.member == "seed":
+                seeds = column.astype(int).tolist()
+            elif number.entry is None:
+                members[number.member] = np.ascontiguousarray(column)
+            else:
+                if number.member not in members:
+                    nominal_value = _nominal(self.scene, number.member)
+                    members[number.member] = np.repeat(nominal_value[None], len(values), axis=0)
+                members[number.member][:, number.entry] = column
+        space = self.scene.system.space
+        if "x0" in members and space.balls:  # Distributions are of rotation vectors.
+            members["x0"] = space.integrate(space.neutral, members["x0"])
+        return members, seeds
+
+    def _find(self, key: str) -> VariedNumber:
+        scene, system = self.scene, self.scene.system
+        if key in _FIXED:
+            raise InputError(f"vary: {quoted(key)} is the same for all points; {_FIXED[key]}")
+        if key == "seed":
+            return VariedNumber(key, key, None, "1")
+        word, _, end = key.partition(".")
+        states = _states(scene)
+        if word in states and plain_label(end) in states[word]:
+            entry, unit = states[word][plain_label(end)]
+            return VariedNumber(key, word, entry, unit)
+        if key in _parameters_of(scene):
+            return VariedNumber(key, key, None, "")
+        if key == "gravity.strength" and not system.gravity.any():
+            raise InputError(
+                f"vary: {quoted(system.name)} has zero gravity, so 'gravity.strength' has no "
+                "direction to scale; vary 'gravity.z'"
+            )
+        if (number := _robot_number(system, key)) is not None:
+            return number
+        if (changed := _with_parameter(scene, key)) is not None:
+            self.scene, unit = changed
+            return VariedNumber(key, key, None, unit)
+        raise InputError(f"vary: there is no {quoted(key)}; {_hint(scene, key)}")
+
+
+def size_of_robot(system: System, name: str) -> int | None:
+    """Return the number of entries of a robot parameter; None for any other name."""
+    try:
+        return size_of(nominal(system), name)
+    except PinredError:
+        return None
+
+
+def _parameters_of(scene: Scene) -> list[str]:
+    """Return the names of the Parameters in forces and signals."""
+    model = scene.force_model
+    return [] if model is None else [parameter.name for parameter in model.parameters]
+
+
+def _states(scene: Scene) -> dict[str, dict[str, tuple[int, str]]]:
+    """Return {option: {label: (entry, unit)}} of the initial state."""
+    system = scene.system
+    motion = "momentum" if scene.given.mu is not None else "xi0"
+    names = {"x0": "chart", "xdot0": "joint_rate", "pose0": "pose", motion: motion}
+    return {
+        option: {
+            plain_label(label): (k, unit)
+            for k, (label, unit) in enumerate(label_entries(system, name))
+            if not (option == "pose0" and label.startswith("q"))  # entries of a unit quaternion
+        }
+        for option, name in names.items()
+    }
+
+
+def _robot_number(system: System, key: str) -> VariedNumber | None:
+    """Return a robot parameter, or an entry of one; None if the key has another form."""
+    if size_of_robot(system, key) == 1:
+        return VariedNumber(key, key, None, _unit(system, key, ""))
+    member, _, label = key.rpartition(".")
+    labels = _ENTRIES.get(member.rpartition(".")[2], ())
+    if label not in labels or size_of_robot(system, member) != len(labels):
+        return None
+    return VariedNumber(key, member, labels.index(label), _unit(system, member, label))
+
+
+def _unit(system: System, name: str, label: str) -> str:
+    kind = name.rpartition(".")[2]
+    if kind == "lock":
+        joint = system.model.joints[system.model.getJointId(name.removesuffix(".lock"))]
+        return "m" if joint.shortname().startswith("JointModelP") else "rad"
+    if kind == "placement":
+        return "rad" if label in _ANGLES else "m"
+    return _UNITS.get(kind, "1")
+
+
+def _with_parameter(scene: Scene, key: str) -> tuple[Scene, str] | None:
+    """Replace a number of the springs, forces or prescribed joints by a Parameter.
+
+    Args:
+        scene: The scene.
+        key: Name of the number, which becomes that of the Parameter.
+    Returns:
+        The changed scene and the unit, or None if there is no such number.
+    """
+    word, _, rest = key.partition(".")
+    joint, _, which = rest.rpartition(".")
+    if word == "springs" and joint in scene.springs and which in ("stiffness", "rest"):
+        pair = list(scene.springs[joint])
+        k = ("stiffness", "rest").index(which)
+        if not _is_number(pair[k]):
+            return None
+        pair[k] = Parameter(key, float(pair[k]))  # type: ignore[arg-type]
+        springs = {**scene.springs, joint: (pair[0], pair[1])}
+        return replace(scene, springs=springs), ""
+    if word == "prescribed" and rest in scene.prescribed:
+        plan = scene.prescribed[rest]
+        if not (isinstance(plan, Constant) and _is_number(plan.level)):
+            return None
+        prescribed = {**scene.prescribed, rest: Parameter(key, float(plan.level))}  # type: ignore[arg-type]
+        return replace(scene, prescribed=prescribed), ""
+    match = _FORCE.fullmatch(key)
+    forces: list[Any] = list(vars(scene)["forces"])
+    if match is None or int(match[1]) >= len(forces):
+        return None
+    force, name = forces[int(match[1])], match[2]
+    if name not in _numbers_of(force):
+        return None
+    parameter = Parameter(key, float(getattr(force, name)))
+    forces[int(match[1])] = replace(force, **{name: parameter})
+    return replace(scene, forces=forces), ""
+
+
+def _numbers_of(force: Any) -> list[str]:
+    """Return the fields of a force that are numbers and can be Parameters."""
+    entries = fields(force) if is_dataclass(force) else ()
+    return [
+        entry.name
+        for entry in entries
+        if "Parameter" in str(entry.type) and _is_number(getattr(force, entry.name))
+    ]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _with_stated_start(scene: Scene) -> Scene:
+    """Return a scene that states its initial state by x0, xdot0, pose0 and xi0 or momentum."""
+    given = scene.given
+    states: dict[str, Any] = dict.fromkeys(("q0", "v0", "seed", "keyframe", "xi0", "momentum"))
+    states |= {"pose0": given.pose[0], "x0": given.x[0], "xdot0": given.xdot[0]}
+    states["xi0" if given.mu is None else "momentum"] = given.motion[0]
+    return replace(scene, **states)
+
+
+def _nominal(scene: Scene, member: str) -> Array:
+    """Return the value of a vector in the scene; balls have rotation vectors in x0."""
+    given, system = scene.given, scene.system
+    if member == "x0":
+        return np.asarray(system.space.chart(given.x)[0])
+    states = {"xdot0": given.xdot, "pose0": given.pose, "xi0": given.xi, "momentum": given.mu}
+    if member in states:
+        rows = states[member]
+        assert rows is not None
+        return np.asarray(rows[0])
+    if member == "gravity":
+        return np.asarray(system.gravity)
+    return np.asarray(ModelParameters(system, [member]).own()[member])
+
+
+def _hint(scene: Scene, key: str) -> str:
+    """Return a list of the numbers that can vary, with the nearest one first."""
+    states = [f"{name}.{label}" for name, entries in _states(scene).items() for label in entries]
+    system = scene.system
+    own = _parameters_of(scene)
+    forces: tuple[Any, ...] = vars(scene)["forces"]
+    others = [f"springs.{joint}.{end}" for joint in scene.springs for end in ("stiffness", "rest")]
+    others += [f"forces[{k}].{name}" for k, f in enumerate(forces) for name in _numbers_of(f)]
+    others += [
+        f"prescribed.{joint}"
+        for joint, plan in scene.prescribed.items()
+        if isinstance(plan, Constant)
+    ]
+    known = [*own, *others, *states, "seed"]
+    return (
+        f"{nearest(key, known)}the numbers of the scene are {listed(known, 60)}; "
+        f"{kinds_near(nominal(system), key)}, and .x, .y, .z and so on of vectors"
+    )

@@ -1,0 +1,67 @@
+"""A Dask scheduler and workers on loopback, each a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+class DaskCluster:
+    """A scheduler with workers, which can be killed.
+
+    Attributes:
+        address: Address of the scheduler.
+        workers: Processes of the workers.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Start a scheduler.
+
+        Args:
+            folder: Folder for its files.
+        """
+        self._folder, self._processes = folder, list[subprocess.Popen[bytes]]()
+        file = folder / "scheduler.json"
+        self._start("dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+                    "--scheduler-file", str(file))  # fmt: skip
+        for _ in range(600):
+            if file.exists() and file.read_text():
+                break
+            time.sleep(0.05)
+        self.address = str(json.loads(file.read_text())["address"])
+        self.workers: list[subprocess.Popen[bytes]] = []
+
+    def add_worker(self, **environment: str) -> subprocess.Popen[bytes]:
+        """Start a worker with one thread, without a nanny; return its process."""
+        process = self._start(
+            "dask", "worker", self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny",
+            "--no-dashboard", "--local-directory", str(self._folder), **environment,
+        )  # fmt: skip
+        self.workers.append(process)
+        return process
+
+    def _start(self, *words: str, **environment: str) -> subprocess.Popen[bytes]:
+        log = self._folder / f"{words[1]}-{len(self._processes)}.log"
+        with log.open("wb") as file:
+            process = subprocess.Popen(
+                [sys.executable, "-W", "ignore", "-m", *words], cwd=ROOT, stdout=file,
+                stderr=file, env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+            )  # fmt: skip
+        self._processes.append(process)
+        return process
+
+    def logs(self) -> str:
+        """Return the output of all processes."""
+        return "\n".join(path.read_text() for path in sorted(self._folder.glob("*.log")))
+
+    def close(self) -> None:
+        """End all processes."""
+        for process in reversed(self._processes):
+            process.kill()
+            process.wait()

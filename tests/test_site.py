@@ -1,0 +1,176 @@
+"""The site: pages are listed and converted, and it builds without warnings or network."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import site_pages
+
+from pinred import plots
+from pinred.cli import main
+from pinred.system.catalogue import has_example_robots
+
+pytest.importorskip("myst_parser")
+pytest.importorskip("furo")
+ROOT, DOCS = site_pages.ROOT, site_pages.DOCS
+
+
+def build(folder: Path, builder: str = "html") -> None:
+    """Build the site with warnings as errors, as CONTRIBUTING.md says."""
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", builder]
+    done = subprocess.run(
+        [*command, DOCS, folder], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
+
+
+@pytest.mark.slow
+def test_pages_are_read_without_warnings(tmp_path: Path) -> None:
+    """All pages and links are resolved; every warning is an error."""
+    build(tmp_path / "site", "dummy")
+
+
+@pytest.mark.by_hand
+def test_built_pages_load_nothing_from_the_network(tmp_path: Path) -> None:
+    """Scripts, styles and pictures of every page are files of the site; formulas are MathML."""
+    build(tmp_path)
+    pages = sorted(tmp_path.rglob("*.html"))
+    assert len(pages) > 80
+    for page in pages:
+        text = page.read_text("utf-8")
+        loaded = re.findall(r"<(?:script|img|iframe)[^>]* src=\"([^\"]+)\"", text)
+        loaded += re.findall(r"<link[^>]* rel=\"stylesheet\"[^>]* href=\"([^\"]+)\"", text)
+        for target in loaded:
+            assert not re.match(r"\w+:|//", target), (page.name, target)
+            assert (page.parent / target.partition("?")[0]).exists(), (page.name, target)
+    theory = (tmp_path / "theory.html").read_text("utf-8")
+    assert theory.count("<math") > 40
+    assert "\\tfrac" not in theory
+
+
+WRITTEN = [
+    *sorted((DOCS / "howto").glob("*.md")),
+    *sorted((DOCS / "users").glob("*.md")),
+    DOCS / "start.md",
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: path.stem)
+def test_code_of_page_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The Python blocks of a page run in order, with their assertions."""
+    if path.stem == "legged_robots" and not has_example_robots():
+        pytest.skip("example-robot-data is not installed")
+    monkeypatch.chdir(tmp_path)
+    code = "\n".join(site_pages.python_blocks(path.read_text("utf-8")))
+    exec(compile(code, path.name, "exec"), {})
+
+
+@pytest.mark.parametrize("path", [*WRITTEN, DOCS / "gallery.md", DOCS / "index.md"])
+def test_commands_of_page_are_accepted(path: Path) -> None:
+    """Commands and options in console blocks exist; by-hand tests run those of the gallery."""
+    for command in site_pages.console_commands(path.read_text("utf-8")):
+        words = command.partition(" && ")[0].split()
+        main._parser(words).parse_args(main._join_negative(words))
+
+
+def test_gallery_shows_every_kind_of_figure() -> None:
+    """Each picture has a command, each kind of figure a picture, and no picture is left over."""
+    from draw import commands_of
+
+    text = (DOCS / "gallery.md").read_text("utf-8")
+    commands = commands_of(text)
+    shown = re.findall(r"!\[[^]]+\]\(pictures/([\w-]+)\.png\)", text)
+    assert shown == list(commands)
+    assert {path.stem for path in (DOCS / "pictures").glob("*.png")} == {*shown, "feel"}
+    drawn = {word for words in commands.values() for word in words}
+    elsewhere = {"field", "loop", "cycles", "branches", "work_precision"}  # of other commands
+    assert set(plots.KINDS) - elsewhere <= drawn
+    assert {"field", "phase", "gait", "reorient", "equilibria"} <= {c[0] for c in commands.values()}
+
+
+@pytest.mark.by_hand
+def test_gallery_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every command of the gallery writes its picture."""
+    from draw import commands_of, draw, shrink
+
+    (tmp_path / "docs/pictures").mkdir(parents=True)
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    monkeypatch.chdir(tmp_path / "docs")
+    for name, words in commands_of((DOCS / "gallery.md").read_text("utf-8")).items():
+        draw(words)
+        shrink(Path(f"pictures/{name}.png"))
+        assert Path(f"pictures/{name}.png").stat().st_size > 5000
+
+
+@pytest.mark.by_hand
+def test_tutorials_are_executed(tmp_path: Path) -> None:
+    """The runner stores output and figures, and the page shows them; one short tutorial."""
+    import tutorial_pages
+
+    path = tutorial_pages.TUTORIALS / "01_elroys_beanie.py"
+    tutorial_pages.run(path, tmp_path)
+    page = tutorial_pages.page(path, tmp_path)
+    assert "verdict: PASSED" in page
+    assert page.count("](../../runs/01_elroys_beanie_") == 2
+
+
+def test_new_page_is_listed(tmp_path: Path) -> None:
+    """A page in docs/ that no table of contents names is added to the guides."""
+    from github_markdown import unlisted_pages
+
+    (tmp_path / "index.md").write_text("```{toctree}\n:hidden:\n\ntheory\n```\n", "utf-8")
+    for name in ("theory", "sweeps"):
+        (tmp_path / f"{name}.md").write_text(f"# {name}\n", "utf-8")
+    assert unlisted_pages(tmp_path) == ["sweeps"]
+    assert "<!-- pages that are not listed -->" in (DOCS / "index.md").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "converted"),
+    [
+        ("[a](../examples/05_shooting.py)", "[a](generated/examples/05_shooting_py.md)"),
+        ("[a](../CONTRIBUTING.md#rules)", "[a](generated/contributing.md#rules)"),
+        ("[a](../robots/README.md)", "[a](generated/bundled_robots.md)"),
+        ("[a](theory.md#x) and [b](https://host.example/a)",) * 2,
+        ("$`x^2`$ and `$x`", "$x^2$ and `$x`"),
+        ("```python\nx = '[a](../README.md)'\n```\n",) * 2,
+        ("```mermaid\ngraph\n```\n", "```text\ngraph\n```\n"),
+    ],
+)
+def test_markdown_of_github_is_converted(text: str, converted: str) -> None:
+    """Links out of docs/ lead to pages, formulas are those of MyST, and code stays."""
+    from github_markdown import convert
+
+    assert convert(text, "docs", "howto") == converted
+
+
+def test_every_linked_file_has_a_page() -> None:
+    """Links of pages to files outside of docs/ lead to pages of the site, not to GitHub."""
+    from github_markdown import page_of
+
+    for path in site_pages.sources():
+        for target in re.findall(r"\]\((\.\./[^)#\s]+)", path.read_text("utf-8")):
+            file = (path.parent / target).resolve()
+            assert file.exists(), (path.name, target)
+            if DOCS not in file.parents:
+                name = file.relative_to(ROOT).as_posix()
+                assert page_of(name) is not None, (path.name, target)
+
+
+def test_docstring_becomes_table() -> None:
+    """Entries over several lines are joined, and characters of Markdown are escaped."""
+    from docstring_markdown import escape, parse
+
+    doc = parse(
+        "Do it.\n\nArgs:\n    x, y: Shape\n        (m,).\n    z: A*B.\nRaises:\n    E: No.\n"
+    )
+    assert doc.prose == "Do it."
+    assert doc.entries("Args") == {"x": "Shape (m,).", "y": "Shape (m,).", "z": "A*B."}
+    assert doc.entries("Raises") == {"E": "No."}
+    assert escape("a*b `c*d` |x|", in_table=True) == "a\\*b `c*d` \\|x\\|"
