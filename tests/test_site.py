@@ -137,6 +137,7 @@ def test_new_page_is_listed(tmp_path: Path) -> None:
         ("[a](../examples/05_shooting.py)", "[a](generated/examples/05_shooting_py.md)"),
         ("[a](../CONTRIBUTING.md#rules)", "[a](generated/contributing.md#rules)"),
         ("[a](../robots/README.md)", "[a](generated/bundled_robots.md)"),
+        ("[theory.md](theory.md#x), [docs/a.md](a.md)", "[](theory.md#x), [](a.md)"),
         ("[a](theory.md#x) and [b](https://host.example/a)",) * 2,
         ("$`x^2`$ and `$x`", "$x^2$ and `$x`"),
         ("```python\nx = '[a](../README.md)'\n```\n",) * 2,
@@ -148,6 +149,23 @@ def test_markdown_of_github_is_converted(text: str, converted: str) -> None:
     from github_markdown import convert
 
     assert convert(text, "docs", "howto") == converted
+
+
+@pytest.mark.parametrize("path", site_pages.sources(), ids=lambda path: path.stem)
+def test_formulas_become_mathml(path: Path) -> None:
+    """Every formula is converted, and a fraction of two digits has two parts."""
+    from mathml import convert
+
+    text = path.read_text("utf-8")
+    blocks = re.findall(r"```math\n(.*?)```", text, re.DOTALL)
+    inline = re.findall(r"\$`(.+?)`\$", text, re.DOTALL)
+    for formula in [*blocks, *inline]:
+        converted = convert(formula, as_block=formula in blocks)
+        for fraction in re.findall(r"<mfrac.*?</mfrac>", converted, re.DOTALL):
+            assert "<mspace" not in fraction, formula
+            assert not re.search(r"<mn>\d\d", fraction), formula
+    assert "<mn>1</mn>" in convert(r"\tfrac12\,x")
+    assert "<mi>\N{MATHEMATICAL ITALIC SMALL X}\u0307</mi>" in convert(r"\dot x")
 
 
 def test_every_linked_file_has_a_page() -> None:

@@ -10,6 +10,7 @@ from sphinx.application import Sphinx
 
 _FENCE = re.compile(r"^(`{3,}|~{3,}).*?^\1[ ]*$", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(\]\()(?!https?://|#|mailto:)([^)\s#]+)(#[^)\s]*)?(\))")
+_FILE_NAME = re.compile(r"(?<!!)\[(?:docs/)?[\w/.-]+\.(?:md|py)\](?=\([^)\s]+\.md(?:#[^)]*)?\))")
 _FORMULA = re.compile(r"\$`(.+?)`\$", re.DOTALL)
 # Files outside of docs/, as seen from the root of the project, that are pages of the site.
 PAGES = {
@@ -59,7 +60,8 @@ def rewrite_links(text: str, folder: str, page: str) -> str:
         path = posixpath.relpath(shown, posixpath.dirname(page) or ".")
         return f"{before}{path}{anchor or ''}{after}"
 
-    return _LINK.sub(replace, text)
+    # A link without text has the title of its page.
+    return _FILE_NAME.sub("[]", _LINK.sub(replace, text))
 
 
 def convert(text: str, folder: str, page: str) -> str:
