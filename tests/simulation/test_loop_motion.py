@@ -35,7 +35,7 @@ def linkage() -> pinred.System:
 
 
 def constraint_dynamics(
-    model: pin.Model, *loops: Constraint
+    model: pin.Model, *loops: Constraint, regular: float = 1e-14
 ) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
     """Return Pinocchio's map from q, v, τ to acceleration and force, for kinds "3d" and "6d"."""
     data = model.createData()
@@ -51,7 +51,7 @@ def constraint_dynamics(
         models.append(contact)
         datas.append(contact.createData())
     pin.initConstraintDynamics(model, data, models, datas)
-    proximal = pin.ProximalSettings(1e-14, 1e-14, 50)
+    proximal = pin.ProximalSettings(1e-14, regular, 50)
 
     def solve(q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
         a = pin.constraintDynamics(model, data, q, v, tau, models, datas, proximal).copy()
