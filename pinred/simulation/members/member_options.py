@@ -60,7 +60,10 @@ class MemberOptions:
         gravity: Gravity in the world frame, (N, 3) [m/s²], or None.
         robot: Number of entries of each robot parameter that the call states, by name.
         count: Number of members.
+        prepared: Result of `template` of other members with the same options; None to compute it.
     """
+
+    prepared: Scene | None = None
 
     def __init__(
         self,
@@ -200,8 +203,12 @@ class MemberOptions:
         selected.count = len(members)
         return selected
 
-    def members(self) -> Members:
-        """Group the members by the kernel they share.  Raises InputError for invalid scenes."""
+    def template(self) -> Scene:
+        """Return the scene of all members, in which the robot parameters of members vary.
+
+        Raises:
+            InputError: The scene of the first member is invalid, or a parameter cannot vary.
+        """
         # Use common parameters only, so that results do not depend on member order.
         template = self.scene(0, common_parameters=True)
         model = template.force_model
@@ -218,9 +225,16 @@ class MemberOptions:
             template = with_own(template, varying)
         elif self.gravity is not None:
             template = replace(template, system=self.system)
+        return template
+
+    def members(self) -> Members:
+        """Group the members by the kernel they share.  Raises InputError for invalid scenes."""
+        template = self.template() if self.prepared is None else self.prepared
         numbers = self._numbers(template)
+        varying = [name for name in self.robot if name in self.parameters]
         robot = self._robot_numbers(template) if varying else None
-        first_scene = self.scene(0)  # validates the options that all members share
+        # The first scene validates the options that all members share.
+        first_scene = self.scene(0) if self.prepared is None else self.prepared
         states = self._given(template, numbers)
         parameters = MemberParameters(numbers, robot)
         scene_of = partial(self._scene_by, members_plan(first_scene).scene.method)
