@@ -17,10 +17,11 @@ source_suffix = {".md": "markdown"}
 exclude_patterns = ["builder"]
 html_theme = "furo"
 html_title = "pinred"
-html_static_path = ["static"]
+html_static_path = ["static", "generated/static"]
 html_css_files = ["site.css"]
 html_extra_path = ["generated/extra"]  # copied as they are
-(DOCS / "generated/extra").mkdir(parents=True, exist_ok=True)
+for name in ("extra", "static"):
+    (DOCS / "generated" / name).mkdir(parents=True, exist_ok=True)
 html_copy_source = False
 html_theme_options = {"navigation_with_keys": True}
 pygments_style, pygments_dark_style = "friendly", "monokai"

@@ -484,3 +484,25 @@ def test_tutorial_twisting_somersault_prints_reference_values(
         ("5132", 1.5, 1.0), ("5134", 1.5, 2.0), ("5156", 2.5, 3.0),
     ]  # fmt: skip
     assert output.text.count("verdict: PASSED") == 1
+
+
+@pytest.mark.by_hand
+def test_tutorial_parallel_legs_prints_reference_values(
+    run_tutorial: Callable[[str], Output],
+) -> None:
+    """Four turns make a whole one; Pinocchio's momentum map confirms the first quarter."""
+    output, system = run_tutorial("18"), pinred.load("parallel_biped")
+    half, whole = output.numbers("at ±N rad, 4 turns pitch it by N°")
+    assert whole == pytest.approx(-360.0, abs=1e-5)
+    traj, period = output.names["traj"], output.names["gait"].period
+    at = [system.shape_names.index(name) for name in output.names["hips"]]
+    assert traj.x[0][at] == pytest.approx([-half, half] * 2, abs=1e-6)
+    pose = traj(period).pose
+    relative = system.group.compose(system.group.inverse(traj.pose[0]), pose)
+    turn = turned_by_momentum_map(system, lambda t: traj(t).x, period)
+    np.testing.assert_allclose(turn, system.group.log(relative)[3:], atol=1e-5)
+    assert np.degrees(turn[1]) == pytest.approx(-90.0, abs=1.0)
+    missed, lag = (output.numbers(f"{text} N°")[0] for text in ("attitude by", "plan by up to"))
+    assert missed < 10.0 * lag < 3.0
+    assert output.numbers("largest error of .*: N rad/s")[0] < 1e-12
+    assert output.text.count("verdict: PASSED") == 1

@@ -6,10 +6,12 @@ import posixpath
 import re
 from pathlib import Path
 
+import diagrams
 from sphinx.application import Sphinx
 
 _FENCE = re.compile(r"^(`{3,}|~{3,}).*?^\1[ ]*$", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(\]\()(?!https?://|#|mailto:)([^)\s#]+)(#[^)\s]*)?(\))")
+_FILE_NAME = re.compile(r"(?<!!)\[(?:docs/)?[\w/.-]+\.(?:md|py)\](?=\([^)\s]+\.md(?:#[^)]*)?\))")
 _FORMULA = re.compile(r"\$`(.+?)`\$", re.DOTALL)
 # Files outside of docs/, as seen from the root of the project, that are pages of the site.
 PAGES = {
@@ -59,7 +61,8 @@ def rewrite_links(text: str, folder: str, page: str) -> str:
         path = posixpath.relpath(shown, posixpath.dirname(page) or ".")
         return f"{before}{path}{anchor or ''}{after}"
 
-    return _LINK.sub(replace, text)
+    # A link without text has the title of its page.
+    return _FILE_NAME.sub("[]", _LINK.sub(replace, text))
 
 
 def convert(text: str, folder: str, page: str) -> str:
@@ -72,7 +75,7 @@ def convert(text: str, folder: str, page: str) -> str:
     for fence in _FENCE.finditer(text):
         block = fence[0]
         if block.startswith("```mermaid"):
-            block = block.replace("```mermaid", "```text", 1)
+            block = f"```{{raw}} html\n{diagrams.draw(block)}\n```"
         parts += [convert_prose(text[end : fence.start()]), block]
         end = fence.end()
     return "".join([*parts, convert_prose(text[end:])])

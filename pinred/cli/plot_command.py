@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     from ..simulation.trajectory import Trajectory
 
 SAMPLES = 501  # number of report times of a robot that this command simulates
+_OF_SWEEPS = {"histogram", "scatter", "heatmap", "quantiles"}
 _OTHER_COMMANDS = {"field": "pinred field", "cycles": "pinred phase"}
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     text = (
-        "motion traj.npz, scene.toml, robot (see `pinred robots`, or a URDF or MJCF file), or "
-        "accuracy.csv of `pinred bench accuracy` for work_precision"
+        "motion traj.npz, scene.toml, robot (see `pinred robots`, or a URDF or MJCF file), "
+        "results.zarr of `pinred sweep`, or accuracy.csv of `pinred bench accuracy`"
     )
     sub.add_argument("source", metavar="SOURCE", help=text)
     add = option_adder(sub)
@@ -45,6 +46,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--value X", "joint value of a Poincaré section [rad | m]", float)
     add("--direction D", "direction of a Poincaré section: 1, -1 or 0", int)
     add("--against W", "axis of work_precision: wall or evaluations")
+    add("--output O", "output of a sweep")
+    add("--numbers N1,N2,…", "varied numbers of a sweep")
     add("--time T", "duration of the motion of a robot [s]", float)
     add("--seed S", "random seed of the initial state of a robot", int)
     add("--group G", "symmetry group of a robot")
@@ -60,11 +63,12 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(f"{kind} is not a figure of a motion; draw it with `{command}`")
     stated = {
         name: getattr(arguments, name)
-        for name in ("joints", "component", "value", "direction", "against")
+        for name in ("joints", "component", "value", "direction", "against", "output", "numbers")
         if getattr(arguments, name) is not None
     }
-    if "joints" in stated:
-        stated["joints"] = stated["joints"].split(",")
+    for name in ("joints", "numbers"):
+        if name in stated:
+            stated[name] = stated[name].split(",")
     paths = _paths(arguments.out, kinds)
     options: dict[str, dict[str, Any]] = {}
     for kind in kinds:
@@ -108,6 +112,8 @@ def _source(arguments: argparse.Namespace, kinds: list[str]) -> Any:
         )
     if suffix == ".csv" and not is_measurement:
         raise InputError(f"'{source}' can only be drawn as work_precision; motions are .npz files")
+    if suffix == ".zarr" or {*kinds} & _OF_SWEEPS:
+        return _results_of_sweep(arguments, kinds)
     check_robot(source, arguments.robot)
     if suffix not in (".npz", ".toml", ".csv"):
         return _motion_of_robot(arguments)
@@ -117,6 +123,19 @@ def _source(arguments: argparse.Namespace, kinds: list[str]) -> Any:
 
         return read_record(Path(source))
     return motion_in(source, arguments.robot)
+
+
+def _results_of_sweep(arguments: argparse.Namespace, kinds: list[str]) -> Any:
+    from ..sweeps.sweep import open_sweep
+
+    source = arguments.source
+    if Path(source).suffix != ".zarr" or not {*kinds} <= _OF_SWEEPS:
+        raise InputError(
+            f"{', '.join(sorted(_OF_SWEEPS))} are drawn of a store of `pinred sweep`, such as "
+            "results.zarr, which has no other figures"
+        )
+    refuse_of_robots(arguments, source, "robot", "time", "seed", "group", "root", "parameter")
+    return open_sweep(source)
 
 
 def _motion_of_robot(arguments: argparse.Namespace) -> Trajectory:

@@ -151,6 +151,8 @@ class CouplingConstraints:
 
         The mass matrix need only be regular in the directions that the constraints allow.
         """
+        if self._loops is not None:
+            return self._solve_in_null_space(q, v, tau, driven, prescribed)
         n, rows, columns = len(v), self._rows, self._columns
         matrix = self._border(driven).copy()
         upper = pin.crba(self._model, self._data, q)
@@ -160,6 +162,35 @@ class CouplingConstraints:
         right[:n] = tau - pin.nonLinearEffects(self._model, self._data, q, v)
         right[n + len(self.J) :] = prescribed
         return np.asarray(np.linalg.solve(matrix, right)[:n])
+
+    def _solve_in_null_space(
+        self,
+        q: Array,
+        v: Array,
+        tau: Array,
+        driven: tuple[int, ...],
+        prescribed: Array | Sequence[float],
+    ) -> Array:
+        """Return the acceleration (nv,) of `acceleration` with loops, whose rows may be redundant.
+
+        With all constraints C a = c and the null space N of C, a = C⁺c + N z and
+        NᵀM N z = Nᵀ(τ − b − M C⁺c).
+        """
+        assert self._loops is not None
+        n, at = len(v), len(self.J)
+        border = self._border(driven)
+        C = np.vstack([border[n:, :n], self._loops.jacobian(q)])
+        c = np.zeros(len(C))
+        c[at : at + len(driven)] = prescribed
+        c[at + len(driven) :] = -self._loops.bias(q, v)
+        U, sizes, Vt = np.linalg.svd(C)
+        rank = int((sizes > RANK * sizes[0]).sum())
+        a = Vt[:rank].T @ ((U.T @ c)[:rank] / sizes[:rank])
+        N = Vt[rank:].T
+        upper = pin.crba(self._model, self._data, q)
+        M = np.triu(upper) + np.triu(upper, 1).T
+        force = tau - pin.nonLinearEffects(self._model, self._data, q, v) - M @ a
+        return np.asarray(a + N @ np.linalg.solve(N.T @ M @ N, N.T @ force))
 
     def _border(self, driven: tuple[int, ...]) -> Array:
         """Return the matrix [[0, Cᵀ], [C, 0]] for the constraints C of couplings and driven joints.

@@ -6,6 +6,7 @@ used, also redundant ones.  The reduced equations use other expressions and inde
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,11 +64,18 @@ def _reachable(J: Array, values: Array) -> Array:
     return np.asarray(U @ (U.T @ values))
 
 
-def closed(system: System, x: Array, xdot: Array) -> tuple[Array, Array]:
-    """Return the nearest shape (nx,) and rates (m,) that keep all loops closed."""
+def closed(
+    system: System, x: Array, xdot: Array, driven: Collection[int] = ()
+) -> tuple[Array, Array]:
+    """Return the nearest shape (nx,) and rates (m,) that keep all loops closed.
+
+    Rates with the indices `driven`, and the coordinates of their joints, do not change.
+    """
     assert system.closure is not None
-    x, _ = assemble(system, x, system.closure.length)
+    free = np.ones(system.m)
+    free[list(driven)] = 0.0
+    x, _ = assemble(system, x, system.closure.length, free)
     kinematics = LoopKinematics(system.model, system.loops)
     q = system.model_q(system.group.identity(), x)
     J = system.on_shape(kinematics.jacobian(q))[:, system.r :]
-    return x, xdot - np.linalg.lstsq(J, J @ xdot, rcond=RANK)[0]
+    return x, xdot - np.linalg.lstsq(J * free, J @ xdot, rcond=RANK)[0] * free

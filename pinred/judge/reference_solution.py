@@ -117,15 +117,17 @@ class FullState:
         """
         return np.concatenate([pose, self.couplings.values(x), xi, self.couplings.rates(xdot)])
 
-    def _apply_couplings(self, y: Array) -> Array:
+    def _apply_couplings(self, y: Array, *, close: bool = True) -> Array:
         """Return y with follower joints set from their leaders, and with closed loops."""
         size, m, couplings = self._size, self._m, self.couplings
-        if not (len(couplings.J) or self.system.loops):
+        close = close and bool(self.system.loops)
+        if not (len(couplings.J) or close):
             return y
         pose, x, xi, xdot = np.split(y, [size, size + m, size + m + self._r])
         shape, rates = couplings.shape(x), couplings.shape_rate(xdot)
-        if self.system.loops:
-            shape, rates = closed(self.system, shape, rates)
+        if close:
+            driven = () if self._forces is None else self._forces.joints
+            shape, rates = closed(self.system, shape, rates, driven)
         return self.state(pose, shape, xi, rates)
 
     def perturb(self, y0: Array, time: float, fraction: float) -> Array:
@@ -148,7 +150,12 @@ class FullState:
         least[first_rate:] = 1.0 / time
         least[first_rate : first_rate + self._linear] *= radius
         sign = np.random.default_rng(0).choice([-1.0, 1.0], len(y0))
-        return self._apply_couplings(y0 + fraction * sign * np.maximum(units, least))
+        perturbed = y0 + fraction * sign * np.maximum(units, least)
+        if self.system.loops:  # the other joints must close the loops with the planned values
+            perturbed[self._driven_x], perturbed[self._driven_v] = (
+                y0[self._driven_x], y0[self._driven_v],
+            )  # fmt: skip
+        return self._apply_couplings(perturbed)
 
     def growth(
         self, y0: Array, motion: FullMotion, times: Array, rtol: float, atol: float
@@ -271,7 +278,7 @@ class FullState:
             plan = self._forces.planned(t, self._parameters)
             accelerations = plan.xddot
             y[self._driven_x], y[self._driven_v] = plan.x, plan.xdot
-            y = self._apply_couplings(y)
+            y = self._apply_couplings(y, close=False)
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
         xi, mu = self.totals.about_com(q, v) if self._forces.sees_momentum else self._unused
         base, shape_rate = None, self.couplings.shape_rate(v[r:])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +16,16 @@ if TYPE_CHECKING:
 
 
 def with_closed_loops(
-    system: System, x: Array, H: Array, v: Array, rng: np.random.Generator
+    system: System,
+    x: Array,
+    H: Array,
+    v: Array,
+    rng: np.random.Generator,
+    prescribed: Sequence[int] = (),
 ) -> tuple[Array, Array, Array]:
     """Project v on velocities that keep loops closed, with the same body momentum.
+
+    Rates of prescribed joints do not change.
 
     Returns:
         The velocity (n,), the impetus (m,) for random multipliers, and the multipliers (k,).
@@ -28,9 +35,13 @@ def with_closed_loops(
         return v, H[r:] @ v, np.empty(0)
     J = np.zeros((system.closure.rank, len(v)))
     J[:, r:] = loop_jacobian(system, x)[system.closure.rows]
-    response = np.linalg.solve(H, J.T)
-    v = v - response @ np.linalg.solve(J @ response, J @ v)
-    nu = rng.normal(size=len(J))
+    free = np.setdiff1d(np.arange(len(v)), r + np.array(prescribed, dtype=int))
+    response = np.linalg.solve(H[np.ix_(free, free)], J[:, free].T)
+    # Multipliers of this size have impulses of the size of the momenta, in every unit.
+    nu: Array = np.asarray(np.linalg.solve(J[:, free] @ response, J @ v))
+    v = v.copy()
+    v[free] -= response @ nu
+    nu = nu * rng.uniform(0.5, 2.0, len(nu))
     return v, (H @ v + J.T @ nu)[r:], nu
 
 
@@ -44,15 +55,25 @@ def impetus_terms(system: System, x: Array, xdot: Array, nu: Array) -> Array:
 
 
 def closed_solver(
-    system: System, x: Array, xdot: Array, inertia: Array
+    system: System, x: Array, xdot: Array, inertia: Array, prescribed: Sequence[int], a: Array
 ) -> Callable[[Array], Array]:
-    """Return the map from generalised forces to accelerations that keep loops closed."""
+    """Return the map from generalised forces to accelerations that keep loops closed.
+
+    Args:
+        system: The system.
+        x: Shape, (nx,).
+        xdot: Shape rate, (m,).
+        inertia: Mass matrix without the rows and columns of prescribed joints.
+        prescribed: Indices of the prescribed joints.
+        a: Accelerations of the prescribed joints.
+    """
     if system.closure is None:
         return lambda force: np.asarray(np.linalg.solve(inertia, force))
     r, rows = system.r, system.closure.rows
+    on_shape = loop_jacobian(system, x)[rows]
+    bias = loop_jacobian_rate(system, x, xdot)[rows] @ xdot + on_shape[:, list(prescribed)] @ a
     J = np.zeros((len(rows), len(inertia)))
-    J[:, r:] = loop_jacobian(system, x)[rows]
-    bias = loop_jacobian_rate(system, x, xdot)[rows] @ xdot
+    J[:, r:] = np.delete(on_shape, list(prescribed), axis=1)
     response = np.linalg.solve(inertia, J.T)
 
     def solve(force: Array) -> Array:

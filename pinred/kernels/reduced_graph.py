@@ -120,14 +120,17 @@ class ReducedGraph:
         def sweep_from(pi: list[Scalar], momentum: bool) -> Swept:
             return sweep(
                 self._bodies, joint_values(system, angles), pi, mu if momentum else [0.0] * len(mu),
-                group.axes, armature, rates, lanes, system.coupled,
+                group.axes, armature, rates if momentum else dict.fromkeys(rates, 0.0), lanes,
+                system.coupled,
             )  # fmt: skip
 
         self._canonical_pi, loop_rates = self.pi, [0.0] * m
         if system.closure is None:
             result = sweep_from(momenta, True)
         else:
-            terms = solve_with_loops(system, self._bodies, self.x, self.pi, sweep_from)
+            terms = solve_with_loops(
+                system, self._bodies, self.x, self.pi, sweep_from, driven=bool(prescribed)
+            )
             result, self._canonical_pi, loop_rates = terms.swept, terms.pi, terms.rates
         self.xi: list[Scalar] = [
             [*result.root_linear, *result.root_angular][axis] for axis in group.axes

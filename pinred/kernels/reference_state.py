@@ -214,7 +214,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     q, data = system.model_q(pose, x), system.data
     H = mass_matrix_at(system, model, data, pose, x)
     v, mu = _with_known_momentum(kernel, H, v)
-    v, impetus, nu = with_closed_loops(system, x, H, v, rng)
+    v, impetus, nu = with_closed_loops(system, x, H, v, rng, prescribed)
     pi = H[r:] @ v
     R = group.Ad(pose)[k:, k:]
     down = R.T @ gravity / np.linalg.norm(gravity) if counts.down else np.zeros(0)

@@ -217,7 +217,7 @@ def _validate_acceleration(
     coupling = H[np.ix_(free, prescribed)] @ at.accelerations
     pidot = pidot - impetus_terms(system, at.x, v[r:], at.nu)
     rates = np.concatenate([mudot, pidot]) - (C + C.T) @ v
-    solve = closed_solver(system, at.x, v[r:], inertia)
+    solve = closed_solver(system, at.x, v[r:], inertia, at.prescribed, at.accelerations)
     acceleration = solve(rates[free] - coupling)
     # Use RNEA: ABA loses digits at a light base, whose inverse inertia amplifies round-off.
     bias = system.on_shape(pin.nonLinearEffects(model, data, q, full))

@@ -80,33 +80,47 @@ class CanonicalForm:
             return self._closed_velocity(x, momentum)[0]
         return self._solve(self.mass_matrix(x), momentum, x)
 
-    def loop_terms(self, x: Array, xdot: Array, momentum: Array) -> Array:
+    def loop_terms(
+        self, x: Array, xdot: Array, momentum: Array, driven: Sequence[int] = ()
+    ) -> Array:
         """Return J̇ᵀν − γ Jᵀν, (m,): terms of the rate of the impetus, see LoopTerms.
 
         Args:
             x: Shape, (m,).
             xdot: Shape rate at this momentum, (m,).
             momentum: (μ, p), (n,), with the impetus p.
+            driven: Indices of the prescribed shape joints.
         Returns:
             The terms; zeros without loops.
         """
         if self._system.closure is None:
             return np.zeros(len(xdot))
         rows = self._system.closure.rows
-        _, nu = self._closed_velocity(x, momentum)
+        _, nu = self._closed_velocity(x, momentum, driven, xdot[list(driven)])
         J = loop_jacobian(self._system, x)[rows]
         rate = loop_jacobian_rate(self._system, x, xdot)[rows]
         return np.asarray(nu @ rate - GAUGE_RATE * nu @ J)
 
-    def _closed_velocity(self, x: Array, momentum: Array) -> tuple[Array, Array]:
-        """Solve [H Jᵀ; J 0] [v; ν] = [(μ, p); 0]."""
+    def _closed_velocity(
+        self, x: Array, momentum: Array, driven: Sequence[int] = (), rates: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Solve [H Jᵀ; J 0] [v; ν] = [(μ, p); 0], with given rates of prescribed joints."""
         assert self._system.closure is not None
-        J = np.zeros((self._system.closure.rank, len(momentum)))
+        n, v = len(momentum), np.zeros(len(momentum))
+        J = np.zeros((self._system.closure.rank, n))
         J[:, self._r :] = loop_jacobian(self._system, x)[self._system.closure.rows]
-        solved = self._solve(self.mass_matrix(x), np.column_stack([momentum, J.T]), x)
-        free, response = solved[:, 0], solved[:, 1:]
-        nu = np.linalg.solve(J @ response, J @ free)
-        return np.asarray(free - response @ nu), np.asarray(nu)
+        H, momentum = self.mass_matrix(x), momentum.copy()
+        free = np.setdiff1d(np.arange(n), self._r + np.array(driven, dtype=np.intp))
+        if len(free) < n:
+            H, fixed = symmetric(H), np.setdiff1d(np.arange(n), free)
+            v[fixed] = rates
+            momentum = momentum - H @ v
+            H = H[np.ix_(free, free)]
+        solved = self._solve(H, np.column_stack([momentum[free], J[:, free].T]), x)
+        open_rates, response = solved[:, 0], solved[:, 1:]
+        nu = np.linalg.solve(J[:, free] @ response, J[:, free] @ open_rates + J @ v)
+        v[free] = open_rates - response @ nu
+        return v, np.asarray(nu)
 
     def driven_velocity(
         self, x: Array, momentum: Array, driven: Sequence[int], rates: Array
@@ -121,6 +135,8 @@ class CanonicalForm:
         Returns:
             Velocity v, (n,).
         """
+        if self._system.closure is not None:
+            return self._closed_velocity(x, momentum, driven, rates)[0]
         H = symmetric(self.mass_matrix(x))
         fixed = self._r + np.array(driven, dtype=np.intp)
         is_free = np.ones(len(momentum), bool)

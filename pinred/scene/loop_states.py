@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import InputError, LoopWarning
-from ..common.names import quoted
+from ..common.names import listed, quoted
 from ..integrators.methods import Method
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..system.loops.loop_assembly import CLOSED, assemble, describe_gap, loop_gaps
@@ -45,31 +45,53 @@ def held_joints(x0: Any, xdot0: Any) -> tuple[HeldJoints, HeldJoints]:
     return HeldJoints(x0 is not None, by_name[0]), HeldJoints(xdot0 is not None, by_name[1])
 
 
-def refuse_in_loops(
-    system: System,
-    prescribed: Mapping[str, Any],
-    model: ForceModel | None,
-    method: Method | None,
-) -> None:
-    """Reject options that do not support closed loops, if the system has any.
+def refuse_in_loops(system: System, method: Method | None) -> None:
+    """Reject methods that do not support closed loops, if the system has any.
 
     Args:
         system: The system.
-        prescribed: Motions of joints by name.
-        model: Forces of the scene; None if there are none.
         method: The requested method; None if it is chosen.
     Raises:
-        UnsupportedOperationError: An option does not support closed loops.
+        UnsupportedOperationError: The method does not support closed loops.
     """
-    if prescribed:
-        system.refuse_loops("prescribed joints")
-    if model is not None and model.weighed:
-        system.refuse_loops("forces with inverse dynamics")
     if method is not None and method.steady_momentum:
-        system.refuse_loops(f"method {method.name}")
+        system.refuse_loops(
+            f"method {method.name}, whose discrete equations contain no multipliers (Gauss "
+            "supports loops)"
+        )
 
 
-def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = False) -> Array:
+def closed_state(
+    system: System,
+    x: Array,
+    xdot: Array,
+    held: tuple[HeldJoints, HeldJoints],
+    report: tuple[bool, bool],
+    model: ForceModel | None,
+) -> tuple[Array, Array]:
+    """Return the nearest shape (nx,) and rates (m,) that keep all loops closed.
+
+    Args:
+        system: The system, with loops.
+        x: Shape, (nx,), with planned values of prescribed joints.
+        xdot: Shape rate, (m,), with planned values of prescribed joints.
+        held: How the user stated values and rates of joints.
+        report: Whether to report noticeable changes of values, and of rates, in any case.
+        model: Forces and prescribed joints; None if there are none.
+    """
+    driven = () if model is None else model.joints
+    x = closed_shape(system, x, held[0], report=report[0], driven=driven)
+    return x, closed_rates(system, x, xdot, held[1], report=report[1], driven=driven)
+
+
+def closed_shape(
+    system: System,
+    x: Array,
+    held: HeldJoints,
+    *,
+    report: bool = False,
+    driven: Collection[int] = (),
+) -> Array:
     """Return the shape nearest to x, (nx,), by least squares, that closes all loops.
 
     Args:
@@ -77,6 +99,7 @@ def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = F
         x: Shape, (nx,) [rad | m].
         held: Joints that keep their values if the loops can close by motion of the others.
         report: Whether to report a noticeable change although `held` states no value.
+        driven: Indices of the rates of prescribed joints, which keep their values.
     Returns:
         The closed shape, (nx,).
     Raises:
@@ -87,7 +110,8 @@ def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = F
     gaps = loop_gaps(system, x, length)
     if gaps.max() <= CLOSED:
         return x
-    free = _free(system, held)
+    may_move = _may_move(system, driven)
+    free = np.logical_and(_free(system, held), may_move)
     start = x
     if not free.all():  # other joints start from a closed shape instead of zero
         start = x.copy()
@@ -97,7 +121,14 @@ def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = F
         closed, remaining = assemble(system, start, length, free)
         if remaining.max() <= CLOSED:
             return closed
-    closed, remaining = assemble(system, start, length)
+    closed, remaining = assemble(system, start, length, may_move)
+    if remaining.max() > CLOSED and driven:
+        names = listed([system.space.names[k] for k in driven], 6)
+        raise InputError(
+            f"prescribed: the loops of '{system.name}' do not close with the prescribed positions "
+            f"of {names} at time 0: {describe_gap(system, remaining, length)} at the nearest shape "
+            "that was found. Start the motion at a closed shape, or give x0 of the other joints."
+        )
     if remaining.max() > CLOSED and not (held.stated or report):
         return system.closure.x  # a random shape need not be near a closed one
     if remaining.max() > CLOSED:
@@ -117,7 +148,13 @@ def closed_shape(system: System, x: Array, held: HeldJoints, *, report: bool = F
 
 
 def closed_rates(
-    system: System, x: Array, xdot: Array, held: HeldJoints, *, report: bool = False
+    system: System,
+    x: Array,
+    xdot: Array,
+    held: HeldJoints,
+    *,
+    report: bool = False,
+    driven: Collection[int] = (),
 ) -> Array:
     """Return the rates nearest to ẋ, (m,), in the kinetic metric, that keep all loops closed.
 
@@ -127,17 +164,28 @@ def closed_rates(
         xdot: Shape rate, (m,) [rad/s | m/s].
         held: Joints that keep their rates if the loops allow it.
         report: Whether to report a noticeable change although `held` states no value.
+        driven: Indices of the rates of prescribed joints, which keep their values.
     Returns:
         The rates, (m,).
+    Raises:
+        InputError: The prescribed joints leave no rates of the others that keep the loops closed.
     """
     tree = system.open_tree()
     reduction = tree.workspace(PointwiseReduction, lambda: PointwiseReduction(tree))
-    metric, free = reduction.split(x).reduced_metric, _free(system, held)
+    may_move = _may_move(system, driven)
+    metric = reduction.split(x).reduced_metric
+    free = np.logical_and(_free(system, held), may_move)
     rates = None if free.all() else project_rates(system, x, xdot, metric, free)
     if rates is not None:
         return rates
-    rates = project_rates(system, x, xdot, metric)
-    assert rates is not None
+    rates = project_rates(system, x, xdot, metric, may_move if driven else None)
+    if rates is None:
+        names = listed([system.space.names[k] for k in driven], 6)
+        raise InputError(
+            f"prescribed: the motions of {names} contradict the loops of '{system.name}' near "
+            f"x = {x}: other joints cannot follow. Prescribe at most {system.shape_dim} joints, "
+            "which determine the others."
+        )
     change = np.abs(rates - xdot).max()
     if (held.stated or report) and change > _NOTICEABLE * np.abs(xdot).max():
         _warn(system, "xdot0 opens a loop", rates - xdot)
@@ -149,6 +197,13 @@ def _free(system: System, held: HeldJoints) -> Array:
     free = np.ones(system.m, dtype=bool)
     for joint in system.space.joints:
         free[joint.v] = joint.name not in held.names
+    return free
+
+
+def _may_move(system: System, driven: Collection[int]) -> Array:
+    """Return which shape rates are not prescribed, (m,)."""
+    free = np.ones(system.m, dtype=bool)
+    free[list(driven)] = False
     return free
 
 

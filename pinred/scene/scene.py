@@ -25,7 +25,7 @@ from . import input_formats
 from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .joint_values import order_by_joint
-from .loop_states import HeldJoints, closed_rates, closed_shape, held_joints, refuse_in_loops
+from .loop_states import HeldJoints, closed_state, held_joints, refuse_in_loops
 from .option_checks import (
     check_keyframe,
     check_span,
@@ -115,7 +115,7 @@ class Scene(SceneFields):
         times = compute_report_times(self.times, self.duration, self.system)
         self._keep("_times", read_only(times))
         self._check_forces()
-        refuse_in_loops(self.system, self.prescribed, self.force_model, self.integrator)
+        refuse_in_loops(self.system, self.integrator)
         checked = vars(self).items()
         return Shared({name: v for name, v in checked if v is not unchecked.get(name, unchecked)})
 
@@ -337,9 +337,10 @@ class Scene(SceneFields):
             xi = default.xi if self.xi0 is None else xi
         self._require_state()
         refuse_vague(x, system)
-        if system.loops:
-            x, xdot = self._closed_state(x, xdot)
         x, xdot = self.with_prescribed(x[None], xdot[None])
+        if system.loops:
+            closed = self._closed_state(x[0], xdot[0])
+            x, xdot = (values[None] for values in closed)
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
         mu = vector_or_zero(self.momentum, system.r, "momentum")
@@ -348,8 +349,8 @@ class Scene(SceneFields):
     def _closed_state(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Return the nearest state that closes all loops, and store it as x0 and xdot0."""
         held: tuple[HeldJoints, HeldJoints] = vars(self)["_held"]
-        x = closed_shape(self.system, x, held[0], report=self.q0 is not None)
-        xdot = closed_rates(self.system, x, xdot, held[1], report=self.v0 is not None)
+        report = self.q0 is not None, self.v0 is not None
+        x, xdot = closed_state(self.system, x, xdot, held, report, self.force_model)
         # A copy of the scene then starts at the same state, although it has no joint names.
         for name, values in (("x0", x), ("xdot0", xdot)):
             if getattr(self, name) is not None:

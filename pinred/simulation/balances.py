@@ -28,7 +28,9 @@ from ..reduction.canonical_form import CanonicalForm
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..reduction.potential import shape_gravity
 from ..reduction.textbook_equations import lagrange_poincare
+from ..system.coordinates import Indices
 from ..system.joints import axes_of
+from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
 from ..system.state_fields import State, with_base
 from ..system.system import System
 from .motion import Motion
@@ -211,7 +213,8 @@ def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -
     if forces is None or not plan.acting.driven:
         return read_only(np.zeros((len(t), 0)))
     red = system.workspace(
-        (PointwiseReduction, "weightless"), lambda: PointwiseReduction(_weightless(system))
+        (PointwiseReduction, "weightless"),
+        lambda: PointwiseReduction(_weightless(system).open_tree()),
     )
     form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, shape_gravity(system)))
     gravity = shape_gravity(system)
@@ -231,9 +234,35 @@ def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -
         M, xddot = at.reduced_metric, np.empty(system.m)
         xddot[driven] = forces.prescribed(float(time), numbers).xddot
         coupling = M[np.ix_(free, driven)] @ xddot[driven]
-        xddot[free] = np.linalg.solve(M[np.ix_(free, free)], force[free] - coupling)
-        torques[k] = M[driven] @ xddot - force[driven]
+        free_force = force[free] - coupling
+        loads = np.zeros(system.m)
+        if system.closure is not None:
+            loads = _loop_loads(system, s, M, xddot, driven, free, free_force)
+        xddot[free] = np.linalg.solve(M[np.ix_(free, free)], free_force + loads[free])
+        torques[k] = M[driven] @ xddot - force[driven] - loads[driven]
     return read_only(torques)
+
+
+def _loop_loads(
+    system: System,
+    s: Sample,
+    M: Array,
+    xddot: Array,
+    driven: Indices,
+    free: Indices,
+    force: Array,
+) -> Array:
+    """Return the forces Jᵀλ of closed loops, (m,), with given accelerations of driven joints.
+
+    The free joints obey M ẍ = F + Jᵀλ and J ẍ + J̇ ẋ = 0.
+    """
+    assert system.closure is not None
+    rows = system.closure.rows
+    J = loop_jacobian(system, s.x)[rows]
+    bias = loop_jacobian_rate(system, s.x, s.xdot)[rows] @ s.xdot + J[:, driven] @ xddot[driven]
+    solved = np.linalg.solve(M[np.ix_(free, free)], np.column_stack([force, J[:, free].T]))
+    multipliers = np.linalg.solve(J[:, free] @ solved[:, 1:], -bias - J[:, free] @ solved[:, 0])
+    return np.asarray(multipliers @ J)
 
 
 def _weightless(system: System) -> System:

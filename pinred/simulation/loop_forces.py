@@ -62,7 +62,14 @@ def _multipliers(plan: Plan, states: State, k: int, sample: Sample, numbers: Arr
         acting = forces.acting(sample.force_inputs(float(states.t[k]), numbers))
         tau[:r] += acting.wrench
         tau[r:] += acting.torque
-    response = np.linalg.solve(H, np.column_stack([tau, J.T]))
+    moving = np.arange(len(H))
+    if plan.acting.driven and forces is not None:  # drives apply what their accelerations need
+        driven = r + np.array(plan.acting.driven)
+        accelerations = forces.prescribed(float(states.t[k]), numbers).xddot
+        moving = np.setdiff1d(moving, driven)
+        tau, bias = tau - H[:, driven] @ accelerations, bias + J[:, driven] @ accelerations
+        J = J[:, moving]
+    response = np.linalg.solve(H[np.ix_(moving, moving)], np.column_stack([tau[moving], J.T]))
     free, mobility = J @ response[:, 0], J @ response[:, 1:]
     return np.asarray(np.linalg.lstsq(mobility, -bias - free, rcond=_REDUNDANT)[0])
 

@@ -1,4 +1,4 @@
-"""Robots with closed loops for tests: a four-bar, a gripper, a delta-like robot, random trees."""
+"""Robots with closed loops for tests: four-bar, gripper, delta, Cassie-like biped, random trees."""
 
 from __future__ import annotations
 
@@ -208,3 +208,99 @@ def gripper() -> str:
     sides = (("right", -0.01, "0 0 0 1"), ("left", 0.01, "1 0 0 0"))
     fingers = "".join(_FINGER.format(side=s, y=y, quat=q) for s, y, q in sides)
     return GRIPPER.format(fingers=fingers)
+
+
+def delta() -> tuple[pin.Model, list[Loop]]:
+    """Return a planar delta robot whose base floats, in the manner of robot_delta.
+
+    Two arms of two bars carry an effector.  Two more bars with a transmission between them keep its
+    attitude.  The loops are cut at balls that the URDF writes as hinges, so that each pair of balls
+    spins: 14 joints, 18 equations of rank 9, closed shapes of dimension 5.  The bars are not exact
+    parallelograms.
+    """
+    model = pin.Model()
+    model.name = "delta"
+    model.gravity.setZero()
+    base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, _bar(0.2, 0.2), pin.SE3.Identity())
+    model.addJointFrame(base)
+    at = {"base": (base, 0.0, 0.0)}  # joint, and its place in the plane of x and z at rest
+
+    def add(name: str, parent: str, x: float, z: float, mass: float = 0.05) -> None:
+        joint, x0, z0 = at[parent]
+        place = pin.SE3(np.eye(3), np.array([x - x0, 0.0, z - z0]))
+        index = model.addJoint(joint, pin.JointModelRY(), place, name)
+        model.appendBodyToJoint(index, _bar(mass, 0.06), pin.SE3(np.eye(3), 0.01 * np.ones(3)))
+        model.addJointFrame(index)
+        at[name] = (index, x, z)
+
+    left, right, elbow, other = (-0.01, 0.0), (0.012, 0.0), (-0.05, -0.02), (0.055, -0.024)
+    tip, lift = (0.004, -0.075), (0.007, 0.018)
+    add("left_arm", "base", *left)
+    add("left_rod", "left_arm", *elbow)
+    add("effector", "left_rod", *tip)
+    add("right_arm", "base", *right)
+    add("right_rod", "right_arm", *other)
+    up, knee = (left[0] - 0.008, left[1] + 0.02), (elbow[0] - 0.007, elbow[1] + 0.021)
+    hand = (tip[0] + lift[0], tip[1] + lift[1])
+    add("transmission_bar", "base", *up)
+    add("transmission", "left_arm", *elbow)
+    add("transmission_rod", "transmission", elbow[0] + 0.008, elbow[1] + 0.017)
+    pairs = (
+        ("transmission_bar", "transmission", knee),
+        ("right_rod", "effector", (tip[0] + 0.011, tip[1])),
+        ("transmission_rod", "effector", hand),
+    )
+    loops = []
+    for k, (first, second, (x, z)) in enumerate(pairs):
+        for side, parent in (("A", first), ("B", second)):
+            add(f"ball{k}{side}", parent, x, z, 0.005)
+        loops.append(Loop(f"ball{k}A", f"ball{k}B", "6d"))
+    return model, loops
+
+
+_LEG = """
+<body name="{s}_hip" pos="0 {y} 0"><joint name="{s}_roll" axis="1 0 0"/>
+ <geom size=".04" pos="-.02 0 .01" mass="1.8"/>
+ <body name="{s}_pelvis" pos=".02 0 -.05"><joint name="{s}_yaw" axis="0 .1 1"/>
+  <geom size=".04" pos="0 .01 -.03" mass="1.2"/>
+  <body name="{s}_thigh" pos="0 0 -.06"><joint name="{s}_pitch" axis="0 1 0"/>
+   <geom size=".05" pos=".05 0 -.06" mass="5.5"/>
+   <body name="{s}_rod" pos=".02 .045 0"><joint name="{s}_rod" type="ball"/>
+    <geom type="capsule" size=".01" fromto="0 0 0 -.05 0 -.48" mass=".16"/></body>
+   <body name="{s}_knee" pos=".12 0 -.05"><joint name="{s}_knee" axis="0 1 0"/>
+    <geom size=".03" pos=".02 0 -.02" mass=".76"/>
+    <body name="{s}_shin" pos=".06 0 -.04"><joint name="{s}_shin" axis="0 1 0" stiffness="1500"/>
+     <geom size=".03" pos="-.03 0 -.15" mass=".58"/>
+     <body name="{s}_tarsus" pos="-.05 0 -.42"><joint name="{s}_tarsus" axis="0 1 0"/>
+      <geom size=".03" pos="-.08 0 -.1" mass=".78"/>
+      <body name="{s}_heel" pos="-.02 0 .02">
+       <joint name="{s}_heel" axis="0 1 .05" stiffness="1250"/>
+       <geom type="capsule" size=".01" fromto="0 0 0 -.11 .045 .02" mass=".13"/></body>
+      <body name="{s}_crank" pos="-.06 0 -.05"><joint name="{s}_crank" axis="0 1 0"/>
+       <geom size=".02" pos="0 0 -.02" mass=".12"/>
+       <body name="{s}_plantar" pos=".05 0 -.02"><joint name="{s}_plantar" axis="0 1 0"/>
+        <geom type="capsule" size=".01" fromto="0 0 0 -.21 0 -.22" mass=".12"/></body></body>
+      <body name="{s}_foot" pos="-.25 0 -.25"><joint name="{s}_foot" axis="0 1 0"/>
+       <geom size=".03" pos=".02 0 -.03" mass=".15"/></body>
+     </body></body></body></body></body></body>
+"""
+
+
+def cassie_like() -> str:
+    """Return a biped with the joints and loops of Cassie in MJCF: 12 equations of rank 10.
+
+    A rod on a ball at the hip meets the heel spring at a point, and the plantar rod meets the foot.
+    """
+    legs = "".join(_LEG.format(s=s, y=y) for s, y in (("left", 0.13), ("right", -0.13)))
+    ties = "".join(
+        f'<connect name="{s}_achilles" body1="{s}_heel" body2="{s}_rod" anchor="-.11 .045 .02"/>'
+        f'<connect name="{s}_plantar" body1="{s}_foot" body2="{s}_plantar" anchor=".04 0 .02"/>'
+        for s in ("left", "right")
+    )
+    return (
+        '<mujoco model="cassie_like"><compiler angle="radian"/>'
+        '<option gravity="0 0 0"><flag contact="disable"/></option><worldbody>'
+        f'<body name="body" pos="0 0 0"><freejoint/><geom size=".12" mass="10"/>{legs}</body>'
+        f"</worldbody><equality>{ties}</equality></mujoco>"
+    )

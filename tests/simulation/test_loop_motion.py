@@ -35,7 +35,7 @@ def linkage() -> pinred.System:
 
 
 def constraint_dynamics(
-    model: pin.Model, *loops: Constraint
+    model: pin.Model, *loops: Constraint, regular: float = 1e-14
 ) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
     """Return Pinocchio's map from q, v, τ to acceleration and force, for kinds "3d" and "6d"."""
     data = model.createData()
@@ -51,7 +51,7 @@ def constraint_dynamics(
         models.append(contact)
         datas.append(contact.createData())
     pin.initConstraintDynamics(model, data, models, datas)
-    proximal = pin.ProximalSettings(1e-14, 1e-14, 50)
+    proximal = pin.ProximalSettings(1e-14, regular, 50)
 
     def solve(q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
         a = pin.constraintDynamics(model, data, q, v, tau, models, datas, proximal).copy()
@@ -299,12 +299,6 @@ REFUSED: dict[str, Callable[[pinred.System], object]] = {
     "branches": lambda s: pinred.branches(s, momentum=[0.0, 1.0]),
     "reorient": lambda s: pinred.reorient(s, 1.0),
     "casadi": pinred.casadi_functions,
-    "prescribed": lambda s: pinred.Scene(system=s, seed=1, prescribed={"crank": 0.3}),
-    "computed torque": lambda s: pinred.Scene(
-        system=s,
-        seed=1,
-        forces=[pinred.forces.ComputedTorque(dict.fromkeys(s.shape_names, 0.0), kp=1.0, kd=1.0)],
-    ),
     "variational": lambda s: pinred.Scene(system=s, seed=1, method=pinred.Variational(0.01)),
     "linearise": lambda s: pinred.linearise(pinred.simulate(s, seed=1, duration=0.1)),
     "lyapunov": lambda s: pinred.lyapunov(pinred.simulate(s, seed=1, duration=0.1)),

@@ -85,24 +85,31 @@ def solve_with_loops(
     x: Sequence[ca.SX],
     momentum: Sequence[Scalar],
     sweep: Callable[[list[Scalar], bool], Swept],
+    *,
+    driven: bool = False,
 ) -> LoopTerms:
     """Solve the equations of a system with loops in impetus–striction form.
 
     Args:
         system: The system.
         bodies: Bodies of the tree, root first.
-        x: Symbols of the shape, (nx,).
+        x: Symbols of the shape, (nx,); expressions for prescribed joints.
         momentum: Impetus p, (m,).
         sweep: Function that sweeps the open tree from canonical momenta (m,), with or without the
-            body momentum.
+            body momentum and the rates of prescribed joints.
+        driven: Whether joints are prescribed.
     Returns:
         Velocities, canonical momenta and rates.
     """
     m = system.m
-    column = ca.vertcat(*x)
-    phi = ca.vertcat(*constraint_values(system, bodies, x))
-    frame = _rate_map(system, x)
-    jacobian = ca.jacobian(phi, column) @ frame
+    entries = ca.vertsplit(ca.SX.sym("x", system.nx)) if driven else x
+    column = ca.vertcat(*entries)
+    phi = ca.vertcat(*constraint_values(system, bodies, entries))
+    frame = _rate_map(system, entries)
+    constraints = jacobian = ca.jacobian(phi, column) @ frame
+    here = ca.vertcat(*(ca.SX(value) for value in x))
+    if driven:
+        (jacobian,) = ca.substitute([constraints], [column], [here])
     J = [[_scalar(jacobian[i, k]) for k in range(m)] for i in range(phi.numel())]
     response = [sweep(list(row), False).xdot for row in J]
     open_rates = sweep(list(momentum), True).xdot
@@ -111,9 +118,12 @@ def solve_with_loops(
     pi = [sub(p, a) for p, a in zip(momentum, along, strict=True)]
     swept = sweep(pi, True)
     symbol, rate = ca.SX.sym("nu", len(nu)), ca.SX.sym("rate", m)
-    turning = ca.jtimes(jacobian.T @ symbol, column, frame @ rate)
+    turning = ca.jtimes(constraints.T @ symbol, column, frame @ rate)
     values = [ca.vertcat(*(ca.SX(n) for n in numbers)) for numbers in (nu, swept.xdot)]
-    (turning,) = ca.substitute([turning], [symbol, rate], values)
+    symbols = [symbol, rate]
+    if driven:
+        symbols, values = [*symbols, column], [*values, here]
+    (turning,) = ca.substitute([turning], symbols, values)
     rates = [sub(_scalar(turning[k]), mul(GAUGE_RATE, along[k])) for k in range(m)]
     return LoopTerms(swept, pi, rates)
 

@@ -327,6 +327,8 @@ def flow(
         The flow.
     """
     resolved = as_scene(scene, options, "flow")
+    if resolved.prescribed:
+        resolved.system.refuse_loops("flow with prescribed joints")
     resolved = with_varied(resolved, wrt)
     over_times = resolved.times is not None
     if not over_times:

@@ -72,7 +72,7 @@ class PinocchioFlow:
         com = form.com()
         pidot, moment, push = form.force(x, v), np.zeros(r - k), np.zeros(k)
         if system.closure is not None:
-            pidot = pidot + form.loop_terms(x, v[r:], self._momentum(y))
+            pidot = pidot + form.loop_terms(x, v[r:], self._momentum(y), self._driven)
         slope = None
         if self._forces is not None:
             mu = self.base.momentum(b)

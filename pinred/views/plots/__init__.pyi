@@ -10,6 +10,10 @@ from .gait_cycles import loop as loop
 from .momentum_sphere import sphere as sphere
 from .phase_portrait import phase as phase
 from .poincare_section import poincare as poincare
+from .sweep_figures import heatmap as heatmap
+from .sweep_figures import histogram as histogram
+from .sweep_figures import quantiles as quantiles
+from .sweep_figures import scatter as scatter
 from .time_series import base as base
 from .time_series import energy as energy
 from .time_series import error as error

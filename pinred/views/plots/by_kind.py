@@ -14,6 +14,7 @@ from .. import plots
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
+    from xarray import Dataset
 
     from ...analysis.branches.follow import Branches
     from ...analysis.connections.connection_source import ConnectionSource
@@ -123,6 +124,20 @@ def plot(source: BestGait | TurnPlan, kind: Literal["loop"]) -> Figure: ...
 
 
 @overload
+def plot(source: Dataset, kind: Literal["histogram"], *, output: str | None = None) -> Figure: ...
+
+
+@overload
+def plot(
+    source: Dataset,
+    kind: Literal["scatter", "heatmap", "quantiles"],
+    *,
+    output: str | None = None,
+    numbers: Sequence[str] | None = None,
+) -> Figure: ...
+
+
+@overload
 def plot(source: Any, kind: str) -> Figure: ...
 
 
@@ -136,7 +151,8 @@ def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     Args:
         source: Argument of the function: a Connection or System for field, a Phase for cycles, a
             BestGait or TurnPlan for loop, Branches for branches, results of `bench_accuracy` for
-            work_precision, and a Trajectory for all other kinds.
+            work_precision, results of `sweep` for histogram, scatter, heatmap and quantiles, and a
+            Trajectory for all other kinds.
         kind: Name of the function, such as "shape", "energy" or "phase".
         joints: Names or indices of joints.
         limits: (low, high) of each joint on an axis [rad | m].
@@ -151,6 +167,8 @@ def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
         gait: Gait to draw over the field.
         joint: Name or index of the joint on the vertical axis.
         count: Number of cycles.
+        output: Name of an output of a sweep.
+        numbers: Names of varied numbers of a sweep.
         **options: The options listed above that the kind takes.
     Returns:
         The figure.
