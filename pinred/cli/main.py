@@ -49,6 +49,7 @@ COMMANDS = {  # {command: description}
     "robots": "list the robots that can be loaded by name",
     "cache": "show the compiled kernels on disk",
     "doctor": "check the installation, and say what is missing and how to get it",
+    "published": "compare published and closed-form results with those of pinred",
     "stress": "check the accuracy in numerically hard cases",
     "corpus": "try all robot descriptions in some folders",
     "bench": "measure speed and accuracy",

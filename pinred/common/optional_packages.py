@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 from .errors import MissingPackageError
@@ -14,3 +15,9 @@ def optional_package(name: str, message: str) -> Any:
         return import_module(name)
     except ImportError as missing:
         raise MissingPackageError(message) from missing
+
+
+def require_package(name: str, message: str) -> None:
+    """Raise MissingPackageError with a message if a package is not installed; do not import it."""
+    if find_spec(name) is None:
+        raise MissingPackageError(message)

@@ -14,7 +14,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import whole
 from ..common.errors import InputError, RejectedWarning
 from ..common.names import brief, nearest, one_of, quoted, quoted_path
-from ..common.optional_packages import optional_package
+from ..common.optional_packages import optional_package, require_package
 from ..common.progress import Progress, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
@@ -29,6 +29,8 @@ from .varied_numbers import VariedScene
 
 if TYPE_CHECKING:
     from .sweep_result import SweepResult
+
+_NO_XARRAY = "sweeps need the package xarray: pip install 'pinred[sweep]'"
 
 
 @checks_arguments
@@ -88,7 +90,8 @@ def sweep(
             f"{quoted_path(path)}"
         )
     import_zarr(path, "sweep")
-    optional_package("xarray", "sweeps need the package xarray: pip install 'pinred[sweep]'")
+    # xarray and pandas take 60 MB, so they are imported when the blocks are stored.
+    require_package("xarray", _NO_XARRAY)
     results = SweepStore(path, job)
     title = f"sweep of {job.varied.scene.system.name}"
     with shown(progress, title, job.points, "points") as report:
@@ -120,7 +123,7 @@ def open_sweep(store: str | Path) -> SweepResult:
     if not (path / "plan" / "plan.json").exists():
         raise InputError(f"store: {quoted_path(path)} is not the store of a sweep")
     import_zarr(path, "sweep")
-    optional_package("xarray", "sweeps need the package xarray: pip install 'pinred[sweep]'")
+    require_package("xarray", _NO_XARRAY)
     from .sweep_result import open_result
 
     return open_result(path, None)

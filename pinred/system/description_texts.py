@@ -32,7 +32,7 @@ def urdf_of(name: str, bodies: Sequence[DescribedBody]) -> str:
             joint = _joint(robot, body.name, kind, parent, body.name, at, rpy, body.axis)
             if kind in ("revolute", "prismatic"):
                 low, high = (-np.inf, np.inf) if body.limits is None else body.limits
-                most = np.finfo(float).max
+                most = float(np.finfo(float).max)
                 SubElement(
                     joint, "limit", lower=repr(max(low, -most)), upper=repr(min(high, most)),
                     effort="0", velocity="0",

@@ -50,7 +50,7 @@ class DaskCluster:
         log = self._folder / f"{words[1]}-{len(self._processes)}.log"
         with log.open("wb") as file:
             process = subprocess.Popen(
-                [sys.executable, "-W", "ignore", "-m", *words], cwd=ROOT, stdout=file,
+                [sys.executable, "-m", *words], cwd=ROOT, stdout=file,
                 stderr=file, env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
             )  # fmt: skip
         self._processes.append(process)

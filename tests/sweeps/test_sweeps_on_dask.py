@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -39,12 +40,12 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskCluster]:
-    """A scheduler with two workers; the second has a kernel cache of its own."""
+    """A scheduler with two workers that share the kernel cache."""
     folder = tmp_path_factory.mktemp("dask")
     cluster = DaskCluster(folder)
     try:
         cluster.add_worker()
-        cluster.add_worker(PINRED_CACHE_DIR=str(folder / "cache"))
+        cluster.add_worker()
         yield cluster
     finally:
         cluster.close()
@@ -84,11 +85,40 @@ def test_killed_worker_changes_no_bit(cluster: DaskCluster, tmp_path: Path) -> N
     )
     assert again == [1.0]
     assert {1, 3} == set(np.unique(result["status"].values).tolist())
-    assert "RejectedWarning" not in cluster.logs()
+    assert "Warning" not in cluster.logs()
+
+
+@pytest.mark.parametrize("page", ["sweeps.md", "many.md"])
+def test_documented_histograms_are_equal_on_a_cluster(
+    page: str, cluster: DaskCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The histogram of a page has ten lines, and one more on a cluster, with equal numbers."""
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    local = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
+    line = '    scheduler="tcp://host:8786",\n)\npinred.plot'
+    remote = local.replace(")\npinred.plot", line)
+    assert (local.count("\n"), remote.count("\n")) == (10, 11)
+    assert page == "many.md" or f"```python\n{remote}```" in text
+    results = []
+    for code in (local, remote.replace("tcp://host:8786", cluster.address)):
+        names: dict[str, Any] = {}
+        exec(compile(code, page, "exec"), names)
+        results.append(names["result"])
+        assert Path("turn.png").stat().st_size > 5000
+        Path("turn.png").unlink()
+    assert results[0].identical(results[1])
+    assert np.ptp(results[0][next(iter(results[0].data_vars))].values) > 0.0
 
 
 def test_errors_of_workers_reach_the_driver(cluster: DaskCluster, tmp_path: Path) -> None:
-    """An error of pinred is raised with its message; other workers do not repeat it."""
+    """An error of pinred is raised with its message; a Client is accepted and stays open."""
+    with distributed.Client(cluster.address, set_as_default=False) as client:
+        vary = {"front.mass": [1.0, 2.0]}
+        result = pinred.sweep(SCENE, vary, outputs=["x"], scheduler=client)
+        assert result["status"].values.tolist() == [1, 1]
+        assert client.status == "running"
     with pytest.raises(pinred.ShapeError, match="'turn' must return one row"):
         pinred.sweep(
             SCENE, VARY, points=60, block=30, outputs={"turn": lambda _: np.zeros(2)},
@@ -126,7 +156,11 @@ pinred.sweep(SCENE, VARY, store={store!r}, scheduler={scheduler!r}, progress=rep
 
 @pytest.mark.by_hand
 def test_killed_driver_continues_with_the_same_bits(cluster: DaskCluster, tmp_path: Path) -> None:
-    """After a driver is killed, another one computes the missing blocks, with the same bits."""
+    """After a driver is killed, another one computes the missing blocks, with the same bits.
+
+    One of the workers has a kernel cache of its own.
+    """
+    cluster.add_worker(PINRED_CACHE_DIR=str(tmp_path / "cache"))
     path = tmp_path / "dask.zarr"
     values = {
         "tests": str(Path(__file__).parent), "helpers": str(ROOT / "tests/helpers"),

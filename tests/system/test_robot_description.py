@@ -105,6 +105,14 @@ def test_described_robot_runs_and_reloads_from_its_text() -> None:
     )
 
 
+def test_slide_without_limits_has_none() -> None:
+    """A slide without limits is loaded without a warning; URDF writes the largest numbers."""
+    hub = Model().body("hub", mass=1.0, inertia=1.0)
+    rail = hub.slide("rail", parent="hub", axis="x", mass=1.0, inertia=1.0)
+    assert 'lower="-1.7976931348623157e+308"' in rail.urdf()
+    assert pinred.load(rail).shape_names == ("rail",)
+
+
 def test_models_are_values() -> None:
     """A call returns a new model and leaves the first one as it is."""
     base = Model().body("hub", mass=1.0, inertia=1.0)

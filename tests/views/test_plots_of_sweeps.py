@@ -49,7 +49,7 @@ def test_scatter_has_a_panel_for_each_number(result: Any) -> None:
 def test_heatmap_shows_means_over_two_numbers(result: Any) -> None:
     """Each value of the grid is one cell."""
     axes, _ = pinred.plot(result, "heatmap", output="turn", numbers=["gain", "a.mass"]).axes
-    cells = np.ma.filled(np.ma.asarray(axes.collections[0].get_array()), np.nan).reshape(5, 3)
+    cells: Any = np.ma.filled(np.ma.asarray(axes.collections[0].get_array()), np.nan).reshape(5, 3)
     expected = np.arange(5.0)[:, None] + 10.0 * np.arange(3.0)
     expected[0, 0] = np.nan
     np.testing.assert_allclose(cells, expected, rtol=1e-15)

@@ -1,0 +1,1 @@
+"""Published and closed-form results beside those of pinred (`pinred published`)."""
