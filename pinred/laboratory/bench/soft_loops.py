@@ -42,6 +42,7 @@ _STIFFEST = 0.9999  # largest impedance that MuJoCo accepts
 _ROUNDS = 3
 
 
+@checks_arguments
 @dataclass(frozen=True)
 class SoftLoop:
     """A motion of one method.
