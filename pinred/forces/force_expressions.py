@@ -91,16 +91,29 @@ class ForceExpressions:
             others=ca.sum2(self.torques) - shape_gradient(self._system, self.potential, s.x),
             accelerations=dict(accelerations),
             required_torque=self._required_torque,
+            loop_motion=self._loop_motion if self._system.loops else None,
         )
 
     def _required_torque(self, accelerations: Mapping[int, ca.SX]) -> ca.SX:
         """Return the torques (m,) that produce joint accelerations, and store both."""
         from .inverse_dynamics import required_torque  # its imports are slow
 
-        requested = ca.vertcat(*(accelerations[k] for k in range(self._system.m)))
+        joints = sorted(accelerations)
+        requested = ca.vertcat(*(accelerations[k] for k in joints))
+        if self._system.loops:
+            from .loop_dynamics import loop_motion
+
+            G, drift = loop_motion(self._system, self.symbols, joints)
+            requested = G @ requested + drift
         torque = required_torque(self._system, self._robot, self.symbols, requested)
         self.inverse.append((requested, torque))
         return torque
+
+    def _loop_motion(self, independent: Sequence[int]) -> ca.SX:
+        """Return G, (m, k), with ẋ = G u̇ for the rates of independent joints."""
+        from .loop_dynamics import loop_motion
+
+        return loop_motion(self._system, self.symbols, independent)[0]
 
     def _add(self, force: Force) -> None:
         """Add the terms of a force."""

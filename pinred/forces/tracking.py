@@ -174,10 +174,12 @@ class ComputedTorque(_Tracking):
 
     ẍ = ẍ_d + kd (ẋ_d − ẋ) + kp (x_d − x) on the reduced system, with all other torques compensated.
     At a ball, the error E = R_dᵀ R obeys ė = −kd e − kp log E, where e = σ − Eᵀσ_d is its rate.
-    Wrenches on the base are not compensated.
+    Wrenches on the base are not compensated.  With closed loops, independent joints have references
+    and torques, and the other joints follow.
 
     Attributes:
-        reference: Signal or number by joint [rad | m], for every joint that is not prescribed; for
+        reference: Signal or number by joint [rad | m], for every joint that is not prescribed, or
+            with closed loops for as many as determine the others; for
             a ball an Attitude, or three signals, numbers or formulas in t of its rotation vector.
         kp: Stiffness [1/s²]: one value for all joints, or values by name.
         kd: Damping [1/s]: one value for all joints, or values by name.
@@ -204,7 +206,7 @@ class ComputedTorque(_Tracking):
         for k in errors:
             s.refuse_follower(k, f"{self.name} has a reference")
         missing = [k for k in range(len(s.names)) if k not in {*errors, *s.accelerations}]
-        if missing:
+        if missing and s.loop_motion is None:
             raise InputError(f"{self.name} has no reference for joint '{s.names[missing[0]]}'")
         if driven := [k for k in errors if k in s.accelerations]:
             raise InputError(
@@ -215,6 +217,10 @@ class ComputedTorque(_Tracking):
             accelerations[k] = errors[k].acceleration + feedback
         torques = s.required_torque(accelerations) - s.others
         torque = {k: torques[k] for k in errors}
+        if s.loop_motion is not None:  # the drives of these joints also move the others
+            joints = sorted(accelerations)
+            on_joints = s.loop_motion(joints).T @ torques
+            torque = {k: on_joints[joints.index(k)] for k in errors}
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
 

@@ -45,24 +45,20 @@ def held_joints(x0: Any, xdot0: Any) -> tuple[HeldJoints, HeldJoints]:
     return HeldJoints(x0 is not None, by_name[0]), HeldJoints(xdot0 is not None, by_name[1])
 
 
-def refuse_in_loops(
-    system: System,
-    model: ForceModel | None,
-    method: Method | None,
-) -> None:
-    """Reject options that do not support closed loops, if the system has any.
+def refuse_in_loops(system: System, method: Method | None) -> None:
+    """Reject methods that do not support closed loops, if the system has any.
 
     Args:
         system: The system.
-        model: Forces of the scene; None if there are none.
         method: The requested method; None if it is chosen.
     Raises:
-        UnsupportedOperationError: An option does not support closed loops.
+        UnsupportedOperationError: The method does not support closed loops.
     """
-    if model is not None and model.weighed:
-        system.refuse_loops("forces with inverse dynamics")
     if method is not None and method.steady_momentum:
-        system.refuse_loops(f"method {method.name}")
+        system.refuse_loops(
+            f"method {method.name}, whose discrete equations contain no multipliers (Gauss "
+            "supports loops)"
+        )
 
 
 def closed_state(

@@ -115,7 +115,7 @@ class Scene(SceneFields):
         times = compute_report_times(self.times, self.duration, self.system)
         self._keep("_times", read_only(times))
         self._check_forces()
-        refuse_in_loops(self.system, self.force_model, self.integrator)
+        refuse_in_loops(self.system, self.integrator)
         checked = vars(self).items()
         return Shared({name: v for name, v in checked if v is not unchecked.get(name, unchecked)})
 

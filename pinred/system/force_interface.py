@@ -7,7 +7,7 @@ that the user adds are in the subpackage `forces`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
@@ -104,8 +104,10 @@ class Symbols:
         within: Time that selects the segment of a table [s].
         others: Torques of all other forces, (m,) [N·m | N].
         accelerations: Accelerations of prescribed joints, {joint index: expression}.
-        required_torque: Map from the accelerations of all joints to the torques, (m,), that
-            cause these accelerations.
+        required_torque: Map from the accelerations of all joints, or with closed loops of
+            independent joints, to the torques, (m,), that cause these accelerations.
+        loop_motion: With closed loops, map from the indices of independent joints to G, (m, k),
+            with ẋ = G u̇; None without loops.
         followers: Names of follower joints, each with a description of its coupling.
     """
 
@@ -121,6 +123,7 @@ class Symbols:
     others: ca.SX | float = 0.0
     accelerations: Mapping[int, ca.SX] = field(default_factory=dict)
     required_torque: Callable[[Mapping[int, ca.SX]], ca.SX] = _unknown_dynamics
+    loop_motion: Callable[[Sequence[int]], ca.SX] | None = None
     followers: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -123,6 +123,27 @@ def test_members_with_prescribed_joints_equal_single_simulations() -> None:
         np.testing.assert_allclose(many[member].pose, alone.pose, atol=1e-12)
 
 
+def test_errors_of_computed_torque_decay_as_stated(linkage: pinred.System) -> None:
+    """Both cranks are driven against a spring at a coupler: ë = −kd ė − kp e in closed form."""
+    assert linkage.closure is not None
+    x0, kp, kd = linkage.closure.x, 9.0, 4.0
+    goals = {"left_crank": float(x0[0]) - 0.1, "right_crank": float(x0[2])}
+    force = pinred.forces.ComputedTorque(goals, kp, kd)
+    scene = pinred.Scene(
+        system=linkage, x0=x0, xi0=[0.1, 0.0, 0.3], forces=[force],
+        springs={"right_coupler": (3.0, 0.2)}, duration=1.0,
+    )  # fmt: skip
+    traj = pinred.simulate(scene)
+    a, w, t = 0.5 * kd, np.sqrt(kp - 0.25 * kd**2), traj.t
+    error = 0.1 * np.exp(-a * t) * (np.cos(w * t) + a / w * np.sin(w * t))
+    np.testing.assert_allclose(traj.x[:, 0] - goals["left_crank"], error, atol=1e-10)
+    np.testing.assert_allclose(traj.x[:, 2], x0[2], atol=1e-10)
+    assert pinred.compare(pinred.simulate(scene, duration=0.03)).passed
+    one = pinred.forces.ComputedTorque({"left_crank": 0.0}, kp, kd)
+    with pytest.raises(InputError, match=r"references and plans for 2 joints, .* got 1"):
+        pinred.Scene(system=linkage, x0=x0, forces=[one], duration=1.0)
+
+
 def test_plans_that_contradict_loops_are_refused(linkage: pinred.System) -> None:
     """Loops that do not close at time 0, and more plans than degrees of freedom."""
     model, loops = four_bar()

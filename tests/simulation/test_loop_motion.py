@@ -299,11 +299,6 @@ REFUSED: dict[str, Callable[[pinred.System], object]] = {
     "branches": lambda s: pinred.branches(s, momentum=[0.0, 1.0]),
     "reorient": lambda s: pinred.reorient(s, 1.0),
     "casadi": pinred.casadi_functions,
-    "computed torque": lambda s: pinred.Scene(
-        system=s,
-        seed=1,
-        forces=[pinred.forces.ComputedTorque(dict.fromkeys(s.shape_names, 0.0), kp=1.0, kd=1.0)],
-    ),
     "variational": lambda s: pinred.Scene(system=s, seed=1, method=pinred.Variational(0.01)),
     "linearise": lambda s: pinred.linearise(pinred.simulate(s, seed=1, duration=0.1)),
     "lyapunov": lambda s: pinred.lyapunov(pinred.simulate(s, seed=1, duration=0.1)),
