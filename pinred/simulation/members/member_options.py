@@ -36,6 +36,7 @@ from ..plan import MemberParameters
 from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene
 from .closed_members import close_members
+from .initial_shapes import with_prescribed_joints
 from .member_groups import Group, Members, members_plan
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
@@ -336,7 +337,7 @@ class MemberOptions:
         refuse_vague(np.abs(x).max(axis=0), system)
         if system.loops:
             x, xdot = close_members(self._scene, self.count)
-        x, xdot = _with_prescribed(scene, x, xdot, numbers)
+        x, xdot = with_prescribed_joints(scene, x, xdot, numbers)
         xi, momentum = (
             rows("xi0", system.r, common_states.xi),
             rows("momentum", system.r, common_states.mu),
@@ -394,18 +395,3 @@ def _column(value: Any, name: str) -> Array:
     """Return the values (N,), or (N, k), of a parameter.  Raises ShapeError."""
     column = as_floats(value, name)
     return vectors(column, column.shape[-1], f"parameters['{name}']")
-
-
-def _with_prescribed(
-    scene: Scene, x: Array, xdot: Array, numbers: Array | None
-) -> tuple[Array, Array]:
-    """Return initial shapes and rates (N, m) with the planned values of prescribed joints."""
-    model = scene.force_model
-    if model is None or not model.joints or numbers is None:
-        return scene.with_prescribed(x, xdot)
-    x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
-    coordinates = scene.system.space.coordinates_of_joints(joints)
-    for k, row in enumerate(numbers):
-        planned = model.prescribed(0.0, row)
-        x[k, coordinates], xdot[k, joints] = planned.x, planned.xdot
-    return x, xdot
