@@ -6,6 +6,7 @@ import posixpath
 import re
 from pathlib import Path
 
+import diagrams
 from sphinx.application import Sphinx
 
 _FENCE = re.compile(r"^(`{3,}|~{3,}).*?^\1[ ]*$", re.DOTALL | re.MULTILINE)
@@ -74,7 +75,7 @@ def convert(text: str, folder: str, page: str) -> str:
     for fence in _FENCE.finditer(text):
         block = fence[0]
         if block.startswith("```mermaid"):
-            block = block.replace("```mermaid", "```text", 1)
+            block = f"```{{raw}} html\n{diagrams.draw(block)}\n```"
         parts += [convert_prose(text[end : fence.start()]), block]
         end = fence.end()
     return "".join([*parts, convert_prose(text[end:])])

@@ -7,7 +7,8 @@ the points 0, 1, 2, 4, 8, …, and no sequence has to be advanced.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -23,33 +24,49 @@ _BITS = 30  # resolution of SciPy's sequence
 MOST_SOBOL = 2**_BITS  # number of points of SciPy's sequence
 
 
-def sample_points(
-    sampler: Sampler, laws: Sequence[Distribution], first: int, last: int, points: int, seed: int
-) -> Array:
-    """Return the values of points first … last − 1.
+@dataclass(frozen=True, eq=False)
+class PointSequence:
+    """The points of a sweep; it needs no other package on the machines that compute them.
 
-    Args:
+    Attributes:
         sampler: Name of the sampler.
         laws: Distribution of each number.
-        first: Index of the first point.
-        last: Index after the last point.
-        points: Number of points of the sweep; only the values of "latin" depend on it.
+        points: Number of points; only the values of "latin" depend on it.
         seed: Seed of the sampler.
-    Returns:
-        Values, (last − first, number of laws).
+        directions: Integers of the sampler "sobol", see sobol_directions; None for the others.
     """
-    if sampler == "grid":
-        return _sample_grid(laws, first, last)
-    if sampler == "sobol":
-        u = _sample_sobol(len(laws), first, last, points, seed)
-    elif sampler == "latin":
-        u = _latin_hypercube(len(laws), points, seed)[first:last]
-    else:
-        u = _sample_random(len(laws), first, last, seed)
-    return np.stack([law.at(column) for law, column in zip(laws, u.T, strict=True)], axis=1)
+
+    sampler: Sampler
+    laws: tuple[Distribution, ...]
+    points: int
+    seed: int
+    directions: NDArray[np.int64] | None
+
+    @classmethod
+    def of(
+        cls, sampler: Sampler, laws: tuple[Distribution, ...], points: int, seed: int
+    ) -> PointSequence:
+        """Return the points of a sweep; see the attributes."""
+        directions = None
+        if sampler == "sobol":
+            directions = sobol_directions(len(laws), (points - 1).bit_length(), seed)
+        return cls(sampler, laws, points, seed, directions)
+
+    def values(self, first: int, last: int) -> Array:
+        """Return the values of points first … last − 1, (last − first, number of laws)."""
+        if self.sampler == "grid":
+            return _sample_grid(self.laws, first, last)
+        if self.directions is not None:
+            u = _sample_sobol(self.directions, first, last)
+        elif self.sampler == "latin":
+            u = _latin_hypercube(len(self.laws), self.points, self.seed)[first:last]
+        else:
+            u = _sample_random(len(self.laws), first, last, self.seed)
+        columns = zip(self.laws, u.T, strict=True)
+        return np.stack([law.at(column) for law, column in columns], axis=1)
 
 
-def grid_size(laws: Sequence[Distribution]) -> int:
+def grid_size(laws: Iterable[Distribution]) -> int:
     """Return the number of points of a grid of listed values."""
     size = 1
     for law in laws:
@@ -57,7 +74,7 @@ def grid_size(laws: Sequence[Distribution]) -> int:
     return size
 
 
-def _sample_grid(laws: Sequence[Distribution], first: int, last: int) -> Array:
+def _sample_grid(laws: Iterable[Distribution], first: int, last: int) -> Array:
     """Return points of the product of all lists; the last number varies fastest."""
     lists = [law.listed for law in laws if isinstance(law, Listed)]
     places = np.unravel_index(np.arange(first, last), [len(values) for values in lists])
@@ -75,14 +92,13 @@ def _sample_random(count: int, first: int, last: int, seed: int) -> Array:
 
 @lru_cache(maxsize=1)
 def _latin_hypercube(count: int, points: int, seed: int) -> Array:
-    """Return all points of a Latin hypercube, (points, count)."""
-    from scipy.stats import qmc
+    """Return all points of a Latin hypercube, (points, count): one in each of N intervals."""
+    rng = np.random.default_rng(seed)
+    places = rng.permuted(np.repeat(np.arange(points)[:, None], count, axis=1), axis=0)
+    return np.asarray((places + rng.random((points, count))) / points)
 
-    return np.asarray(qmc.LatinHypercube(count, **_generator(seed)).random(points))
 
-
-def _sample_sobol(count: int, first: int, last: int, points: int, seed: int) -> Array:
-    directions = _sobol_directions(count, (points - 1).bit_length(), seed)
+def _sample_sobol(directions: NDArray[np.int64], first: int, last: int) -> Array:
     index = np.arange(first, last)
     integers = np.repeat(directions[:1], len(index), axis=0)
     for bit, direction in enumerate(directions[1:]):
@@ -90,8 +106,7 @@ def _sample_sobol(count: int, first: int, last: int, points: int, seed: int) -> 
     return np.asarray(integers * 2.0**-_BITS)
 
 
-@lru_cache(maxsize=4)
-def _sobol_directions(count: int, bits: int, seed: int) -> NDArray[np.int64]:
+def sobol_directions(count: int, bits: int, seed: int) -> NDArray[np.int64]:
     """Return point 0 and its differences (exclusive or) from the points 1, 2, 4, …, as integers.
 
     Args:

@@ -21,10 +21,10 @@ from ..scene.scene import Scene
 from ..scene.sweep_options import BLOCK, SAMPLERS, Sampler
 from .distributions import Listed, parse_distribution
 from .run_blocks import PointsDone, compute_locally
-from .samplers import MOST_SOBOL, grid_size
+from .samplers import MOST_SOBOL, PointSequence, grid_size
 from .sweep_job import FAILED, REJECTED, Block, SweepJob
 from .sweep_outputs import Outputs, parse_outputs
-from .sweep_store import SweepStore
+from .sweep_store import SweepStore, read_plan
 from .varied_numbers import VariedScene
 
 if TYPE_CHECKING:
@@ -120,8 +120,7 @@ def open_sweep(store: str | Path) -> SweepResult:
         MissingPackageError: zarr or xarray is not installed.
     """
     path = Path(store)
-    if not (path / "plan" / "plan.json").exists():
-        raise InputError(f"store: {quoted_path(path)} is not the store of a sweep")
+    read_plan(path)
     import_zarr(path, "sweep")
     require_package("xarray", _NO_XARRAY)
     from .sweep_result import open_result
@@ -168,10 +167,10 @@ def _job(
         raise InputError(f"points: the sampler sobol has {MOST_SOBOL} points; use sampler='random'")
     varied = VariedScene(scene, list(vary))
     varied.member_values(np.array([[float(law.at(np.array([0.5]))[0]) for law in laws]]))
+    sequence = PointSequence.of(chosen, laws, count, whole(seed, "seed", 0))
     return SweepJob(
-        varied, laws, chosen, count, whole(seed, "seed", 0),
-        parse_outputs(varied.scene, outputs), whole(block, "block", 1),
-    )  # fmt: skip
+        varied, sequence, parse_outputs(varied.scene, outputs), whole(block, "block", 1)
+    )
 
 
 def _blocks(

@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 from ..common.arrays import Array
 from ..common.cpu_target import cpu_target
 from ..common.errors import InputError
-from ..scene.sweep_options import Sampler
 from ..simulation.members.member_options import MemberOptions
 from ..simulation.members.rejected_members import separate_all_rejected
 from ..simulation.members.trajectories import Trajectories
 from ..simulation.simulate_many import run_members, simulate_many
 from ..simulation.trajectory import Trajectory
 from ..system.state_fields import axis_lengths
-from .distributions import Distribution
-from .samplers import sample_points
+from .samplers import PointSequence
 from .sweep_outputs import Output
 from .varied_numbers import VariedScene
 
@@ -57,21 +55,20 @@ class SweepJob:
 
     Attributes:
         varied: The scene and the numbers that vary.
-        laws: Distribution of each number.
-        sampler: Name of the sampler.
-        points: Number of points.
-        seed: Seed of the sampler.
+        sequence: The values of these numbers at all points.
         outputs: The outputs.
         block: Number of points of a block.
     """
 
     varied: VariedScene
-    laws: tuple[Distribution, ...]
-    sampler: Sampler
-    points: int
-    seed: int
+    sequence: PointSequence
     outputs: tuple[Output, ...]
     block: int
+
+    @property
+    def points(self) -> int:
+        """Number of points."""
+        return self.sequence.points
 
     @property
     def blocks(self) -> int:
@@ -84,7 +81,7 @@ class SweepJob:
 
     def values(self, first: int, last: int) -> Array:
         """Return the values of the varied numbers at points first … last − 1."""
-        return sample_points(self.sampler, self.laws, first, last, self.points, self.seed)
+        return self.sequence.values(first, last)
 
     def trajectory(self, point: int) -> Trajectory:
         """Simulate one point at the report times of the scene.

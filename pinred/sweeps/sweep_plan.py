@@ -17,6 +17,7 @@ from ..simulation.members.member_groups import members_plan
 from .sweep_job import SweepJob
 
 FORMAT = 1
+_FIRST = 16  # number of points in the plan; versions of NumPy and SciPy may change them
 
 
 def plan_of_sweep(job: SweepJob) -> dict[str, Any]:
@@ -27,17 +28,20 @@ def plan_of_sweep(job: SweepJob) -> dict[str, Any]:
     Args:
         job: The sweep.
     """
+    sequence = job.sequence
     parts: dict[str, Any] = {
         "format": FORMAT,
         "pinred": __version__,
         "robot": job.varied.scene.system.name,
         "scene": _digest_of_scene(job.varied.scene),
         "vary": {
-            number.key: repr(law) for number, law in zip(job.varied.numbers, job.laws, strict=True)
+            number.key: repr(law)
+            for number, law in zip(job.varied.numbers, sequence.laws, strict=True)
         },
-        "sampler": job.sampler,
-        "seed": job.seed,
+        "sampler": sequence.sampler,
+        "seed": sequence.seed,
         "points": job.points,
+        "first": sha256(job.values(0, min(_FIRST, job.points)).tobytes()).hexdigest(),
         "block": job.block,
         "outputs": {
             output.name: _text_of_function(output.function)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import xarray
 
 from ..common.errors import InputError
+from ..common.zarr_folders import array_name
 from ..simulation.members.trajectories import Failure
-from .sweep_store import read_records
+from .sweep_store import read_plan, read_records
 
 if TYPE_CHECKING:
     from ..simulation.trajectory import Trajectory
@@ -79,6 +80,14 @@ def open_result(path: Path, job: SweepJob | None) -> SweepResult:
         The results, which are read when they are needed.
     """
     plain = xarray.open_zarr(str(path), consolidated=False, chunks=None)
-    result = SweepResult(plain.data_vars, plain.coords, plain.attrs)
+    plan = read_plan(path)
+    names = [array_name(name) for name in (*plan["vary"], *plan["outputs"])]
+    coords, variables = _sorted(plain.coords, names), _sorted(plain.data_vars, names)
+    result = SweepResult(variables, coords, plain.attrs)
     result.encoding = {**plain.encoding, _SOURCE: str(path), _JOB: job}
     return result
+
+
+def _sorted(values: Mapping[Hashable, Any], names: Iterable[str]) -> dict[Hashable, Any]:
+    """Return values by name, those with the given names first."""
+    return {name: values[name] for name in (*names, *values) if name in values}

@@ -27,7 +27,8 @@ from .sweep_plan import changed_part, plan_of_sweep
 _PLAN = "plan"
 _DIFFERENCES = {
     "scene": "another scene", "robot": "another robot", "vary": "other varied numbers",
-    "outputs": "other outputs", "pinred": "another version of pinred",
+    "outputs": "other outputs", "first": "the points of another version of NumPy or SciPy",
+    "pinred": "another version of pinred",
 }  # fmt: skip
 
 
@@ -60,12 +61,7 @@ class SweepStore:
     def _check(self) -> None:
         """Check that the folder belongs to this sweep, and remove temporary files."""
         name = quoted_path(self.path)
-        try:
-            plan = json.loads((self.path / _PLAN / "plan.json").read_text("utf-8"))
-        except (OSError, ValueError):
-            raise InputError(
-                f"store: {name} exists, but is not the store of a sweep. Choose another name"
-            ) from None
+        plan = read_plan(self.path)
         if plan.get("hash") != self._plan["hash"]:
             part = changed_part(plan, self._plan)
             other = _DIFFERENCES.get(part, f"{part}={plan.get(part)!r}")
@@ -81,8 +77,8 @@ class SweepStore:
         job, numbers = self.job, self.job.varied.numbers
         attributes = {
             "robot": job.varied.scene.system.name,
-            "sampler": job.sampler,
-            "seed": job.seed,
+            "sampler": job.sequence.sampler,
+            "seed": job.sequence.seed,
             "coordinates": " ".join(array_name(number.key) for number in numbers),
             "pinred_sweep": self._plan["hash"],
         }
@@ -191,6 +187,17 @@ class SweepStore:
     def records(self) -> list[dict[str, Any]]:
         """Return the CPU and the reasons {point: text} of each complete block."""
         return read_records(self.path)
+
+
+def read_plan(path: Path) -> dict[str, Any]:
+    """Return the plan in a store.  Raises InputError if the folder is not the store of a sweep."""
+    try:
+        plan: dict[str, Any] = json.loads((path / _PLAN / "plan.json").read_text("utf-8"))
+    except (OSError, ValueError):
+        raise InputError(
+            f"store: {quoted_path(path)} is not the store of a sweep. Choose another name"
+        ) from None
+    return plan
 
 
 def read_records(path: Path) -> list[dict[str, Any]]:

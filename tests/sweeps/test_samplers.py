@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -10,11 +11,20 @@ import pytest
 from scipy.stats import qmc
 
 import pinred
+from pinred.common.arrays import Array
 from pinred.scene.sweep_options import SAMPLERS, Sampler
-from pinred.sweeps.samplers import grid_size, sample_points
+from pinred.sweeps.distributions import Distribution
+from pinred.sweeps.samplers import PointSequence, grid_size
 
 UNIT = pinred.Uniform(0.0, 1.0)
 LAWS = (UNIT, pinred.Grid(0, 1, 100), pinred.Values(np.arange(50.0)))
+
+
+def sample_points(
+    sampler: Sampler, laws: Sequence[Distribution], first: int, last: int, points: int, seed: int
+) -> Array:
+    """Return the values of points first … last − 1."""
+    return PointSequence.of(sampler, tuple(laws), points, seed).values(first, last)
 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)

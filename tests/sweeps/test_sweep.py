@@ -46,6 +46,7 @@ def test_results_are_those_of_simulate(tmp_path: Path) -> None:
     assert result["front.mass"].attrs["units"] == "kg"
     assert result["x0.bend"].attrs["units"] == result["bend"].attrs["units"] == "rad"
     assert set(result.coords) == {*VARY, "coordinate", "t"}
+    assert list(result.data_vars) == [*OUTPUTS, "status"]
     for k in (0, 17, 39):
         values = {name: float(result[name][k]) for name in VARY}
         x0 = {"bend": values.pop("x0.bend")}

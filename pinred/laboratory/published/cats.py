@@ -112,7 +112,7 @@ def kane_scher_cat() -> Numbers:
 @row(
     "hopper",
     "hopper in flight: rotation of the body by a rectangle of hip angle and leg length [rad]",
-    "Z. Li, R. Montgomery, Proc. IEEE Int. Conf. Robotics and Automation (1990) 524",
+    "Z. Li, R. Montgomery, Proc. IEEE Int. Conf. Robotics and Automation (1990)",
     relative=1e-12,
 )
 def hopper() -> Numbers:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ...common.arrays import Array, FrozenArrays
 
 _WIDTH = 12  # significant digits of a closed form
-_ROUND_OFF = 1e-13  # fraction of the largest number below which a number is shown as zero
+_ROUND_OFF = 1e-12  # fraction of the largest number below which a number is shown as zero
 
 
 @dataclass(frozen=True)

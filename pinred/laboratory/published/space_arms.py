@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import brentq
 
+from ...common.arrays import Array
 from .public_names import Connection, FloatingArm, Gait, Model, Reduction, load, phase
 from .row import Numbers, numbers, row
+
+VIRTUAL = (
+    "Z. Vafa, S. Dubowsky, Int. J. Robotics Res. 9 (1990) 3; Y. Umetani, K. Yoshida, "
+    "IEEE Trans. Robotics and Automation 5 (1989) 303"
+)
 
 
 @row(
@@ -21,27 +28,48 @@ def dynamic_singularity() -> Numbers:
     return numbers(-11.41, np.degrees(angle))
 
 
+def virtual_jacobian(x: Array) -> Array:
+    """Return the generalised Jacobian (2, 2) of the same arm by virtual links."""
+    masses, moments = np.array([40.0, 4.0, 3.0]), np.diag([6.667, 0.333, 0.25])
+    lever = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 1.0, 0.5]])  # of the three centres
+    mean = masses @ lever / masses.sum()
+    K = (lever.T * masses) @ lever - masses.sum() * np.outer(mean, mean) + moments
+    virtual = np.array([0.5, 1.0, 1.0]) - mean
+    angle = np.array([0.0, x[0], x[0] + x[1]])
+    inertia = (K * np.cos(angle[:, None] - angle)).sum(axis=1)
+    joints = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])  # absolute rates per joint rate
+    rates = joints - np.outer(np.ones(3), inertia @ joints / inertia.sum())
+    return np.asarray(np.array([-virtual * np.sin(angle), virtual * np.cos(angle)]) @ rates)
+
+
+@row(
+    "singular-angle",
+    "the same angle, to all digits, by virtual links [°]",
+    VIRTUAL,
+    relative=1e-9,
+)
+def singular_angle() -> Numbers:
+    """Compare the zero of the determinant of virtual links with the singular value."""
+    first = np.radians(-65.0)
+    expected = brentq(lambda q2: np.linalg.det(virtual_jacobian(np.array([first, q2]))), -0.5, 0.0,
+                      xtol=1e-14)  # fmt: skip
+    arm = FloatingArm(load("floating_arm"), "hand")
+    (angle,) = arm.singular_values_of("q2", [first, 0.0], limits=(-1.5, 1.5))
+    return numbers(np.degrees(expected), np.degrees(angle))
+
+
 @row(
     "virtual-manipulator",
     "the same arm: its generalised Jacobian at (0.4, 0.9) rad, by virtual links [m]",
-    "Z. Vafa, S. Dubowsky, Int. J. Robotics Res. 9 (1990) 3; Y. Umetani, K. Yoshida, "
-    "IEEE Trans. Robotics and Automation 5 (1989) 303",
+    VIRTUAL,
     relative=1e-13,
 )
 def virtual_manipulator() -> Numbers:
     """Compare virtual links about the centre of mass with the generalised Jacobian."""
-    masses, moments, x = np.array([40.0, 4.0, 3.0]), np.diag([6.667, 0.333, 0.25]), [0.4, 0.9]
-    lever = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 1.0, 0.5]])  # of the three centres
-    centred = lever - masses @ lever / masses.sum()
-    K = (centred.T * masses) @ centred + moments
-    virtual = np.array([0.5, 1.0, 1.0]) - masses @ lever / masses.sum()
-    angle = np.cumsum([0.0, *x])
-    inertia = (K * np.cos(angle[:, None] - angle)).sum(axis=1)
-    joints = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])  # absolute rates per joint rate
-    rates = joints - np.outer(np.ones(3), inertia @ joints / inertia.sum())
-    hand = np.stack([-virtual * np.sin(angle), virtual * np.cos(angle)]) @ rates
+    x = np.array([0.4, 0.9])
     arm = FloatingArm(load("floating_arm"), "hand")
-    return numbers(hand.ravel(), arm.generalized_jacobian(x, axes="world")[:2].ravel())
+    found = arm.generalized_jacobian(x, axes="world")[:2]
+    return numbers(virtual_jacobian(x).ravel(), found.ravel())
 
 
 @row(
@@ -64,7 +92,7 @@ def spacedyn_one_link() -> Numbers:
 @row(
     "satellite-arm",
     "satellite of 2500 kg, arm of 150 kg as ETS-VII: turn of the base by a loop of the arm [rad]",
-    "K. Yoshida, IEEE Control Systems 23 (2003) 21; numbers of our own",
+    "K. Yoshida, Int. J. Robotics Res. 22 (2003) 321; numbers of our own",
     relative=1e-11,
 )
 def satellite_arm() -> Numbers:
@@ -100,4 +128,6 @@ def satellite_arm() -> Numbers:
     return numbers(-sum(changes), phase(connection, gait).pose[2])
 
 
-ROWS = (dynamic_singularity, virtual_manipulator, spacedyn_one_link, satellite_arm)
+ROWS = (
+    dynamic_singularity, singular_angle, virtual_manipulator, spacedyn_one_link, satellite_arm,
+)  # fmt: skip
