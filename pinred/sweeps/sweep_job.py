@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..common.cpu_target import cpu_target
-from ..common.errors import InputError
+from ..common.errors import InputError, LoopWarning
 from ..scene.scene import Scene
 from ..simulation.members.member_options import MemberOptions
 from ..simulation.members.rejected_members import separate_all_rejected
@@ -148,7 +149,10 @@ class SweepJob:
         starts = range(0, last - first, self._together)
         for start in starts:
             rows = values[start : start + self._together]
-            many, rejected = self._simulate(rows, threads)
+            with warnings.catch_warnings():
+                if first + start:  # The first points have shown the warnings about open loops.
+                    warnings.simplefilter("ignore", LoopWarning)
+                many, rejected = self._simulate(rows, threads)
             for failure in many.failures:
                 row = start + failure.member
                 status[row] = REJECTED if failure.member in rejected else FAILED
