@@ -24,7 +24,7 @@ pytestmark = pytest.mark.by_hand
 
 def call(*command: str | Path, folder: Path) -> str:
     """Run a command without variables that lead to the checkout; return its output."""
-    private = {"PINRED_CACHE_DIR": "cache", "NUMBA_CACHE_DIR": "numba", "XDG_DATA_HOME": "data"}
+    private = {"PINRED_CACHE_DIR": "cache", "XDG_DATA_HOME": "data"}
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
     environment |= {name: str(folder / value) for name, value in private.items()}
     done = subprocess.run(

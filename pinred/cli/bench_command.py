@@ -41,6 +41,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("flow", "calls, gradients, and variable inertias of flows", "robots", "four")
     add("scaling", "one kernel evaluation for chains of 5 to 100 joints")
     add("floquet", "Floquet multipliers by three routes against a closed form")
+    add("loops", "gaps of closed loops in MuJoCo, whose constraints are soft, and in pinred")
     text = "trajectories per second of a batch, also with other tools"
     add_members(add("many", text, "scenes", "five"), 512)
     text = "the chosen method, compared with the fastest one that is at least as accurate"

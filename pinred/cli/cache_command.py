@@ -14,7 +14,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """List the kernels, or remove them.  Returns 0."""
-    from ..kernels.object_cache import ObjectCache
+    from ..common.object_cache import ObjectCache
 
     cache = ObjectCache()
     if arguments.clear:

@@ -159,7 +159,7 @@ def _check_machine_code() -> str:
 
 def _check_cache() -> str:
     """Describe the cache of kernels.  Raises OSError if it cannot be written."""
-    from ..kernels.object_cache import ObjectCache
+    from ..common.object_cache import ObjectCache
 
     kernels = ObjectCache()
     existing = next(p for p in (kernels.folder, *kernels.folder.absolute().parents) if p.exists())

@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
+from ..common.object_cache import ObjectCache, cache_key
 from ..forces.force_model import ForceModel
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..reduction.tree.identical_branches import Lanes
@@ -19,7 +20,6 @@ from ..system.system import System
 from ..system.variants import nominal
 from .kernel import Kernel
 from .machine.native import compile_object, load_objects
-from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph
 from .reference_state import perturb_parameters
 from .state_layout import Structure, layout_of

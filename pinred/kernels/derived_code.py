@@ -25,13 +25,13 @@ from ..common.arrays import Array
 from ..common.differences import central_differences
 from ..common.errors import InputError, KernelMismatch
 from ..common.memo import once
+from ..common.object_cache import ObjectCache, cache_key
 from ..integrators.stepping.kernel_call import SEEDS
 from ..integrators.stepping.linear_systems import jacobian
 from .build import model_bytes
 from .evaluate import evaluate
 from .kernel import Kernel
 from .machine.native import NativeCode, compile_object, load_object
-from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph
 from .validation import ROUND_OFF, require_agreement
 

@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.memo import once
+from ..common.object_cache import ObjectCache, cache_key
 from ..reduction.base_parts import BaseParts
 from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import translations
@@ -32,7 +33,6 @@ from .base_graph import BaseGraph
 from .build import model_bytes
 from .evaluate import evaluate
 from .machine.native import NativeCode, compile_object, load_object
-from .object_cache import ObjectCache, cache_key
 from .reference_state import perturb_parameters
 from .validation import explain_ill_scaling, require_agreement
 

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 from ..common.errors import InputError
 from ..common.interrupts import cleaning_up, held_interrupt
 from ..common.names import quoted_path
+from ..common.object_cache import cache_key
 from ..kernels.build import model_bytes
-from ..kernels.object_cache import cache_key
 from .checkpoint_file import check_checkpoint_path, read_checkpoint, write_checkpoint
 from .run_record import RunRecord
 

@@ -15,8 +15,8 @@ import pytest
 from pinred.common import cpu_target as targets
 from pinred.common.cpu_target import cpu_target
 from pinred.common.errors import InputError
+from pinred.common.object_cache import cache_key
 from pinred.kernels.machine.native import compile_object
-from pinred.kernels.object_cache import cache_key
 
 ROOT = Path(__file__).parents[2]
 on_x86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="levels of x86-64")

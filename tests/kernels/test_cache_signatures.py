@@ -13,10 +13,9 @@ from pathlib import Path
 import pytest
 
 import pinred
+from pinred.common import signing_key as signing_keys
 from pinred.common.errors import CacheWarning
-from pinred.kernels import signing_key as signing_keys
-from pinred.kernels.build import build_kernel
-from pinred.kernels.object_cache import (
+from pinred.common.object_cache import (
     _HEADER,
     _MAGIC,
     _SIGNATURE,
@@ -24,6 +23,7 @@ from pinred.kernels.object_cache import (
     ObjectCache,
     cache_key,
 )
+from pinred.kernels.build import build_kernel
 from pinred.simulation.plan import plan_of
 
 KEY = cache_key("one")

@@ -10,11 +10,11 @@ import pytest
 from trees import placement, random_model
 
 import pinred
+from pinred.common.object_cache import ObjectCache
 from pinred.forces import ComputedTorque, Wrench, force_expressions, inverse_dynamics
 from pinred.forces.force_model import ForceModel
 from pinred.forces.force_numbers import RobotSymbols
 from pinred.kernels.build import build_kernel
-from pinred.kernels.object_cache import ObjectCache
 from pinred.kernels.state_layout import Structure
 from pinred.reduction.tree.free_bodies import Freed
 

@@ -15,6 +15,7 @@ from pinred.cli.main import main
 from pinred.common.errors import InputError, LoadError, MissingPackageError
 from pinred.system.loops.loop import Loop
 from pinred.system.loops.loop_file import read_loop_file
+from pinred.views.playback.drawn_bodies import drawn_bodies
 
 YAML = """\
 closed_loop: [['end', 'rocker']]
@@ -48,6 +49,8 @@ def test_motion_with_a_loop_file_equals_the_model_built_by_hand(folder: Path) ->
     (folder / "robot.yaml").write_text(YAML.replace("SPHERICAL", "CARDAN"))
     system = pinred.load(folder / "robot.urdf", group="SE3", loops="robot.yaml")
     assert system.shape_names == ("crank", "coupler", "end_X", "end_Y", "rocker")
+    solids = drawn_bodies(system, meshes=False).solids  # the body between the hinges has no mass
+    assert sum(solid.kind == "ellipsoid" for solid in solids) == 5
     (folder / "robot.yaml").write_text(YAML.replace("SPHERICAL", "UJOINT_ZX"))
     other = pinred.load(folder / "robot.urdf", group="SE3", loops="robot.yaml")
     assert other.shape_names == ("crank", "coupler", "end_Z", "end_X", "rocker")

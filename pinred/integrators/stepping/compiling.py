@@ -46,14 +46,19 @@ def stamp_of(path: Path) -> str:
 
 def compiled(function: _Function) -> _Function:
     """Compile a function at its first call, without the GIL, and cache it on disk."""
-    dispatcher: Any = numba.njit(cache=True, **_OPTIONS)(function)
-    # numba reuses cached machine code as long as the file of the function is unchanged, although
-    # it contains code inlined from other files. The stamp makes the cached code stale when any file
-    # of the integrators or the file of the function changes; functions elsewhere call no compiled
-    # functions of further files. numba offers no public way to set the stamp.
-    vars(attrgetter("_cache._cache_file")(dispatcher))["_source_stamp"] = stamp_of(
-        Path(function.__code__.co_filename)
-    )
+    dispatcher: Any = numba.njit(**_OPTIONS)(function)
+    # Machine code contains code inlined from other files. The stamp makes it stale when any file of
+    # the integrators or the file of the function changes; functions elsewhere call no compiled
+    # functions of further files. numba offers no public way to set the stamp or the cache.
+    found = stamp_of(Path(function.__code__.co_filename))
+    try:
+        dispatcher.enable_caching()
+    except RuntimeError:  # numba can write neither beside the sources nor in the user's home
+        from .code_cache import CodeCache
+
+        vars(dispatcher)["_cache"] = CodeCache(dispatcher.py_func, found)
+    else:
+        vars(attrgetter("_cache._cache_file")(dispatcher))["_source_stamp"] = found
     typed: _Function = dispatcher
     return typed
 

@@ -29,6 +29,9 @@ from .scaling import Scaling as Scaling
 from .scaling import bench_scaling as bench_scaling
 from .scenes import SCENES as SCENES
 from .scenes import problems_named as problems_named
+from .soft_loops import SoftLoop as SoftLoop
+from .soft_loops import SoftLoops as SoftLoops
+from .soft_loops import bench_loops as bench_loops
 from .solver import End as End
 from .solver import PreparedRun as PreparedRun
 from .solver import Solver as Solver

@@ -135,6 +135,18 @@ def _methods(scenes: Sequence[str], held: int) -> Result:
     return summary(results), {"methods": records}
 
 
+def _loops() -> Result:
+    from .soft_loops import bench_loops
+
+    results = bench_loops(progress=True)
+    records: Records = [
+        {"robot": result.robot, "duration": result.duration, **vars(row)}
+        for result in results
+        for row in result.rows
+    ]
+    return _blocks(results), {"loops": records}
+
+
 MEASUREMENTS: dict[str, Callable[..., Result]] = {
     "kernels": _kernels,
     "forces": _forces,
@@ -142,6 +154,7 @@ MEASUREMENTS: dict[str, Callable[..., Result]] = {
     "flow": _flow,
     "scaling": _scaling,
     "floquet": _floquet,
+    "loops": _loops,
     "many": _many,
     "threads": _threads,
     "methods": _methods,

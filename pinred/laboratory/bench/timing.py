@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ...common.arrays import Array
+from ...common.object_cache import ObjectCache
 from ...common.progress import Progress, quiet
 from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
-from ...kernels.object_cache import ObjectCache
 
 ROUNDS = 15  # default number of rounds; the median over rounds is reported
 SPAN = 0.01  # least duration of an action in a round [s]; short actions are repeated

@@ -274,7 +274,7 @@ def _mesh(shape: Any) -> Mesh:
 
 
 def _from_inertias(system: System) -> tuple[Solid, ...]:
-    """Build an ellipsoid for each body, and capsules from joint to joint."""
+    """Build an ellipsoid for each body with mass, and capsules from joint to joint."""
     model = system.model
     inertias = [model.inertias[i] for i in range(model.njoints)]
     radii = [np.sqrt(np.trace(y.inertia) / y.mass) for y in inertias[1:] if y.mass > 0]
@@ -284,12 +284,13 @@ def _from_inertias(system: System) -> tuple[Solid, ...]:
     for i in range(1, model.njoints):
         colour = (*PALETTE[(i - 1) % len(PALETTE)], 1.0)
         inertia = inertias[i]
-        moments, axes = np.linalg.eigh(inertia.inertia)
-        axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
-        squares = 2.5 / inertia.mass * (moments.sum() - 2.0 * moments)
-        semi = np.maximum(np.sqrt(np.maximum(squares, 0.0)), _THIN * size)
-        placement = np.array(pin.SE3ToXYZQUAT(pin.SE3(axes, inertia.lever)))
-        solids.append(Solid(i, "ellipsoid", tuple(map(float, semi)), placement, colour))
+        if inertia.mass > 0.0:
+            moments, axes = np.linalg.eigh(inertia.inertia)
+            axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+            squares = 2.5 / inertia.mass * (moments.sum() - 2.0 * moments)
+            semi = np.maximum(np.sqrt(np.maximum(squares, 0.0)), _THIN * size)
+            placement = np.array(pin.SE3ToXYZQUAT(pin.SE3(axes, inertia.lever)))
+            solids.append(Solid(i, "ellipsoid", tuple(map(float, semi)), placement, colour))
         parent = model.parents[i]
         if parent > 0:
             solids += _capsule(parent, model.jointPlacements[i].translation, size)

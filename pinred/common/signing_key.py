@@ -18,8 +18,8 @@ from threading import Lock
 
 from platformdirs import user_data_path
 
-from ..common.errors import CacheWarning
-from ..common.files import temporary
+from .errors import CacheWarning
+from .files import temporary
 
 TEMPORARY = "0" * 16  # fingerprint of a signing key that could not be stored
 _NAME = "cache_key"
@@ -63,7 +63,8 @@ def _load_key(path: Path) -> tuple[bytes, bool]:
     except OSError as error:
         _warn(
             f"the key of the kernel cache cannot be stored in '{path}' "
-            f"({error.strerror or error}); other processes must compile kernels again"
+            f"({error.strerror or error}), so other processes compile again; "
+            "set XDG_DATA_HOME to a private folder"
         )
         return secrets.token_bytes(_SIZE), False
 

@@ -1,4 +1,4 @@
-"""Disk cache of compiled object code, so that each robot is compiled only once.
+"""Disk cache of compiled object code, so that robots and integrators are compiled only once.
 
 The cached machine code runs with the rights of the user who loads it.  Therefore the cache reads
 no folder or file that another user could have written, and follows no links.  An entry is valid
@@ -29,12 +29,12 @@ from typing import BinaryIO, NamedTuple
 import llvmlite.binding as llvm
 from platformdirs import user_cache_path
 
-from ..common.cpu_target import cpu_target
-from ..common.errors import CacheWarning, InputError
-from ..common.files import sweep, temporary
-from ..common.version import __version__
+from .cpu_target import cpu_target
+from .errors import CacheWarning, InputError
 from .file_trust import find_distrust, find_open_parent
+from .files import sweep, temporary
 from .signing_key import TEMPORARY, fingerprint, signing_key
+from .version import __version__
 
 LIMIT = 256 * 2**20  # default maximum size of all entries [bytes]
 _WRITERS = 8  # number of processes that may write at once without exceeding the limit

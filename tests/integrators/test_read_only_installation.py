@@ -1,0 +1,77 @@
+"""Tests of installations that cannot be written: code is cached by PINRED_CACHE_DIR, or nowhere."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from shutil import copytree, ignore_patterns
+
+import pytest
+
+import pinred
+
+# Create all steppers, and compile one function. Print its result and the number of compilations.
+PROGRAM = """
+import numba.core.event as events
+import numpy as np
+with events.install_recorder("numba:compile") as record:
+    from pinred.integrators.methods import METHODS
+    from pinred.integrators.stepping.kernel_call import from_lanes
+    for kind in METHODS.values():
+        (kind(1e-8, 1e-10) if kind.adaptive else kind(0.02)).stepper()
+    out = np.zeros((1, 2))
+    from_lanes(np.arange(8.0)[None], out)
+print(out.tolist(), sum(event.is_start for _, event in record.buffer))
+"""
+PLAIN = """
+import pinred.integrators.stepping.kernel_call as module, numba
+numba.njit(cache=True)(module.from_lanes.py_func)
+"""
+
+
+@pytest.fixture
+def install(tmp_path: Path) -> Path:
+    """Return a folder with a copy of the package in which numba cannot write, even for root.
+
+    Permissions do not stop root, but files in place of the cache folders stop everybody.
+    """
+    source = Path(pinred.__file__).parent
+    copytree(source, tmp_path / "site/pinred", ignore=ignore_patterns("__pycache__"))
+    for folder in [tmp_path / "site/pinred", *(tmp_path / "site/pinred").rglob("*/")]:
+        if folder.is_dir():
+            (folder / "__pycache__").touch()
+    return tmp_path / "site"
+
+
+def run(program: str, install: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run a program with a package, and without a home."""
+    unwanted = ("XDG_", "NUMBA_", "PINRED_CACHE")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(unwanted)}
+    environment |= {"HOME": "/proc/no-home", "PYTHONPATH": str(install)} | variables
+    environment["PYTHONPYCACHEPREFIX"] = str(install.parent / "bytecode")
+    return subprocess.run(
+        [sys.executable, "-c", program], cwd=install, env=environment,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_read_only_installation_caches_in_named_folder(install: Path, tmp_path: Path) -> None:
+    """The first process stores the code in the named folder, and the second one loads it."""
+    folders = {"PINRED_CACHE_DIR": str(tmp_path / "cache"), "XDG_DATA_HOME": str(tmp_path / "data")}
+    for count in (1, 0):
+        done = run(PROGRAM, install, **folders)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout == f"[[0.0, 1.0]] {count}\n"
+    assert len(list((tmp_path / "cache").iterdir())) == 1
+
+
+@pytest.mark.slow
+def test_installation_without_writable_folder_compiles_in_memory(install: Path) -> None:
+    """A CacheWarning is issued, and the result is the same; numba's cache raises an error."""
+    done = run(PROGRAM + PLAIN, install)
+    assert "cannot cache function 'from_lanes'" in done.stderr
+    assert done.stdout == "[[0.0, 1.0]] 1\n"
+    assert "CacheWarning" in done.stderr
