@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array
 from ..common.cpu_target import cpu_target
 from ..common.errors import InputError
+from ..scene.scene import Scene
 from ..simulation.members.member_options import MemberOptions
 from ..simulation.members.rejected_members import separate_all_rejected
 from ..simulation.members.trajectories import Trajectories
@@ -111,6 +112,13 @@ class SweepJob:
         return short
 
     @cached_property
+    def _template(self) -> Scene:
+        """The scene of all points, prepared once."""
+        varied = self._varied_scene
+        members, seeds = varied.member_values(varied.nominal_values()[None])
+        return MemberOptions(varied.scene, {}, members, seeds).template()
+
+    @cached_property
     def _together(self) -> int:
         """Number of points that are computed together."""
         scene = self._varied_scene.scene
@@ -154,7 +162,9 @@ class SweepJob:
     def _simulate(self, values: Array, threads: int | None) -> tuple[Trajectories, set[int]]:
         varied = self._varied_scene
         members, seeds = varied.member_values(values)
-        resolved, rejected = separate_all_rejected(MemberOptions(varied.scene, {}, members, seeds))
+        options = MemberOptions(varied.scene, {}, members, seeds)
+        options.prepared = self._template
+        resolved, rejected = separate_all_rejected(options)
         many = run_members(resolved, threads, None, rejected)
         return many, {failure.member for failure in rejected}
 
