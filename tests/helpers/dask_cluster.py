@@ -28,7 +28,7 @@ class DaskCluster:
         """
         self._folder, self._processes = folder, list[subprocess.Popen[bytes]]()
         file = folder / "scheduler.json"
-        self._start("dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+        self._start("dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
                     "--scheduler-file", str(file))  # fmt: skip
         for _ in range(600):
             if file.exists() and file.read_text():
@@ -41,7 +41,7 @@ class DaskCluster:
         """Start a worker with one thread, without a nanny; return its process."""
         process = self._start(
             "dask", "worker", self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny",
-            "--no-dashboard", "--local-directory", str(self._folder), **environment,
+            "--no-dashboard", "--dashboard-address", "127.0.0.1:0", "--local-directory", str(self._folder), **environment,
         )  # fmt: skip
         self.workers.append(process)
         return process
