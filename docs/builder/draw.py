@@ -24,6 +24,11 @@ def commands_of(text: str) -> dict[str, list[str]]:
     return found
 
 
+def sweeps_of(text: str) -> list[list[str]]:
+    """Return the words of the commands that compute the results of sweeps."""
+    return [line.split() for line in re.findall(r"^\$ pinred (sweep .*)$", text, re.MULTILINE)]
+
+
 def draw(words: list[str]) -> None:
     """Run a command of the gallery in the current folder."""
     from pinred.cli.main import main as run
@@ -54,7 +59,10 @@ def main() -> None:
     sys.path.insert(0, str(DOCS.parent))
     os.chdir(DOCS)
     Path("pictures").mkdir(exist_ok=True)
-    for name, words in commands_of(Path("gallery.md").read_text("utf-8")).items():
+    text = Path("gallery.md").read_text("utf-8")
+    for words in sweeps_of(text):
+        draw(words)
+    for name, words in commands_of(text).items():
         if not sys.argv[1:] or name in sys.argv[1:]:
             start = time.monotonic()
             draw(words)

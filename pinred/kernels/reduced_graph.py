@@ -129,7 +129,7 @@ class ReducedGraph:
             result = sweep_from(momenta, True)
         else:
             terms = solve_with_loops(
-                system, self._bodies, self.x, self.pi, sweep_from, driven=bool(prescribed)
+                system, self._bodies, self.x, self.pi, sweep_from, prescribed=prescribed
             )
             result, self._canonical_pi, loop_rates = terms.swept, terms.pi, terms.rates
         self.xi: list[Scalar] = [

@@ -5,10 +5,9 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import whole
@@ -19,6 +18,7 @@ from ..common.progress import Progress, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.sweep_options import BLOCK, SAMPLERS, Sampler
+from ..simulation.members.member_groups import members_plan
 from .distributions import Listed, parse_distribution
 from .run_blocks import PointsDone, compute_locally
 from .samplers import MOST_SOBOL, PointSequence, grid_size
@@ -166,7 +166,9 @@ def _job(
     if chosen == "sobol" and count > MOST_SOBOL:
         raise InputError(f"points: the sampler sobol has {MOST_SOBOL} points; use sampler='random'")
     varied = VariedScene(scene, list(vary))
-    varied.member_values(np.array([[float(law.at(np.array([0.5]))[0]) for law in laws]]))
+    # All points have one method, which does not depend on the first point of a block.
+    if varied.scene.method == "auto":
+        varied.scene = replace(varied.scene, method=members_plan(varied.scene).method.name)
     sequence = PointSequence.of(chosen, laws, count, whole(seed, "seed", 0))
     return SweepJob(
         varied, sequence, parse_outputs(varied.scene, outputs), whole(block, "block", 1)

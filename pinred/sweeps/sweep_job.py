@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..common.cpu_target import cpu_target
-from ..common.errors import InputError
+from ..common.errors import InputError, LoopWarning
+from ..scene.scene import Scene
 from ..simulation.members.member_options import MemberOptions
 from ..simulation.members.rejected_members import separate_all_rejected
 from ..simulation.members.trajectories import Trajectories
@@ -111,6 +113,13 @@ class SweepJob:
         return short
 
     @cached_property
+    def _template(self) -> Scene:
+        """The scene of all points, prepared once."""
+        varied = self._varied_scene
+        members, seeds = varied.member_values(varied.nominal_values()[None])
+        return MemberOptions(varied.scene, {}, members, seeds).template()
+
+    @cached_property
     def _together(self) -> int:
         """Number of points that are computed together."""
         scene = self._varied_scene.scene
@@ -140,7 +149,10 @@ class SweepJob:
         starts = range(0, last - first, self._together)
         for start in starts:
             rows = values[start : start + self._together]
-            many, rejected = self._simulate(rows, threads)
+            with warnings.catch_warnings():
+                if first + start:  # The first points have shown the warnings about open loops.
+                    warnings.simplefilter("ignore", LoopWarning)
+                many, rejected = self._simulate(rows, threads)
             for failure in many.failures:
                 row = start + failure.member
                 status[row] = REJECTED if failure.member in rejected else FAILED
@@ -154,7 +166,9 @@ class SweepJob:
     def _simulate(self, values: Array, threads: int | None) -> tuple[Trajectories, set[int]]:
         varied = self._varied_scene
         members, seeds = varied.member_values(values)
-        resolved, rejected = separate_all_rejected(MemberOptions(varied.scene, {}, members, seeds))
+        options = MemberOptions(varied.scene, {}, members, seeds)
+        options.prepared = self._template
+        resolved, rejected = separate_all_rejected(options)
         many = run_members(resolved, threads, None, rejected)
         return many, {failure.member for failure in rejected}
 

@@ -107,6 +107,21 @@ class VariedScene:
             members["x0"] = space.integrate(space.neutral, members["x0"])
         return members, seeds
 
+    def nominal_values(self) -> Array:
+        """Return the values of the numbers in the scene; 0 for a seed."""
+        values = []
+        for number in self.numbers:
+            if number.member == "seed":
+                values.append(0.0)
+            elif number.entry is not None:
+                values.append(float(_nominal(self.scene, number.member)[number.entry]))
+            elif number.member in _parameters_of(self.scene):
+                own = _own_value(self.scene, number.member)
+                values.append(float(self.scene.parameters.get(number.member, own)))
+            else:
+                values.append(float(np.ravel(_nominal(self.scene, number.member))[0]))
+        return np.array(values)
+
     def _find(self, key: str) -> VariedNumber:
         scene, system = self.scene, self.scene.system
         if key in _FIXED:
@@ -145,6 +160,13 @@ def _parameters_of(scene: Scene) -> list[str]:
     """Return the names of the Parameters in forces and signals."""
     model = scene.force_model
     return [] if model is None else [parameter.name for parameter in model.parameters]
+
+
+def _own_value(scene: Scene, name: str) -> float:
+    """Return the value of a Parameter in forces and signals."""
+    model = scene.force_model
+    assert model is not None
+    return next(entry.value for entry in model.parameters if entry.name == name)
 
 
 def _states(scene: Scene) -> dict[str, dict[str, tuple[int, str]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Iterator
 from dataclasses import is_dataclass
 from importlib import import_module
@@ -75,7 +76,8 @@ def index() -> str:
             previous = namespace
         described = inspect.isclass(value) or callable(value)
         text = first_sentence(value) if described else f"A constant of type {type(value).__name__}."
-        lines.append(f"| `{name}` | {text.replace('|', chr(92) + '|')} |")
+        escaped = re.sub(r"([|*])", r"\\\1", text)
+        lines.append(f"| `{name}` | {escaped} |")
     return "\n".join(lines) + "\n"
 
 

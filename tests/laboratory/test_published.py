@@ -11,7 +11,7 @@ import pytest
 
 import pinred
 from pinred.cli.main import main
-from pinred.laboratory.published import public_names
+from pinred.laboratory.published import pendulums, public_names
 from pinred.laboratory.published.published_rows import ROWS, select_rows
 from pinred.laboratory.published.row import Result, numbers
 
@@ -102,3 +102,13 @@ def test_command_reports_row_that_disagrees(
     assert main(["published", "spheroid"]) == 1
     assert "FAILED" in capsys.readouterr().out
     assert select_rows([]) == list(ROWS.values())
+
+
+@pytest.mark.by_hand
+@pytest.mark.filterwarnings("ignore::pinred.ModelWarning")
+def test_branches_find_fold_of_cowboy_motions() -> None:
+    """`branches` finds the fold at the momentum of the closed form; it takes a minute."""
+    J = ROWS["pendulum-fold"].compute().expected[1]
+    system = pendulums.pendulum()
+    found = pinred.branches(system, momentum=(0.995 * J, 1.01 * J), starts=40)
+    assert [fold.momentum for fold in found.folds] == [pytest.approx(J, rel=1e-9)]

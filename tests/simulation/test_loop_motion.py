@@ -23,6 +23,8 @@ from pinred.common.errors import (
     UnsupportedOperationError,
 )
 from pinred.kernels import validation
+from pinred.simulation.compiled.compiled_flow import kernel_of
+from pinred.simulation.plan import plan_of
 from pinred.system.loops.loop import Constraint, Loop, LoopKind
 from pinred.system.loops.looped_system import loop_values
 from pinred.views.playback.shape_panel import shape_panel
@@ -155,6 +157,23 @@ def test_cassie_equals_constraint_dynamics_and_does_not_drift() -> None:
     assert max(gaps) < 1e-12
     assert np.abs(J - J[0]).max() < 1e-13 * np.abs(J).max()
     assert np.ptp(traj.energy) < 1e-8 * traj.energy[0]
+
+
+@pytest.mark.by_hand
+def test_loops_of_cassie_cost_less_than_two_more_trees() -> None:
+    """The equations of ten constraints come from inward passes only."""
+    path = cassie_path()
+    if path is None:
+        pytest.skip("example-robot-data has no Cassie")
+    model, loops, _ = cassie(path)
+    system = pinred.load(model, loops=loops)
+    closed, tree = (
+        kernel_of(
+            plan_of(pinred.Scene(system=robot, seed=1, duration=0.1)), zero_momentum=False
+        ).instructions
+        for robot in (system, system.open_tree())
+    )
+    assert closed < 3.0 * tree
 
 
 def test_both_engines_agree() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -253,3 +255,43 @@ def test_temporary_store_is_used_without_name() -> None:
     """Without a store, the results are in a temporary folder."""
     result = pinred.sweep(SCENE, {"gain": [0.1, 0.2]}, outputs=["x.bend"])
     assert result["x.bend"].shape == (2,)
+
+
+def test_robots_with_loops_warn_once(tmp_path: Path) -> None:
+    """Points of closed loops are closed; only the first block warns that they were open."""
+    system = pinred.load("four_bar")
+    scene = pinred.Scene(system=system, duration=0.2, seed=1)
+    vary = {f"xdot0.{system.shape_names[0]}": pinred.Uniform(0.1, 0.2)}
+    with pytest.warns(pinred.LoopWarning) as caught:
+        result = pinred.sweep(
+            scene, vary, points=6, block=2, outputs=["x"], store=tmp_path / "s.zarr"
+        )
+    assert len(caught) == 1
+    assert result["status"].values.tolist() == [1] * 6
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "scheduler"),
+    [("zarr", "sweep", None), ("xarray", "sweep", None), ("distributed", "dask", "tcp://a:1")],
+)
+def test_missing_packages_are_named_with_their_extra(
+    package: str,
+    extra: str,
+    scheduler: str | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The message has the command that installs the package."""
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(pinred.MissingPackageError, match=rf"pip install 'pinred\[{extra}\]'"):
+        pinred.sweep(**changed(), store=tmp_path / "s.zarr", scheduler=scheduler)
+
+
+def test_import_of_pinred_loads_no_extra() -> None:
+    """Neither zarr, xarray nor dask are loaded before the first sweep."""
+    code = (
+        "import sys, pinred; pinred.simulate, pinred.sweep, pinred.Uniform; "
+        "print({'zarr', 'xarray', 'dask', 'distributed', 'pandas'} & {*sys.modules})"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "set()"

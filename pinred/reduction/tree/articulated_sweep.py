@@ -47,10 +47,12 @@ from .scalars import (
     Vec,
     add,
     cross,
+    factor_ldl,
     mul,
     plus,
     quaternion_matrix,
-    solve_ldl,
+    solve_factored,
+    solve_lower,
     sub,
 )
 
@@ -65,6 +67,9 @@ class Swept:
         xdot: Shape rates.
         pi: Canonical momenta; the sweep computes the momenta of prescribed coordinates.
         pidot: Rates of the canonical momenta without forces.
+        factors: Pairs (u, u/D) of all eliminated rates, then of the root, from H = L D Lᵀ with
+            u = L⁻¹(μ, π).  So (μ, π)·H⁻¹(μ, π)' is the sum of u u'/D, without an outward pass.
+            They are complete if no joints follow others.
     """
 
     root_linear: Vec
@@ -72,6 +77,7 @@ class Swept:
     xdot: list[Scalar]
     pi: list[Scalar]
     pidot: list[Scalar]
+    factors: list[tuple[Scalar, Scalar]]
 
 
 def sweep(
@@ -138,7 +144,13 @@ def sweep(
         _add(inertia[link.parent], carried(joint.inner, outer), lanes, width)
         groups.add_to_parent(i, link.parent, outer)
     groups.close(0, inertia[0], pi)
-    linear, angular = _solve_root(inertia[0], mu, [divmod(k, 3) for k in axes], root_armature)
+    factors = [
+        (rate.momentum, rate.drive) for joint in joints if joint is not None for rate in joint.rates
+    ]
+    linear, angular, root_factors = _solve_root(
+        inertia[0], mu, [divmod(k, 3) for k in axes], root_armature
+    )
+    factors += root_factors
     v, w = [linear], [angular]
     groups.find_rates(0, linear, angular)
     xdot: list[Scalar] = [0.0] * len(pi)
@@ -192,7 +204,7 @@ def sweep(
                 if k in rates:
                     lane_momentum = lanes.lane(along, lane, len(link.lanes))
                     momenta[k] = add(momenta[k], mul(ratio, lane_momentum))
-    return Swept(linear, angular, xdot, momenta, pidot)
+    return Swept(linear, angular, xdot, momenta, pidot, factors)
 
 
 def _momenta(groups: Groups, link: Link, pi: list[Scalar], lanes: Lanes) -> list[Scalar]:
@@ -314,8 +326,8 @@ def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
 
 def _solve_root(
     a: Articulated, mu: list[Scalar], axes: list[tuple[int, int]], armature: float
-) -> tuple[Vec, Vec]:
-    """Return the root's twist (linear, angular), solved from its momentum.
+) -> tuple[Vec, Vec, list[tuple[Scalar, Scalar]]]:
+    """Return the root's twist (linear, angular), solved from its momentum, and its factors.
 
     axes: entries of the group's twists, each as (0 for linear or 1 for angular, axis).
     """
@@ -332,9 +344,12 @@ def _solve_root(
     if armature:
         A[0][0] = add(A[0][0], armature)
     b = [sub(m, (a.ang if ang else a.lin)[k]) for m, (ang, k) in zip(mu, axes, strict=True)]
-    solution = solve_ldl(A, b)
+    L, _, inverse = factor_ldl(A)
+    solution = solve_factored(L, inverse, b)
+    u = solve_lower(L, b)
+    factors = [(c, mul(c, d)) for c, d in zip(u, inverse, strict=True)]
     linear: Vec = [0.0, 0.0, 0.0]
     angular: Vec = [0.0, 0.0, 0.0]
     for value, (ang, k) in zip(solution, axes, strict=True):
         (angular if ang else linear)[k] = value
-    return linear, angular
+    return linear, angular, factors

@@ -23,12 +23,14 @@ class Rate:
         gain: Linear part of U/D, (3,).
         gain_angular: Angular part of U/D, (3,).
         drive: Rate u/D at zero twist.
+        momentum: Momentum u, which remains of π when the subtree takes its part.
     """
 
     axis: int
     gain: Vec
     gain_angular: Vec
     drive: Scalar
+    momentum: Scalar = 0.0
 
     def at(self, v: Vec, w: Vec) -> Scalar:
         """Return the rate at the twist (v, w) before the joint moves."""
@@ -76,7 +78,7 @@ def eliminate_rate(freedom: Freedom, a: Articulated, pi: Scalar) -> tuple[Articu
     ang = [add(a.ang[k], mul(Ua[k], drive)) for k in range(3)]
     if free:
         (lin if slides else ang)[axis] = pi
-    return Articulated(M, B, I, lin, ang), Rate(axis, gain, gain_angular, drive)
+    return Articulated(M, B, I, lin, ang), Rate(axis, gain, gain_angular, drive, u)
 
 
 def join_groups(groups: Groups, i: int, freedom: Freedom, a: Articulated, step: Step) -> Eliminated:

@@ -86,7 +86,7 @@ def solve_with_loops(
     momentum: Sequence[Scalar],
     sweep: Callable[[list[Scalar], bool], Swept],
     *,
-    driven: bool = False,
+    prescribed: Sequence[int] = (),
 ) -> LoopTerms:
     """Solve the equations of a system with loops in impetus–striction form.
 
@@ -97,11 +97,12 @@ def solve_with_loops(
         momentum: Impetus p, (m,).
         sweep: Function that sweeps the open tree from canonical momenta (m,), with or without the
             body momentum and the rates of prescribed joints.
-        driven: Whether joints are prescribed.
+        prescribed: Indices of the prescribed rates.
     Returns:
         Velocities, canonical momenta and rates.
     """
     m = system.m
+    driven = bool(prescribed)
     entries = ca.vertsplit(ca.SX.sym("x", system.nx)) if driven else x
     column = ca.vertcat(*entries)
     phi = ca.vertcat(*constraint_values(system, bodies, entries))
@@ -111,9 +112,16 @@ def solve_with_loops(
     if driven:
         (jacobian,) = ca.substitute([constraints], [column], [here])
     J = [[_scalar(jacobian[i, k]) for k in range(m)] for i in range(phi.numel())]
-    response = [sweep(list(row), False).xdot for row in J]
-    open_rates = sweep(list(momentum), True).xdot
-    nu = solve_ldl([[dot(row, w) for w in response] for row in J], [dot(r, open_rates) for r in J])
+    responses, free = [sweep(list(row), False) for row in J], sweep(list(momentum), True)
+    if system.coupled is None:
+        mobility = [[_product(a, b) for b in responses] for a in responses]
+    else:
+        mobility = [[dot(row, response.xdot) for response in responses] for row in J]
+    if prescribed or system.coupled is not None:  # factors do not contain prescribed rates
+        gaps = [dot(row, free.xdot) for row in J]
+    else:
+        gaps = [_product(response, free) for response in responses]
+    nu = solve_ldl(mobility, gaps)
     along = [total([mul(row[k], n) for row, n in zip(J, nu, strict=True)]) for k in range(m)]
     pi = [sub(p, a) for p, a in zip(momentum, along, strict=True)]
     swept = sweep(pi, True)
@@ -126,6 +134,11 @@ def solve_with_loops(
     (turning,) = ca.substitute([turning], symbols, values)
     rates = [sub(_scalar(turning[k]), mul(GAUGE_RATE, along[k])) for k in range(m)]
     return LoopTerms(swept, pi, rates)
+
+
+def _product(a: Swept, b: Swept) -> Scalar:
+    """Return (μ, π)·H⁻¹(μ, π)' from the factors of two sweeps."""
+    return total([mul(u, w) for (u, _), (_, w) in zip(a.factors, b.factors, strict=True)])
 
 
 def _rate_map(system: System, x: Sequence[ca.SX]) -> ca.SX:

@@ -249,12 +249,17 @@ def solve_ldl(A: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
     return solve_factored(L, inverse, b)
 
 
+def solve_lower(L: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
+    """Return L⁻¹ b for a unit lower triangular L, given its entries below the diagonal."""
+    y = list(b)
+    for i in range(len(b)):
+        y[i] = sub(y[i], total([mul(L[i][j], y[j]) for j in range(i)]))
+    return y
+
+
 def solve_factored(L: list[list[Scalar]], inverse: list[Scalar], b: list[Scalar]) -> list[Scalar]:
     """Return A⁻¹ b for A = L D Lᵀ.  L: entries below the unit diagonal; inverse: 1/D."""
-    n = len(b)
-    y = list(b)
-    for i in range(n):
-        y[i] = sub(y[i], total([mul(L[i][j], y[j]) for j in range(i)]))
+    n, y = len(b), solve_lower(L, b)
     x = [mul(y[i], inverse[i]) for i in range(n)]
     for i in range(n - 1, -1, -1):
         x[i] = sub(x[i], total([mul(L[j][i], x[j]) for j in range(i + 1, n)]))

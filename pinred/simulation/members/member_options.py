@@ -36,6 +36,7 @@ from ..plan import MemberParameters
 from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene
 from .closed_members import close_members
+from .initial_shapes import with_prescribed_joints
 from .member_groups import Group, Members, members_plan
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
@@ -60,7 +61,10 @@ class MemberOptions:
         gravity: Gravity in the world frame, (N, 3) [m/s²], or None.
         robot: Number of entries of each robot parameter that the call states, by name.
         count: Number of members.
+        prepared: Result of `template` of other members with the same options; None to compute it.
     """
+
+    prepared: Scene | None = None
 
     def __init__(
         self,
@@ -200,8 +204,12 @@ class MemberOptions:
         selected.count = len(members)
         return selected
 
-    def members(self) -> Members:
-        """Group the members by the kernel they share.  Raises InputError for invalid scenes."""
+    def template(self) -> Scene:
+        """Return the scene of all members, in which the robot parameters of members vary.
+
+        Raises:
+            InputError: The scene of the first member is invalid, or a parameter cannot vary.
+        """
         # Use common parameters only, so that results do not depend on member order.
         template = self.scene(0, common_parameters=True)
         model = template.force_model
@@ -218,9 +226,16 @@ class MemberOptions:
             template = with_own(template, varying)
         elif self.gravity is not None:
             template = replace(template, system=self.system)
+        return template
+
+    def members(self) -> Members:
+        """Group the members by the kernel they share.  Raises InputError for invalid scenes."""
+        template = self.template() if self.prepared is None else self.prepared
         numbers = self._numbers(template)
+        varying = [name for name in self.robot if name in self.parameters]
         robot = self._robot_numbers(template) if varying else None
-        first_scene = self.scene(0)  # validates the options that all members share
+        # The first scene validates the options that all members share.
+        first_scene = self.scene(0) if self.prepared is None else self.prepared
         states = self._given(template, numbers)
         parameters = MemberParameters(numbers, robot)
         scene_of = partial(self._scene_by, members_plan(first_scene).scene.method)
@@ -322,7 +337,7 @@ class MemberOptions:
         refuse_vague(np.abs(x).max(axis=0), system)
         if system.loops:
             x, xdot = close_members(self._scene, self.count)
-        x, xdot = _with_prescribed(scene, x, xdot, numbers)
+        x, xdot = with_prescribed_joints(scene, x, xdot, numbers)
         xi, momentum = (
             rows("xi0", system.r, common_states.xi),
             rows("momentum", system.r, common_states.mu),
@@ -380,18 +395,3 @@ def _column(value: Any, name: str) -> Array:
     """Return the values (N,), or (N, k), of a parameter.  Raises ShapeError."""
     column = as_floats(value, name)
     return vectors(column, column.shape[-1], f"parameters['{name}']")
-
-
-def _with_prescribed(
-    scene: Scene, x: Array, xdot: Array, numbers: Array | None
-) -> tuple[Array, Array]:
-    """Return initial shapes and rates (N, m) with the planned values of prescribed joints."""
-    model = scene.force_model
-    if model is None or not model.joints or numbers is None:
-        return scene.with_prescribed(x, xdot)
-    x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
-    coordinates = scene.system.space.coordinates_of_joints(joints)
-    for k, row in enumerate(numbers):
-        planned = model.prescribed(0.0, row)
-        x[k, coordinates], xdot[k, joints] = planned.x, planned.xdot
-    return x, xdot

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -43,6 +44,11 @@ class LoopEnd:
 
     joint: int
     placement: pin.SE3
+
+    @cached_property
+    def from_joint(self) -> Array:
+        """Matrix that maps twists in the joint's frame to twists in this frame, (6, 6)."""
+        return np.asarray(self.placement.toActionMatrixInverse())
 
 
 def loop_ends(model: pin.Model, loop: Loop) -> tuple[LoopEnd, LoopEnd]:
@@ -158,7 +164,28 @@ class LoopKinematics:
 
     def bias(self, q: Array, v: Array) -> Array:
         """Return J̇ v, (c,): the accelerations of the constraints at zero joint acceleration."""
-        return np.asarray(self.jacobian_rate(q, v) @ v)
+        beside_root = v.copy()
+        beside_root[: self._root] = 0.0  # The root moves both frames alike; keep no round-off.
+        pin.forwardKinematics(self._model, self._data, q, beside_root, np.zeros(len(v)))
+        blocks = []
+        for k, loop in enumerate(self.loops):
+            if not isinstance(loop, Loop):
+                blocks.append(self._laws[k].row_rate(q, v) @ v)
+                continue
+            X = self._placement(k)
+            V, Vdot = self._relative_motion(k, X)
+            by_rotation = _rows(loop.kind, X.rotation @ pin.skew(V[3:]), V[:, None])
+            blocks.append((by_rotation + _rows(loop.kind, X.rotation, Vdot[:, None]))[:, 0])
+        return np.concatenate(blocks)
+
+    def _relative_motion(self, k: int, X: pin.SE3) -> tuple[Array, Array]:
+        """Return the relative twist V and its rate, (6,), at zero joint acceleration."""
+        a, b = self._ends[k]
+        v, rate = self._data.v, self._data.a
+        V_a, rate_a = (X.actInv(a.placement.actInv(each[a.joint])) for each in (v, rate))
+        V_b, rate_b = (b.placement.actInv(each[b.joint]) for each in (v, rate))
+        V = V_b - V_a
+        return V.vector, (rate_b - rate_a + V.cross(V_a)).vector
 
     def _placement(self, k: int) -> pin.SE3:
         a, b = self._ends[k]
@@ -169,8 +196,7 @@ class LoopKinematics:
         """Return D, (6, nv), with the relative twist V = D v in frame b."""
         a, b = self._ends[k]
         J_a, J_b = (
-            end.placement.toActionMatrixInverse()
-            @ pin.getJointJacobian(self._model, self._data, end.joint, _LOCAL)
+            end.from_joint @ pin.getJointJacobian(self._model, self._data, end.joint, _LOCAL)
             for end in (a, b)
         )
         D = J_b - X.toActionMatrixInverse() @ J_a
@@ -180,7 +206,7 @@ class LoopKinematics:
     def _relative_rate(self, k: int, X: pin.SE3, V: Array) -> Array:
         """Return Ḋ, (6, nv), at the relative twist V, (6,)."""
         a, b = self._ends[k]
-        inverse_a, inverse_b = (end.placement.toActionMatrixInverse() for end in (a, b))
+        inverse_a, inverse_b = a.from_joint, b.from_joint
         J_a = inverse_a @ pin.getJointJacobian(self._model, self._data, a.joint, _LOCAL)
         rate_a, rate_b = (
             inverse @ pin.getJointJacobianTimeVariation(self._model, self._data, joint, _LOCAL)
