@@ -12,7 +12,7 @@ as the loop has independent equations there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -39,17 +39,18 @@ _SAMPLES = 8  # number of random shapes at which the coupling is verified
 _NEAR = 1e-6  # gap of a keyframe that closes the loops, relative to their length
 
 
-def with_constant_loops(system: System) -> System:
+def with_constant_loops(system: System, driven: Collection[str] = ()) -> System:
     """Replace loops whose closed shapes are linear in independent joints by couplings.
 
     Args:
         system: The system.
+        driven: Names of joints with motors, which lead if possible.
     Returns:
         The system with couplings; `system` itself if it has no such loop.
     """
     if system.closure is None:
         return system
-    search = _Search(system)
+    search = _Search(system, driven)
     couplings, kept, constant = [*system.couplings], [], []
     for loop in system.loops:
         found = search.couplings_of(loop, couplings)
@@ -94,7 +95,7 @@ def _at_leaders(system: System, couplings: Sequence[Coupling]) -> tuple[list[int
 class _Search:
     """The search for couplings that are equivalent to loops of a system."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, driven: Collection[str]) -> None:
         assert system.closure is not None
         self._system, self._length = system, system.closure.length
         self._map = coordinate_map(system.model, system.group, system.tree)
@@ -102,6 +103,11 @@ class _Search:
         self._is_regular = singularity(system, system.closure.x) > _SINGULAR
         units = [self._length if unit == "m" else 1.0 for unit in system.tree.units]
         self._units = np.array(units)
+        model, depths = system.model, [0] * system.model.njoints
+        for i in range(1, model.njoints):
+            depths[i] = depths[int(model.parents[i])] + 1
+        self._depths = dict(zip(map(str, model.names), depths, strict=True))
+        self._depths |= dict.fromkeys(driven, 0)
 
     @cached_property
     def _starts(self) -> list[Array]:
@@ -174,7 +180,9 @@ class _Search:
         moving = np.flatnonzero(np.linalg.norm(J, axis=0) > _ROUND_OFF * size)
         if {*moving.tolist()} & {*space.ball_v.tolist()}:
             return None
-        dependent = _last_independent(J, moving.tolist())
+        # Driven joints lead, then those near the root.
+        outward = sorted(moving.tolist(), key=lambda k: (self._depths[space.names[k]], k))
+        dependent = sorted(_last_independent(J, outward))
         if len(dependent) != np.linalg.matrix_rank(J, tol=_RANK * size):
             return None
         others = [k for k in moving.tolist() if k not in dependent]
@@ -247,7 +255,7 @@ def _large(angle: float) -> float:
 
 
 def _last_independent(J: Array, columns: Sequence[int]) -> list[int]:
-    """Return the last columns of J that are linearly independent, in ascending order."""
+    """Return the last of the given columns of J that are linearly independent."""
     chosen: list[int] = []
     basis = np.zeros((len(J), 0))
     for k in reversed(columns):

@@ -368,7 +368,8 @@ def _load_model(
     if gravity is not None:
         model.gravity.linear = gravity
     model.name = robot.name
-    return with_constant_loops(System(model, robot.name, initial, robot.origin, contents))
+    system = System(model, robot.name, initial, robot.origin, contents)
+    return with_constant_loops(system, loops.driven)
 
 
 def is_path(name: str) -> bool:

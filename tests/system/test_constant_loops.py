@@ -30,6 +30,9 @@ def test_parallelogram_becomes_a_coupling_also_if_its_zero_shape_is_flat() -> No
     assert system.contents.coupled_loops == tuple(loops)
     text = str(pinred.inspect(system))
     assert "tips: coupler_tip = rocker_tip (3d): linear in independent joints" in text
+    bare = System(model, "bar", contents=Contents(loops=tuple(loops)))
+    driven = with_constant_loops(bare, ["rocker"])  # motors lead
+    assert [*map(str, driven.couplings)] == ["crank = 1·rocker", "coupler = -1·rocker"]
     kept = pinred.load(model, loops=[replace(loops[0], coupled=False)])
     assert (kept.m, kept.shape_dim, kept.contents.coupled_loops) == (3, 1, ())
 

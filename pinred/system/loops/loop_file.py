@@ -41,11 +41,13 @@ class LoopFile:
         loops: The loops.
         joints: Type of each joint that differs from the URDF.
         path: Path of the file in messages; "" without a file.
+        driven: Names of joints with motors.
     """
 
     loops: tuple[Constraint, ...] = ()
     joints: Mapping[str, str] = field(default_factory=dict)
     path: str = ""
+    driven: tuple[str, ...] = ()
 
     @property
     def fixed(self) -> tuple[str, ...]:
@@ -148,7 +150,7 @@ def read_loop_file(path: Path) -> LoopFile:
                 f"{shown}: joint_type: expected one of {', '.join(_TYPES)}, UJOINT_XZ, …, got "
                 f"{brief(kind)} for joint {quoted(name)}"
             )
-    return LoopFile(parse_loops(loops), joints, shown)
+    return LoopFile(parse_loops(loops), joints, shown, tuple(_texts(shown, content, "name_mot")))
 
 
 def _read(path: Path) -> Any:
