@@ -10,6 +10,8 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+# Free ports on loopback, so that several clusters can run at once.
+_LOCAL = ("--host", "127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0")
 
 
 class DaskCluster:
@@ -28,8 +30,8 @@ class DaskCluster:
         """
         self._folder, self._processes = folder, list[subprocess.Popen[bytes]]()
         file = folder / "scheduler.json"
-        self._start("dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
-                    "--scheduler-file", str(file))  # fmt: skip
+        words = ("--port", "0", "--scheduler-file", str(file))
+        self._start("dask", "scheduler", *_LOCAL, *words)
         for _ in range(600):
             if file.exists() and file.read_text():
                 break
@@ -40,8 +42,8 @@ class DaskCluster:
     def add_worker(self, **environment: str) -> subprocess.Popen[bytes]:
         """Start a worker with one thread, without a nanny; return its process."""
         process = self._start(
-            "dask", "worker", self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny",
-            "--no-dashboard", "--dashboard-address", "127.0.0.1:0", "--local-directory", str(self._folder), **environment,
+            "dask", "worker", self.address, *_LOCAL, "--nthreads", "1", "--no-nanny",
+            "--local-directory", str(self._folder), **environment,
         )  # fmt: skip
         self.workers.append(process)
         return process
