@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -46,19 +47,27 @@ def _calls(system: System) -> Iterator[tuple[str, Callable[[], Any]]]:
     methods: dict[str, Any] = dict(METHODS)
     for kind, method in methods.items():
         integrator = kind if method.adaptive else method(_DURATION)
-        yield f"simulate(method={kind})", lambda m=integrator: simulate(scenes[""], method=m)
+        yield f"simulate(method={kind})", partial(simulate, scenes[""], method=integrator)
     for words, scene in scenes.items():
-        yield f"simulate{words}", lambda s=scene: simulate(s)
-        yield f"simulate_many{words}", lambda s=scene: simulate_many(s, x0=_shapes(system))
-        yield f"flow{words}", lambda s=scene: flow(s)()
-        yield f"flow.jacobian{words}", lambda s=scene: flow(s).jacobian()
-        yield f"flow.vjp{words}", lambda s=scene: _pull_back(s)
-    yield "Reduction.grid", lambda: Reduction(system).grid(_shapes(system))
+        yield f"simulate{words}", partial(simulate, scene)
+        yield f"simulate_many{words}", partial(simulate_many, scene, x0=_shapes(system))
+        yield f"flow{words}", partial(_flow_end, scene)
+        yield f"flow.jacobian{words}", partial(_jacobian, scene)
+        yield f"flow.vjp{words}", partial(_pull_back, scene)
+    yield "Reduction.grid", partial(Reduction(system).grid, _shapes(system))
 
 
 def _shapes(system: System) -> Any:
     """Return two shapes, (2, nx)."""
     return np.tile(system.space.neutral, (2, 1))
+
+
+def _flow_end(scene: Scene) -> Any:
+    return flow(scene)()
+
+
+def _jacobian(scene: Scene) -> Any:
+    return flow(scene).jacobian()
 
 
 def _pull_back(scene: Scene) -> Any:

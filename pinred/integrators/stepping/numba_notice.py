@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
@@ -10,6 +11,8 @@ from numba.core.event import Listener, register
 from ...common.compile_notice import notice_of_compiling
 
 _EVENT = "numba:compile"
+# numba's functions have no type hints.
+_register: Callable[[str, Listener], None] = register
 _PACKAGE = __name__.partition(".")[0]
 
 
@@ -34,4 +37,4 @@ class _Notices(Listener):
 
 def announce_compilations() -> None:
     """Write a line about each compilation of pinred's functions that takes longer than a second."""
-    register(_EVENT, _Notices())
+    _register(_EVENT, _Notices())
