@@ -48,9 +48,11 @@ def _calls(system: System) -> Iterator[tuple[str, Callable[[], Any]]]:
     for kind, method in methods.items():
         integrator = kind if method.adaptive else method(_DURATION)
         yield f"simulate(method={kind})", partial(simulate, scenes[""], method=integrator)
+    yield "simulate_many", partial(simulate_many, system, seeds=[0, 1], duration=_DURATION)
+    still = partial(simulate_many, system, x0=_shapes(system), momentum=0, duration=_DURATION)
+    yield "simulate_many at zero momentum", still
     for words, scene in scenes.items():
         yield f"simulate{words}", partial(simulate, scene)
-        yield f"simulate_many{words}", partial(simulate_many, scene, x0=_shapes(system))
         yield f"flow{words}", partial(_flow_end, scene)
         yield f"flow.jacobian{words}", partial(_jacobian, scene)
         yield f"flow.vjp{words}", partial(_pull_back, scene)
