@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import gettempdir
+from zlib import crc32
 
 # Threads of BLAS wait for each other on machines whose cores run test processes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is imported
@@ -67,6 +69,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     selected = [item for item in items if not examples or _set_examples(item, examples)]
     if not config.getoption("--by-hand"):
         selected = [item for item in selected if not item.get_closest_marker("by_hand")]
+        selected = _every_second_case(selected)
     kept = set(selected)
     config.hook.pytest_deselected(items=[item for item in items if item not in kept])
     items[:] = selected
@@ -77,6 +80,27 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     run = getattr(session.config, "workerinput", {}).get("testrunuid", "")
     if run and len(session.items) > _MANY:
         compile_ahead(Path(gettempdir()) / f"pinred-{run}")
+
+
+def _every_second_case(items: list[pytest.Item]) -> list[pytest.Item]:
+    """Return the items with every second case of the tests marked `sampled`.
+
+    Whether the first case is among them depends on the name of the test, so that tests with the
+    same cases keep different ones.
+    """
+    chosen, counts = [], Counter[str]()
+    totals = Counter(_function_of(item) for item in items if item.get_closest_marker("sampled"))
+    for item in items:
+        name = _function_of(item)
+        first = crc32(name.encode()) % 2
+        if totals[name] < 2 or counts[name] % 2 == first:
+            chosen.append(item)
+        counts[name] += 1
+    return chosen
+
+
+def _function_of(item: pytest.Item) -> str:
+    return item.nodeid.partition("[")[0]
 
 
 def _set_examples(item: pytest.Item, count: int) -> bool:

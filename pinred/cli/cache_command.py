@@ -1,4 +1,4 @@
-"""`pinred cache`: list or remove the compiled kernels on disk."""
+"""`pinred cache`: list or remove the compiled kernels on disk, or compile ahead of use."""
 
 from __future__ import annotations
 
@@ -9,13 +9,19 @@ _LISTED = 20  # largest number of kernels that are listed
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
+    sub.add_argument(
+        "warm", nargs="*", metavar="warm ROBOT", help="compile what calls on a robot need"
+    )
     sub.add_argument("--clear", action="store_true", help="remove all kernels")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the kernels, or remove them.  Returns 0."""
+    """List the kernels, remove them, or compile the code of a robot.  Returns 0."""
     from ..common.object_cache import ObjectCache
 
+    if arguments.warm:
+        _warm(arguments.warm)
+        return 0
     cache = ObjectCache()
     if arguments.clear:
         print(f"{cache.clear()} kernels removed from {cache.folder}")
@@ -30,3 +36,19 @@ def run(arguments: argparse.Namespace) -> int:
     if len(entries) > _LISTED:
         print(f"  … and {len(entries) - _LISTED} more")
     return 0
+
+
+def _warm(words: list[str]) -> None:
+    """Compile the code of a robot, and print what was prepared."""
+    from ..common.errors import InputError
+    from ..system.load import load
+    from .warm_caches import warm_caches
+
+    if words[0] != "warm" or len(words) != 2:
+        raise InputError(f"expected `pinred cache warm ROBOT`, got {' '.join(words)!r}")
+    system = load(words[1])
+    total = 0.0
+    for call, seconds in warm_caches(system):
+        print(f"{seconds:7.2f} s  {call}", flush=True)
+        total += seconds
+    print(f"{total:7.2f} s in all; further processes find the code of '{system.name}' in the cache")

@@ -47,7 +47,7 @@ COMMANDS = {  # {command: description}
     "reorient": "plan a joint motion that rotates the base",
     "field": "draw the connection of a robot over two joints",
     "robots": "list the robots that can be loaded by name",
-    "cache": "show the compiled kernels on disk",
+    "cache": "show the compiled kernels on disk, or compile ahead: cache warm ROBOT",
     "doctor": "check the installation, and say what is missing and how to get it",
     "published": "compare published and closed-form results with those of pinred",
     "stress": "check the accuracy in numerically hard cases",

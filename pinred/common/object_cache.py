@@ -29,6 +29,7 @@ from typing import BinaryIO, NamedTuple
 import llvmlite.binding as llvm
 from platformdirs import user_cache_path
 
+from .compile_notice import notice_of_compiling
 from .cpu_target import cpu_target
 from .errors import CacheWarning, InputError
 from .file_trust import find_distrust, find_open_parent
@@ -185,18 +186,20 @@ class ObjectCache:
         except OSError as error:
             self._warn_once("write", f"compiled code is not stored in '{self.folder}': {error}")
 
-    def get_or_compile(self, key: str, compile_code: Callable[[], bytes]) -> bytes:
+    def get_or_compile(self, key: str, compile_code: Callable[[], bytes], what: str) -> bytes:
         """Read an object; if it is missing, compile and write it.
 
         Args:
             key: Key of the object.
             compile_code: Function that compiles the object.
+            what: What the object is, for the notice of a user who waits.
         Returns:
             The object.
         """
         code = self.get(key)
         if code is None:
-            code = compile_code()
+            with notice_of_compiling(what):
+                code = compile_code()
             self.put(key, code)
         return code
 

@@ -135,12 +135,21 @@ class _Screen(Protocol):
         """Remove the bar."""
 
 
+def is_watched() -> bool:
+    """Return whether messages appear on a terminal or in a notebook."""
+    return _in_notebook() or sys.stderr.isatty()
+
+
 def _screen() -> _Screen | None:
+    if not is_watched():
+        return None
+    return _Notebook() if _in_notebook() else _Terminal()
+
+
+def _in_notebook() -> bool:
     # A notebook kernel imports IPython before it runs any cell.
     ipython = sys.modules.get("IPython")
-    if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
-        return _Notebook()
-    return _Terminal() if sys.stderr.isatty() else None
+    return ipython is not None and hasattr(ipython.get_ipython(), "kernel")
 
 
 class _Terminal:

@@ -100,7 +100,9 @@ def build_kernel(
         return _pack(json.dumps(meta).encode(), *codes)
 
     key = cache_key(model_bytes(system, structure.freed), json.dumps(settings))
-    head, rate_code, outputs_code = _unpack(cache.get_or_compile(key, compile_code))
+    head, rate_code, outputs_code = _unpack(
+        cache.get_or_compile(key, compile_code, f"the equations of '{system.name}'")
+    )
     meta = json.loads(head)
     rate, outputs = load_objects({"rate": rate_code, "outputs": outputs_code})
     kernel = Kernel(

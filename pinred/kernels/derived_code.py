@@ -63,7 +63,8 @@ def derived_code(
         def compile_code() -> bytes:
             return make(ReducedGraph(kernel.system, kernel.structure, kernel.forces))
 
-        native = load_object(ObjectCache().get_or_compile(key, compile_code), name)
+        what = f"derivatives of the equations of '{kernel.system.name}'"
+        native = load_object(ObjectCache().get_or_compile(key, compile_code, what), name)
         judge(native)
         return native
 

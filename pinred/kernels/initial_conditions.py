@@ -143,7 +143,9 @@ def initial_conditions_kernel(
             model_bytes(system, freed), f"initial conditions from {given}{freed.steps or ''}"
         )
         code = ObjectCache().get_or_compile(
-            key, lambda: compile_object(initial_conditions_graph(system, given, freed), _NAME)
+            key,
+            lambda: compile_object(initial_conditions_graph(system, given, freed), _NAME),
+            f"the initial conditions of '{system.name}'",
         )
         kernel = InitialConditionsKernel(system, freed, load_object(code, _NAME))
         with explain_ill_scaling(system):

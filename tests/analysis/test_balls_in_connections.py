@@ -22,6 +22,7 @@ def shapes_of(system: pinred.System, count: int, seed: int = 0) -> Array:
 @pytest.mark.parametrize(
     ("seed", "group"), [pytest.param(1, "SE3", marks=pytest.mark.by_hand), (2, "SO3"), (4, "SE2")]
 )
+@pytest.mark.sampled
 def test_grid_with_balls_equals_pinocchio(seed: int, group: str) -> None:
     """Every array of a field over (2, 3) shapes is Pinocchio's, to round-off of its terms."""
     system = ball_tree(seed, 4, group)

@@ -420,6 +420,7 @@ def test_zero_momentum_with_rotor_has_no_modes() -> None:
 @pytest.mark.parametrize(
     "J", [1e-9, 1e12, *(pytest.param(J, marks=pytest.mark.by_hand) for J in (1e-3, 1.0, 1e6))]
 )
+@pytest.mark.sampled
 def test_verdicts_are_independent_of_time_unit(J: float) -> None:
     """A free robot at another momentum moves equally at another speed."""
     equilibria = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=J, starts=150)

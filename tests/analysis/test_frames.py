@@ -63,6 +63,7 @@ def test_optimal_frame_is_independent_of_base_link() -> None:
 
 
 @pytest.mark.parametrize("reach", [1.5, 2.5])
+@pytest.mark.sampled
 def test_distance_of_optimal_frame_is_that_to_high_degree(reach: float) -> None:
     """The norm by degree 26 is closer to the limit than degree 14 by the estimated distance."""
     box = [[-reach, reach]] * 2

@@ -60,6 +60,7 @@ def turn_of_ball(traj: Any, t: float) -> float:
     [0, pytest.param(1, marks=pytest.mark.by_hand)],
     ids=["rotation", "oscillation"],
 )
+@pytest.mark.sampled
 def test_multipliers_of_planar_motion_equal_those_of_flow(
     bodies: pinred.System, method: str, springs: int
 ) -> None:

@@ -73,6 +73,7 @@ def test_sleeping_top_is_stable_above_threshold() -> None:
 
 
 @pytest.mark.parametrize("momentum", [-2.0, 0.0, 0.6, 5.0])
+@pytest.mark.sampled
 def test_sleeping_gyrostat_is_stable_above_threshold(momentum: float) -> None:
     """The threshold is (I₃ ω + h)² = 4 m g l I₁ for any rotor momentum h."""
     system = heavy_gyrostat()
@@ -131,6 +132,7 @@ def test_simulated_top_stays_upright_above_threshold() -> None:
 
 
 @pytest.mark.parametrize("changes", [{"tilt": 1e-5}, {"skew": 1e-4}])
+@pytest.mark.sampled
 def test_asymmetric_top_is_undecided(changes: dict[str, float]) -> None:
     """With a tilted rotor or unequal moments, only the momentum about the vertical remains."""
     system = heavy_gyrostat(**changes)

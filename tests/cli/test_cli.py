@@ -189,6 +189,30 @@ def test_cache_lists_and_clears_kernels(
     assert run(capsys, "cache")[1].startswith("0 kernels")
 
 
+@pytest.mark.by_hand
+def test_cache_warm_prepares_the_calls_on_a_robot(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A second run finds everything, and so do simulations, batches and flows."""
+    monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
+    code, out, _ = run(capsys, "cache", "warm", "elroys_beanie")
+    assert code == 0
+    for call in ("simulate(method=Radau)", "simulate_many", "flow.jacobian", "flow.vjp"):
+        assert f" s  {call}" in out
+    stored = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
+    assert run(capsys, "cache", "warm", "elroys_beanie")[0] == 0
+    system = pinred.load("elroys_beanie")
+    pinred.simulate(system, seed=3, method="AdaptiveGauss")
+    pinred.simulate_many(system, seeds=[1, 2], duration=0.1)
+    pinred.flow(system, seed=1, duration=0.1).jacobian()
+    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == stored
+
+
+def test_cache_refuses_other_words(capsys: pytest.CaptureFixture[str]) -> None:
+    """The message shows the form."""
+    assert "pinred cache warm ROBOT" in refused(capsys, "cache", "cool", "falling_cat")
+
+
 @pytest.mark.slow
 def test_bench_kernels_prints_ratios_to_aba(capsys: pytest.CaptureFixture[str]) -> None:
     """Kernels are much faster than ABA from Python."""

@@ -96,6 +96,7 @@ def test_field_writes_connection_and_curvature(
 
 
 @pytest.mark.parametrize("part", ["curvature", "connection"])
+@pytest.mark.sampled
 def test_field_draws_a_figure_with_the_gait(
     part: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -36,6 +36,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 @pytest.mark.parametrize(
     ("suffix", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")]
 )
+@pytest.mark.sampled
 def test_plot_writes_identical_files_of_every_suffix(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, suffix: str, begins: bytes
 ) -> None:
@@ -174,6 +175,7 @@ COMMANDS = re.findall(r"^\$ pinred plot (?!measured)(.*)$", DOCUMENT, re.MULTILI
         for command in COMMANDS
     ],
 )
+@pytest.mark.sampled
 def test_commands_of_plots_page_run(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,

@@ -37,6 +37,7 @@ def run(
         pytest.param(("stress", "--only", "units"), marks=pytest.mark.by_hand),
     ],
 )
+@pytest.mark.sampled
 def test_commands_print_ascii_on_ascii_terminal(words: tuple[str, ...]) -> None:
     """The exit code does not change."""
     done = run(*words)

@@ -144,6 +144,7 @@ def test_angle_spring_about_fixed_axis_is_harmonic() -> None:
 
 
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+@pytest.mark.sampled
 def test_compare_passes_with_forces_on_balls(engine: Any) -> None:
     """Springs, PD, limits, dampers by axis and a potential of the quaternion together."""
     system = ball_tree(5, 3)

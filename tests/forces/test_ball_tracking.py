@@ -30,6 +30,7 @@ def errors_of(q: Array, attitude: Attitude, t: Array) -> Array:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_computed_torque_of_balls_obeys_closed_form(engine: Engine) -> None:
     """An error that begins along one axis n stays along it: log E = θ n, θ̈ + kd θ̇ + kp θ = 0.
 
@@ -91,6 +92,7 @@ def test_computed_torque_passes_judge() -> None:
 
 
 @pytest.mark.parametrize("axes", ["body", "world"])
+@pytest.mark.sampled
 def test_wrench_and_torque_that_see_base_and_balls_equal_aba(axes: Any) -> None:
     """A wrench on a link behind balls, and torques of quaternions of base and balls."""
     bare = ball_tree(7, 4).model

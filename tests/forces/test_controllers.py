@@ -26,6 +26,7 @@ GOAL = np.array([1.0, -0.4, 0.8, 0.5, -0.6, -0.2])
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("limit", [None, "hard", "smooth"])
+@pytest.mark.sampled
 def test_pd_equals_aba(limit: str | None, engine: Engine) -> None:
     """PD to a fixed shape and along a plan, within limits, against ABA under the same law."""
     most = dict(zip(ARMS, [0.5, 0.6, 0.7, 0.8, 0.9, 1.0], strict=True))
@@ -86,6 +87,7 @@ def closed_form(error: float, rate: float, kp: float, kd: float, t: Array) -> Ar
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.sampled
 def test_computed_torque_error_equals_closed_form(group: str, engine: Engine) -> None:
     """ë + kd ė + kp e = 0 per joint, with springs, dampers, gravity and prescribed joints."""
     # About the vertical, gravity acts on the shape.
@@ -133,6 +135,7 @@ def law(t: float, x: Array, xdot: Array) -> Array:
 
 
 @pytest.mark.parametrize("period", [0.1, 0.17, 5.0])
+@pytest.mark.sampled
 def test_controller_holds_torques_between_samples(period: float) -> None:
     """Called at k·period with the state, then constant: ABA with one solve per period."""
     system = SATELLITE

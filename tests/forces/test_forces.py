@@ -59,6 +59,7 @@ def test_damped_spring_equals_closed_form(c: float, engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_internal_forces_conserve_momentum(engine: Engine) -> None:
     """With dampers, springs and joint torques, momentum about the CoM stays within 1e-12."""
     system = pinred.load("falling_cat")
@@ -133,6 +134,7 @@ def test_wrench_on_random_trees_equals_aba(group: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.sampled
 def test_wrench_from_tables_equals_aba(group: str) -> None:
     """Signals with jumps and kinks, on a pushed and falling tree of every group."""
     system = tree(group, 2, 11)
@@ -165,6 +167,7 @@ def wrench_breaks(wrench: Wrench) -> list[float]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_detumbling_equals_closed_form(engine: Engine) -> None:
     """A pure moment −c μ on the base: |J| = |J0| e^(−ct), with a constant direction."""
     system, c = pinred.load("reaction_wheel_satellite"), 0.7
@@ -222,6 +225,7 @@ def test_push_along_free_slide(
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("kind", [Spline, Hold, pytest.param(Linear, marks=pytest.mark.by_hand)])
+@pytest.mark.sampled
 def test_torque_from_table_equals_aba(kind: Any, engine: Engine) -> None:
     """ABA stops at every entry; report times lie on the entries, too."""
     system = pinred.load("planar_chain5")

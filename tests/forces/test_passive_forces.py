@@ -82,6 +82,7 @@ def test_planted_errors_are_detected(what: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+@pytest.mark.sampled
 def test_passive_motion_equals_aba_with_mujoco_forces(engine: Any) -> None:
     """The motion with passive=True, against ABA under MuJoCo's torques."""
     text = passive_tree(5, smooth=True)

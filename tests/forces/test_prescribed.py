@@ -67,6 +67,7 @@ def drives(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int) -> Ar
     "driven",
     [[2, 0], [0, 1, 2], *(pytest.param(k, marks=pytest.mark.by_hand) for k in ([0], [1, 2]))],
 )
+@pytest.mark.sampled
 def test_any_subset_of_prescribed_joints_equals_aba(group: str, driven: list[int]) -> None:
     """In any order, on both engines."""
     system = tree(group, 3, 5)
@@ -115,6 +116,7 @@ def full_motion(scene: pinred.Scene, driven: list[int]) -> Array:
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("momentum", [False, True])
+@pytest.mark.sampled
 def test_fully_prescribed_shape_is_reconstruction(momentum: bool, engine: Engine) -> None:
     """Only the orientation is integrated, by ξ = I⁻¹μ − A ẋ."""
     system = pinred.load("falling_cat")

@@ -159,6 +159,7 @@ def test_elimination_avoids_small_pivots() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["planar_chain5", "coupled_spatial", "solo12"])
+@pytest.mark.sampled
 def test_kernel_derivative_equals_aba_derivatives(robot: str) -> None:
     """The derivative along the motion equals that of ABA."""
     system = pinred.load(robot)
@@ -238,6 +239,7 @@ def test_wrong_derivative_is_rejected(
 @pytest.mark.parametrize(
     "robot", ["double_spherical_pendulum", "falling_cat", "satellite_two_arms"]
 )
+@pytest.mark.sampled
 def test_radau_has_order_5(robot: str) -> None:
     """Order in shape and attitude against ABA, in dense output and at step ends."""
     system = pinred.load(robot)

@@ -107,6 +107,7 @@ def points_of(
         ("coupled_spatial", {"seed": 5}),
     ],
 )
+@pytest.mark.sampled
 def test_discrete_action_is_stationary(robot: str, start: dict[str, Any]) -> None:
     """Under variations of inner points. Another method of order 2 fails this test."""
     system, h, count = pinred.load(robot), 0.02, 12

@@ -170,6 +170,7 @@ def test_errors_of_slow_joint_next_to_fast_wheels_fail() -> None:
 
 
 @pytest.mark.parametrize("away", [1e3, 1e5])
+@pytest.mark.sampled
 def test_jump_of_distant_base_fails(away: float) -> None:
     """A base 100 km from the origin that travels one metre and jumps by 1e-6 m fails."""
     pose0 = [away, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
@@ -254,6 +255,7 @@ def test_compare_of_tiny_motion_passes() -> None:
     ("name", "speed"),
     [("falling_cat", 1e-160), ("falling_cat", 1e-20), ("planar_chain5", 1e-20)],
 )
+@pytest.mark.sampled
 def test_compare_of_underflowing_motion_does_not_fail(name: str, speed: float) -> None:
     """Squares of its momenta and rates underflow."""
     system = pinred.load(name)
@@ -269,6 +271,7 @@ def test_compare_of_underflowing_motion_does_not_fail(name: str, speed: float) -
 @pytest.mark.parametrize("speed", [1.0, 1e-3])
 @pytest.mark.parametrize("name", ["falling_cat", "planar_chain5"])
 @pytest.mark.parametrize("away", [1e6, 1e9])
+@pytest.mark.sampled
 def test_compare_of_distant_base_does_not_fail(name: str, speed: float, away: float) -> None:
     """The base is 1e9 m from the origin."""
     system = pinred.load(name)

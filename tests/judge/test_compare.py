@@ -20,6 +20,7 @@ EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(bundled_robots()))
+@pytest.mark.sampled
 def test_compare_passes_for_bundled_robot(name: str) -> None:
     """Every bundled robot agrees with ABA from its default initial state.
 
@@ -36,6 +37,7 @@ def test_compare_passes_for_bundled_robot(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not has_example_robots(), reason="needs example-robot-data")
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
+@pytest.mark.sampled
 def test_compare_passes_for_example_robot(name: str) -> None:
     """A quadruped, an arm on a free base and a humanoid, tumbling and falling."""
     report = pinred.compare(
@@ -49,6 +51,7 @@ def test_compare_passes_for_example_robot(name: str) -> None:
     "seed", [0, 3, *(pytest.param(k, marks=pytest.mark.by_hand) for k in (1, 2))]
 )
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.sampled
 def test_compare_passes_for_random_trees(group: str, seed: int) -> None:
     """Trees of every group with springs, armature, a moved pose, and gravity if invariant."""
     model = random_model(group, seed + 1, seed)
@@ -93,6 +96,7 @@ def test_error_decreases_with_tolerance() -> None:
         ("spatial_momentum", 5, 1e-6, "fields against q, v"),
     ],
 )
+@pytest.mark.sampled
 def test_compare_fails_for_wrong_trajectory(
     name: str, column: int, size: float, check: str
 ) -> None:

@@ -124,6 +124,7 @@ def test_acceleration_of_tree_that_is_singular_without_couplings(tmp_path: Path)
         *(pytest.param(*case, marks=pytest.mark.by_hand) for case in (("SE2", 4), ("SO3", 5))),
     ],
 )
+@pytest.mark.sampled
 def test_compare_passes_with_couplings_and_forces(group: str, seed: int) -> None:
     """Random trees with couplings, and springs on leaders and followers."""
     system = make_case(group, 5, seed).system
@@ -145,6 +146,7 @@ def test_compare_passes_for_tree_that_is_singular_without_couplings(tmp_path: Pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.sampled
 def test_compare_fails_for_wrong_coupling_ratio(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """A relative error of 1e-6 in the reduction's ratio fails."""
     right = make_case("SE3", 5, seed).system
@@ -178,6 +180,7 @@ def test_perturbation_satisfies_couplings() -> None:
     "panda", "baxter",
     *(pytest.param(name, marks=pytest.mark.by_hand) for name in ("tiago_pro", "pr2", "talos_full")),
 ])  # fmt: skip
+@pytest.mark.sampled
 def test_compare_passes_for_robots_with_grippers(name: str) -> None:
     """Robots of example-robot-data, with both engines."""
     pytest.importorskip("example_robot_data")

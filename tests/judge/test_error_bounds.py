@@ -159,6 +159,7 @@ def test_reference_is_judged_only_at_informative_times(monkeypatch: pytest.Monke
 @pytest.mark.parametrize(("steps", "most"), [(1e-9, 1e-9), (1e-4, 3.0 * TOLERANCE)])
 @pytest.mark.parametrize(("inside", "least"), [(1e-8, 1e-8), (1e-2, 50.0 * TOLERANCE)])
 @pytest.mark.parametrize("own", [1.0, 30.0])
+@pytest.mark.sampled
 def test_error_bound_is_sum_of_defects_times_growth(
     monkeypatch: pytest.MonkeyPatch,
     steps: float,

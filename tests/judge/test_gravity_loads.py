@@ -36,6 +36,7 @@ def swing(angle: float) -> pinred.Trajectory:
 
 
 @pytest.mark.parametrize("angle", [1e-7, 1e-5, 1e-3, 1.0])
+@pytest.mark.sampled
 def test_compare_of_small_swings_passes(angle: float) -> None:
     """The gravity moment consists of cancelling numbers; rotations have an accuracy of rtol."""
     report = pinred.compare(swing(angle))

@@ -37,6 +37,7 @@ def test_near_times_take_one_step_each(method: str, stages: int) -> None:
 
 
 @pytest.mark.parametrize("method", ["dop853", "dopri5"])
+@pytest.mark.sampled
 def test_spans_of_mixed_lengths_stay_accurate(method: str) -> None:
     """The first step learned from short spans does not harm long ones, and vice versa."""
     spans = np.random.default_rng(5).choice([1e-9, 1e-3, 0.3, 20.0], 60)

@@ -12,6 +12,7 @@ from pinred.reduction.potential import Potential
 
 
 @pytest.mark.parametrize("group", ["SE3", "SO3", "SE2"])
+@pytest.mark.sampled
 def test_casadi_functions_with_balls_equal_pinocchio(group: str) -> None:
     """H, I, A, M and B are functions of quaternions, with derivatives along the frame."""
     system = ball_tree(3, 4, group)

@@ -94,6 +94,7 @@ def test_kernel_rate_satisfies_hamilton_poincare(case: Case) -> None:
         for name in sorted(bundled_robots())
     ],
 )
+@pytest.mark.sampled
 def test_compiled_and_pinocchio_engines_agree(name: str) -> None:
     """Both engines give the same motion in all fields."""
     system = pinred.load(name)

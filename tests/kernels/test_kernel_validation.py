@@ -286,6 +286,7 @@ def sphere_tree(seed: int) -> pin.Model:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
+@pytest.mark.sampled
 def test_sphere_trees_pass_validation_and_agree_with_aba(seed: int) -> None:
     """Symmetric bodies pass validation, and their motion agrees with ABA."""
     system = pinred.load(sphere_tree(seed))
@@ -326,6 +327,7 @@ def test_validation_scales_with_small_robot(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("ratio", [1e-6, 1e-12, 1e-14])
+@pytest.mark.sampled
 def test_light_tip_is_accepted_and_its_faults_detected(ratio: float, seed: int) -> None:
     """The joint of a light tip is not cyclic, and its rate is compared."""
     model = random_model("SE3", 3, seed, armature=False)

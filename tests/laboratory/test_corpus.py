@@ -71,6 +71,7 @@ def description_of(file: str) -> Description:
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.sampled
 def test_trial_has_expected_outcome(case: str, tmp_path: Path) -> None:
     """Files that should work are recognised without pinred's readers."""
     text, outcome, about, due, choice = CASES[case]

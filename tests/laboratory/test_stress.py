@@ -77,6 +77,7 @@ def with_long_by_hand(names: Iterable[str]) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", with_long_by_hand(CHECKS))
+@pytest.mark.sampled
 def test_check_passes(name: str) -> None:
     """The short form of the check passes."""
     outcome = run_check(CHECKS[name], SHORT)
@@ -158,6 +159,7 @@ NOTICED = {
 @pytest.mark.parametrize(
     "name", with_long_by_hand([name for name in CHECKS if name not in INVARIANT])
 )
+@pytest.mark.sampled
 def test_wrong_constant_fails(name: str) -> None:
     """The check fails for a robot with wrong constants, because of a case, not of an error."""
     outcome = run_with_fault(name, NOTICED[name])
@@ -200,6 +202,7 @@ def with_small_wrench(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @pytest.mark.parametrize("name", ["energy", "casimirs", "frames"])
+@pytest.mark.sampled
 def test_small_wrench_fails(name: str) -> None:
     """The check fails under a small unwanted wrench in the body frame."""
     wrong = replace(

@@ -224,6 +224,7 @@ def test_charge_is_derivative_of_length() -> None:
 
 
 @pytest.mark.parametrize("kind", ["rotation", "bounded", "displacement", "target", "space"])
+@pytest.mark.sampled
 def test_jacobian_of_shooting_equals_differences_of_residuals(kind: str) -> None:
     """Along a random direction, for planar and spatial groups, values and targets."""
     A = pinred.Connection.mechanical(pinred.load("falling_cat")) if kind == "space" else rods()

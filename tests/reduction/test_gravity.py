@@ -63,6 +63,7 @@ def cubic(theta: float, xi: Array) -> tuple[np.polynomial.Polynomial, Array]:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_nutation_has_range_and_period_of_cubic(engine: Engine) -> None:
     """The height cos θ oscillates between two roots of the cubic, with the period of the cubic."""
     theta, xi = 0.6, np.array([0.8, -0.5, 30.0])
@@ -104,6 +105,7 @@ def test_nutation_has_range_and_period_of_cubic(engine: Engine) -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize("theta", [0.4, 2.2])
+@pytest.mark.sampled
 def test_steady_precession_has_slow_and_fast_rate(
     theta: float, sign: float, engine: Engine
 ) -> None:
@@ -166,6 +168,7 @@ def test_tiny_gravity_counts_as_zero() -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("name", ["cartpole", "double_spherical_pendulum"])
+@pytest.mark.sampled
 def test_shapes_under_gravity_agree_with_aba(name: str, engine: Engine) -> None:
     """A cart-pole across gravity, pendulums about the vertical: a potential on the shape."""
     system = pinred.load(name)
@@ -232,6 +235,7 @@ def test_pivot_at_centre_of_mass_moves_as_without_gravity(outputs: Any) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_robot_balanced_on_raised_pivot_has_energy_of_height(engine: Any) -> None:
     """It moves as without gravity, and the energy of its height is −m g·p."""
     place, weight = np.array([0.3, -0.4, 1.2]), np.array([0.5, 0.3, -9.0])

@@ -42,6 +42,7 @@ def at(space: poisson.PhaseSpace, value: ca.SX, z: Array) -> Array:
 
 
 @pytest.mark.parametrize("group", ["SE3", "SO3", "SE2", "heavy"])
+@pytest.mark.sampled
 def test_canonical_tensor_with_balls_maps_to_connection_tensor(group: str) -> None:
     """With σ(x, π, μ) = (x, π − Aᵀμ, μ): Tσ P Tσᵀ; the numerical tensors are the same."""
     system = heavy(3) if group == "heavy" else ball_tree(3, 3, group)

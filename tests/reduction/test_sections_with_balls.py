@@ -49,6 +49,7 @@ def wavy(system: System, seed: int) -> Section:
 
 
 @pytest.mark.parametrize("group", ["SE3", "SO3", "SE2"])
+@pytest.mark.sampled
 def test_change_section_with_balls_equals_transformed_mass_matrix(group: str) -> None:
     """A′, I′, M′ from Pinocchio's H, and B′ from differences of A′ along the frame."""
     system, rng = ball_tree(2, 4, group), np.random.default_rng(0)

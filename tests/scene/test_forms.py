@@ -104,6 +104,7 @@ def test_values_by_joint_name_follow_pinocchio_order() -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 @settings(max_examples=15)
 @given(case=cases(1, 5))
+@pytest.mark.sampled
 def test_q0_and_v0_motion_agrees_with_aba(engine: Engine, case: Case) -> None:
     """A motion from (q0, v0) agrees with Pinocchio's ABA for every group."""
     model = case.system.model

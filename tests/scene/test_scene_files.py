@@ -360,6 +360,7 @@ LONG = {"cat_turns_over", "solo12_free_fall"}  # whose comparison takes several 
     ],
     ids=lambda path: path.stem,
 )
+@pytest.mark.sampled
 def test_example_passes_comparison_with_aba(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,6 +16,7 @@ from pinred.signals import Hold
 
 
 @pytest.mark.parametrize("times", [None, [0.1, 0.3]])
+@pytest.mark.sampled
 def test_columns_derivatives_agree_with_differences(times: Any) -> None:
     """Poses are given by their coordinates; both modes agree with central differences."""
     columns = flow_of(times=times, rtol=1e-12).columns()

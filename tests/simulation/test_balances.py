@@ -42,6 +42,7 @@ def test_impulse_of_gravity_agrees_with_free_fall(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_work_of_each_force_agrees_with_simpson(engine: Engine) -> None:
     """The work of each label is ∫ τ·ẋ dt or ∫ f·ξ dt, by Simpson's rule on the trajectory."""
     system = tree("SE3", 3, 6)

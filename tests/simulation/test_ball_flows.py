@@ -61,6 +61,7 @@ def tangent(system: pinred.System, row: str, low: Any, high: Any) -> Array:
 
 
 @pytest.mark.parametrize("method", ["DOP853", "Gauss(0.02, 8)"])
+@pytest.mark.sampled
 def test_jacobian_with_ball_equals_differences_of_simulations(
     bodies: pinred.System, method: str
 ) -> None:
@@ -220,6 +221,7 @@ def test_step_map_with_ball_has_square_jacobian(bodies: pinred.System) -> None:
 
 
 @pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
+@pytest.mark.sampled
 def test_derivatives_pass_breaks_and_conditions_on_time(bodies: pinred.System, method: str) -> None:
     """A table on a ball's axis and a switch time that is a Parameter; the mass of a body."""
     size, when = Parameter("size", 0.7), Parameter("when", 0.25)

@@ -114,6 +114,7 @@ def test_invalid_attitude_is_refused(option: str, value: Any, message: str) -> N
 
 @pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
 @pytest.mark.parametrize("stiffness", [0.0, 2.0])
+@pytest.mark.sampled
 def test_bodies_on_ball_at_their_centres_equal_taylor_series(stiffness: float, method: str) -> None:
     """Attitudes over 3 s to 1e-12 of series with 30 digits; an ideal ball exerts no moment."""
     moments = np.array([[0.4, 0.5, 0.7], [0.2, 0.3, 0.4]])

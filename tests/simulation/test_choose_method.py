@@ -69,6 +69,7 @@ def test_reports_and_stops_get_dop853() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("damping", [1.0, 300.0])
+@pytest.mark.sampled
 def test_stiff_forces_get_radau(damping: float) -> None:
     """Radau is chosen if stability limits the steps; its motion agrees with DOP853 and ABA."""
     cat = pinred.load("falling_cat")

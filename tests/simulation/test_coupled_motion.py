@@ -149,6 +149,7 @@ def test_forces_on_follower_act_on_leader_times_ratio(crank: pinred.System) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_followers_of_prescribed_leader_follow_the_plan(engine: Engine) -> None:
     """One torque on the prescribed leader drives all its followers."""
     system = make_case("SE3", 6, 1).system
@@ -288,6 +289,7 @@ def test_random_states_respect_limits_of_followers(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.sampled
 def test_identical_branches_with_couplings_agree_with_aba(seed: int) -> None:
     """Couplings are inside branches, across them, or on one branch only."""
     model, rng = limbed_model("SE3", 3, 3, seed), np.random.default_rng(seed)

@@ -72,6 +72,7 @@ def test_crossings_on_dense_output_of_implicit_methods(method: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_terminal_event_ends_the_scene(engine: Engine) -> None:
     """The last report is at the event; later reports are dropped, and compare passes."""
     traj = pinred.simulate(
@@ -95,6 +96,7 @@ def test_terminal_event_ends_the_scene(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.sampled
 def test_motion_beyond_terminal_event_is_not_integrated(engine: Engine) -> None:
     """A motion that would fail later ends at the event."""
     wall = Torque(lambda s: {"beanie": 1.0 / (0.5 - s.x[0]) ** 2}, name="pull")

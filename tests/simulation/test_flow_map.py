@@ -120,6 +120,7 @@ def test_jacobian_agrees_with_variational_equations() -> None:
 
 
 @pytest.mark.parametrize("name", ["cartpole", "satellite_two_arms"])
+@pytest.mark.sampled
 def test_flow_agrees_with_simulate_and_its_differences(name: str) -> None:
     """Values are equal to the bit; derivatives agree within the error of step control."""
     flow = flow_of(name, method="DOP853", rtol=1e-12, times=[0.2, 0.5])
@@ -245,6 +246,7 @@ def seeing(joint: str, entry: int) -> Torque:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["coupled_planar", "falling_cat"])
+@pytest.mark.sampled
 def test_derivatives_of_forces_that_depend_on_pose(name: str) -> None:
     """Both modes agree with differences, over times and for single steps."""
     system = pinred.load(name, gravity=(0.0, 0.0, -3.0) if name == "falling_cat" else None)
@@ -343,6 +345,7 @@ def test_repeated_and_failing_integrations_agree_with_simulate() -> None:
 @pytest.mark.parametrize(
     ("name", "duration"), [("planar_chain5", 2.0), ("satellite_two_arms", 0.5)]
 )
+@pytest.mark.sampled
 def test_vjp_agrees_with_cvodes(name: str, duration: float) -> None:
     """Gradients of the end state agree where the flow has moderate growth."""
     system = pinred.load(name, gravity=(0, 0, 0))

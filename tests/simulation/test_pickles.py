@@ -56,6 +56,7 @@ def test_copies_give_equal_numbers(copy_of: Any) -> None:
 
 
 @pytest.mark.parametrize("copy_of", COPIES)
+@pytest.mark.sampled
 def test_copies_of_members_keep_states_and_failures(copy_of: Any) -> None:
     """Members of every form keep their states, scenes and failures."""
     cat, original = pinred.load("falling_cat"), scene()

@@ -27,6 +27,7 @@ SIZES |= dict.fromkeys(("SO3", "SE3"), (4, 3, 4, 0))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.sampled
 def test_shape_outputs_integrate_fewer_variables(group: str) -> None:
     """The shape agrees with ABA."""
     system = pinred.load(random_model(group, 2, 7, armature=group == "SE3"))

@@ -109,6 +109,7 @@ def test_body_of_revolution_integrates_two_momenta() -> None:
 
 @pytest.mark.parametrize("make", [lambda: joined_bodies(MOMENTS, ROTOR), top])
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+@pytest.mark.sampled
 def test_compare_passes_with_symmetric_balls(make: Any, engine: Any) -> None:
     """The judge integrates all coordinates with ABA."""
     traj = pinred.simulate(make(), **START, duration=1.0, rtol=1e-10, engine=engine)
@@ -140,6 +141,7 @@ def satellite(gravity: float = 0.0, group: Any = None) -> System:
 
 
 @pytest.mark.parametrize("case", ["free", "pivot in gravity", "wrench and torque"])
+@pytest.mark.sampled
 def test_motion_equals_that_of_ordinary_balls(
     case: str, without_symmetry: Callable[[], None]
 ) -> None:

@@ -92,6 +92,7 @@ FUNCTIONS: dict[str, Any] = {
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
 @pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.sampled
 def test_written_force_in_short_steps_agrees(name: str, engine: Any) -> None:
     """ABA with the force as written, in short steps between its switches, is the reference."""
     function = FUNCTIONS[name]
@@ -165,6 +166,7 @@ def test_compare_judges_forces_as_written(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
+@pytest.mark.sampled
 def test_flow_by_switch_times_equals_differences(method: Any) -> None:
     """Derivatives by the times of a pulse equal Richardson differences, forward and backward."""
     names = ("start", "width", "size")
@@ -217,6 +219,7 @@ def richardson(function: Any, value: float, change: float) -> Any:
         ),
     ],
 )
+@pytest.mark.sampled
 def test_flow_by_nested_switch_times_equals_differences(values: Any, function: Any) -> None:
     """The changes are so small that no switch meets another; longer ones are off by up to 0.1."""
     a, b = Parameter("a", 1.0), Parameter("b", 1.0)

@@ -44,6 +44,7 @@ def loaded(case: str) -> tuple[pinred.System, dict[str, Any]]:
     "case",
     [pytest.param(c, marks=pytest.mark.slow if c in SOME else pytest.mark.by_hand) for c in CASES],
 )
+@pytest.mark.sampled
 def test_motions_agree_with_aba_and_derivatives_with_differences(case: str) -> None:
     """ABA uses the changed model."""
     system, values = loaded(case)

@@ -37,6 +37,7 @@ def mjcf(folder: Path, text: str) -> Path:
         (HUMANOID, ["head"], (7, 8)),
     ],
 )
+@pytest.mark.sampled
 def test_balls_of_mjcf_are_simulated(
     tmp_path: Path, text: str, balls: bool | list[str], sizes: tuple[int, int]
 ) -> None:

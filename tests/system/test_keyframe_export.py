@@ -43,6 +43,7 @@ def text_of(root: str, include: str = "") -> str:
 
 
 @pytest.mark.parametrize("root", ROOTS)
+@pytest.mark.sampled
 def test_keyframes_place_the_bodies_of_mujoco(root: str, tmp_path: Path) -> None:
     """MuJoCo's centre of mass and momentum, and pinred's own reading, equal the motion."""
     path = tmp_path / "arm.xml"

@@ -259,6 +259,7 @@ def test_lock_model_without_joint_frames() -> None:
 
 @needs_robots
 @pytest.mark.parametrize("name", ["solo12", "talos", "anymal_c"])
+@pytest.mark.sampled
 def test_example_robot_matches_its_loader(name: str) -> None:
     """Armature and mass matrix equal those of example_robot_data's loader."""
     from example_robot_data import load

@@ -96,6 +96,7 @@ def distance(connection: pinred.Connection, pose: Array, placement: list[float])
 
 
 @pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.sampled
 def test_page_agrees_with_connection_and_phase(name: str) -> None:
     """A within 1e-13, four loops within 3e-10, and placements and a loop with momentum, too."""
     system = pinred.load(name)

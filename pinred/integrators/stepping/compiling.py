@@ -14,9 +14,11 @@ import numba
 from numba.extending import intrinsic
 
 from ...common.cpu_target import pin_numba
+from .numba_notice import announce_compilations
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 pin_numba(numba.config)  # before the first function is compiled
+announce_compilations()
 
 
 def stamp(folder: Path) -> str:

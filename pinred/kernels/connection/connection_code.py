@@ -226,6 +226,7 @@ def cached_code(
     binary = ObjectCache().get_or_compile(
         cache_key(key, f"connection {name} {width}"),
         lambda: compile_object(graph(), name, wide=width, wide_inputs=inputs),
+        "the terms of a connection",
     )
     return load_object(binary, name)
 
