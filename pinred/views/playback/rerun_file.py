@@ -17,7 +17,7 @@ from ...common.errors import OutputError
 from ...common.files import check_path, write_atomic
 from ...common.optional_packages import optional_package
 from ..motion_source import MotionSource
-from .drawn_bodies import drawn_bodies
+from .drawn_bodies import PALETTE, drawn_bodies
 from .framing import Framing, camera, frame
 from .playback import Playback, playback
 from .scene_nodes import ARROW_COLOUR, Node, Part, momentum_arrow, scene_nodes
@@ -151,9 +151,11 @@ class _Writer:
             "shape": [(name, unit, shape[:, k]) for k, (name, unit) in enumerate(units)],
         }
         for plot, curves in plots.items():
-            for name, unit, values in curves:
+            for k, (name, unit, values) in enumerate(curves):
                 path = self._rerun.new_entity_path([plot, name])
-                self._log(path, self._rerun.SeriesLines(names=f"{name} [{unit}]"))
+                colour = PALETTE[(k + 1) % len(PALETTE)]
+                label = f"{name} [{unit}]"
+                self._log(path, self._rerun.SeriesLines(names=label, colors=[colour]))
                 self._send(path, self._rerun.Scalars.columns(scalars=values))
         return [plot for plot, curves in plots.items() if curves]
 
