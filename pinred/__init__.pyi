@@ -141,5 +141,6 @@ from .views.motions import play as play
 from .views.motions import plot as plot
 from .views.motions import save_film as save_film
 from .views.motions import save_html as save_html
+from .views.motions import save_rrd as save_rrd
 
 __version__: str

@@ -63,9 +63,10 @@ def test_typed_options_are_the_fields(typed: type, kind: type) -> None:
             pinred.Scene,
             {"threads", "seeds", "progress", "members", "explain", "invalid"},
         ),
-        (pinred.play, View, {"port", "show", "wait"}),
+        (pinred.play, View, {"viewer", "port", "show", "wait"}),
         (pinred.save_html, View, {"feel"}),
         (pinred.save_film, View, {"size", "progress"}),
+        (pinred.save_rrd, View, set()),
     ],
 )
 def test_shown_options_are_the_fields(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..analysis.equilibria.relative_equilibrium import Equilibria
     from ..system.system import System
 
-_PLAYED = (".html", ".mp4", ".gif", ".png")  # suffixes of files with --play
+_PLAYED = (".html", ".rrd", ".mp4", ".gif", ".png")  # suffixes of files with --play
 _SCENE = ("springs", "passive", "prescribed")  # options of a scene that this command accepts
 
 
@@ -44,7 +44,9 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--mode M", "perturb it along mode M, counted from 0", int)
     add("--amplitude A", "amplitude of the mode [rad | m]", float, 0.05)
     add("--time T", "duration of the played motion [s]", float)
-    text = "diagram of a range (.png, .pdf, .svg), or motion of --play (.html, .mp4, .gif, .png)"
+    text = (
+        "diagram of a range (.png, .pdf, .svg), or motion of --play (.html, .rrd, .mp4, .gif, .png)"
+    )
     add("--out FILE", text)
 
 

@@ -30,26 +30,33 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
 
 
 def show_motion(
-    motion: MotionSource, out: Path | None, view: View, *, port: int | None = None,
-    show: bool = True,
+    motion: MotionSource, out: Path | None, view: View, *, viewer: str | None = None,
+    port: int | None = None, show: bool = True,
 ) -> None:  # fmt: skip
-    """Play a motion in a browser, or write it as a page or a film.
+    """Play a motion in a browser, or write it as a page, a recording for rerun, or a film.
 
     Args:
         motion: The motion.
         out: File to write; None to play.
         view: Options of the view.
+        viewer: Name of the viewer; the default one if None.
         port: Port of the web server; any free one if None.
         show: Whether to open the browser.
     """
     if out is None:
-        from ..views.playback.server import play
+        from ..views.playback.play_in_viewer import play_in_viewer
+        from ..views.playback.viewers import VIEWER
 
-        play(motion, view, port=port, show=show, wait=True)
+        name = viewer or VIEWER
+        play_in_viewer(motion, view, viewer=name, port=port, show=show, wait=True)
     elif out.suffix == ".html":
         from ..views.playback.page import save_html
 
         print(f"written to {out} ({save_html(motion, out, view) / 1e6:.2f} MB)")
+    elif out.suffix == ".rrd":
+        from ..views.playback.rerun_file import save_rrd
+
+        print(f"written to {out} ({save_rrd(motion, out, view) / 1e6:.2f} MB)")
     else:
         from ..common.progress import ProgressBar
         from ..views.playback.film import save_film

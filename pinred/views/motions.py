@@ -13,6 +13,7 @@ from ..common.signatures import shows_fields
 from ..simulation.trajectory import Trajectory
 from ..system.system import System
 from .playback.view_options import FILM_FPS, View, ViewOptions, as_view
+from .playback.viewers import VIEWER
 from .plots.by_kind import plot as plot
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 def play(
     traj: Trajectory,
     *,
+    viewer: str = VIEWER,
     port: int | None = None,
     show: bool = True,
     wait: bool | None = None,
@@ -33,6 +35,8 @@ def play(
 
     Args:
         traj: The motion: a Trajectory, or a recording read from a file.
+        viewer: "pinred" for pinred's page, or "viser" for the page of viser, which the extra
+            viser installs.
         port: Port of the server; an unused port if None.
         show: Open the user's browser.
         wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
@@ -50,11 +54,13 @@ def play(
         The server of the page.
     Raises:
         InputError: An option is invalid, or the port is taken.
+        MissingPackageError: viser is requested and not installed.
         OutputError: The page cannot be served.
     """
-    from .playback.server import play as serve
+    from .playback.play_in_viewer import play_in_viewer
 
-    return serve(traj, as_view(options, "play"), port=port, show=show, wait=wait)
+    view = as_view(options, "play")
+    return play_in_viewer(traj, view, viewer=viewer, port=port, show=show, wait=wait)
 
 
 @checks_arguments
@@ -188,3 +194,33 @@ def save_film(
 
     view = as_view({"fps": FILM_FPS, **options}, "save_film")
     return write(traj, path, view, size=size, progress=progress)
+
+
+@checks_arguments
+@shows_fields(View)
+def save_rrd(traj: Trajectory, path: str | Path, **options: Unpack[ViewOptions]) -> int:
+    """Write a motion as a recording for the rerun viewer, which the extra rerun installs.
+
+    The file contains the placements of all bodies with their shapes, and energy, momentum and
+    shape over time.  Its layout has a 3D view whose camera sees the robot at all times.
+
+    Args:
+        traj: The motion: a Trajectory, or a recording read from a file.
+        path: The .rrd file.
+        ghost: Also draw the full simulation (Pinocchio's ABA) next to the motion.
+        speed: Seconds of the motion in one second of playback, initially.
+        fps: Frames per second of playback.
+        pair: For other views; it must be None.
+        sphere: Body whose momentum sphere is drawn, see `play`.
+        meshes: Draw the shapes of the robot's file, see `play`.
+        **options: The options of View, listed above.
+    Returns:
+        Size of the file in bytes.
+    Raises:
+        InputError: An option or the suffix is invalid.
+        MissingPackageError: rerun-sdk is not installed.
+        OutputError: The file cannot be written.
+    """
+    from .playback.rerun_file import save_rrd as write
+
+    return write(traj, path, as_view(options, "save_rrd"))

@@ -181,7 +181,7 @@ def test_ctrl_c_during_play(when: str, monkeypatch: pytest.MonkeyPatch) -> None:
         (("traj.npz", "--ghost"), "contains no forces"),
         (("traj.npz", "--robot", "solo12"), "name the right robot"),
         (("scene.toml", "--robot", "solo12"), "--robot applies to .npz files"),
-        (("traj.npz", "--out", "film.avi"), "suffix must be .html or .mp4 or .gif or .png"),
+        (("traj.npz", "--out", "film.avi"), "suffix must be .html or .rrd or .mp4 or .gif or .png"),
         (("traj.npz", "--speed", "0"), "speed must be finite and above zero"),
         (("traj.npz", "--pair", "a,b"), "pair: no joint 'a'; the joints are beanie"),
         (("traj.npz", "--port", "70000"), "port must be a whole number"),

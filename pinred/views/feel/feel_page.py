@@ -195,7 +195,7 @@ def _picture(
     film = Playback(
         system=system, t=np.arange(len(q), dtype=float), x=shapes, xdot=shapes[:, : system.m] * 0.0,
         placements=placements - np.pad(com[:, None], ((0, 0), (0, 0), (0, 4))), com=0.0 * com,
-        ellipsoid=np.zeros((len(q), 3, 3)), sphere=None, ghost=None,
+        ellipsoid=np.zeros((len(q), 3, 3)), energy=np.zeros(len(q)), sphere=None, ghost=None,
         momentum=Momentum(np.tile(vector, (len(q), 1)), 0.0 * com, rest.words, rest.unit),
     )  # fmt: skip
     return {

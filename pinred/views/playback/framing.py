@@ -53,6 +53,42 @@ class Framing(FrozenArrays):
     normal: Array
 
 
+@dataclass(frozen=True)
+class Camera(FrozenArrays):
+    """A camera whose picture has z upwards; arrays are read-only.
+
+    Attributes:
+        position: Position, (3,) [m], relative to the centre of mass if the camera follows it.
+        target: Point in the middle of the picture, (3,) [m], with the same origin.
+        distance: Distance of both [m].
+        reach: Radius of a ball about the target that contains everything at all times [m].
+    """
+
+    position: Array
+    target: Array
+    distance: float
+    reach: float
+
+
+def camera(framing: Framing, fov: float, *, follow: bool, aspect: float = 1.0) -> Camera:
+    """Place a perspective camera that sees everything at all times.
+
+    Args:
+        framing: The framing of the film.
+        fov: Vertical field of view [rad].
+        follow: Whether the camera follows the centre of mass.
+        aspect: Width of the picture divided by its height.
+    Returns:
+        The camera.
+    """
+    half = np.arctan(np.tan(0.5 * fov) * min(aspect, 1.0))
+    target = 0.5 * framing.aside + (0.0 if follow else framing.middle)
+    reach = framing.reach if follow else framing.span
+    reach += 0.5 * float(np.linalg.norm(framing.aside))
+    distance = float(1.02 * reach / np.sin(half))
+    return Camera(target + distance * framing.eye, target, distance, reach)
+
+
 def frame(film: Playback, bodies: Bodies) -> Framing:
     """Compute a framing that shows the whole robot, with its momentum arrow in side view."""
     radius = _radius(film, bodies)

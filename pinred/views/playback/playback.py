@@ -56,6 +56,7 @@ class Playback(FrozenArrays):
         com: Centre of mass, (F, 3) [m].
         ellipsoid: Symmetric matrices that map the unit ball to the homogeneous ellipsoid with the
             mass and the locked inertia of the system, (F, 3, 3) [m].
+        energy: Energy, (F,) [J].
         momentum: The momentum arrow.
         sphere: The momentum in the axes of a body, if requested.
         ghost: The full simulation, if requested.
@@ -68,6 +69,7 @@ class Playback(FrozenArrays):
     placements: Array
     com: Array
     ellipsoid: Array
+    energy: Array
     momentum: Momentum
     sphere: MomentumSphere | None
     ghost: Ghost | None
@@ -180,6 +182,7 @@ def _playback(
         placements=placements,
         com=com,
         ellipsoid=ellipsoid,
+        energy=states.energy.copy(),
         momentum=momentum,
         sphere=sphere,
         ghost=ghost,

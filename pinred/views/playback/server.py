@@ -165,8 +165,6 @@ def play(
         wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
     Returns:
         The server.
-    Raises:
-        KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
     """
     check_port(port)  # check the port first, because building the page may take long
     return serve(page(source, view), "playing at", port=port, show=show, wait=wait)
@@ -190,10 +188,23 @@ def serve(
         wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
     Returns:
         The server.
+    """
+    return run(Player(content, port), words, show=show, wait=wait)
+
+
+def run(player: Player, words: str, *, show: bool, wait: bool | None) -> Player:
+    """Print the address of a server, open the browser, and wait.
+
+    Args:
+        player: The server.
+        words: Text before the address.
+        show: Open the user's browser.
+        wait: Serve until Ctrl-C. If None, wait in scripts but not in interactive sessions.
+    Returns:
+        The server.
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed while the browser was opened, without waiting.
     """
-    player = Player(content, port)
     wait = not (hasattr(sys, "ps1") or is_notebook()) if wait is None else wait
     try:
         print(f"{words} {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)

@@ -11,6 +11,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import positive
 from ...common.errors import InputError
 from ...system.visuals import mesh_folders
+from .viewers import PAGES
 
 FPS = 60.0  # default frames per second of playback
 FILM_FPS = 30.0  # default frames per second of films
@@ -67,7 +68,7 @@ class ViewOptions(TypedDict, total=False):
 
 def default_fps(out: Path | None) -> float:
     """Return the default frames per second of a file, or of a browser if there is no file."""
-    return FPS if out is None or out.suffix == ".html" else FILM_FPS
+    return FPS if out is None or out.suffix in PAGES else FILM_FPS
 
 
 def as_view(options: Mapping[str, Any], what: str) -> View:
