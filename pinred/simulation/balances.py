@@ -4,13 +4,13 @@ Energy changes by the work of forces without a potential and of the drives of pr
 Momentum changes by the impulse of wrenches and of gravity.  Powers and wrenches are integrated over
 each step with 8 Gauss points.
 
-The torques of prescribed joints follow by inverse dynamics of the reduced system. Let F be all
-terms of the Lagrange–Poincaré equations except the torques τ. The shape equation
+The torques τ of prescribed joints follow by inverse dynamics.  With the mass matrix H, the bias b
+of Pinocchio's RNEA and the other forces F,
 
-    M ẍ + (∂M ẋ) ẋ = F + τ
+    H a + b = F + τ
 
-is solved first for ẍ of the free joints, because ẍ of the prescribed joints and τ of the free ones
-are known.  It then determines τ of the prescribed joints.
+is solved first for the accelerations a of the base and of the free joints, because a of the
+prescribed joints and τ of the others are known.  It then determines τ of the prescribed joints.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ from numpy.polynomial import legendre
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only
 from ..reduction.canonical_form import CanonicalForm
-from ..reduction.pointwise_reduction import PointwiseReduction
+from ..reduction.inertia_split import symmetric
 from ..reduction.potential import shape_gravity
-from ..reduction.textbook_equations import lagrange_poincare
 from ..system.coordinates import Indices
 from ..system.joints import axes_of
 from ..system.loops.looped_system import loop_jacobian, loop_jacobian_rate
@@ -212,61 +211,59 @@ def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -
     system, forces = plan.system, plan.forces
     if forces is None or not plan.acting.driven:
         return read_only(np.zeros((len(t), 0)))
-    red = system.workspace(
-        (PointwiseReduction, "weightless"),
-        lambda: PointwiseReduction(_weightless(system).open_tree()),
-    )
-    form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, shape_gravity(system)))
     gravity = shape_gravity(system)
-    driven, free = np.array(plan.acting.driven), np.array(plan.acting.free, dtype=np.intp)
+    form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, gravity))
+    weightless = system.workspace("model without gravity", lambda: _weightless(system.model))
+    data, identity, r = system.data, system.group.identity(), system.r
+    driven = r + np.array(plan.acting.driven)
+    free = np.setdiff1d(np.arange(system.n), driven)
     torques = np.empty((len(t), len(driven)))
     for k, (time, (s, numbers)) in enumerate(zip(t, samples, strict=True)):
         acting = forces.acting(s.force_inputs(time, numbers))
-        at = red.at(s.x)
-        torque = acting.torque - gravity.gradient(s.x)
-        wrench = acting.wrench.copy()
+        H = symmetric(form.mass_matrix(s.x))
+        torque, wrench = acting.torque - gravity.gradient(s.x), acting.wrench.copy()
         if s.weight.any():
             torque = torque + s.weight @ form.com_slope(s.x)
-            wrench += np.cross(at.com, s.weight)
-        omega = s.xi + at.local_connection @ s.xdot
-        lp = lagrange_poincare(red, s.x, s.xdot, omega, torque=torque, wrench=wrench)
-        force = lp.shape.total - at.dM @ s.xdot @ s.xdot
-        M, xddot = at.reduced_metric, np.empty(system.m)
-        xddot[driven] = forces.prescribed(float(time), numbers).xddot
-        coupling = M[np.ix_(free, driven)] @ xddot[driven]
-        free_force = force[free] - coupling
-        loads = np.zeros(system.m)
+            wrench += np.cross(form.com(), s.weight)
+        q, v = system.model_q(identity, s.x), system.model_v(s.xi, s.xdot)
+        bias = system.on_shape(pin.nonLinearEffects(weightless, data, q, v))
+        force = np.concatenate([wrench, torque]) - bias
+        a = np.empty(system.n)
+        a[driven] = forces.prescribed(float(time), numbers).xddot
+        free_force = force[free] - H[np.ix_(free, driven)] @ a[driven]
+        loads = np.zeros(system.n)
         if system.closure is not None:
-            loads = _loop_loads(system, s, M, xddot, driven, free, free_force)
-        xddot[free] = np.linalg.solve(M[np.ix_(free, free)], free_force + loads[free])
-        torques[k] = M[driven] @ xddot - force[driven] - loads[driven]
+            loads = _loop_loads(system, s, H, a, driven, free, free_force)
+        a[free] = np.linalg.solve(H[np.ix_(free, free)], free_force + loads[free])
+        torques[k] = H[driven] @ a - force[driven] - loads[driven]
     return read_only(torques)
 
 
 def _loop_loads(
     system: System,
     s: Sample,
-    M: Array,
-    xddot: Array,
+    H: Array,
+    a: Array,
     driven: Indices,
     free: Indices,
     force: Array,
 ) -> Array:
-    """Return the forces Jᵀλ of closed loops, (m,), with given accelerations of driven joints.
+    """Return the forces Jᵀλ of closed loops, (n,), with given accelerations of driven joints.
 
-    The free joints obey M ẍ = F + Jᵀλ and J ẍ + J̇ ẋ = 0.
+    Base and free joints obey H a = F + Jᵀλ and J a + J̇ v = 0.
     """
     assert system.closure is not None
     rows = system.closure.rows
-    J = loop_jacobian(system, s.x)[rows]
-    bias = loop_jacobian_rate(system, s.x, s.xdot)[rows] @ s.xdot + J[:, driven] @ xddot[driven]
-    solved = np.linalg.solve(M[np.ix_(free, free)], np.column_stack([force, J[:, free].T]))
+    J = np.zeros((len(rows), system.n))
+    J[:, system.r :] = loop_jacobian(system, s.x)[rows]
+    bias = loop_jacobian_rate(system, s.x, s.xdot)[rows] @ s.xdot + J[:, driven] @ a[driven]
+    solved = np.linalg.solve(H[np.ix_(free, free)], np.column_stack([force, J[:, free].T]))
     multipliers = np.linalg.solve(J[:, free] @ solved[:, 1:], -bias - J[:, free] @ solved[:, 0])
     return np.asarray(multipliers @ J)
 
 
-def _weightless(system: System) -> System:
-    """Return the system without gravity, which is added as a torque and a wrench instead."""
-    model = system.model.copy()
-    model.gravity.linear = np.zeros(3)
-    return System(model, system.name, contents=system.contents)
+def _weightless(model: pin.Model) -> pin.Model:
+    """Return a copy of a model without gravity."""
+    weightless = model.copy()
+    weightless.gravity.setZero()
+    return weightless

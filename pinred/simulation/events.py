@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
@@ -221,6 +220,8 @@ class Watch:
         value_a, value_b = value(a), value(b)
         if a == b or value_a == 0.0 or (value_a > 0.0) == (value_b > 0.0):
             return float(a)
+        from scipy.optimize import brentq
+
         return float(brentq(value, a, b, xtol=_EPS * max(abs(b), 1e-300), rtol=_EPS))
 
     def _values(self, segment: Segment, t: Array) -> Array:

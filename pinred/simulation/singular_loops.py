@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
@@ -145,6 +144,8 @@ def refuse_singular_shapes(
         if values[k] > min(values[first], values[last]) and not passed[k]:
             continue
         span = (float(times[first]), float(times[last]))
+        from scipy.optimize import minimize_scalar
+
         found = minimize_scalar(value, bounds=span, method="bounded", options={"xatol": 1e-12})
         if passed[k] or min(found.fun, values[k]) < _SINGULAR:
             at = shapes_at(np.array([found.x]))[0]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import minimize
 
 from ..common.arrays import Array
 from ..lie.rotations import left_jacobian, quaternion_exp
@@ -143,6 +142,8 @@ class ScaledInertia:
         """Minimise s locally, starting from y; return the minimiser."""
         if self._vanishes(y):
             return y
+        from scipy.optimize import minimize
+
         # Use SciPy's Python BFGS; the Fortran version starts threads even for few unknowns.
         options = {"gtol": 1e-12, "maxiter": 80}
         # Derivatives may overflow where the inertia of a descendant joint is zero.
