@@ -11,6 +11,8 @@ from typing import Any
 import api_index
 import site_pages
 
+import pinred
+
 ROOT = Path(__file__).parent.parent
 _ENTRY = r" +((?:\*{0,2}\w+, )*\*{0,2}\w+)(?: \(.*?\))?:"  # such as `x, xdot (Array): …`
 
@@ -74,3 +76,12 @@ def test_public_names_appear_in_docs_or_examples() -> None:
     text = "\n".join(page.read_text("utf-8") for page in pages)
     words = set(re.findall(r"\w+", text))
     assert [name for name in api_index.public_names() if name.rpartition(".")[2] not in words] == []
+
+
+def test_hooks_of_integrators_are_private() -> None:
+    """Users set the options of a method; its compiled steps and registers are internal."""
+    for name in ("DOP853", "Tsit5", "RKMK4", "Gauss", "AdaptiveGauss", "Radau", "Variational"):
+        method = getattr(pinred, name)
+        public = {entry for entry in dir(method) if not entry.startswith("_")}
+        assert not public & {"stepper", "registers"}
+        assert {"_stepper", "_registers"} <= set(dir(method))

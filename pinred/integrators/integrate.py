@@ -19,7 +19,7 @@ from ..common.errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
-from .methods.method import Method
+from .methods.method import Method, registers_of, stepper_of
 from .run_keeper import RunKeeper, SavedRun, saved_state, unpacked_registers
 from .solution import Solution, checked_times
 from .stepping.codes import AUTO, DIVERGED, DONE, FIXED_POINT, FULL, NOT_FINITE, UNDERFLOW, WANTED
@@ -118,7 +118,7 @@ class Integration:
         """
         self.times = times
         self._method, self._n, self._end, self._tangent = method, n, end, tangent
-        self._stepper = stepper = method.stepper()
+        self._stepper = stepper = stepper_of(method)
         run = begun_by(method, address, n, end, quaternions, canonical, keep=ENDS_KEPT)
         if stepper.needs_tangent:
             give_tangent(tangent, method, run)
@@ -238,9 +238,9 @@ def begun_by(
             f"quaternions: expected at most one quaternion for {method.name}, got {count}. Use "
             "another method, for example Gauss."
         )
-    registers = method.registers(end)
+    registers = registers_of(method, end)
     if keep != NOTHING_KEPT and "total" in registers:  # the number of steps is known in advance
-        refuse_beyond_memory(registers["total"], 1 + method.stepper().kept * n)
+        refuse_beyond_memory(registers["total"], 1 + stepper_of(method).kept * n)
     return new_run(
         address=address,
         n=n,

@@ -24,7 +24,7 @@ from .integrate import (
     check_state,
     give_tangent,
 )
-from .methods.method import Method
+from .methods.method import Method, stepper_of
 from .solution import checked_times
 from .stepping.codes import DIVERGED, DONE, NOT_FINITE, PAUSED, TOO_MANY, UNDERFLOW
 from .stepping.run_state import copied
@@ -115,7 +115,7 @@ def integrate_many(
     asked = checked_batch(address, params, y0, t_end, times, quaternions, threads)
     batch, size = asked.batch, len(asked.batch.y0)
     n = asked.batch.y0.shape[1]
-    stepper = method.stepper()
+    stepper = stepper_of(method)
     unbegun = begun_by(method, address, n, asked.end, quaternions, canonical)
     if stepper.needs_tangent:
         give_tangent(tangent, method, unbegun)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, read_only
 from ..common.errors import IntegrationError
 from .integrate import Canonical, Progress, Tangent, begun_by, doubled, failure, give_tangent
-from .methods.method import ErrorControl
+from .methods.method import ErrorControl, stepper_of
 from .solution import Solution
 from .stepping.codes import DONE, FULL, UNDERFLOW, WANTED
 from .stepping.run_state import ENDS_KEPT, LAYOUT, Runs
@@ -95,7 +95,7 @@ def integrate_parts(
     Raises:
         IntegrationError: The integration failed; see `integrate`.
     """
-    n, count, stepper = len(y0), len(lengths), method.stepper()
+    n, count, stepper = len(y0), len(lengths), stepper_of(method)
     first_run = begun_by(method, address, n, float(lengths[0]), quaternions, canonical, ENDS_KEPT)
     if stepper.needs_tangent:
         give_tangent(tangent, method, first_run)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError, NoConvergence, ShapeError
-from .methods.method import Method
+from .methods.method import Method, stepper_of
 from .stepping.run_state import Runs, copied
 
 
@@ -87,7 +87,7 @@ class Solution:
         order = np.argsort(asked, kind="stable")
         n = self.states.shape[1]
         sorted_states = np.empty((len(asked), n))
-        stepper, run = self.method.stepper(), copied(self._run)
+        stepper, run = stepper_of(self.method), copied(self._run)
         stepper.loops.recall(
             run,
             self.params,

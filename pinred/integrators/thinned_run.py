@@ -14,7 +14,7 @@ import numpy as np
 
 from ..common.arrays import Array, read_only
 from .integrate import Canonical, Progress, Tangent, begun_by, failure, give_tangent
-from .methods.method import EqualSteps
+from .methods.method import EqualSteps, stepper_of
 from .run_keeper import RunKeeper, SavedRun, packed_registers, unpacked_registers
 from .stepping.codes import DONE, UNDERFLOW, WANTED
 from .stepping.run_state import Runs, copied
@@ -120,7 +120,7 @@ class ThinnedIntegration:
             tangent: As for `integrate`.
         """
         self._method, self._n, self._end, self._tangent = method, n, end, tangent
-        self._stepper = method.stepper()
+        self._stepper = stepper_of(method)
         self._first = begun_by(method, address, n, end, quaternions, canonical)
         if self._stepper.needs_tangent:
             give_tangent(tangent, method, self._first)

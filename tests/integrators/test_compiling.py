@@ -69,7 +69,7 @@ def test_second_process_loads_all_loops_from_cache() -> None:
 
 def loops_of(method: Method) -> list[Any]:
     """The compiled loops of a method."""
-    return list(vars(method.stepper().loops).values())
+    return list(vars(method._stepper().loops).values())
 
 
 def test_each_loop_has_its_own_cache_file() -> None:

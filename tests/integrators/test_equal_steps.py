@@ -17,10 +17,10 @@ def test_equal_steps_are_at_most_the_requested_length(
 ) -> None:
     """A relative excess of 1e-12 by round-off does not add a step."""
     end = 3.0 * ((1.0 + part) if part > 0.0 else (10.0 + part) / 10.0)
-    registers = kind(0.3).registers(end)
+    registers = kind(0.3)._registers(end)
     assert (registers["total"], registers["max_steps"]) == (total, total)
     assert registers["h"] == pytest.approx(end / total, rel=1e-15)
-    assert kind(0.3).registers(0.1)["total"] == 1
+    assert kind(0.3)._registers(0.1)["total"] == 1
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -28,9 +28,9 @@ def test_equal_steps_are_at_most_the_requested_length(
 def test_more_than_1e12_steps_are_rejected(kind: type[EqualSteps], step: float) -> None:
     """1e12 steps are allowed."""
     method = kind(step)
-    assert method.registers(step * 1e12)["total"] == pytest.approx(1e12, rel=1e-11)
+    assert method._registers(step * 1e12)["total"] == pytest.approx(1e12, rel=1e-11)
     with pytest.raises(InputError, match=r"at most 1e\+12 steps"):
-        method.registers(step * 1.1e12)
+        method._registers(step * 1.1e12)
 
 
 @pytest.mark.parametrize("order", range(2, 17, 2))
@@ -41,4 +41,4 @@ def test_gauss_states_stages_and_derivative_needs(order: int) -> None:
         assert (method.dense_order, method.name) == (order, f"Gauss{order}")
         assert 2 * method.stages == order
         assert method.stages <= method.lanes <= max(4, 2 * method.stages)
-        assert method.stepper().needs_tangent == (solver == "Newton")
+        assert method._stepper().needs_tangent == (solver == "Newton")

@@ -472,4 +472,4 @@ def test_gauss_attributes_state_its_properties() -> None:
         False,
     )
     assert (AdaptiveGauss().symplectic, AdaptiveGauss().adaptive) == (False, True)
-    assert Gauss(0.1).stepper().loops is gauss.LOOPS
+    assert Gauss(0.1)._stepper().loops is gauss.LOOPS

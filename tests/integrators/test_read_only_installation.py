@@ -20,7 +20,7 @@ with events.install_recorder("numba:compile") as record:
     from pinred.integrators.methods import METHODS
     from pinred.integrators.stepping.kernel_call import from_lanes
     for kind in METHODS.values():
-        (kind(1e-8, 1e-10) if kind.adaptive else kind(0.02)).stepper()
+        (kind(1e-8, 1e-10) if kind.adaptive else kind(0.02))._stepper()
     out = np.zeros((1, 2))
     from_lanes(np.arange(8.0)[None], out)
 print(out.tolist(), sum(event.is_start for _, event in record.buffer))

@@ -88,7 +88,7 @@ class RKMK4(EqualSteps):
     order: ClassVar[int] = 4
     dense_order: ClassVar[int] = 3
 
-    def stepper(self) -> Stepper:
+    def _stepper(self) -> Stepper:
         """Return the compiled stepper."""
         from ..explicit.munthe_kaas import STEPPER
 

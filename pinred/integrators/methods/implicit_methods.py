@@ -85,20 +85,20 @@ class Gauss(EqualSteps):
         """Number of states that the kernel evaluates at once."""
         return lanes_of(self.stages)
 
-    def stepper(self) -> Stepper:
+    def _stepper(self) -> Stepper:
         """Return the compiled stepper."""
         from ..gauss.fixed_step import fixed_stepper
 
         return fixed_stepper(self.stages, needs_tangent=self.solver == "Newton")
 
-    def registers(self, t_end: float) -> dict[str, float]:
-        """Return the registers for step length, stages and solver, see Method.registers."""
+    def _registers(self, t_end: float) -> dict[str, float]:
+        """Return the registers for step length, stages and solver, see Method._registers."""
         solved = {
             "stages": self.stages,
             "lanes": self.lanes,
             "solver": SOLVERS[self.solver],
         }
-        return super().registers(t_end) | solved
+        return super()._registers(t_end) | solved
 
 
 @checks_arguments
@@ -134,16 +134,16 @@ class AdaptiveGauss(ErrorControl):
         nodes, _ = np.polynomial.legendre.leggauss(cls.stages)
         return tuple((0.5 * (nodes + 1.0)).tolist())
 
-    def stepper(self) -> Stepper:
+    def _stepper(self) -> Stepper:
         """Return the compiled stepper."""
         from ..gauss.adaptive import adaptive_stepper
 
         return adaptive_stepper(MOST_STAGES)
 
-    def registers(self, t_end: float) -> dict[str, float]:
-        """Return the registers for tolerances, stages and solver, see Method.registers."""
+    def _registers(self, t_end: float) -> dict[str, float]:
+        """Return the registers for tolerances, stages and solver, see Method._registers."""
         solved = {"stages": self.stages, "lanes": self.lanes, "solver": FIXED_POINT}
-        return super().registers(t_end) | solved
+        return super()._registers(t_end) | solved
 
 
 @checks_arguments
@@ -176,7 +176,7 @@ class Radau(ErrorControl):
         """Return the times of the start and of the stages, as fractions of a step."""
         return 0.0, 0.4 - 0.1 * 6.0**0.5, 0.4 + 0.1 * 6.0**0.5, 1.0
 
-    def stepper(self) -> Stepper:
+    def _stepper(self) -> Stepper:
         """Return the compiled stepper."""
         from ..radau.radau_iia import STEPPER
 
@@ -211,7 +211,7 @@ class Variational(EqualSteps):
     steady_momentum: ClassVar[bool] = True
     one_quaternion: ClassVar[bool] = True
 
-    def stepper(self) -> Stepper:
+    def _stepper(self) -> Stepper:
         """Return the compiled stepper."""
         from ..variational.lagrange_poincare import STEPPER
 

@@ -81,11 +81,11 @@ class Method(ABC):
         return ()
 
     @abstractmethod
-    def stepper(self) -> Stepper:
+    def _stepper(self) -> Stepper:
         """Return the compiled stepper; the first call imports and compiles it."""
 
     @abstractmethod
-    def registers(self, t_end: float) -> dict[str, float]:
+    def _registers(self, t_end: float) -> dict[str, float]:
         """Return the registers of a run (see Run) that depend on the options.
 
         Args:
@@ -95,6 +95,25 @@ class Method(ABC):
         Raises:
             InputError: The options do not fit the end time.
         """
+
+
+def stepper_of(method: Method) -> Stepper:
+    """Return the compiled stepper of a method; the first call imports and compiles it."""
+    return method._stepper()  # noqa: SLF001 - private, because users do not call it
+
+
+def registers_of(method: Method, t_end: float) -> dict[str, float]:
+    """Return the registers of a run (see Run) that depend on the options of a method.
+
+    Args:
+        method: The method.
+        t_end: End time [s].
+    Returns:
+        Register values, by register name.
+    Raises:
+        InputError: The options do not fit the end time.
+    """
+    return method._registers(t_end)  # noqa: SLF001 - private, because users do not call it
 
 
 @checks_arguments
@@ -142,8 +161,8 @@ class ErrorControl(Method):
         if self.max_steps < 1:
             raise InputError(f"max_steps must be at least 1, got {self.max_steps}")
 
-    def registers(self, t_end: float) -> dict[str, float]:  # noqa: ARG002
-        """Return the registers for tolerances and limits, see Method.registers."""
+    def _registers(self, t_end: float) -> dict[str, float]:  # noqa: ARG002
+        """Return the registers for tolerances and limits, see Method._registers."""
         return {
             "rtol": self.rtol,
             "atol": self.atol,
@@ -168,8 +187,8 @@ class EqualSteps(Method):
     def __post_init__(self) -> None:
         positive(self.step, "step")
 
-    def registers(self, t_end: float) -> dict[str, float]:
-        """Return the registers for length and number of the steps, see Method.registers.
+    def _registers(self, t_end: float) -> dict[str, float]:
+        """Return the registers for length and number of the steps, see Method._registers.
 
         Args:
             t_end: End time [s].
@@ -208,7 +227,7 @@ class Explicit(ErrorControl):
         tableau = cls.tableau()
         return tuple(tableau.A[: tableau.stages + 1].sum(axis=1).tolist())
 
-    def stepper(self) -> Stepper:
+    def _stepper(self) -> Stepper:
         """Return the compiled stepper."""
         from ..explicit.runge_kutta import make_stepper
 

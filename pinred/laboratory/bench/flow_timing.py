@@ -13,6 +13,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.progress import Progress, one_by_one
 from ...integrators.integrate import Integration
+from ...integrators.methods.method import stepper_of
 from ...kernels.build import build_kernel
 from ...kernels.differentiable import repeat_adjoint
 from ...kernels.evaluate import repeat
@@ -180,7 +181,7 @@ def _bench_flow(name: str) -> FlowTiming:
         placed=placed,
         generic=generic,
         knots=8 * (len(y) + 1),
-        stages=8 * (len(y) + 1 + len(y) * propagator.method.stepper().stages),
+        stages=8 * (len(y) + 1 + len(y) * stepper_of(propagator.method).stages),
     )
 
 

@@ -10,6 +10,7 @@ from ...common.arrays import Array, read_only
 from ...common.errors import IntegrationError
 from ...forces.switch_times import time_within
 from ...integrators.methods import EqualSteps
+from ...integrators.methods.method import registers_of
 from ...integrators.thinned_run import ThinnedIntegration, ThinnedSolution
 from ..plan import Plan
 from ..reduced_flow import Segment, Segments
@@ -43,7 +44,7 @@ def thinned(
     has_controllers = plan.forces is not None and bool(plan.forces.held)
     if not isinstance(method, EqualSteps) or has_controllers or scene.events_given:
         return None
-    steps = sum(method.registers(span.stop - span.start)["total"] for span in plan.spans)
+    steps = sum(registers_of(method, span.stop - span.start)["total"] for span in plan.spans)
     few_bytes = 8.0 * steps * (1 + flow.y0.size) <= STORED_BYTES
     if few_bytes or steps < _FEW * len(scene.report_times):
         return None
