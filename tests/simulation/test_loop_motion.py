@@ -319,9 +319,6 @@ REFUSED: dict[str, Callable[[pinred.System], object]] = {
     "reorient": lambda s: pinred.reorient(s, 1.0),
     "casadi": pinred.casadi_functions,
     "variational": lambda s: pinred.Scene(system=s, seed=1, method=pinred.Variational(0.01)),
-    "linearise": lambda s: pinred.linearise(pinred.simulate(s, seed=1, duration=0.1)),
-    "lyapunov": lambda s: pinred.lyapunov(pinred.simulate(s, seed=1, duration=0.1)),
-    "floquet": lambda s: pinred.floquet(pinred.simulate(s, seed=1, duration=0.1)),
 }
 
 
