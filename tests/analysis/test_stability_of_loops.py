@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import casadi as ca
 import numpy as np
 import pytest
+from finite_hessian import hessian
 from loop_robots import five_bar, four_bar, random_loops
 
 import pinred
@@ -18,21 +17,6 @@ def linkage() -> pinred.System:
     """Return the four-bar linkage."""
     model, loops = four_bar()
     return pinred.load(model, loops=loops)
-
-
-def hessian(function: Callable[[Array], float], u: Array, h: float = 2e-3) -> Array:
-    """Return central differences of fourth order."""
-    d, H = len(u), np.empty((len(u), len(u)))
-    weights = {-2: 1.0, -1: -8.0, 1: 8.0, 2: -1.0}
-    for i in range(d):
-        for k in range(d):
-            total = 0.0
-            for a, wa in weights.items():
-                for b, wb in weights.items():
-                    at = u + h * (a * np.eye(d)[i] + b * np.eye(d)[k])
-                    total += wa * wb * function(at)
-            H[i, k] = total / (12.0 * h) ** 2
-    return H
 
 
 def test_frequencies_of_a_sprung_five_bar_are_those_of_the_reduced_metric() -> None:

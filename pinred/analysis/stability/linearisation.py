@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...kernels.derived_code import jacobian_of
+from ...kernels.evaluate import evaluate
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.sample import Sample
 from .reduced_state import Leaf, leaf_of
@@ -49,11 +50,17 @@ class Linearisation(FrozenArrays):
 
 def linearised(flow: CompiledFlow, y: Array) -> Linearisation:
     """Linearise the flow at a reduced state y (size,)."""
-    matrix = jacobian_of(flow.kernel, y, flow.parameters)
     sample = flow.sample(0.0, y)
     leaf = leaf_of(flow.kernel, y, sample.x, _usual_rate(flow, sample))
     indices = leaf.indices
-    matrix = matrix[np.ix_(indices, indices)]
+    if leaf.gauge is None:
+        matrix = jacobian_of(flow.kernel, y, flow.parameters)[np.ix_(indices, indices)]
+    else:
+        at, parameters = y.copy(), np.ascontiguousarray(flow.parameters)
+        rates = evaluate(flow.kernel.rate.address, parameters, y[None], len(y))[0]
+        at[indices], shear = leaf.gauge.at_rest(sample.x, y[indices], rates[indices])
+        matrix = jacobian_of(flow.kernel, at, flow.parameters)[np.ix_(indices, indices)]
+        matrix = np.linalg.solve(shear, matrix @ shear)
     on_leaf = leaf.restrict(matrix)
     values, left, right = eigen(on_leaf)
     error = eigenvalue_errors(left, right, _ROUND_OFF * np.finfo(float).eps * norm(on_leaf))

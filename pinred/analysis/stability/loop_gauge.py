@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...kernels.state_layout import Layout
 from ...reduction.inertia_split import mass_matrix
+from ...reduction.tree.loop_constraints import GAUGE_RATE
 from ...simulation.sample import Sample
 from ...system.elementary_joints import BALL
 from ...system.loops.looped_system import loop_jacobian, loop_jacobian_rate
@@ -53,6 +54,24 @@ class LoopGauge:
         rows = np.concatenate([J @ self.displacements * scales, gauge / scales])
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
+    def at_rest(self, x: Array, z: Array, rates: Array) -> tuple[Array, Array]:
+        """Return the state in the gauge that does not change with time at rest.
+
+        The forces λ of the loops are missing in ṗ, so in the gauge ν = 0 the impetus of a steady
+        motion grows by −Jᵀλ.  It is constant for ν = −λ over the rate of the gauge.
+
+        Args:
+            x: Shape, (nx,) [rad | m].
+            z: Entries of the reduced state with ν = 0, (k,).
+            rates: Their derivatives, (k,).
+        Returns:
+            The state, (k,), and the map of perturbations from the gauge ν = 0, (k, k).
+        """
+        J, z = self._jacobian(x), z.copy()
+        nu = np.asarray(np.linalg.lstsq(J.T, rates[self.momenta] / GAUGE_RATE, rcond=None)[0])
+        z[self.momenta] += J.T @ nu
+        return z, np.eye(len(z)) + self._shear(x, nu)
+
     def reset(self, sample: Sample, z: Array, Z: Array) -> tuple[Array, Array]:
         """Return the state and its perturbations after the change of gauge p → π = p − Jᵀν.
 
@@ -63,19 +82,24 @@ class LoopGauge:
         Returns:
             The same in the gauge ν = 0.
         """
-        system, J = self.system, self._jacobian(sample.x)
+        system, J, z = self.system, self._jacobian(sample.x), z.copy()
         v = np.concatenate([sample.xi, sample.xdot])
-        pi = (mass_matrix(system.open_tree(), sample.x) @ v)[system.r + self.rates]
-        nu = np.linalg.lstsq(J.T, z[self.momenta] - pi, rcond=None)[0]
-        z, Z = z.copy(), Z.copy()
+        pi = (mass_matrix(system, sample.x) @ v)[system.r + self.rates]
+        nu = np.asarray(np.linalg.lstsq(J.T, z[self.momenta] - pi, rcond=None)[0])
         z[self.momenta] -= J.T @ nu
+        return z, Z - self._shear(sample.x, nu) @ Z
+
+    def _shear(self, x: Array, nu: Array) -> Array:
+        """Return the derivative of Jᵀν with respect to the shape at constant ν, (k, k)."""
+        system, count = self.system, len(self.rates)
         assert system.closure is not None
-        for column in Z.T:
-            change = np.zeros(system.m)
-            change[self.rates] = self.displacements @ column
-            rate = loop_jacobian_rate(system, sample.x, change)[system.closure.rows]
-            column[self.momenta] -= rate[:, self.rates].T @ nu
-        return z, Z
+        by_rate = np.zeros((count, count))
+        for column, k in zip(by_rate.T, self.rates.tolist(), strict=True):
+            rate = loop_jacobian_rate(system, x, np.eye(system.m)[k])[system.closure.rows]
+            column[:] = rate[:, self.rates].T @ nu
+        shear = np.zeros((self.displacements.shape[1],) * 2)
+        shear[self.momenta] = by_rate @ self.displacements
+        return shear
 
     def _jacobian(self, x: Array) -> Array:
         assert self.system.closure is not None
