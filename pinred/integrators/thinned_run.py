@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Array, read_only
+from ..common.errors import IntegrationError
 from .integrate import Canonical, Progress, Tangent, begun_by, failure, give_tangent
 from .methods.method import EqualSteps, stepper_of
 from .run_keeper import RunKeeper, SavedRun, packed_registers, unpacked_registers
@@ -20,7 +21,7 @@ from .stepping.codes import DONE, UNDERFLOW, WANTED
 from .stepping.run_state import Runs, copied
 from .stepping.state_rows import Quaternions, Y
 
-_MOST_COPIES = 64  # largest number of copies of the registers and work rows of a run
+MOST_COPIES = 64  # largest number of copies of the registers and work rows of a run
 _COPY_BYTES = 1 << 22  # largest size of these copies [bytes], unless two are larger
 
 Look = Callable[[Array, Array], None]
@@ -87,6 +88,15 @@ class ThinnedSolution:
         y[order] = sorted_states
         return y
 
+    def anywhere(self, times: Array) -> Array:
+        """Return the states (T, n) at times (T,) of the run [s], integrated again from copies."""
+        starts = np.array([copy.time for copy in self.copies[1:-1]])
+        which = np.searchsorted(starts, times, side="right")
+        y = np.empty((len(times), self.y.shape[1]))
+        for k in np.unique(which):
+            y[which == k] = self.at(k, times[which == k])
+        return y
+
     def step_ends(self, k: int) -> Array:
         """Return the step ends between copies k and k + 1, both included, (K,) [s]."""
         first, last = self.copies[k], self.copies[k + 1]
@@ -134,6 +144,8 @@ class ThinnedIntegration:
         progress: Progress | None = None,
         look: Look | None = None,
         keeper: RunKeeper | None = None,
+        watch: Callable[[ThinnedSolution], bool] | None = None,
+        most_copies: int = MOST_COPIES,
     ) -> ThinnedSolution:
         """Integrate from y0 (n,) at time 0.
 
@@ -144,8 +156,13 @@ class ThinnedIntegration:
             progress: Called repeatedly with the finished fraction of the time.
             look: Called repeatedly with the times (2,) [s] of two step ends and the states (2, n).
             keeper: Saves the run at its pauses, and continues a saved run.
+            watch: Called with the solution since its last call, repeatedly and before a failure;
+                if it returns True, the integration stops.
+            most_copies: Largest number of copies.
         Returns:
-            The solution.
+            The solution; its report times are those that the run has reached.
+        Raises:
+            IntegrationError: The integration failed.
         """
         n = self._n
         run, work = copied(self._first), self._stepper.work(n)
@@ -158,7 +175,7 @@ class ThinnedIntegration:
             run, work = end.run, end.work
             reported, copies = saved["reported"], [self._restored(c) for c in saved["copies"]]
             before = saved["before"]
-        most = max(1, min(_MOST_COPIES, _COPY_BYTES // (run.nbytes + work.nbytes)))
+        most = max(1, min(most_copies, _COPY_BYTES // (run.nbytes + work.nbytes)))
 
         def state() -> dict[str, Any]:
             return {
@@ -171,7 +188,18 @@ class ThinnedIntegration:
         while True:
             if keeper is not None:
                 keeper.pause(state)
-            done, work = self._advance(run, params, work, times, reported)
+            start = RunCopy(copied(run), work.copy()) if watch is not None else None
+            failed = None
+            try:
+                done, work = self._advance(run, params, work, times, reported)
+            except IntegrationError as error:
+                done, failed = True, error
+            if watch is not None and start is not None and run["steps"].item() > start.steps:
+                window = [start, RunCopy(copied(run), work)]
+                if watch(ThinnedSolution(times[:0], reported[:0], params, window, self)):
+                    failed, done = None, True
+            if failed is not None:
+                raise failed
             here = run["t"].copy(), work[Y : Y + 1, :n].copy()
             if look is not None:
                 look(*(np.concatenate(pair) for pair in zip(before, here, strict=True)))
@@ -185,14 +213,19 @@ class ThinnedIntegration:
         if keeper is not None:
             keeper.finish(state())
         parts = [*copies, RunCopy(run, work)]
-        return ThinnedSolution(times, read_only(reported), params, parts, self)
+        count = run["next"].item()
+        return ThinnedSolution(times[:count], read_only(reported[:count]), params, parts, self)
 
     def rerun(self, copy: RunCopy, params: Array, times: Array, out: Array) -> None:
         """Integrate again from a copy, and write the states at times (T,) to `out` (T, n)."""
         run, work, done = copied(copy.run), copy.work.copy(), False
         run["next"] = 0
         while not done and run["next"].item() < len(times):
-            done, work = self._advance(run, params, work, times, out)
+            try:
+                done, work = self._advance(run, params, work, times, out)
+            except IntegrationError:  # after the last of the times, as in the first run
+                if run["next"].item() < len(times):
+                    raise
 
     def _advance(
         self, run: Runs, params: Array, work: Array, times: Array, out: Array

@@ -10,7 +10,7 @@ accurate as the motion. Scenes without events cost nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -130,11 +130,10 @@ class Watch:
         Raises:
             IntegrationError: An expression is not finite.
         """
-        new_ends = segment.knots[segment.knots >= self._reached]
-        if not new_ends.size or self.end is not None:
+        if self.end is not None or segment.end <= self._reached:
             return self.end is not None
-        step_ends = np.append(segment.knots[segment.knots < self._reached][-1:], new_ends)
-        reached = float(segment.knots[-1])
+        knots, reached = segment.knots, segment.end
+        step_ends = knots[max(np.searchsorted(knots, self._reached) - 1, 0) :]
         self.crossings += [c for c in self._of_time if self._reached < c.t <= reached]
         if self._sampled:
             self._search(segment, step_ends)
@@ -305,19 +304,20 @@ def cut_at_event(watch: Watch, segment: Segment, integrate: Integrate) -> list[S
     Returns:
         One or two segments, or none if the event is at the start of the segment.
     """
-    if watch.end is None or watch.end.t >= segment.knots[-1]:
+    if watch.end is None or watch.end.t >= segment.end:
         return [segment]
-    end_time = watch.end.t
-    step_ends = segment.knots[segment.knots < end_time]
-    if not len(step_ends):
+    end_time, knots = watch.end.t, segment.knots
+    count = int(np.searchsorted(knots, end_time))
+    if not count:
         return []
-    steps = min(segment.steps, len(step_ends) - 1)
-    if end_time - step_ends[-1] <= _ROUND_OFF * end_time:
-        step_ends[-1] = end_time
-        return [replace(segment, knots=step_ends, steps=steps)] if steps else []
-    y = segment.at(step_ends[-1:])[0]
-    last_step = integrate(float(step_ends[-1]), end_time, y, segment.parameters)
-    return [replace(segment, knots=step_ends, steps=steps), last_step] if steps else [last_step]
+    last_end = float(knots[count - 1])
+    if end_time - last_end <= _ROUND_OFF * end_time:
+        shorter = segment.until(count, end_time)
+        return [shorter] if shorter.steps else []
+    y = segment.at(knots[count - 1 : count])[0]
+    last_step = integrate(last_end, end_time, y, segment.parameters)
+    shorter = segment.until(count, last_end)
+    return [shorter, last_step] if shorter.steps else [last_step]
 
 
 def crossings_by_event(

@@ -209,6 +209,8 @@ def follow(
     integrate: Integrate,
     through: Callable[[], Segments] | None = None,
     record: RunRecord | None = None,
+    *,
+    thinned: bool = False,
 ) -> Motion:
     """Integrate a flow from stop to stop, with the actions of controllers and events.
 
@@ -219,6 +221,8 @@ def follow(
         through: Integrates the flow through all stops of the plan at once; None if the engine
             cannot do this.
         record: Record of the run in a checkpoint, from which it continues; or None.
+        thinned: Whether segments do not store their step ends. Then events are searched for while
+            the steps are integrated.
     Returns:
         The motion.
     Raises:
@@ -231,7 +235,7 @@ def follow(
     numbers = parameters[flow.numbers_at]
     control, watched = Control(plan.scene), plan.scene.watched
     watch = None if watched is None else Watch(plan.scene, flow, watched)
-    stopping = watch.look if watch is not None and watch.may_end else None
+    stopping = watch.look if watch is not None and (watch.may_end or thinned) else None
     segments: list[Segment] = []
     part, followers = None, _Followers(control, watch)
     if record is not None:

@@ -6,7 +6,7 @@ Two classes implement ReducedFlow: CompiledFlow and PinocchioFlow.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -49,23 +49,53 @@ class Segment:
     """The solution between two stops, during which the parameters are constant.
 
     Attributes:
-        knots: Times of the step ends, including the ends of the parts of long steps, (K,) [s].
+        end: End time [s].
+        step_ends: Function that returns the times of the step ends, including the ends of the parts
+            of long steps, (K,) [s].
         at: Dense output: function from times (T,) within the segment to reduced states (T, k).
         parameters: Parameters of the vector field, (p,).
         steps: Number of accepted steps.
         evaluations: Number of evaluations of the vector field.
     """
 
-    knots: Array
+    end: float
+    step_ends: Callable[[], Array]
     at: Callable[[Array], Array]
     parameters: Array
     steps: int
     evaluations: int
 
+    @classmethod
+    def stored(
+        cls,
+        knots: Array,
+        at: Callable[[Array], Array],
+        parameters: Array,
+        steps: int,
+        evaluations: int,
+    ) -> Segment:
+        """Return a segment with stored times of the step ends (K,) [s]; see the attributes."""
+        return cls(float(knots[-1]), lambda: knots, at, parameters, steps, evaluations)
+
     @property
-    def end(self) -> float:
-        """End time [s]."""
-        return float(self.knots[-1])
+    def knots(self) -> Array:
+        """Times of the step ends, (K,) [s]."""
+        return self.step_ends()
+
+    def until(self, count: int, end: float) -> Segment:
+        """Return the segment with its first step ends only, the last of which is replaced.
+
+        Args:
+            count: Number of step ends.
+            end: Time that replaces the last of them [s].
+        """
+
+        def step_ends() -> Array:
+            return np.append(self.knots[: count - 1], end)
+
+        # Long steps have several parts; a step that ends in one of them counts.
+        steps = -((1 - count) * self.steps // (len(self.knots) - 1))
+        return replace(self, end=end, step_ends=step_ends, steps=steps)
 
 
 class Segments(Sequence[Segment]):

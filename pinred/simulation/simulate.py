@@ -167,6 +167,7 @@ def _compiled(
 ) -> Trajectory:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator
+    from .compiled.long_segments import long_integrator
     from .compiled.thinned_segments import thinned
 
     flow = CompiledFlow.of_plan(plan)
@@ -177,8 +178,11 @@ def _compiled(
 
         through = through_stops(flow, plan, progress)
     integrate = integrator(flow, plan, progress)
-    name = plan.method.name
-    trajectory = _integrate_plan(plan, flow, integrate, "compiled", name, again, through, record)
+    long = None if through else long_integrator(flow, plan, integrate, progress)
+    name, integrate = plan.method.name, long or integrate
+    trajectory = _integrate_plan(
+        plan, flow, integrate, "compiled", name, again, through, record, thinned=long is not None
+    )
     if checkpoint is not None and record is not None:
         checkpoint.close(record, flow, plan, cut=trajectory.ended_by is not None)
     return trajectory
@@ -198,9 +202,11 @@ def _integrate_plan(
     again: _Again,
     through: Callable[[], Segments] | None = None,
     record: RunRecord | None = None,
+    *,
+    thinned: bool = False,
 ) -> Trajectory:
     started = time.perf_counter()
-    motion = follow(plan, flow, integrate, through, record)
+    motion = follow(plan, flow, integrate, through, record, thinned=thinned)
     wall = time.perf_counter() - started
     refuse_singular_loops(plan.system, motion)
     run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)

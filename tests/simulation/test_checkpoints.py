@@ -217,6 +217,30 @@ def test_resumed_thinned_run_has_the_same_bits(
     check_equal(whole, other)
 
 
+def test_resumed_thinned_run_with_followers_has_the_same_bits(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Long segments continue with the state of the controller and the crossings."""
+    monkeypatch.setattr(thinned_segments, "STORED_BYTES", 0)
+
+    def steer(t: float, state: dict[str, Any], seen: Any) -> tuple[Any, dict[str, Any]]:
+        state["sum"] += np.sin(seen.x["bend"])
+        return Command({"bend": -1e-4 * state["sum"]}, width=2.0 if t < 9.0 else None), state
+
+    def make() -> pinred.Scene:
+        controller = Controller(steer, 3.0, ("bend",), state0={"sum": 0.0})
+        return cat_scene(
+            method=pinred.Gauss(0.01, 4), forces=[controller],
+            events=[pinred.Event("sin(x['sway'])", "straight")],
+        )  # fmt: skip
+
+    whole, other = resumed(monkeypatch, make, tmp_path / "run.ckpt")
+    check_equal(whole, other)
+    np.testing.assert_array_equal(whole.events["straight"].t, other.events["straight"].t)
+    assert len(whole.events["straight"]) > 3
+    assert len(whole.actions) == len(other.actions) == 10
+
+
 def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Checkpoints of another scene, method or user, and damaged files are not used."""
     path = tmp_path / "run.ckpt"

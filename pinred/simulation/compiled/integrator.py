@@ -114,7 +114,7 @@ def integrator(
                     return solution.y
                 return solution.at(np.clip(t - start, 0.0, solution.knots[-1]))
 
-            return Segment(knots, at, parameters, solution.steps, solution.evaluations)
+            return Segment.stored(knots, at, parameters, solution.steps, solution.evaluations)
 
         integrate = whole() if is_complete else prepare(end - start, _NO_TIMES)
         try:

@@ -20,7 +20,7 @@ from .integrator import divisions_of, explained, refined, wild_steps
 
 # Step ends are stored as long as they take fewer bytes.
 STORED_BYTES = 1 << 23
-_FEW = 4  # Step ends are stored if there are fewer of them per report time.
+FEW = 4  # Step ends are stored if there are fewer of them per report time.
 
 
 def thinned(
@@ -38,17 +38,35 @@ def thinned(
         record: Record of the run in a checkpoint, from which it continues; or None.
     Returns:
         The function; None for methods with step control, short runs, runs with many report times,
-        and runs with events or controllers, which observe the steps.
+        and runs with events or controllers, see long_segments.py.
     """
     method, scene = plan.method, plan.scene
     has_controllers = plan.forces is not None and bool(plan.forces.held)
     if not isinstance(method, EqualSteps) or has_controllers or scene.events_given:
         return None
-    steps = sum(registers_of(method, span.stop - span.start)["total"] for span in plan.spans)
-    few_bytes = 8.0 * steps * (1 + flow.y0.size) <= STORED_BYTES
-    if few_bytes or steps < _FEW * len(scene.report_times):
+    if not stores_few(flow, plan, method):
         return None
     return lambda: _integrate(flow, plan, method, progress, record)
+
+
+def stores_few(flow: CompiledFlow, plan: Plan, method: EqualSteps) -> bool:
+    """Return whether the step ends of a plan take much memory, and few times are reported."""
+    steps = sum(registers_of(method, span.stop - span.start)["total"] for span in plan.spans)
+    few_bytes = 8.0 * steps * (1 + flow.y0.size) <= STORED_BYTES
+    return not few_bytes and steps >= FEW * len(plan.scene.report_times)
+
+
+def wild_check(flow: CompiledFlow, plan: Plan) -> Callable[[Array, Array], None]:
+    """Return a function that rejects joints that rotate several turns within a step.
+
+    Its arguments are the times (2,) [s] of two step ends and the reduced states (2, k).
+    """
+
+    def look(times: Array, states: Array) -> None:
+        if wild := wild_steps(flow.kernel, plan, states, times - times[0]):
+            raise IntegrationError(wild)
+
+    return look
 
 
 def _integrate(
@@ -61,11 +79,7 @@ def _integrate(
     scene, layout = plan.scene, flow.kernel.layout
     y0 = flow.y0 if flow.y0.size else np.zeros(1)
     reported, solutions = np.empty((len(scene.report_times), len(y0))), []
-    address = flow.address(method)
-
-    def look(times: Array, states: Array) -> None:
-        if wild := wild_steps(flow.kernel, plan, states, times - times[0]):
-            raise IntegrationError(wild)
+    address, look = flow.address(method), wild_check(flow, plan)
 
     for span in plan.spans:
         length, start = span.stop - span.start, span.start
@@ -131,11 +145,15 @@ class ThinnedSegments(Segments):
     def _segment(self, j: int) -> Segment:
         span, solution, k = self._parts[j]
         first, last = solution.copies[k : k + 2]
-        knots = refined(solution.step_ends(k) + span.start, self._divisions)
-        knots[-1] = self.ends[j]
+        end = float(self.ends[j])
+
+        def step_ends() -> Array:
+            knots = refined(solution.step_ends(k) + span.start, self._divisions)
+            knots[-1] = end
+            return knots
 
         def at(t: Array) -> Array:
             return solution.at(k, np.clip(t - span.start, first.time, last.time))
 
         counts = last.steps - first.steps, last.evaluations - first.evaluations
-        return Segment(knots, at, solution.params, *counts)
+        return Segment(end, step_ends, at, solution.params, *counts)

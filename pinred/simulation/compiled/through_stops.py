@@ -98,4 +98,4 @@ class PartSegments(Segments):
         def at(t: Array) -> Array:
             return solution.at(np.clip(t - start, 0.0, solution.knots[-1]))
 
-        return Segment(knots, at, solution.params, solution.steps, solution.evaluations)
+        return Segment.stored(knots, at, solution.params, solution.steps, solution.evaluations)

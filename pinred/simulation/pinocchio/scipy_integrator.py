@@ -44,7 +44,7 @@ def integrator(
         keeper: RunKeeper | None = None,  # noqa: ARG001
     ) -> Segment:
         if y0.size == 0:  # a single body that only translates has no reduced state
-            return Segment(
+            return Segment.stored(
                 np.array([start, end]), lambda t: np.empty((len(t), 0)), parameters, 0, 0
             )
 
@@ -62,7 +62,7 @@ def integrator(
 
         def so_far() -> Segment:
             dense = OdeSolution(knots, steps)
-            return Segment(
+            return Segment.stored(
                 np.array(knots), lambda t: np.asarray(dense(t)).T, parameters, len(steps),
                 solver.nfev,
             )  # fmt: skip
