@@ -10,6 +10,7 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
+from pinred.system.loops.looped_system import loop_values
 from pinred.views.playback.headless_browser import Browser
 
 pytestmark = pytest.mark.browser
@@ -120,9 +121,62 @@ def test_balls_and_single_joints_are_shown(screen: Browser, tmp_path: Path, name
     show(screen, tmp_path / "page.html", width=480)
     names = screen.run("[...document.querySelectorAll('#sliders span')].map((e) => e.textContent)")
     assert tuple(names) == system.shape_names
+    side = "document.querySelector('#side > details')"
+    screen.run(f"{side}.open || {side}.querySelector('summary').click()")
+    screen.wait_for(f"{side}.open")
     screen.run("document.querySelector('#sliders input').focus()")
     press(screen, "ArrowRight", 5)
     rest(screen)
     assert screen.run("pinred.shape[0]") > 0.05
     assert np.linalg.norm(base(screen)[:3]) > 1e-3
+    assert complaints(screen) == []
+
+
+@pytest.mark.by_hand
+def test_robots_with_loops_stop_at_dead_points(screen: Browser, tmp_path: Path) -> None:
+    """The other joints follow, a slider stops where the loops end, and presets avoid the border."""
+    system = pinred.load("gripper")
+    pinred.save_html(system, tmp_path / "page.html", feel=True)
+    show(screen, tmp_path / "page.html")
+    screen.run("document.querySelector('#sliders input').focus()")
+    press(screen, "ArrowRight", 5)
+    rest(screen)
+    assert screen.run("pinred.shape[0]") == pytest.approx(0.6 + 5 * np.pi / 100, abs=0.02)
+    closed = np.array(screen.run("pinred.closed"))
+    assert np.abs(loop_values(system, closed)).max() < 1e-14
+    press(screen, "ArrowLeft", 90)
+    rest(screen)
+    assert screen.run("pinred.stopped")
+    assert "Stopped" in screen.run("document.getElementById('stopped').textContent")
+    closed = np.array(screen.run("pinred.closed"))
+    assert np.abs(loop_values(system, closed)).max() < 1e-14
+    screen.run("document.getElementById('reset').click()")
+    screen.run("document.querySelector('#presets button').click()")
+    assert screen.run("pinred.loop.name") == "circle"
+    screen.wait_for("pinred.loop.cycles > 0")
+    assert screen.run("pinred.stopped") == ""
+    assert complaints(screen) == []
+
+
+@pytest.mark.by_hand
+def test_only_one_card_is_open_in_narrow_cells(screen: Browser, tmp_path: Path) -> None:
+    """Titles remain visible and do not overlap; opening one card folds the other."""
+    pinred.save_html(pinred.load("three_rods"), tmp_path / "page.html", feel=True)
+    show(screen, tmp_path / "page.html", width=400)
+    is_open = "[...document.querySelectorAll('.card > details')].map((card) => card.open)"
+    boxes = (
+        "[...document.querySelectorAll('.card')].map((card) => card.getBoundingClientRect())"
+        ".map((box) => [box.left, box.right, box.top, box.bottom])"
+    )
+    assert screen.run(is_open) == [False, True]
+    for _ in range(2):
+        cards = np.array(screen.run(boxes))
+        assert (cards[:, :2] >= 0.0).all()
+        assert (cards[:, :2] <= 400.0).all()
+        for a, b in ((0, 1), (0, 2), (1, 2)):
+            apart = (cards[a, 1] <= cards[b, 0], cards[b, 1] <= cards[a, 0])
+            above = (cards[a, 3] <= cards[b, 2], cards[b, 3] <= cards[a, 2])
+            assert any((*apart, *above))
+        screen.run("document.querySelector('#side summary').click()")
+        screen.wait_for(f"!({is_open})[1]")
     assert complaints(screen) == []

@@ -14,8 +14,10 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.system.joints import axes_of
+from pinred.system.loops.looped_system import loop_values
 from pinred.views.feel.feel_graphs import feel_graphs
-from pinred.views.feel.feel_page import feel_page
+from pinred.views.feel.feel_page import feel_page, loop_numbers
+from pinred.views.feel.felt_robot import felt_robot
 from pinred.views.feel.instructions import to_javascript
 from pinred.views.playback.page import resource
 
@@ -52,7 +54,7 @@ def run_page(connection: pinred.Connection, shapes: Array, momentum: Array) -> d
     assert NODE is not None
     graphs = feel_graphs(connection, connection.system)
     scripts = [to_javascript(name, function) for name, function in vars(graphs).items()]
-    scripts += [resource(f"../feel/{name}") for name in ("lift.js", "loops.js")]
+    scripts += [resource(f"../feel/{name}") for name in ("lift.js", "closed_shapes.js", "loops.js")]
     scripts.append(PROGRAM % {
         "m": connection.m, "shapes": json.dumps(shapes.tolist()),
         "momentum": json.dumps(momentum.tolist()), "places": graphs.placements.numel_out(),
@@ -150,3 +152,88 @@ def test_unsuitable_arguments_are_rejected() -> None:
         pinred.save_html(pinred.load("three_rods"), "a.html", feel=True, ghost=True)
     with pytest.raises(pinred.InputError, match="feel=True"):
         pinred.save_html(pinred.load("three_rods"), "a.html")
+
+
+LOOPED = """
+const head = %(head)s, shapes = closedShapes(head, %(size)d, loops);
+const motion = lifter(%(size)d, twist, shapes), d = head.independent.length;
+const unit = (k) => Array.from({ length: d }, (_, i) => Number(i === k));
+const A = %(shapes)s.map((u) => unit(0).map((_, k) => motion.velocity(u, unit(k))));
+const closed = %(shapes)s.map((u) => shapes.shape(u));
+const rest = %(shapes)s[0], c = [rest[0] + 0.03, rest[1] - 0.02];
+const phases = d < 2 ? [] : Object.values(loopsAbout(rest, [0, 1]).shapes).map((make) => {
+  const g = motion.phase(make(c, [0.2, 0.15]));
+  return [...g.p, ...g.q];
+});
+let stopped = "";
+try { shapes.shape(%(far)s); } catch (error) {
+  if (!(error instanceof OutOfReach)) throw error;
+  stopped = error.message;
+}
+const after = shapes.shape(rest);
+console.log(JSON.stringify({ A, phases, closed, stopped, after }));
+"""
+
+
+@pytest.mark.parametrize("name", ["four_bar", "gripper", "parallel_biped"])
+@pytest.mark.sampled
+def test_page_closes_loops_as_the_connection(name: str) -> None:
+    """A of independent joints within 1e-13, loops within 3e-10, and a refusal out of reach."""
+    assert NODE is not None
+    system = pinred.load(name)
+    connection = pinred.Connection.mechanical(system)
+    robot = felt_robot(system)
+    graphs = feel_graphs(robot.connection, system)
+    rest = robot.rest[robot.independent]
+    assert robot.names == connection.joints
+    shapes = rest + 0.1 * np.random.default_rng(1).uniform(-1.0, 1.0, (4, robot.dim))
+    shapes[0] = rest
+    scripts = [to_javascript(key, function) for key, function in vars(graphs).items()]
+    scripts += [resource(f"../feel/{file}") for file in ("lift.js", "closed_shapes.js", "loops.js")]
+    scripts.append(LOOPED % {
+        "head": json.dumps(loop_numbers(robot)), "size": system.m,
+        "shapes": json.dumps(shapes.tolist()), "far": json.dumps((rest + 9.0).tolist()),
+    })  # fmt: skip
+    done = subprocess.run([NODE, "-"], input="\n".join(scripts), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    page = json.loads(done.stdout)
+    S = axes_of(system.model.joints[1])
+    for u, columns, closed in zip(shapes, page["A"], page["closed"], strict=True):
+        local = connection.local(u)
+        scale = max(1.0, float(np.abs(local).max()))
+        np.testing.assert_allclose(-S.T @ np.array(columns).T, local, atol=1e-13 * scale)
+        np.testing.assert_allclose(closed, robot.shape(u), atol=1e-13)
+        assert np.abs(loop_values(system, np.array(closed))).max() < 1e-14
+    assert page["stopped"]
+    np.testing.assert_allclose(page["after"], page["closed"][0], atol=1e-13)
+    wanted = loop_gaits(rest) if robot.dim > 1 else []
+    for gait, found in zip(wanted, page["phases"], strict=True):
+        pose = pinred.phase(connection, gait).pose
+        assert system.closure is not None
+        data = system.model.createData()
+        pin.forwardKinematics(system.model, data, system.model_q(pose, system.closure.x))
+        place = system.model.jointPlacements[1].actInv(data.oMi[1])
+        error = pin.log6(place.actInv(pin.XYZQUATToSE3(np.array(found)))).vector
+        assert np.linalg.norm(error) < 3e-10
+
+
+def loop_gaits(rest: Array) -> list[pinred.Gait]:
+    """Return the presets about (0.03, −0.02) beside rest, with half widths 0.2 and 0.15."""
+    mean, a = rest.copy(), np.array([0.2, 0.15])
+    mean[:2] += [0.03, -0.02]
+    zero = np.zeros((2, len(rest)))
+    cosine, sine, eight = zero.copy(), zero.copy(), zero.copy()
+    cosine[0, 0], sine[0, 1] = a
+    eight[0, 0], eight[1, 1] = a
+
+    def polygon(corners: list[tuple[int, int]]) -> pinred.Gait:
+        points = np.tile(mean, (len(corners), 1))
+        points[:, :2] += a * np.array(corners)
+        return pinred.Gait.waypoints(points)
+
+    return [
+        pinred.Gait.fourier(mean, cosine, sine),
+        polygon([(1, 1), (-1, 1), (-1, -1), (1, -1)]),
+        pinred.Gait.fourier(mean, zero, eight),
+        polygon([(1, 1), (-1, -1)]),
+    ]

@@ -22,7 +22,7 @@ CARDS = (
 COM = "pinred.project(['CoM trail', 'CoM', '<object>'])"
 TIP = "pinred.project(pinred.node('Momentum', '<object>').children[1])"
 CAMERA = "pinred.node('Cameras', 'default', 'rotated', '<object>').matrixWorld.elements"
-SHAPE = "document.getElementsByName('Shape')[0]"
+SHAPE = "document.querySelector('#panel details')"
 
 
 def show(screen: Browser, path: Path, width: int, height: int, part: str = "") -> None:
@@ -88,17 +88,20 @@ def test_cards_do_not_cover_robot(
 ) -> None:
     """Centre of mass and arrow are next to the cards; the panel folds in small windows."""
     show(screen, page, width, height)
-    assert screen.run(f"{SHAPE}.checked") == shape
+    assert screen.run(f"{SHAPE}.open") == shape
+    assert (
+        screen.run("document.querySelector('#panel summary').offsetWidth") > 50
+    )  # it has not vanished
     for t in (0.0, 0.7, 2.0):
         screen.run(f"pinred.seek({t})")
         com, tip = assert_visible(screen, width, height)
         assert np.hypot(*np.subtract(com, tip)) > 0.15 * min(width, height)
     if (width, height) == (800, 500):  # whoever wants the panel gets it, and all else beside it
-        screen.run(f"{SHAPE}.click()")
+        screen.run(f"{SHAPE}.querySelector('summary').click()")
         assert screen.run("document.getElementById('panel').offsetWidth") > 200
         assert_visible(screen, width, height)
         resize(screen, 820, 500)
-        assert screen.run(f"{SHAPE}.checked")
+        assert screen.run(f"{SHAPE}.open")
         assert_visible(screen, 820, 500)
 
 
@@ -108,7 +111,7 @@ def test_films_do_not_cover_robot(screen: Browser, page: Path) -> None:
     for width, height in ((320, 240), (960, 720)):
         show(screen, page, width, height, "#bare")
         assert_visible(screen, width, height)
-        shown = screen.run("document.getElementById('panel').offsetWidth > 0")
+        shown = screen.run("document.querySelector('#panel canvas').offsetWidth > 0")
         assert shown == (width == 960)
 
 

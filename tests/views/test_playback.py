@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
+import re
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -360,3 +364,18 @@ def test_gif_frames_keep_time(tmp_path: Path, fps: float) -> None:
         mark = data.find(b"!\xf9\x04", mark + 8)
     assert min(last) >= 2  # browsers take less for ten
     np.testing.assert_allclose(np.cumsum(last), 100.0 / fps * np.arange(1, 101), atol=0.501)
+
+
+def test_pages_are_small_and_contain_the_viewer(tmp_path: Path) -> None:
+    """The cat over 10 s takes at most 0.7 MB; the viewer is packed, its licences are readable."""
+    path = tmp_path / "cat.html"
+    assert pinred.save_html(pinred.simulate(pinred.load("falling_cat"), duration=10.0), path) < 7e5
+    text = path.read_text(encoding="utf-8")
+    packed = re.search(r'id="viewer">([^<]*)<', text)
+    assert packed is not None
+    folder = find_spec("meshcat").submodule_search_locations[0]  # type: ignore[union-attr, index]
+    viewer = Path(folder, "viewer/dist/main.min.js").read_bytes()
+    assert gzip.decompress(base64.b64decode(packed[1])) == viewer
+    assert "MIT" in text
+    assert "connect-src" not in text
+    assert "default-src 'none'" in text

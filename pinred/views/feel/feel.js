@@ -3,11 +3,15 @@
 (() => {
   const { head, array } = readPage();
   const at = stage(head, array), { THREE, $, viewer, reduced, set } = at;
-  const m = head.labels.length, J = head.momentum.spatial, motion = lifter(m, twist);
-  const canvas = document.querySelector("#panel canvas"), panel = m > 1;
+  const d = head.labels.length, J = head.momentum.spatial;
+  const shapes = head.loops ? closedShapes(head.loops, head.size, loops) : openShapes();
+  const assembled = shapes.state, motion = lifter(head.size, twist, shapes);
+  const canvas = document.querySelector("#panel canvas"), panel = d > 1;
   const start = head.start;
   let w = start.slice(), g = { p: head.base.slice(0, 3), q: head.base.slice(3) };
+  let dirty = null; // shape that is drawn
   let queue = []; // shapes to go through
+  let stopped = ""; // why the robot could not go on
   let loop = null, playing = false, s = 0, cycles = 0, spinning = false, component = 0;
   const first = () => ({ p: head.base.slice(0, 3), q: head.base.slice(3) });
 
@@ -16,15 +20,37 @@
   const distance = (a, b) => Math.max(...a.map((v, k) => Math.abs(v - b[k]) / range[k]), 0);
   function straight(to, time) { // moves in a straight line, with the momentum for a time
     const from = w, rate = plus(to, from, -1), path = (u) => [plus(from, rate, u), rate];
-    g = motion.along(g, path, 0, 1, Math.max(1, Math.ceil(40 * distance(from, to))), spinning ? J : null, time);
+    const count = Math.max(1, Math.ceil(40 * distance(from, to)));
+    if (!attempt(() => motion.along(g, path, 0, 1, count, spinning ? J : null, time), to)) return;
     w = to;
+  }
+  function attempt(lift, to) { // moves the base, unless the loops do not close on the way to a shape
+    const kept = shapes.state;
+    try {
+      const next = lift();
+      shapes.shape(to);
+      g = next;
+    } catch (error) {
+      if (!(error instanceof OutOfReach)) throw error;
+      shapes.state = kept;
+      halt(error.message);
+      return false;
+    }
+    return true;
+  }
+  function halt(reason) {
+    [stopped, queue, dirty] = [reason, [], null];
+    setPlaying(false);
+    if (panel) plane.abandon();
   }
   function follow(dt) { // goes through the queue at a bounded speed
     let left = dt;
     while (queue.length && left > 0) {
       const needed = distance(w, queue[0]) * head.crossing;
       const part = needed > left ? left / needed : 1, used = Math.min(left, needed);
+      const goal = queue[0];
       straight(part < 1 ? plus(w, plus(queue[0], w, -1), part) : queue[0].slice(), used);
+      if (queue[0] !== goal) return; // stopped
       if (part === 1) queue.shift();
       left -= used;
     }
@@ -35,9 +61,10 @@
     while (left > 1e-12) {
       const k = Math.min(loop.pieces.length - 1, Math.floor(s)), part = Math.min(left, k + 1 - s);
       const path = loop.pieces[k], time = head.period / loop.pieces.length;
-      g = motion.along(g, path, s - k, part, Math.max(1, Math.ceil(part * 16)), spinning ? J : null, time);
+      const next = path(Math.min(1, s + part - k))[0];
+      if (!attempt(() => motion.along(g, path, s - k, part, Math.max(1, Math.ceil(part * 16)), spinning ? J : null, time), next)) return;
       s += part; left -= part;
-      w = path(Math.min(1, s - k))[0];
+      w = next;
       if (s >= loop.pieces.length - 1e-12) { s = 0; cycles += 1; }
     }
   }
@@ -62,6 +89,7 @@
     const moved = compose(inverse(first()), g), parts = describe(moved, 1);
     $("base").replaceChildren(head.turns ? "base turned by " : "base moved by ", bold(parts[0]),
       parts[1] ? `, moved by ${parts[1]}` : "");
+    $("stopped").textContent = stopped && `Stopped: ${stopped}.`;
     $("words").textContent = [spinning ? `momentum ${head.momentum.words}` : head.still, head.note]
       .filter(Boolean).join(" · ");
   }
@@ -82,15 +110,27 @@
     return Array.from({ length: n + 1 }, (_, k) => plane.pair.map((j) => path(k / n)[0][j]));
   });
   function take(name, pieces) { // goes to the start of a loop and repeats it
-    loop = { name, pieces, phase: motion.phase(pieces), outline: shown(pieces) };
-    [s, cycles] = [0, 0];
+    const kept = shapes.state;
+    [loop, s, cycles, stopped] = [null, 0, 0, ""];
+    try {
+      loop = { name, pieces, phase: motion.phase(pieces), outline: shown(pieces) };
+    } catch (error) {
+      if (!(error instanceof OutOfReach)) throw error;
+      halt(`on ${name}, ${error.message}`);
+    }
+    shapes.state = kept;
     tellPhase();
+    return loop !== null;
   }
   function preset(name) {
-    const half = plane.high.map((v, k) => 0.5 * Number($("size").value) * (v - plane.low[k]));
-    const c = plane.centre(plane.values[component], half);
+    let half = plane.high.map((v, k) => 0.5 * Number($("size").value) * (v - plane.low[k])), c = null;
+    for (let k = 0; k < 16 && !c; k++) { // smaller, until the loops close in it
+      if (k) half = half.map((v) => 0.8 * v);
+      c = plane.centre(plane.values[component], half);
+    }
+    if (!c) { halt("the loops close in no box of this plane"); return; }
     const pieces = loopsAbout(w, plane.pair).shapes[name](c, half);
-    take(name, pieces);
+    if (!take(name, pieces)) return;
     loop.preset = true;
     queue = [pieces[0](0)[0]];
     setPlaying(true);
@@ -101,13 +141,12 @@
     return shape;
   };
   const goal = () => (queue.length ? queue[queue.length - 1] : w);
-  const plane = panel && feelPlane(head, curvature, canvas, {
+  const plane = panel && feelPlane(head, curvature, shapes, canvas, {
     goal: () => plane.pair.map((k) => goal()[k]),
-    begin(point) { setPlaying(false); loop = null; cycles = 0; queue.push(full(point)); tellPhase(); },
+    begin(point) { setPlaying(false); loop = null; cycles = 0; stopped = ""; queue.push(full(point)); tellPhase(); },
     move(point) { if (loop) { setPlaying(false); loop = null; tellPhase(); } queue.push(full(point)); },
     close(points) {
-      take("your loop", loopsAbout(goal(), plane.pair).polygon(points));
-      queue.push(full(points[0]));
+      if (take("your loop", loopsAbout(goal(), plane.pair).polygon(points))) queue.push(full(points[0]));
     },
   });
 
@@ -116,7 +155,7 @@
   const root = { p: head.root.slice(0, 3), q: head.root.slice(3) };
   function pose(object, { p, q }) { object.position.set(...p); object.quaternion.set(...q); }
   function draw() {
-    placements(w, places);
+    placements(shapes.shape(w), places);
     const base = compose(root, g);
     pose(reduced[1], base);
     for (let i = 2; i < reduced.length; i++) {
@@ -129,7 +168,7 @@
     at.markJoints(com);
     at.carry(com);
     at.lay(com, true);
-    if (panel) plane.draw(w, loop && loop.outline);
+    if (panel && cards[1].open) plane.draw(w, loop && loop.outline);
     sliders.forEach(({ input, output, joint }) => {
       if (input !== held) input.value = w[joint];
       output.textContent = head.angles[joint] ? `${round(w[joint] * 180 / Math.PI, 0)}°` : `${round(w[joint])} m`;
@@ -147,12 +186,13 @@
     Object.assign(input, { type: "range", min: head.low[joint], max: head.high[joint], step: range[joint] / 200, value: w[joint] });
     input.oninput = () => {
       held = input;
+      stopped = "";
       setPlaying(false);
       const shape = (queue.length ? queue[0] : w).slice();
       shape[joint] = Number(input.value);
       queue = [shape];
     };
-    input.onchange = () => { held = null; repaint(); };
+    input.onchange = () => { held = dirty = null; repaint(); };
     row.append(name, output, input);
     $("sliders").append(row);
     return { input, output, joint };
@@ -184,6 +224,7 @@
     }
     $("size").oninput = () => { if (loop && loop.preset) preset(loop.name); };
   } else for (const id of ["panel", "presets", "sizes", "play"]) $(id).hidden = true;
+  $("grey").hidden = !head.loops;
   if (!panel) $("panel").style.display = $("presets").style.display = $("sizes").style.display = "none";
   $("play").onclick = () => {
     if (!loop) preset("circle"); else setPlaying(!playing);
@@ -192,7 +233,8 @@
   $("momentum").hidden = !J;
   check.onchange = () => { spinning = check.checked; refit(); draw(); };
   $("reset").onclick = () => {
-    [w, g, queue, loop, cycles] = [start.slice(), first(), [], null, 0];
+    [w, g, queue, loop, cycles, stopped] = [start.slice(), first(), [], null, 0, ""];
+    shapes.state = assembled;
     check.checked = spinning = false;
     setPlaying(false);
     repaint();
@@ -209,20 +251,32 @@
   let last = null;
   function step(stamp) {
     requestAnimationFrame(step);
+    if (last !== null) at.pace((stamp - last) / 1000);
     const dt = last === null ? 0 : Math.min(0.1, (stamp - last) / 1000), before = cycles;
     last = stamp;
     if (queue.length || !playing || !loop) {
-      if (!queue.length && !spinning) { if (dirty !== w) { dirty = w; draw(); } return; }
+      if (!queue.length && !spinning) {
+        if (dirty !== w) { dirty = w; draw(); } else at.rest();
+        return;
+      }
       follow(dt);
     } else cycle(dt);
     if (cycles !== before) tellPhase();
     draw();
   }
-  let dirty = null;
   const look = () => at.look(spinning ? head.reach : 1.05 * head.radius);
   const refit = () => { if (at.moved) at.aim(); else look(); };
-  addEventListener("resize", () => { refit(); draw(); });
-  document.querySelectorAll("#side details").forEach((details) => { details.ontoggle = refit; });
+  addEventListener("resize", () => { if (narrow() && panel && cards[0].open) cards[1].open = false; refit(); draw(); });
+  const cards = document.querySelectorAll("#side > details, #panel > details");
+  const narrow = () => innerWidth < 560; // only one of the two cards is open
+  document.querySelectorAll("details").forEach((details) => {
+    details.addEventListener("toggle", () => {
+      const other = [...cards].find((card) => card !== details);
+      if (details.open && narrow() && panel && [...cards].includes(details)) other.open = false;
+      refit();
+    });
+  });
+  if (narrow() && panel) cards[0].open = false;
   viewer.set_3d_pane_size();
   at.starts.forEach((begin) => begin());
   if (panel) {
@@ -237,6 +291,8 @@
   window.pinred = {
     loaded: performance.now(), // [ms] since the page was asked for
     get shape() { return Array.from(w); },
+    get closed() { return Array.from(shapes.shape(w)); }, // with the dependent joints
+    get stopped() { return stopped; },
     get pose() { return [...g.p, ...g.q]; },
     get loop() { return loop && { name: loop.name, phase: [...loop.phase.p, ...loop.phase.q], cycles }; },
     get resting() { return !queue.length; },

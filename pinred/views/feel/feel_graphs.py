@@ -11,15 +11,15 @@ from itertools import pairwise
 
 import casadi as ca
 import numpy as np
-import pinocchio as pin
 
 from ...analysis.connections.connection import Connection
 from ...common.arrays import Array
 from ...kernels.connection.connection_form import momentum_velocity_graph, velocity_graph
-from ...reduction.tree.all_joints import joint_values
 from ...reduction.tree.momenta import bracket
 from ...system.joints import axes_of
 from ...system.system import System
+from .loop_graph import loop_graph
+from .placements import Placement, all_joint_values, joint_frames, rotate
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,22 +31,36 @@ class FeelGraphs:
         curvature: (w, u, v) → B(u, v), (r,), for constant vectors u and v, (m,).
         placements: w → position and quaternion of the joints after the root, relative to the root
             body, 7 numbers each, then the centre of mass, (3,).
+        loops: w → equations of the closed loops and their Jacobian (see `loop_graph`); empty
+            without loops.
     """
 
     twist: ca.Function
     curvature: ca.Function
     placements: ca.Function
+    loops: ca.Function
 
 
 def feel_graphs(connection: Connection, system: System) -> FeelGraphs:
-    """Return the functions of a connection in the chart and its system."""
+    """Return the functions of a robot.
+
+    Args:
+        connection: Connection of the open tree, in the chart.
+        system: The system, perhaps with closed loops.
+    Returns:
+        The functions.
+    """
     m = connection.m
     w, u, v = (ca.SX.sym(name, m) for name in ("w", "u", "v"))
     x = w if connection.chart is None else connection.chart.shape_graph(w)
+    values = all_joint_values(system, x)
+    frames = joint_frames(system, values)
+    closing = loop_graph(system, w, values, frames) if system.loops else ca.SX.zeros(0, 1)
     return FeelGraphs(
         twist=_twist(connection, root_axes(system)),
         curvature=_function("curvature", [w, u, v], _curvature(connection, w, u, v)),
-        placements=_function("placements", [w], _placements(system, x)),
+        placements=_function("placements", [w], _placements(system, frames)),
+        loops=_function("loops", [w], closing),
     )
 
 
@@ -76,45 +90,14 @@ def _curvature(connection: Connection, w: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
     return exterior - bracket(connection.group, Au, Av)
 
 
-def _placements(system: System, x: ca.SX) -> ca.SX:
+def _placements(system: System, frames: list[Placement]) -> ca.SX:
     """Return the placements of the joints after the root, and the centre of mass."""
-    model = system.model
-    values = joint_values(system, ca.vertsplit(x))
-    frames: list[tuple[ca.SX, ca.SX]] = [(ca.SX.zeros(3), ca.SX([0, 0, 0, 1]))] * 2
-    moment = model.inertias[1].mass * ca.SX(model.inertias[1].lever)
-    for i, joint in enumerate(system.tree.joints, start=2):
-        p, q = frames[model.parents[i]]
-        fixed = pin.SE3ToXYZQUAT(model.jointPlacements[i])
-        S = axes_of(model.joints[i])
-        here = [ca.SX(values[k]) for k in range(joint.x.start, joint.x.stop)]
-        shift, turn = ca.SX.zeros(3), ca.SX([0, 0, 0, 1])
-        if joint.kind.is_ball:
-            turn = ca.vertcat(*here)
-        elif joint.kind.units == ("m",):
-            shift = ca.SX(S[:3, 0]) * here[0]
-        else:
-            turn = ca.vertcat(ca.SX(S[3:, 0]) * ca.sin(here[0] / 2), ca.cos(here[0] / 2))
-        p, q = _compose((p, q), (ca.SX(fixed[:3]), ca.SX(fixed[3:])))
-        p, q = _compose((p, q), (shift, turn))
-        frames.append((p, q))
-        body = model.inertias[i]
-        moment += body.mass * (p + _rotate(q, ca.SX(body.lever)))
-    mass = sum(body.mass for body in model.inertias[1:])
-    entries = [entry for p, q in frames[2:] for entry in (p, q)]
-    return ca.vertcat(*entries, moment / mass)
-
-
-def _compose(a: tuple[ca.SX, ca.SX], b: tuple[ca.SX, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Return the product of two placements, each a position and a quaternion."""
-    (p, q), (shift, turn) = a, b
-    u, s, v, t = q[:3], q[3], turn[:3], turn[3]
-    product = ca.vertcat(s * v + t * u + ca.cross(u, v), s * t - ca.dot(u, v))
-    return p + _rotate(q, shift), product
-
-
-def _rotate(q: ca.SX, v: ca.SX) -> ca.SX:
-    across = 2.0 * ca.cross(q[:3], v)
-    return v + q[3] * across + ca.cross(q[:3], across)
+    bodies = list(zip(system.model.inertias, frames, strict=True))[1:]
+    moment = sum(
+        (body.mass * (p + rotate(q, ca.SX(body.lever))) for body, (p, q) in bodies), ca.SX.zeros(3)
+    )
+    entries = [entry for placement in frames[2:] for entry in placement]
+    return ca.vertcat(*entries, moment / sum(body.mass for body, _ in bodies))
 
 
 def _function(name: str, inputs: list[ca.SX], output: ca.SX) -> ca.Function:

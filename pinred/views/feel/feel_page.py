@@ -12,19 +12,20 @@ import pinocchio as pin
 
 from ...analysis.connections.connection import Connection
 from ...common.arrays import Array
-from ...common.errors import InputError
 from ...common.files import check_path, write_atomic
 from ...common.names import joint_index
+from ...system.loops.loop_assembly import rate_units
 from ...system.system import System
 from ..playback.drawn_bodies import Bodies, drawn_bodies
 from ..playback.framing import frame
 from ..playback.page import STAGE, Blob, assemble, plain_fields, resource, robot_head
 from ..playback.playback import Momentum, Playback, conserved_momentum
 from ..playback.shape_panel import motion_words
-from .feel_graphs import FeelGraphs, feel_graphs, root_axes
+from .feel_graphs import feel_graphs, root_axes
+from .felt_robot import FeltRobot, felt_robot
 from .instructions import to_javascript
 
-_SCRIPTS = ("lift.js", "loops.js", "plane.js", "feel.js")
+_SCRIPTS = ("lift.js", "closed_shapes.js", "loops.js", "plane.js", "feel.js")
 _SPIN, _DRIFT = (
     0.6,
     0.3,
@@ -32,7 +33,6 @@ _SPIN, _DRIFT = (
 _PERIOD = 4.0  # duration of one cycle of a loop [s]
 _CROSSING = 2.0  # time in which a joint moves through its range [s]
 _SAMPLES, _PAIR_SAMPLES = 60, 6  # random shapes for the size of the picture, and for the joint pair
-_FARTHEST = np.pi  # largest range of a joint without narrower limits [rad | m]
 
 
 def feel_page(
@@ -54,21 +54,21 @@ def feel_page(
         InputError: There are no joints, a joint is unknown, or the connection has no system.
         SymmetryError: Gravity changes the momenta.
     """
-    connection, system = _connection_of(source)
+    robot = felt_robot(source)
+    connection, system, free = robot.connection, robot.system, robot.independent
     graphs = feel_graphs(connection, system)
     bodies, blob = drawn_bodies(system, meshes=meshes), Blob()
-    low, high = _limits(connection, system)
     head = {
-        **_picture(connection, system, bodies, low, high),
+        **_picture(robot, bodies),
         **robot_head(system, bodies, blob),
-        "labels": [
-            f"{name} [{unit}]" for name, unit in zip(connection.joints, system.units, strict=True)
-        ],
-        "angles": [unit == "rad" for unit in system.units],
-        "low": low.tolist(),
-        "high": high.tolist(),
-        "start": np.clip(np.zeros(connection.m), low, high).tolist(),
-        "pair": _pair(connection, graphs, pair, low, high),
+        "labels": [f"{name} [{unit}]" for name, unit in zip(robot.names, robot.units, strict=True)],
+        "angles": [unit == "rad" for unit in robot.units],
+        "low": robot.low[free].tolist(),
+        "high": robot.high[free].tolist(),
+        "start": robot.rest[free].tolist(),
+        "size": connection.m,
+        "loops": None if robot.chart is None else loop_numbers(robot),
+        "pair": _pair(robot, pair),
         "components": motion_words(connection.group),
         "linear": connection.group.linear,
         "turns": connection.group.turns,
@@ -107,78 +107,44 @@ def save_feel(
     return len(content)
 
 
-def _connection_of(source: System | Connection) -> tuple[Connection, System]:
-    """Return the connection in the chart, and its system."""
-    connection = source if isinstance(source, Connection) else Connection.mechanical(source)
-    if connection.system is None:
-        raise InputError("feel: expected a System, or a Connection of a System as loaded")
-    if not connection.m:
-        raise InputError(f"feel: '{connection.system.name}' has no joints to move")
-    connection.refuse_gravity()
-    return connection.in_chart(), connection.system
-
-
-def _limits(connection: Connection, system: System) -> tuple[Array, Array]:
-    """Return the limits of the sliders, (m,) [rad | m]."""
-    model, space = system.model, system.space
-    low, high = np.full(system.m, -_FARTHEST), np.full(system.m, _FARTHEST)
-    for joint in space.joints:
-        number = model.joints[model.getJointId(joint.name)]
-        if joint.kind.m == 1 and number.nq == 1:
-            least, most = (
-                float(limit[number.idx_q])
-                for limit in (model.lowerPositionLimit, model.upperPositionLimit)
-            )
-            centre = 0.0 if connection.chart is None else float(connection.chart.centre[joint.x][0])
-            if least < most:
-                low[joint.v] = max(least - centre, -_FARTHEST)
-                high[joint.v] = min(most - centre, _FARTHEST)
-    wrong = ~(low < high)
-    low[wrong], high[wrong] = -_FARTHEST, _FARTHEST
-    return low, high
-
-
-def _shapes(connection: Connection, w: Array) -> Array:
-    return w if connection.chart is None else connection.chart.shapes(w)
-
-
-def _random(connection: Connection, low: Array, high: Array, count: int) -> Array:
-    """Return random coordinates within the limits, (count, m), of which the first is rest."""
-    w = np.random.default_rng(0).uniform(low, high, (count, connection.m))
-    w[0] = np.clip(0.0, low, high)
-    return w
-
-
-def _pair(
-    connection: Connection, graphs: FeelGraphs, names: Sequence[str] | None, low: Array, high: Array
-) -> list[int]:
-    """Return the indices of the joints on the axes of the shape plane."""
+def _pair(robot: FeltRobot, names: Sequence[str] | None) -> list[int]:
+    """Return the indices of the independent joints on the axes of the shape plane."""
     if names is not None:
-        return [joint_index(name, list(connection.joints), "pair") for name in names]
-    if connection.m == 1:
+        return [joint_index(name, list(robot.names), "pair") for name in names]
+    if robot.dim == 1:
         return [0, 0]
-    unit = np.eye(connection.m)
-    shapes = _random(connection, low, high, _PAIR_SAMPLES)
-    first = connection.group.linear % connection.r  # rotations, if there are any
-
-    def strength(pair: tuple[int, int]) -> float:
-        columns = (
-            np.array(graphs.curvature(np.concatenate([w, unit[pair[0]], unit[pair[1]]])))
-            for w in shapes
-        )
-        return round(float(np.linalg.norm([column[first:] for column in columns])), 9)
-
-    pairs = [(a, b) for b in range(connection.m) for a in range(b)]
-    a, b = max(sorted(pairs), key=strength)
+    group, strengths = robot.connection.group, np.zeros((robot.dim, robot.dim))
+    first = group.linear % robot.connection.r  # rotations, if there are any
+    for u in robot.random(_PAIR_SAMPLES):
+        field = robot.moved.curvature(u)[first:]
+        strengths += np.einsum("rab,rab->ab", field, field)
+    pairs = [(a, b) for b in range(robot.dim) for a in range(b)]
+    a, b = max(sorted(pairs), key=lambda pair: round(float(np.sqrt(strengths[pair])), 9))
     return [a, b]
 
 
-def _picture(
-    connection: Connection, system: System, bodies: Bodies, low: Array, high: Array
-) -> dict[str, Any]:
+def loop_numbers(robot: FeltRobot) -> dict[str, Any]:
+    """Return the numbers by which the page closes the loops of a robot, see closed_shapes.js."""
+    closure = robot.system.closure
+    assert closure is not None
+    assert robot.chart is not None
+    dependent = robot.chart.dependent
+    return {
+        "independent": robot.independent.tolist(),
+        "dependent": dependent.tolist(),
+        "start": robot.rest.tolist(),
+        "units": rate_units(robot.system, closure.length).tolist(),
+        "low": robot.low[dependent].tolist(),
+        "high": robot.high[dependent].tolist(),
+        "names": [robot.system.space.names[k] for k in dependent],
+    }
+
+
+def _picture(robot: FeltRobot, bodies: Bodies) -> dict[str, Any]:
     """Return the framing, the placement of the root, and the momentum."""
+    connection, system = robot.connection, robot.system
     model, data, group = system.model, system.model.createData(), system.group
-    shapes = _shapes(connection, _random(connection, low, high, _SAMPLES))
+    shapes = np.array([robot.shape(u) for u in robot.random(_SAMPLES)])
     q = np.array([system.model_q(group.identity(), x) for x in shapes])
     root, S = model.jointPlacements[1], root_axes(system)
     com, placements = np.empty((len(q), 3)), np.empty((len(q), model.njoints, 7))
@@ -188,7 +154,7 @@ def _picture(
     # The centre of mass starts at the origin, so momenta about both are equal.
     along = S[:3, : group.linear]
     shift = -along @ along.T @ root.actInv(com[0])
-    spatial = _momentum(connection) if connection.form.momentum else None
+    spatial = _momentum(robot) if connection.form.momentum else None
     rest = conserved_momentum(system, q[:1], np.zeros((1, model.nv)))
     twist = np.zeros(6) if spatial is None else S @ spatial
     vector = root.rotation @ (twist[3:] if group.turns else twist[:3])
@@ -211,10 +177,10 @@ def _picture(
     }
 
 
-def _momentum(connection: Connection) -> Array:
+def _momentum(robot: FeltRobot) -> Array:
     """Return a spatial momentum, (r,), about the origin, for a pose with the CoM in the origin."""
-    group, J = connection.group, np.zeros(connection.r)
-    P = connection.locked(np.zeros(connection.m))
+    group, J = robot.connection.group, np.zeros(robot.connection.r)
+    P = robot.connection.locked(robot.rest)
     if not group.turns:
         J[0] = _DRIFT * P[0, 0]
         return J

@@ -40,7 +40,7 @@ def to_javascript(name: str, function: ca.Function) -> str:
         if operation == ca.OP_OUTPUT:
             lines.append(f"out[{outputs[1]}]=w{inputs[0]}")
         elif operation == ca.OP_CONST:
-            lines.append(f"w{outputs[0]}={float(function.instruction_constant(k))!r}")
+            lines.append(f"w{outputs[0]}={_number(function.instruction_constant(k))}")
         elif operation == ca.OP_INPUT:
             lines.append(f"w{outputs[0]}=y[{inputs[1]}]")
         elif operation in _OPERATIONS:
@@ -53,3 +53,9 @@ def to_javascript(name: str, function: ca.Function) -> str:
     work = ",".join(f"w{k}" for k in range(function.sz_w()))
     let = f"let {work};\n" if work else ""
     return f"function {name}(y,out){{\n{let}{';'.join(lines)};\n}}\n"
+
+
+def _number(value: float) -> str:
+    """Write a number as JavaScript, which reads the same bits."""
+    names = {"inf": "Infinity", "-inf": "-Infinity", "nan": "NaN"}
+    return names.get(repr(float(value)), repr(float(value)))

@@ -40,9 +40,10 @@ function rotationVector(q) { // of the shortest rotation
   const s = q[3] < 0 ? -1 : 1, n = Math.hypot(q[0], q[1], q[2]);
   return scaled(q.slice(0, 3), n ? 2 * s * Math.atan2(n, s * q[3]) / n : 2 * s);
 }
-function lifter(m, twist) {
+function lifter(m, twist, shapes = openShapes()) { // paths are those of u, see closed_shapes.js
   const y = new Float64Array(2 * m + 6), out = new Float64Array(6), none = [0, 0, 0, 0, 0, 0];
-  function velocity(w, wdot, momentum = none) {
+  function velocity(u, udot, momentum = none) {
+    const [w, wdot] = shapes.rates(u, udot);
     y.set(w); y.set(wdot, m); y.set(momentum, 2 * m);
     twist(y, out);
     return Array.from(out);

@@ -1,9 +1,9 @@
 // The shape plane: the curvature over two joints, the current shape, and a loop drawn by hand.
 "use strict";
 const FINE = 41; // grid points of the picture along each axis; the base turns by the exact connection
-function feelPlane(head, curvature, canvas, events) {
+function feelPlane(head, curvature, shapes, canvas, events) {
   const pen = canvas.getContext("2d"), box = [90, 46, 510, 510]; // left, top, width, height
-  const m = head.labels.length, r = head.components.length;
+  const d = head.labels.length, m = head.size, r = head.components.length;
   let pair = head.pair.slice(), low = [0, 0], high = [0, 0], backdrop = null, drawn = null, values = null;
   const toPixel = (p) => [box[0] + box[2] * (p[0] - low[0]) / (high[0] - low[0]),
     box[1] + box[3] * (1 - (p[1] - low[1]) / (high[1] - low[1]))];
@@ -15,38 +15,52 @@ function feelPlane(head, curvature, canvas, events) {
     return within([low[0] + (x - box[0]) / box[2] * (high[0] - low[0]),
       low[1] + (1 - (y - box[1]) / box[3]) * (high[1] - low[1])]);
   }
-  function sample(w) { // B(e_a, e_b) over the plane, (r, FINE, FINE)
-    const y = new Float64Array(3 * m), out = new Float64Array(r);
-    const field = Array.from({ length: r }, () => new Float64Array(FINE * FINE));
-    y.set(w);
-    y[m + pair[0]] = y[2 * m + pair[1]] = 1;
-    for (let a = 0; a < FINE; a++) for (let b = 0; b < FINE; b++) {
-      y[pair[0]] = low[0] + a / (FINE - 1) * (high[0] - low[0]);
-      y[pair[1]] = low[1] + b / (FINE - 1) * (high[1] - low[1]);
+  function sample(u) { // B(e_a, e_b) over the plane, (r, FINE, FINE); NaN where the loops do not close
+    const y = new Float64Array(3 * m), out = new Float64Array(r), kept = shapes.state;
+    const field = Array.from({ length: r }, () => new Float64Array(FINE * FINE).fill(NaN));
+    const [first, second] = pair.map((joint) => Array.from({ length: d }, (_, k) => Number(k === joint)));
+    const cell = pair.map((joint, k) => Math.round((u[joint] - low[k]) / (high[k] - low[k]) * (FINE - 1)));
+    const done = new Uint8Array(FINE * FINE), queue = [[...cell, kept]], point = Array.from(u);
+    for (let k = 0; k < queue.length; k++) { // from the present shape to its neighbours, and so on
+      const [a, b, from] = queue[k];
+      if (a < 0 || b < 0 || a >= FINE || b >= FINE || done[a * FINE + b]) continue;
+      point[pair[0]] = low[0] + a / (FINE - 1) * (high[0] - low[0]);
+      point[pair[1]] = low[1] + b / (FINE - 1) * (high[1] - low[1]);
+      shapes.state = from;
+      try {
+        const [w, along] = shapes.rates(point, first);
+        y.set(w); y.set(along, m); y.set(shapes.rates(point, second)[1], 2 * m);
+      } catch (error) { if (error instanceof OutOfReach) continue; throw error; }
       curvature(y, out);
       field.forEach((part, c) => { part[a * FINE + b] = out[c]; });
+      done[a * FINE + b] = 1;
+      for (const [i, j] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) queue.push([a + i, b + j, shapes.state]);
     }
+    shapes.state = kept;
     return field;
   }
-  const strength = (part) => part.reduce((most, v) => Math.max(most, Math.abs(v)), 0);
+  const strength = (part) => part.reduce((most, v) => (Math.abs(v) > most ? Math.abs(v) : most), 0);
   function strongest(field) { // rotations have precedence
     const from = head.linear < r ? head.linear : 0;
     let best = from;
     for (let c = from; c < r; c++) if (strength(field[c]) > strength(field[best])) best = c;
     return best;
   }
-  function centre(part, half) { // of the box of half widths `half` with the largest integral of the field
+  // Returns the centre of the box of half widths `half` with the largest integral of the field; null if
+  // the loops do not close in any box.
+  function centre(part, half) {
     const reach = half.map((h, k) => Math.round(h / (high[k] - low[k]) * (FINE - 1)));
-    const middle = (FINE - 1) / 2;
-    let best = [middle, middle], most = 1e-9 * strength(part) * (2 * reach[0] + 1) * (2 * reach[1] + 1);
-    for (let a = reach[0]; a < FINE - reach[0]; a += 2) for (let b = reach[1]; b < FINE - reach[1]; b += 2) {
+    const middle = (FINE - 1) / 2, stride = part.some(Number.isNaN) ? 1 : 2;
+    const flat = 1e-9 * strength(part) * (2 * reach[0] + 1) * (2 * reach[1] + 1) + 1e-300;
+    let best = null, most = -1;
+    for (let a = reach[0]; a < FINE - reach[0]; a += stride) for (let b = reach[1]; b < FINE - reach[1]; b += stride) {
       let sum = 0;
       for (let i = -reach[0]; i <= reach[0]; i++)
         for (let j = -reach[1]; j <= reach[1]; j++) sum += part[(a + i) * FINE + b + j];
-      const away = Math.hypot(a - middle, b - middle);
-      if (Math.abs(sum) * (1 - 0.001 * away) > most) { most = Math.abs(sum) * (1 - 0.001 * away); best = [a, b]; }
+      const worth = Math.max(flat, Math.abs(sum)) * (1 - 0.001 * Math.hypot(a - middle, b - middle));
+      if (worth > most) { most = worth; best = [a, b]; } // not if the sum is NaN
     }
-    return best.map((v, k) => low[k] + v / (FINE - 1) * (high[k] - low[k]));
+    return best && best.map((v, k) => low[k] + v / (FINE - 1) * (high[k] - low[k]));
   }
   function paint(component) {
     const layer = document.createElement("canvas");
@@ -55,7 +69,7 @@ function feelPlane(head, curvature, canvas, events) {
     ink.font = "22px system-ui, sans-serif";
     const part = values[component];
     const flat = strength(part) <= 1e-12 * Math.max(1e-3, ...values.map(strength));
-    axes.paintField(ink, FINE, flat ? part.map(() => 0) : part, head.components[component]);
+    axes.paintField(ink, FINE, flat ? part.map((v) => 0 * v) : part, head.components[component]);
     axes.paintAxes(ink, low, high);
     backdrop = layer;
   }
@@ -97,6 +111,7 @@ function feelPlane(head, curvature, canvas, events) {
     drawn.push(point);
     events.move(point);
   }
+  function abandon() { drawn = null; }
   function close() {
     const loop = drawn;
     drawn = null;
@@ -124,6 +139,6 @@ function feelPlane(head, curvature, canvas, events) {
     else return;
     event.preventDefault();
   });
-  return { frame, paint, draw, centre, get pair() { return pair; }, get low() { return low; },
+  return { frame, paint, draw, centre, abandon, get pair() { return pair; }, get low() { return low; },
     get high() { return high; }, get values() { return values; } };
 }

@@ -1,16 +1,17 @@
 // The curvature of a connection over two joints, in colours, with its colour bar and axes.
 "use strict";
 function shapePlane(box, labels) { // box: left, top, width, height in the canvas
+  const OUTSIDE = [176, 184, 192, 255]; // of values that are not defined
   function colour(v) { // −1 blue, 0 white, 1 orange: told apart by the colour-blind
     const strong = v < 0 ? [33, 102, 172] : [217, 95, 2], a = Math.min(1, Math.abs(v));
     return strong.map((c) => 255 + (c - 255) * a);
   }
   function paintField(ink, n, values, name) {
-    const most = Math.max(1e-300, values.reduce((m, v) => Math.max(m, Math.abs(v)), 0));
+    const most = Math.max(1e-300, values.reduce((m, v) => (Math.abs(v) > m ? Math.abs(v) : m), 0));
     const image = ink.createImageData(n, n);
     values.forEach((v, at) => {
       const a = Math.floor(at / n), b = at % n, to = 4 * ((n - 1 - b) * n + a);
-      image.data.set([...colour(v / most), 255], to);
+      image.data.set(Number.isNaN(v) ? OUTSIDE : [...colour(v / most), 255], to);
     });
     const small = document.createElement("canvas");
     small.width = small.height = n;

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import os
 import re
@@ -31,7 +30,6 @@ SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120
 GIF_FPS = (0.01, 50.0)  # gif delays are multiples of 0.01 s; browsers slow delays below 0.02 s
 SUFFIXES = (".mp4", ".gif", ".png")
-_PNG = "data:image/png;base64,"  # start of the pictures that the page returns
 
 
 def save_film(
@@ -75,9 +73,7 @@ def save_film(
     try:
         with (
             _tidy_at_sigterm(),
-            closing(
-                capture_frames(source, times, pixels, view, progress or (lambda _: None))
-            ) as shots,
+            closing(_capture(source, times, pixels, view, progress or (lambda _: None))) as shots,
         ):
             if path.suffix == ".png":
                 return write_frames(path, shots)
@@ -139,7 +135,7 @@ def _tidy_at_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def capture_frames(
+def _capture(
     source: MotionSource,
     times: Array,
     size: Sequence[int],
@@ -154,8 +150,8 @@ def capture_frames(
         screen.open(f"{file.as_uri()}#bare", width=size[0], height=size[1])
         screen.wait_for("window.pinred !== undefined")
         for k, t in enumerate(times.tolist(), start=1):
-            # The page draws and encodes the picture; a screenshot would draw it a second time.
-            yield base64.b64decode(screen.run(f"pinred.picture({t!r})").removeprefix(_PNG))
+            screen.run(f"pinred.seek({t!r})")
+            yield screen.screenshot()
             progress(k / len(times))
 
 

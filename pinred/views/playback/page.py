@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import json
 import re
 from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,7 +29,7 @@ from .view_options import View
 # The page contains the viewer, so it must contain the viewer's licences.
 _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")
 STAGE = ("field.js", "overlays.js", "stage.js")  # scripts that all pages with a robot share
-_SCRIPTS = (*STAGE, "panel.js", "capture.js", "player.js")
+_SCRIPTS = (*STAGE, "panel.js", "player.js")
 
 
 def page(source: MotionSource, view: View) -> bytes:
@@ -45,7 +47,8 @@ def assemble(template: str, head: Mapping[str, Any], blob: Blob, scripts: Iterab
     """Build a self-contained page with meshcat's viewer.
 
     Args:
-        template: HTML with placeholders %HEAD%, %BLOB%, %STYLE%, %MESHCAT%, %LICENCES%, %SCRIPT%.
+        template: HTML with placeholders %HEAD%, %BLOB%, %STYLE%, %MESHCAT%, %LICENCES%, %SCRIPT%,
+            %LOADER%.  Viewer and arrays are compressed.
         head: Data of the scripts, with arrays as entries of the blob.
         blob: The arrays.
         scripts: Texts of the scripts, in order.
@@ -56,11 +59,14 @@ def assemble(template: str, head: Mapping[str, Any], blob: Blob, scripts: Iterab
     """
     contents = {
         "%HEAD%": json.dumps(head, allow_nan=False).replace("<", "\\u003c"),
-        "%BLOB%": base64.b64encode(bytes(blob.data)).decode("ascii"),
+        "%BLOB%": _packed(bytes(blob.data)),
         "%STYLE%": resource("style.css"),
-        "%MESHCAT%": _meshcat("viewer/dist/main.min.js"),
-        "%LICENCES%": "\n".join(map(_meshcat, _LICENCES)),
+        "%MESHCAT%": _viewer(),
+        "%LICENCES%": "\n".join(
+            _meshcat(name).replace("</script", "<\\/script") for name in _LICENCES
+        ),
         "%SCRIPT%": "".join(scripts),
+        "%LOADER%": resource("loader.js"),
     }
     parts = re.split("(%[A-Z]+%)", template)
     return "".join(contents.get(part, part) for part in parts).encode("utf-8")
@@ -188,8 +194,19 @@ def resource(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
+@cache
+def _viewer() -> str:
+    """Return meshcat's viewer, compressed."""
+    return _packed(_meshcat("viewer/dist/main.min.js").encode("utf-8"))
+
+
+def _packed(data: bytes) -> str:
+    """Compress bytes for a script element; `loader.js` unpacks them."""
+    return base64.b64encode(gzip.compress(data, mtime=0)).decode("ascii")
+
+
 def _meshcat(name: str) -> str:
-    """Read a file of meshcat's Python package, escaped for a script element.
+    """Read a file of meshcat's Python package.
 
     Args:
         name: Path in the package.
@@ -201,5 +218,5 @@ def _meshcat(name: str) -> str:
     spec = find_spec("meshcat")
     for folder in (spec.submodule_search_locations or ()) if spec else ():
         if (file := Path(folder, name)).is_file():
-            return file.read_text(encoding="utf-8").replace("</script", "<\\/script")
+            return file.read_text(encoding="utf-8")
     raise LoadError(f"meshcat's {name} was not found; pip install 'meshcat>=0.3.2'")

@@ -79,7 +79,7 @@
     const shift = on["Follow"] ? c : head.middle;
     at.carry(shift);
     at.lay(c, on["Follow"]);
-    if (picture && on["Shape"]) picture(k, s);
+    if (picture && on["Shape"] && fold.open) picture(k, s);
     $("clock").textContent = `${t.toFixed(2)} of ${end.toFixed(2)} s`;
     $("scrub").value = 1000 * (t - times[0]) / (end - times[0]);
     $("words").textContent = words(Math.hypot(...vector), k);
@@ -99,11 +99,14 @@
 
   // -- the camera ---------------------------------------------------------------------------
   const chosen = {}; // cards that the user has opened or folded
+  const fold = document.querySelector("#panel details");
   function tidy() { // in small windows cards are folded so that the robot is visible
-    const details = document.querySelector("#side details"), box = document.getElementsByName("Shape")[0];
-    const show = (value) => { on["Shape"] = box.checked = value; $("panel").hidden = !value; };
+    const details = document.querySelector("#side details");
     if (!chosen.side) details.open = true;
-    if (box && !chosen.panel) { show(true); if (at.cramped()) show(false); }
+    if (picture && !chosen.panel) {
+      fold.open = true;
+      if (at.cramped()) fold.open = false;
+    }
     if (!chosen.side && at.cramped()) details.open = false;
   }
   const refit = () => { if (at.moved) at.aim(); else look(); };
@@ -130,7 +133,7 @@
   if (picture)
     toggle("Shape", "shape and curvature", "#f0e442", true, (v) => {
       $("panel").hidden = !v;
-      chosen.panel = started;
+      if (started) fold.open = chosen.panel = true;
       refit();
     });
   else $("panel").hidden = true;
@@ -138,7 +141,12 @@
   toggle("Follow", "follow the centre of mass", "", head.follow, look);
 
   let now = times[0], playing = true, speed = head.speed, last = null;
-  const setPlaying = (value) => { playing = value; last = null; $("play").textContent = value ? "pause" : "play"; };
+  const setPlaying = (value) => {
+    playing = value;
+    last = null;
+    $("play").textContent = value ? "pause" : "play";
+    if (!value) at.rest();
+  };
   $("play").onclick = () => {
     if (!playing && now >= end) now = times[0];
     setPlaying(!playing);
@@ -154,10 +162,13 @@
   at.showTitle(document.querySelector("#side summary"));
   document.querySelector("#side summary").onclick = () => { chosen.side = true; };
   document.querySelector("#side details").ontoggle = () => refit();
+  document.querySelector("#panel summary").onclick = () => { chosen.panel = true; };
+  fold.ontoggle = () => { refit(); draw(now); };
 
   function step(stamp) {
     requestAnimationFrame(step);
     if (playing && last !== null) {
+      at.pace((stamp - last) / 1000);
       now += speed * (stamp - last) / 1000;
       if (now > end) {
         if ($("loop").checked) now = times[0] + (now - times[0]) % (end - times[0]);
@@ -176,7 +187,6 @@
   look();
   draw(now);
   requestAnimationFrame(step);
-  const show = (t) => { setPlaying(false); now = Math.min(end, Math.max(times[0], t)); draw(now); };
   window.pinred = {
     loaded: performance.now(), // [ms] since the page was asked for
     begin: times[0],
@@ -185,8 +195,7 @@
     get playing() { return playing; },
     play: () => setPlaying(true),
     pause: () => setPlaying(false),
-    seek: (t) => { show(t); viewer.render(); },
-    picture: bare ? capture(viewer, show) : null, // of a time, as the data URL of a PNG
+    seek: (t) => { setPlaying(false); now = Math.min(end, Math.max(times[0], t)); draw(now); viewer.render(); },
     node, // three.js object at a path of the viewer's scene
     project: at.project,
   };

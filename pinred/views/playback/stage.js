@@ -1,11 +1,9 @@
 // The stage of a page: meshcat's viewer, the robot's shapes, overlays, the grid and the camera.
 "use strict";
 function readPage() { // the numbers that page.py writes into the page
-  const text = (id) => document.getElementById(id).textContent;
-  const bytes = Uint8Array.from(atob(text("blob")), (c) => c.charCodeAt(0));
   const KINDS = { f4: Float32Array, f8: Float64Array, u4: Uint32Array };
-  const array = (entry) => new KINDS[entry.type](bytes.buffer, entry.at, entry.count);
-  return { head: JSON.parse(text("head")), array };
+  const array = (entry) => new KINDS[entry.type](window.pinredBlob, entry.at, entry.count);
+  return { head: JSON.parse(document.getElementById("head").textContent), array };
 }
 function stage(head, array) {
   const THREE = MeshCat.THREE, $ = (id) => document.getElementById(id);
@@ -173,7 +171,7 @@ function stage(head, array) {
     }
     return best;
   }
-  const cramped = () => free().least < 0.6 * Math.min(innerWidth, innerHeight);
+  const cramped = () => free().least < 0.55 * Math.min(innerWidth, innerHeight);
   function aim() { // put the centre of the picture into the centre of the free area
     const w = innerWidth, h = innerHeight, area = free();
     viewer.camera.fov = 30;
@@ -194,6 +192,23 @@ function stage(head, array) {
     camera.updateProjectionMatrix();
     viewer.controls.update();
   }
+
+  // -- pace -------------------------------------------------------------------------------
+  // While frames are late, they get fewer pixels, at least a quarter; a picture at rest has all.
+  let sharp = 1, late = 0;
+  function sharpen(value) {
+    if (value === sharp) return;
+    sharp = value;
+    viewer.renderer.setPixelRatio(devicePixelRatio * sharp);
+    viewer.render(); // the new buffer is empty
+  }
+  function pace(seconds) { // time since the last frame of a motion
+    late = seconds > 1 / 45 ? late + 1 : Math.max(0, late - 1);
+    if (late < 12) return;
+    late = 0;
+    sharpen(Math.max(0.5, 0.75 * sharp));
+  }
+  const rest = () => { late = 0; sharpen(1); };
 
   // -- switches -----------------------------------------------------------------------------
   const on = {}, starts = [];
@@ -228,7 +243,7 @@ function stage(head, array) {
   }
   return {
     THREE, $, radius, viewer, node, put, robot, reduced, draws, seenThrough, point, markJoints, lay, carry, free,
-    cramped, aim, look, on, starts, set, toggle, seeThrough, showTitle, project, balls,
+    cramped, aim, look, pace, rest, on, starts, set, toggle, seeThrough, showTitle, project, balls,
     get moved() { return moved; },
   };
 }
