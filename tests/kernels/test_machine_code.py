@@ -15,7 +15,7 @@ from native_functions import build, callable_of
 from pinred.common.arrays import Array
 from pinred.common.cpu_target import cpu_target
 from pinred.common.errors import InputError, UnsupportedOperationError
-from pinred.kernels.machine import native
+from pinred.kernels.machine import lowering, native
 from pinred.kernels.machine.native import compile_object, load_object
 
 INF, NAN = np.inf, np.nan
@@ -398,3 +398,23 @@ def test_wide_code_equals_casadi_in_each_lane(name: str, wide: int) -> None:
     again = call(places.ravel(), np.array([1.5])).reshape(4, wide)
     others = np.arange(wide) != 1
     assert np.array_equal(again[:, others], found[:, others], equal_nan=True)
+
+
+@pytest.mark.parametrize("block", [1, 7, 100])
+def test_code_in_blocks_computes_the_same(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A value of one block is used in later blocks, and all blocks are reached."""
+    x = ca.SX.sym("x", 4)
+    terms = [ca.sin(x[k]) * x[k - 1] for k in range(4)]
+    outputs = [ca.vertcat(*terms), ca.cos(terms[0] + terms[1]) / x[2], x[3] ** 2 + terms[2]]
+    function = ca.Function("f", [x], [ca.vertcat(*outputs)])
+    monkeypatch.setattr(lowering, "BLOCK", block)
+    assert ("%whole" in lowering.lower(function, "f", fma=True)) == (block < 100)
+    point = np.array([0.3, -1.2, 0.7, 2.0])
+    call = callable_of(load_object(compile_object(function, "f"), "f"), 1, 6)
+    assert ulps(call(point), reference(function, point)).max() <= 4.0
+
+
+def test_short_code_is_one_block() -> None:
+    """Kernels of most robots are not cut."""
+    x = ca.SX.sym("x")
+    assert "%whole" not in lowering.lower(ca.Function("f", [x], [x * x]), "f", fma=True)
