@@ -9,6 +9,9 @@ which contains the pair of methods and an interpolant of order 4 without additio
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+from runpy import run_path
+
 import numpy as np
 
 from ...common.memo import once_for_all
@@ -44,9 +47,11 @@ _TSIT5_DENSE = (
 @once_for_all
 def dop853_tableau() -> Tableau:
     """Return the coefficients of DOP853, which are taken from SciPy."""
-    from scipy.integrate._ivp import dop853_coefficients as scipy
-
-    return Tableau(scipy.A.copy(), np.array([scipy.E5, scipy.E3]), scipy.D.copy())
+    # The file is run alone, because importing its package, scipy.integrate, takes as long as
+    # importing numba.
+    (folder,) = find_spec("scipy").submodule_search_locations or ()
+    scipy = run_path(f"{folder}/integrate/_ivp/dop853_coefficients.py")
+    return Tableau(scipy["A"], np.array([scipy["E5"], scipy["E3"]]), scipy["D"])
 
 
 @once_for_all

@@ -345,7 +345,8 @@ def loops(name: str, hooks: Hooks) -> Loops:
         The loops.
     """
     bindings = vars(hooks)
-    bound_report = inlined(bind_globals(report, f"{name}_report", **bindings))
+    # `advance` calls it twice, and inlined twice it would take longer to compile.
+    bound_report = compiled(bind_globals(report, f"{name}_report", **bindings))
     bound_advance = compiled(
         bind_globals(advance, f"{name}_advance", **bindings, report=bound_report)
     )
