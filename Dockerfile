@@ -7,7 +7,6 @@ COPY . /source
 RUN pip install --no-cache-dir "/source[robots]" && rm -r /source
 USER pinred
 WORKDIR /home/pinred
-ENV NUMBA_CACHE_DIR=/home/pinred/.cache/numba
 # Compile the integrators once, and check the installation.
 RUN pinred compare falling_cat && pinred doctor
 ENTRYPOINT ["pinred"]

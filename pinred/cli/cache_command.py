@@ -1,10 +1,10 @@
-"""`pinred cache`: list or remove the compiled kernels on disk, or compile ahead of use."""
+"""`pinred cache`: list or remove the compiled code on disk, or compile ahead of use."""
 
 from __future__ import annotations
 
 import argparse
 
-_LISTED = 20  # largest number of kernels that are listed
+_LISTED = 20  # largest number of objects that are listed
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -12,11 +12,11 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "warm", nargs="*", metavar="warm ROBOT", help="compile what calls on a robot need"
     )
-    sub.add_argument("--clear", action="store_true", help="remove all kernels")
+    sub.add_argument("--clear", action="store_true", help="remove all kernels and integrators")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the kernels, remove them, or compile the code of a robot.  Returns 0."""
+    """List the objects, remove them, or compile the code of a robot.  Returns 0."""
     from ..common.object_cache import ObjectCache
 
     if arguments.warm:
@@ -24,14 +24,15 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     cache = ObjectCache()
     if arguments.clear:
-        print(f"{cache.clear()} kernels removed from {cache.folder}")
+        print(f"{cache.clear()} compiled objects removed from {cache.folder}")
         return 0
     entries = cache.entries()
     size = sum(entry.size for entry in entries)
     print(
-        f"{len(entries)} kernels, {size / 1e6:.2f} MB of {cache.limit / 1e6:.0f}, in {cache.folder}"
+        f"{len(entries)} compiled objects, {size / 1e6:.2f} MB of {cache.limit / 1e6:.0f}, "
+        f"in {cache.folder}"
     )
-    for entry in entries[: -_LISTED - 1 : -1]:  # The most recently used kernel comes first.
+    for entry in entries[: -_LISTED - 1 : -1]:  # The most recently used object comes first.
         print(f"  {entry.key[:16]}  {entry.size / 1e3:8.1f} kB")
     if len(entries) > _LISTED:
         print(f"  … and {len(entries) - _LISTED} more")

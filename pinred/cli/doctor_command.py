@@ -158,19 +158,19 @@ def _check_machine_code() -> str:
 
 
 def _check_cache() -> str:
-    """Describe the cache of kernels.  Raises OSError if it cannot be written."""
+    """Describe the cache of compiled code.  Raises OSError if it cannot be written."""
     from ..common.object_cache import ObjectCache
 
-    kernels = ObjectCache()
-    existing = next(p for p in (kernels.folder, *kernels.folder.absolute().parents) if p.exists())
+    cache = ObjectCache()
+    existing = next(p for p in (cache.folder, *cache.folder.absolute().parents) if p.exists())
     if not (existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)):
         raise OSError(
             f"'{existing}' cannot be written, so each process compiles again; "
             "set PINRED_CACHE_DIR to a private folder"
         )
-    entries = kernels.entries()
+    entries = cache.entries()
     size = sum(entry.size for entry in entries) / 1e6
-    return f"{len(entries)} kernels, {size:.2f} MB, in {Path(kernels.folder)}"
+    return f"{len(entries)} compiled objects, {size:.2f} MB, in {Path(cache.folder)}"
 
 
 def _check_browser() -> Finding:

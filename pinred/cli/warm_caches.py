@@ -73,4 +73,4 @@ def _jacobian(scene: Scene) -> Any:
 
 
 def _pull_back(scene: Scene) -> Any:
-    return flow(scene).vjp({"pose": np.ones(scene.system.group.size)})
+    return flow(scene).vjp({"pose": np.ones(scene.system.group.dim)})

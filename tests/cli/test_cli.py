@@ -183,10 +183,10 @@ def test_cache_lists_and_clears_kernels(
     assert run(capsys, "compare", "cartpole", "--time", "0.1")[0] == 0
     code, out, _ = run(capsys, "cache")
     assert code == 0
-    assert out.startswith("2 kernels, ")
+    assert out.startswith("2 compiled objects, ")
     code, out, _ = run(capsys, "cache", "--clear")
-    assert out.startswith("2 kernels removed")
-    assert run(capsys, "cache")[1].startswith("0 kernels")
+    assert out.startswith("2 compiled objects removed")
+    assert run(capsys, "cache")[1].startswith("0 compiled objects")
 
 
 @pytest.mark.by_hand

@@ -21,12 +21,9 @@ from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
 
-import numba
 import pytest
 from line_coverage import IMPORT, LineCoverage, Recorder, leave_numba_alone
 from mutations import Mutant
-from numba.core.caching import NullCache
-from numba.core.dispatcher import Dispatcher
 
 LONG = 20.0  # tests that take longer are not run [s]
 _IN_KERNELS = (
@@ -78,7 +75,6 @@ class MutantSession:
         self._recorder = Recorder(package, modules)
         self._items: dict[str, pytest.Item] = {}
         self._functions: list[FunctionType] = []
-        self._compiled: list[Dispatcher] = []
         self._killers: defaultdict[str, Counter[str]] = defaultdict(Counter)
         self._passes: dict[tuple[str, str], bool] = {}
         self._session: pytest.Session
@@ -98,7 +94,6 @@ class MutantSession:
         self._functions = [
             candidate for candidate in objects if isinstance(candidate, FunctionType)
         ]
-        self._compiled = [candidate for candidate in objects if isinstance(candidate, Dispatcher)]
         gc.freeze()  # so that forks share these objects instead of copying them
         self._ask(self)
         return True
@@ -210,7 +205,7 @@ class MutantSession:
             function.__code__ = code
         with tempfile.TemporaryDirectory() as folder:
             if self._woven(module):
-                _compile_again(self._compiled, str(self._package / module), folder)
+                _compile_again(str(self._package / module))
             if module.startswith(_IN_KERNELS) and not module.startswith(_VALIDATION):
                 os.environ["PINRED_CACHE_DIR"] = folder
             items = [self._items[name] for name in tests]
@@ -253,25 +248,25 @@ class MutantSession:
             return "time"
 
 
-def _compile_again(compiled: list[Dispatcher], path: str, folder: str) -> None:
+def _compile_again(path: str) -> None:
     """Compile functions again if they depend on a source file; the others stay in the cache.
 
     Args:
-        compiled: Functions that exist.
         path: Path of the source file.
-        folder: Folder of the cache for functions that are created later and depend on the file.
     """
-    shared, enable = str(numba.config.CACHE_DIR), Dispatcher.enable_caching  # type: ignore[attr-defined]
-    for dispatcher in compiled:
-        if _depends(dispatcher, path):
-            dispatcher._cache = NullCache()  # type: ignore[attr-defined]
+    from pinred.integrators.stepping.code_cache import CodeCache  # the copy with the mutants
 
-    def enable_apart(self: Dispatcher) -> None:
-        numba.config.CACHE_DIR = folder if _depends(self, path) else shared  # type: ignore[attr-defined]
-        enable(self)
-        numba.config.CACHE_DIR = shared  # type: ignore[attr-defined]
+    load, save = CodeCache.load_overload, CodeCache.save_overload
 
-    Dispatcher.enable_caching = enable_apart  # type: ignore[method-assign]
+    def load_unless(self: CodeCache, sig: Any, target_context: Any) -> Any:
+        return None if _depends(self.function, path) else load(self, sig, target_context)
+
+    def save_unless(self: CodeCache, sig: Any, data: Any) -> None:
+        if not _depends(self.function, path):
+            save(self, sig, data)
+
+    CodeCache.load_overload = load_unless  # type: ignore[method-assign]
+    CodeCache.save_overload = save_unless  # type: ignore[method-assign]
 
 
 def _depends(value: object, path: str) -> bool:

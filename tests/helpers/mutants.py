@@ -40,7 +40,6 @@ from pathlib import Path
 from random import Random
 from typing import TextIO
 
-import numba
 import pytest
 from mutant_session import MutantSession, is_woven
 from mutations import Mutant, mutants
@@ -205,9 +204,9 @@ class Copy:
         self._write(target, mutant.text)
         with tempfile.TemporaryDirectory() as cache:
             files = list(dict.fromkeys(test.split("::")[0] for test in tests))
+            # The keys of numba functions depend on their sources, so these need no own folder.
             is_numba = module.startswith("integrators") or is_woven(target)
-            prefix = "NUMBA" if is_numba else "PINRED"
-            environment = {f"{prefix}_CACHE_DIR": cache}
+            environment = {} if is_numba else {"PINRED_CACHE_DIR": cache}
             code = self._forked(files, Chosen(tests), environment, seconds)
         self._write(target, text)
         if code == 0:
@@ -236,11 +235,12 @@ class Copy:
                     os.dup2(output_file.fileno(), 1)
                     os.dup2(output_file.fileno(), 2)
                 os.chdir(self.root)
-                caches = {"PINRED_CACHE_DIR": self._cache, "NUMBA_CACHE_DIR": self._cache}
-                os.environ.update({name: str(path) for name, path in caches.items()} | environment)
+                os.environ["PINRED_CACHE_DIR"] = str(self._cache)
                 os.environ["PYTHONPATH"] = str(self.root)
-                numba.config.reload_config()  # type: ignore[no-untyped-call]
                 sys.path.insert(0, str(self.root))
+                # Integrators stay in the folder that is set at this import.
+                importlib.import_module("pinred.integrators.stepping.code_cache")
+                os.environ.update(environment)
                 slow = [] if self._slow else ["-m", "not slow"]
                 options = ["-q", "-x", "-s", *slow, "-p", "no:cacheprovider"]
                 code = int(pytest.main([*options, *tests], plugins=[plugin]))

@@ -38,7 +38,8 @@ def install(tmp_path: Path) -> Path:
     Permissions do not stop root, but files in place of the cache folders stop everybody.
     """
     source = Path(pinred.__file__).parent
-    copytree(source, tmp_path / "site/pinred", ignore=ignore_patterns("__pycache__"))
+    unwanted = ignore_patterns("__pycache__", "shipped")  # without bitcode, so that it compiles
+    copytree(source, tmp_path / "site/pinred", ignore=unwanted)
     for folder in [tmp_path / "site/pinred", *(tmp_path / "site/pinred").rglob("*/")]:
         if folder.is_dir():
             (folder / "__pycache__").touch()

@@ -9,10 +9,11 @@ which contains the pair of methods and an interpolant of order 4 without additio
 
 from __future__ import annotations
 
-from importlib.util import find_spec
+from pathlib import Path
 from runpy import run_path
 
 import numpy as np
+import scipy
 
 from ...common.memo import once_for_all
 from .tableau import Tableau
@@ -49,9 +50,9 @@ def dop853_tableau() -> Tableau:
     """Return the coefficients of DOP853, which are taken from SciPy."""
     # The file is run alone, because importing its package, scipy.integrate, takes as long as
     # importing numba.
-    (folder,) = find_spec("scipy").submodule_search_locations or ()
-    scipy = run_path(f"{folder}/integrate/_ivp/dop853_coefficients.py")
-    return Tableau(scipy["A"], np.array([scipy["E5"], scipy["E3"]]), scipy["D"])
+    file = Path(scipy.__file__).with_name("integrate") / "_ivp" / "dop853_coefficients.py"
+    found = run_path(str(file))
+    return Tableau(found["A"], np.array([found["E5"], found["E3"]]), found["D"])
 
 
 @once_for_all

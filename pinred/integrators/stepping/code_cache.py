@@ -1,7 +1,8 @@
 """Machine code of numba functions, kept in the signed object cache of pinred.
 
-numba's own cache needs a writable folder beside the sources or in the home of the user.  Where it
-has none, this cache uses PINRED_CACHE_DIR, and without a writable folder the code stays in memory.
+numba's own cache needs a writable folder beside the sources or in the home of the user, and runs
+whatever it finds there.  The object cache needs neither, and verifies a signature first.  Code that
+it does not contain is generated from the bitcode that the package ships, or else compiled.
 """
 
 from __future__ import annotations
@@ -18,8 +19,11 @@ from numba.core import sigutils
 from numba.core.caching import CompileResultCacheImpl
 from numba.core.serialize import dumps
 
+from ...common.compile_notice import notice_of_compiling
 from ...common.object_cache import ObjectCache
 from ...common.version import __version__
+from . import shipped_code
+from .portable_code import link_bitcode
 
 # numba's functions have no type hints.
 _dumps: Callable[[Any], bytes] = dumps
@@ -46,18 +50,20 @@ class CodeCache:
     It has the methods of numba's caches that a dispatcher calls.
 
     Attributes:
+        dispatcher: numba's dispatcher of the function.
         function: The Python function.
         stamp: Digest of all sources that the machine code depends on.
     """
 
-    def __init__(self, function: Callable[..., Any], stamp: str) -> None:
+    def __init__(self, dispatcher: Any, stamp: str) -> None:
         """Set the function without accessing the disk.
 
         Args:
-            function: The Python function.
+            dispatcher: numba's dispatcher of the function.
             stamp: Digest of all sources that the machine code depends on.
         """
-        self.function, self.stamp = function, stamp
+        self.dispatcher, self.stamp = dispatcher, stamp
+        self.function: Callable[..., Any] = dispatcher.py_func
 
     @property
     def cache_path(self) -> str:
@@ -89,21 +95,32 @@ class CodeCache:
         )
         return sha256(repr(parts).encode()).hexdigest()
 
+    def shipped_name(self, arguments: tuple[Any, ...]) -> str:
+        """Return the name of the file with the bitcode for some types of the arguments."""
+        return shipped_code.shipped_name(self.function, arguments, self.stamp)
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the machine code for a signature.
+        """Load the machine code for a signature, or generate it from the shipped bitcode.
 
         Args:
             sig: Types of the arguments.
             target_context: numba's target.
         Returns:
-            The compile result, or None if there is no trusted object.
+            The compile result, or None if there is neither a trusted object nor bitcode.
         """
         target_context.refresh()
         code = _STORE.get(self.compute_key(sig, target_context.codegen()))
-        if code is None:
+        if code is not None:
+            # The object cache has verified the user's signature, so the pickle is the user's own.
+            return _rebuild(None, target_context, pickle.loads(code))
+        arguments, _ = _normalize(sig)
+        shipped = shipped_code.find_shipped(self.shipped_name(arguments))
+        if shipped is None:
             return None
-        # The object cache has verified the user's signature, so the pickle is the user's own.
-        return _rebuild(None, target_context, pickle.loads(code))
+        with notice_of_compiling("an integrator, once for all robots"):
+            result = link_bitcode(self.dispatcher, arguments, shipped)
+        self.save_overload(sig, result)
+        return result
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the machine code for a signature, unless it contains addresses of this process.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
-from operator import attrgetter
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar
@@ -14,7 +13,9 @@ import numba
 from numba.extending import intrinsic
 
 from ...common.cpu_target import pin_numba
+from .code_cache import CodeCache
 from .numba_notice import announce_compilations
+from .portable_code import PortableCompiler
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 pin_numba(numba.config)  # before the first function is compiled
@@ -22,9 +23,14 @@ announce_compilations()
 
 
 def stamp(folder: Path) -> str:
-    """Return a digest of all Python sources in a folder and its subfolders."""
-    paths = sorted(folder.rglob("*.py"))
-    return sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
+    """Return a digest of the Python sources of compiled functions in the folder of integrators."""
+    return sha256(b"".join(path.read_bytes() for path in _sources(folder))).hexdigest()
+
+
+def _sources(folder: Path) -> list[Path]:
+    """Return the files in subfolders, except options of methods, which are never compiled."""
+    files = sorted(folder.glob("*/**/*.py"))
+    return [path for path in files if not path.is_relative_to(folder / "methods")]
 
 
 _FOLDER = Path(__file__).parent.parent
@@ -34,6 +40,7 @@ SOURCES = stamp(_FOLDER)
 # Compiled functions are called from Python and from each other, never through C.
 _OPTIONS: Any = {
     "nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True,
+    "pipeline_class": PortableCompiler,
 }  # fmt: skip
 _names: set[str] = set()
 
@@ -41,7 +48,7 @@ _names: set[str] = set()
 @cache
 def stamp_of(path: Path) -> str:
     """Return the stamp of functions of a source file: SOURCES, and a digest of a file elsewhere."""
-    if path.is_relative_to(_FOLDER):
+    if path in _sources(_FOLDER):
         return SOURCES
     return f"{SOURCES} {sha256(path.read_bytes()).hexdigest()}"
 
@@ -49,18 +56,11 @@ def stamp_of(path: Path) -> str:
 def compiled(function: _Function) -> _Function:
     """Compile a function at its first call, without the GIL, and cache it on disk."""
     dispatcher: Any = numba.njit(**_OPTIONS)(function)
-    # Machine code contains code inlined from other files. The stamp makes it stale when any file of
-    # the integrators or the file of the function changes; functions elsewhere call no compiled
-    # functions of further files. numba offers no public way to set the stamp or the cache.
+    # Machine code contains code inlined from other files. The stamp makes it stale when any source
+    # of compiled integrators or the file of the function changes; functions elsewhere call no
+    # compiled functions of further files. numba offers no public way to set the cache.
     found = stamp_of(Path(function.__code__.co_filename))
-    try:
-        dispatcher.enable_caching()
-    except RuntimeError:  # numba can write neither beside the sources nor in the user's home
-        from .code_cache import CodeCache
-
-        vars(dispatcher)["_cache"] = CodeCache(dispatcher.py_func, found)
-    else:
-        vars(attrgetter("_cache._cache_file")(dispatcher))["_source_stamp"] = found
+    vars(dispatcher)["_cache"] = CodeCache(dispatcher, found)
     typed: _Function = dispatcher
     return typed
 
