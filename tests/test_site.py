@@ -13,11 +13,13 @@ from pathlib import Path
 
 import pytest
 import site_pages
+from site_pages_in_browser import broken_links, faults_in_browser
 
 import pinred
 from pinred import plots
 from pinred.cli import main
 from pinred.system.catalogue import has_example_robots
+from pinred.views.playback.headless_browser import Browser
 
 pytest.importorskip("myst_parser")
 pytest.importorskip("furo")
@@ -55,6 +57,33 @@ def test_built_pages_load_nothing_from_the_network(tmp_path: Path) -> None:
     theory = (tmp_path / "theory.html").read_text("utf-8")
     assert theory.count("<math") > 40
     assert "\\tfrac" not in theory
+    assert broken_links(tmp_path) == []
+
+
+@pytest.mark.by_hand
+def test_pages_have_no_faults_in_a_browser(tmp_path: Path, screen: Browser) -> None:
+    """No page loads from the network, fails, lacks a picture or is wider than the window."""
+    build(tmp_path)
+    for page in sorted(tmp_path.rglob("*.html")):
+        for width in (1280, 390):
+            assert faults_in_browser(screen, page, width) == [], (page.name, width)
+
+
+@pytest.mark.browser
+def test_faults_of_a_page_are_found(tmp_path: Path, screen: Browser) -> None:
+    """Each fault of a page that has all of them is reported, and each broken link."""
+    body = (
+        '<h1 id="top">A</h1><p>$x$</p><div style="width: 2000px">wide</div><img src="no.png">'
+        '<p style="width: 2em">unbreakablyLongWordOfAPage</p><a href="b.html">b</a>'
+        '<a href="#top">top</a><a href="#end">end</a><script>throw Error("e")</script>'
+    )
+    page = tmp_path / "page.html"
+    page.write_text(f"<!doctype html><article>{body}</article>", "utf-8")
+    assert broken_links(tmp_path) == ["page.html: #end", "page.html: b.html"]
+    faults = faults_in_browser(screen, page, 390)
+    starts = ("wider than", "broken picture", "text is wider", "text that is", "script fails")
+    for start in starts:
+        assert sum(fault.startswith(start) for fault in faults) == 1, (start, faults)
 
 
 WRITTEN = [

@@ -60,14 +60,16 @@ def main() -> None:
     os.chdir(DOCS)
     Path("pictures").mkdir(exist_ok=True)
     text = Path("gallery.md").read_text("utf-8")
+    wanted = sys.argv[1:]
+    commands = {k: words for k, words in commands_of(text).items() if not wanted or k in wanted}
     for words in sweeps_of(text):
-        draw(words)
-    for name, words in commands_of(text).items():
-        if not sys.argv[1:] or name in sys.argv[1:]:
-            start = time.monotonic()
+        if any(words[-1] in command for command in commands.values()):  # of the store
             draw(words)
-            shrink(Path("pictures") / f"{name}.png")
-            print(f"{name}.png: {time.monotonic() - start:.1f} s", flush=True)
+    for name, words in commands.items():
+        start = time.monotonic()
+        draw(words)
+        shrink(Path("pictures") / f"{name}.png")
+        print(f"{name}.png: {time.monotonic() - start:.1f} s", flush=True)
 
 
 if __name__ == "__main__":

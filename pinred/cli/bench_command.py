@@ -41,6 +41,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("flow", "calls, gradients, and variable inertias of flows", "robots", "four")
     add("scaling", "one kernel evaluation for chains of 5 to 100 joints")
     add("floquet", "Floquet multipliers by three routes against a closed form")
+    add("films", "time of a film's frame, compared with a screenshot", "robots", "four")
     add("loops", "gaps of closed loops in MuJoCo, whose constraints are soft, and in pinred")
     text = "trajectories per second of a batch, also with other tools"
     add_members(add("many", text, "scenes", "five"), 512)
@@ -60,6 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
     folder = _make_folder(arguments.out)
     if arguments.measurement == "accuracy":
         return _run_accuracy(arguments, folder)
+    if arguments.measurement == "films":
+        return _run_films(arguments, folder)
     from ..laboratory.bench.measurements import MEASUREMENTS
 
     names = ("robots", "robot", "scenes", "members", "held")
@@ -68,6 +71,16 @@ def run(arguments: argparse.Namespace) -> int:
     print(text)
     for name, records in tables.items():
         _write(folder, name, records)
+    return 0
+
+
+def _run_films(arguments: argparse.Namespace, folder: Path | None) -> int:
+    """Measure films, which the laboratory cannot, because it draws nothing.  Returns 0."""
+    from ..views.playback.film_timing import FilmTiming, bench_films
+
+    timings = bench_films(arguments.robots, progress=True)
+    print("\n".join([FilmTiming.header(), *map(str, timings)]))
+    _write(folder, "films", [dict(vars(timing)) for timing in timings])
     return 0
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
 
 _NOTICEABLE = 1e-6  # change of an initial state that is reported [relative]
+_ROUND_OFF = 1e-12  # change of a rate that is never reported [rad/s | m/s]
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,7 @@ def closed_rates(
             "which determine the others."
         )
     change = np.abs(rates - xdot).max()
-    if (held.stated or report) and change > _NOTICEABLE * np.abs(xdot).max():
+    if (held.stated or report) and change > max(_NOTICEABLE * np.abs(xdot).max(), _ROUND_OFF):
         _warn(system, "xdot0 opens a loop", rates - xdot)
     return rates
 

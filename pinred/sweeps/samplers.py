@@ -15,7 +15,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..common.arrays import Array
+from ..common.arrays import Array, as_floats
+from ..common.errors import InputError, ShapeError
+from ..common.names import brief
 from ..scene.sweep_options import Sampler
 from .distributions import Distribution, Listed
 
@@ -53,7 +55,10 @@ class PointSequence:
         return cls(sampler, laws, points, seed, directions)
 
     def values(self, first: int, last: int) -> Array:
-        """Return the values of points first … last − 1, (last − first, number of laws)."""
+        """Return the values of points first … last − 1, (last − first, number of laws).
+
+        Raises an InputError if a distribution returns other than finite numbers.
+        """
         if self.sampler == "grid":
             return _sample_grid(self.laws, first, last)
         if self.directions is not None:
@@ -63,7 +68,22 @@ class PointSequence:
         else:
             u = _sample_random(len(self.laws), first, last, self.seed)
         columns = zip(self.laws, u.T, strict=True)
-        return np.stack([law.at(column) for law, column in columns], axis=1)
+        return np.stack([_values_of(law, column) for law, column in columns], axis=1)
+
+
+def _values_of(law: Distribution, u: Array) -> Array:
+    values = as_floats(law.at(u), f"values of {brief(law)}")
+    if values.shape != u.shape:
+        raise ShapeError(
+            f"vary: expected {len(u)} values of {brief(law)}, one for each number u, got shape "
+            f"{values.shape}"
+        )
+    if not (finite := np.isfinite(values)).all():
+        k = int(np.argmin(finite))
+        raise InputError(
+            f"vary: expected finite values of {brief(law)}, got {values[k]} at u = {u[k]}"
+        )
+    return values
 
 
 def grid_size(laws: Iterable[Distribution]) -> int:

@@ -9,9 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import whole
 from ..common.errors import InputError, RejectedWarning
+from ..common.files import is_folder
 from ..common.names import brief, nearest, one_of, quoted, quoted_path
 from ..common.optional_packages import optional_package, require_package
 from ..common.progress import Progress, shown
@@ -19,7 +22,7 @@ from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.sweep_options import BLOCK, SAMPLERS, Sampler
 from ..simulation.members.member_groups import members_plan
-from .distributions import Listed, parse_distribution
+from .distributions import Distribution, Listed, parse_distribution
 from .run_blocks import PointsDone, compute_locally
 from .samplers import MOST_SOBOL, PointSequence, grid_size
 from .sweep_job import FAILED, REJECTED, Block, SweepJob
@@ -84,7 +87,7 @@ def sweep(
     """
     job = _job(scene, vary, points, sampler, seed, outputs, block)
     path = Path(_temporary_folder() if store is None else store)
-    if path.suffix != ".zarr" or not path.parent.is_dir():
+    if path.suffix != ".zarr" or not is_folder(path.parent):
         raise InputError(
             f"store: expected a name that ends in .zarr in an existing folder, got "
             f"{quoted_path(path)}"
@@ -141,6 +144,7 @@ def _job(
     if not vary:
         raise InputError("vary: expected at least one number with its distribution")
     laws = tuple(parse_distribution(value, key) for key, value in vary.items())
+    _check_seeds(vary, laws)
     chosen: Sampler = sampler or ("grid" if points is None else "sobol")
     if not one_of(chosen, SAMPLERS):
         raise InputError(
@@ -173,6 +177,19 @@ def _job(
     return SweepJob(
         varied, sequence, parse_outputs(varied.scene, outputs), whole(block, "block", 1)
     )
+
+
+def _check_seeds(vary: Mapping[str, Any], laws: Sequence[Distribution]) -> None:
+    """Check that the values of `seed` are listed whole numbers."""
+    for key, law in zip(vary, laws, strict=True):
+        if key != "seed":
+            continue
+        seeds = law.listed if isinstance(law, Listed) else np.array([-1.0])
+        if ((seeds < 0.0) | (seeds >= 2.0**53) | (seeds % 1.0 > 0.0)).any():
+            raise InputError(
+                f"vary: 'seed': expected a list of whole numbers of at least 0, such as "
+                f"range(100), got {brief(vary[key])}"
+            )
 
 
 def _blocks(

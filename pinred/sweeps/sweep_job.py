@@ -11,9 +11,10 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import Array
+from ..common.arrays import Array, whole
 from ..common.cpu_target import cpu_target
-from ..common.errors import InputError, LoopWarning
+from ..common.errors import InputError, LoopWarning, ShapeError
+from ..common.names import quoted
 from ..scene.scene import Scene
 from ..simulation.members.member_options import MemberOptions
 from ..simulation.members.rejected_members import separate_all_rejected
@@ -95,7 +96,7 @@ class SweepJob:
         Raises:
             InputError: There is no such point, or its values are rejected.
         """
-        if not 0 <= point < self.points:
+        if whole(point, "point", 0) >= self.points:
             raise InputError(f"point: expected 0 to {self.points - 1}, got {point}")
         members, seeds = self.varied.member_values(self.values(point, point + 1))
         many = simulate_many(self.varied.scene, members=members, seeds=seeds, invalid="raise")
@@ -177,14 +178,21 @@ class SweepJob:
         return {output.name: output.read(fields, many) for output in self.outputs}
 
 
+def check_row_shape(name: str, known: tuple[int, ...], shape: tuple[int, ...]) -> None:
+    """Raise a ShapeError if the rows of an output have another shape than earlier rows."""
+    if shape != known:
+        raise ShapeError(
+            f"outputs: expected rows of one shape from the function of {quoted(name)}, got "
+            f"{known} for some points and {shape} for others"
+        )
+
+
 def _joined(parts: list[dict[str, Array] | None], counts: list[int]) -> dict[str, Array]:
     """Join the outputs of parts; the outputs of parts without valid points are NaN."""
-    shapes = {
-        name: values.shape[1:]
-        for part in parts
-        if part is not None
-        for name, values in part.items()
-    }
+    shapes: dict[str, tuple[int, ...]] = {}
+    for part in parts:
+        for name, values in (part or {}).items():
+            check_row_shape(name, shapes.setdefault(name, values.shape[1:]), values.shape[1:])
     return {
         name: np.concatenate([
             np.full((count, *shape), np.nan) if part is None else part[name]

@@ -9,8 +9,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..common.arrays import Array
-from ..common.errors import InputError, ShapeError
+from ..common.arrays import Array, as_floats
+from ..common.errors import InputError, PinredError, ShapeError
 from ..common.names import brief, listed, nearest, quoted
 from ..scene.scene import Scene
 from ..simulation.members.trajectories import Trajectories
@@ -52,10 +52,11 @@ class Output:
             fields: Fields of State that the outputs need, (N, T, …).
             many: The members.
         Raises:
-            ShapeError: The function returns another number of values.
+            InputError: The function raises an exception.
+            ShapeError: The function returns other than one row of numbers for each member.
         """
         if self.function is not None:
-            values = np.asarray(self.function(many), dtype=float)
+            values = self._computed(self.function, many)
             if values.ndim == 0 or len(values) != len(many):
                 raise ShapeError(
                     f"outputs: the function of {quoted(self.name)} must return one row for each of "
@@ -66,6 +67,20 @@ class Output:
         if self.entry is not None:
             values = values[..., self.entry]
         return values if self.over_time else values[:, -1]
+
+    def _computed(self, function: Function, many: Trajectories) -> Array:
+        name = quoted(self.name)
+        try:
+            values = function(many)
+        except PinredError:
+            raise
+        except Exception as error:  # The user's function may raise any exception.
+            raise InputError(
+                f"outputs: the function of {name} raised {type(error).__name__}: {error}"
+            ) from error
+        if isinstance(values, np.ndarray) and values.dtype == bool:
+            values = values.astype(float)
+        return as_floats(values, f"outputs: the values of {name}")
 
 
 def parse_outputs(scene: Scene, outputs: Outputs | None) -> tuple[Output, ...]:

@@ -79,6 +79,13 @@ class VariedScene:
         """
         self.scene = scene
         self.numbers = tuple(self._find(key) for key in keys)
+        first: dict[tuple[str, int | None], str] = {}
+        for number in self.numbers:
+            other = first.setdefault((number.member, number.entry), number.key)
+            if other != number.key:
+                raise InputError(
+                    f"vary: {quoted(other)} and {quoted(number.key)} are one number. Omit one"
+                )
         if any(number.member in _states(scene) for number in self.numbers):
             self.scene = _with_stated_start(self.scene)
 
@@ -130,6 +137,11 @@ class VariedScene:
             return VariedNumber(key, key, None, "1")
         word, _, end = key.partition(".")
         states = _states(scene)
+        if labels := [*states.get(key, ())] or _labels_of(system, key):
+            entries = listed([f"{key}.{label}" for label in labels], 60)
+            raise InputError(
+                f"vary: {quoted(key)} is a vector. Vary some of its entries: {entries}"
+            )
         if word in states and plain_label(end) in states[word]:
             entry, unit = states[word][plain_label(end)]
             return VariedNumber(key, word, entry, unit)
@@ -189,10 +201,15 @@ def _robot_number(system: System, key: str) -> VariedNumber | None:
     if size_of_robot(system, key) == 1:
         return VariedNumber(key, key, None, _unit(system, key, ""))
     member, _, label = key.rpartition(".")
-    labels = _ENTRIES.get(member.rpartition(".")[2], ())
-    if label not in labels or size_of_robot(system, member) != len(labels):
+    if label not in (labels := _labels_of(system, member)):
         return None
     return VariedNumber(key, member, labels.index(label), _unit(system, member, label))
+
+
+def _labels_of(system: System, name: str) -> Sequence[str]:
+    """Return the labels of the entries of a robot parameter that is a vector."""
+    labels = _ENTRIES.get(name.rpartition(".")[2], ())
+    return labels if labels and size_of_robot(system, name) == len(labels) else ()
 
 
 def _unit(system: System, name: str, label: str) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from cassie import cassie, cassie_path
+from constraint_dynamics import constraint_dynamics
 from loop_robots import four_bar, gripper, planar_legs, random_loops
 from scipy.integrate import solve_ivp
 
@@ -25,7 +26,7 @@ from pinred.common.errors import (
 from pinred.kernels import validation
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
-from pinred.system.loops.loop import Constraint, Loop, LoopKind
+from pinred.system.loops.loop import Loop, LoopKind
 from pinred.system.loops.looped_system import loop_values
 from pinred.views.playback.shape_panel import shape_panel
 
@@ -34,32 +35,6 @@ def linkage() -> pinred.System:
     """Return the four-bar linkage."""
     model, loops = four_bar()
     return pinred.load(model, loops=loops)
-
-
-def constraint_dynamics(
-    model: pin.Model, *loops: Constraint, regular: float = 1e-14
-) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
-    """Return Pinocchio's map from q, v, τ to acceleration and force, for kinds "3d" and "6d"."""
-    data = model.createData()
-    models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-    for loop in loops:
-        assert isinstance(loop, Loop)
-        a, b = (model.frames[model.getFrameId(name)] for name in (loop.frame_a, loop.frame_b))
-        kind = pin.ContactType.CONTACT_3D if loop.kind == "3d" else pin.ContactType.CONTACT_6D
-        contact = pin.RigidConstraintModel(
-            kind, model, a.parentJoint, a.placement, b.parentJoint, b.placement,
-            pin.ReferenceFrame.LOCAL,
-        )  # fmt: skip
-        models.append(contact)
-        datas.append(contact.createData())
-    pin.initConstraintDynamics(model, data, models, datas)
-    proximal = pin.ProximalSettings(1e-14, regular, 50)
-
-    def solve(q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
-        a = pin.constraintDynamics(model, data, q, v, tau, models, datas, proximal).copy()
-        return a, -np.array(datas[0].contact_force.linear)  # on frame b
-
-    return solve
 
 
 def reference(
@@ -314,14 +289,10 @@ REFUSED: dict[str, Callable[[pinred.System], object]] = {
     "Reduction": pinred.Reduction,
     "viscous": lambda s: pinred.Connection.viscous(s, {}),
     "kinematic": lambda s: pinred.Connection.kinematic(s, []),
-    "equilibria": lambda s: pinred.relative_equilibria(s, momentum=1.0),
     "branches": lambda s: pinred.branches(s, momentum=[0.0, 1.0]),
     "reorient": lambda s: pinred.reorient(s, 1.0),
     "casadi": pinred.casadi_functions,
     "variational": lambda s: pinred.Scene(system=s, seed=1, method=pinred.Variational(0.01)),
-    "linearise": lambda s: pinred.linearise(pinred.simulate(s, seed=1, duration=0.1)),
-    "lyapunov": lambda s: pinred.lyapunov(pinred.simulate(s, seed=1, duration=0.1)),
-    "floquet": lambda s: pinred.floquet(pinred.simulate(s, seed=1, duration=0.1)),
 }
 
 

@@ -8,9 +8,9 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 import pytest
+from constraint_dynamics import constraint_dynamics
 from loop_robots import cassie_like, delta, gripper
 from scipy.integrate import solve_ivp
-from test_loop_motion import constraint_dynamics
 
 import pinred
 from pinred.common.arrays import Array

@@ -22,6 +22,7 @@ scene = pinred.Scene(
     xdot0=[0.5, -0.3, 0.2, 0.1, 0.4], momentum=[0, 0, 1.0],
 )
 vary = {"base.mass": pinred.Uniform(0.5, 2), "x0.joint1": pinred.Uniform(-1, 1)}
+pinred.simulate_many(scene, members={"base.mass": np.ones(2)}, times=[1.0])  # compile
 began, used = time.perf_counter(), time.process_time()
 pinred.sweep(scene, vary, points=count, outputs=["pose"], store=f"{folder}/s.zarr", threads=1)
 swept = time.process_time() - used, time.perf_counter() - began

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import os
 import signal
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from PIL import Image
 
 import pinred
 from pinred.views.playback.film import find_ffmpeg, write_gif
+from pinred.views.playback.film_timing import FilmTiming, bench_films
 from pinred.views.playback.headless_browser import Browser
 from pinred.views.playback.playback import playback
 from pinred.views.playback.server import Player
@@ -337,6 +340,56 @@ def test_robot_names_cannot_inject_scripts(screen: Browser, tmp_path: Path) -> N
     show(screen, (tmp_path / "page.html").as_uri())
     assert screen.run("window.hit === undefined")
     assert complaints(screen) == []
+
+
+@pytest.mark.parametrize("name", ["falling_cat", *OTHERS])
+def test_pictures_of_films_equal_screenshots(screen: Browser, tmp_path: Path, name: str) -> None:
+    """The scene is equal bit for bit; cards differ in their antialiased corners only."""
+    traj = pinred.simulate(pinred.load(name), **ROBOTS[name])
+    pinred.save_html(traj, tmp_path / "page.html")
+    screen.open(f"{(tmp_path / 'page.html').as_uri()}#bare", **SIZE)
+    screen.wait_for("window.pinred !== undefined")
+    cards = "['panel', 'bar'].map(i => document.getElementById(i).getBoundingClientRect())"
+    boxes = screen.run(f"{cards}.map(b => [b.left, b.top, b.right, b.bottom])")
+    shots = [picture_at(screen, t) for t in (0.31, 0.62)]  # pictures hide the page
+    for t, shot in zip((0.31, 0.62), shots, strict=True):
+        url = screen.run(f"pinred.picture({t})")
+        file = io.BytesIO(base64.b64decode(url.removeprefix("data:image/png;base64,")))
+        film = np.asarray(Image.open(file).convert("RGB"), dtype=np.int16)
+        assert film.shape == shot.shape
+        outside = np.ones(film.shape[:2], dtype=bool)
+        for left, top, right, bottom in np.round(boxes).astype(int).tolist():
+            outside[top - 6 : bottom + 6, left - 6 : right + 6] = False
+            card = (slice(top, bottom), slice(left, right))
+            assert (np.abs(film[card] - shot[card]) > 2).any(axis=2).sum() < 100
+        assert np.array_equal(film[outside], shot[outside])
+    assert count_different(*shots) > 100
+
+
+def test_film_has_exact_number_of_frames(screen: Browser, tmp_path: Path) -> None:
+    """A film has a frame at each time, in order, from one session of the browser."""
+    del screen  # one is started for the film; this only skips where there is none
+    traj = pinred.simulate(pinred.load("falling_cat"), duration=0.5)
+    assert pinred.save_film(traj, tmp_path / "film.png", fps=8, size=(160, 120)) == 5
+    frames = [np.asarray(Image.open(path), dtype=np.int16) for path in sorted(tmp_path.iterdir())]
+    assert [path.name for path in sorted(tmp_path.iterdir())] == [
+        f"film_{k:04d}.png" for k in range(5)
+    ]
+    assert {frame.shape[:2] for frame in frames} == {(120, 160)}
+    assert all(count_different(a, b) > 10 for a, b in pairwise(frames))
+
+
+@BY_HAND
+def test_film_timing_compares_frames_with_screenshots(screen: Browser) -> None:
+    """The table names both times and their ratio."""
+    del screen
+    (timing,) = bench_films(["falling_cat"])
+    assert timing.frame > 0.0
+    assert timing.screenshot > 0.0
+    row = f"{timing}".split()
+    assert row[0] == "falling_cat"
+    assert float(row[2]) == pytest.approx(1.0 / timing.frame, rel=0.01)
+    assert len(FilmTiming.header().split("  ")) > 3
 
 
 @BY_HAND

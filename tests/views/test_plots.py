@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ import pinocchio as pin
 import pytest
 from commands import python
 from figures import beanie, drawn, units
+from matplotlib.text import Text
 from pictures import measured
 
 import pinred
 from pinred import plots
+from pinred.laboratory.bench.work_precision import Point, WorkPrecision
 
 
 @pytest.fixture(scope="module")
@@ -192,6 +195,25 @@ def test_error_plot_equals_distance_to_closed_form() -> None:
     assert not [line for line in axes.lines if "position" in str(line.get_label())]
 
 
+def test_names_of_lines_do_not_overlap() -> None:
+    """Lines that end at one point have names below each other, in the order of their ends."""
+    names = [f"m{k}" for k in range(9)]
+    points = tuple(
+        Point(name, tolerance, wall=wall + 1e-3 * k, shape=tolerance, rotation=0.0, position=0.0)
+        for k, name in enumerate(names)
+        for tolerance, wall in ((1e-6, 50.0), (1e-3, 1.0))
+    )
+    result = WorkPrecision("p", 1, 1.0, 1e-12, dict.fromkeys(names, ""), points)
+    figure = plots.work_precision(result)
+    figure.canvas.draw()
+    (axes,) = figure.axes
+    written = [text for text in axes.texts if text.get_text() in names]
+    boxes = [Text.get_window_extent(text) for text in written]  # without the lines to them
+    assert len(boxes) == len(names)
+    assert all(low.y1 < high.y0 for low, high in pairwise(boxes))
+    assert all(box.x0 > axes.get_window_extent().x1 for box in boxes)
+
+
 def test_work_precision_plot_has_measured_points() -> None:
     """Wall time in ms against largest error; failures are omitted."""
     figure = plots.work_precision(measured())
@@ -208,6 +230,8 @@ def test_work_precision_plot_has_measured_points() -> None:
     # A method looks the same in every panel.
     colours = [{line.get_label(): line.get_color() for line in axes.lines} for axes in figure.axes]
     assert colours[1]["slow"] == colours[0]["slow"] != colours[0]["fast"]
+    names = {text.get_text(): text.get_color() for text in first.texts}
+    assert names == {**colours[0], "not known": "#777777"} | {"fast": "#000000"}
     evaluations = plots.work_precision(measured()[0], against="evaluations")
     error, work = drawn(evaluations.axes[0], "slow")
     np.testing.assert_allclose(work, 100 * error**-0.1)

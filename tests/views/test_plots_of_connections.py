@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from figures import drawn
 from matplotlib.axes import Axes
@@ -73,9 +74,26 @@ def test_cycles_plot_passes_poses() -> None:
     cat = pinred.Connection.mechanical(pinred.load("falling_cat"))
     gait = pinred.Gait.fourier(np.zeros(3), [[0.5, 0.0, 0.0]], [[0.0, 0.5, 0.0]])
     q = pinred.phase(cat, gait)
-    t, rotated = drawn(plots.cycles(q, count=2).axes[0], "θx")
+    t, rotated = drawn(plots.cycles(q, count=2).axes[1], "θx")
     assert t[-1] == pytest.approx(2.0)
-    assert rotated[-1] == pytest.approx(cat.group.log(q.cycles(2))[3], abs=1e-12)
+    expected_turn = np.degrees(cat.group.log(q.cycles(2))[3])
+    assert rotated[-1] == pytest.approx(expected_turn, abs=1e-10)
+
+
+def test_cycles_plot_continues_beyond_half_a_turn() -> None:
+    """Rotation vectors are continuous beyond 180°, and each is the attitude of its time."""
+    cat = pinred.Connection.mechanical(pinred.load("falling_cat"))
+    gait = pinred.Gait.fourier(np.zeros(3), [[0.8, 0.0, 0.0]], [[0.0, 0.8, 0.0]])
+    p = pinred.phase(cat, gait)
+    figure = plots.cycles(p, count=3)
+    position, rotation = figure.axes
+    vectors = np.radians([drawn(rotation, f"θ{k}")[1] for k in "xyz"]).T
+    assert np.linalg.norm(vectors, axis=1).max() > 1.3 * np.pi
+    assert np.linalg.norm(np.diff(vectors, axis=0), axis=1).max() < 0.3
+    expected = pin.Quaternion(np.asarray(p.cycles(3)[3:])).toRotationMatrix()
+    np.testing.assert_allclose(pin.exp3(vectors[-1]), expected, atol=1e-12)
+    places = np.array([drawn(position, k)[1][-1] for k in "xyz"])
+    np.testing.assert_allclose(places, p.cycles(3)[:3], atol=1e-12)
 
 
 @pytest.mark.by_hand

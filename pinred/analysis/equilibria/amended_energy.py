@@ -33,7 +33,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...reduction.base_parts import root_of
 from ...reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
-from ...system.shape_space import ShapeSpace
+from .displaced_shape import displaced_shape
 from .equilibrium_problem import Problem
 from .points import Points, tangents
 
@@ -219,7 +219,7 @@ class AmendedEnergy:
             H, g = ca.hessian(V, x)
             return ca.Function("springs", [x], [ca.densify(part) for part in (V, g, H)])
         w = ca.SX.sym("w", space.m)
-        V = forces.potential_function(_displaced(space, x, w), ca.DM(forces.numbers))
+        V = forces.potential_function(displaced_shape(space, x, w), ca.DM(forces.numbers))
         parts = [V, *ca.hessian(V, w)[::-1]]
         at_x = [ca.substitute(part, w, ca.SX.zeros(space.m)) for part in parts]
         return ca.Function("springs", [x], [ca.densify(part) for part in at_x])
@@ -227,7 +227,7 @@ class AmendedEnergy:
     def _on_sphere(self, points: Points, e: Energies) -> Energies:
         """Project derivatives with respect to n onto the tangent plane of the sphere."""
         if not self.problem.directional:
-            return e
+            return self._on_loops(points, e)
         ma = points.dimension
         B = np.zeros((len(points), ma + 3, ma + 2))
         B[:, :ma, :ma] = np.eye(ma)
@@ -237,27 +237,29 @@ class AmendedEnergy:
         radial = np.einsum("ni,ni->n", e.gradient[:, ma:], points.n)
         hessian[:, ma:, ma:] -= radial[:, None, None] * np.eye(2)
         g, gJ = ((Bt @ part[..., None])[..., 0] for part in (e.gradient, e.by_momentum))
-        return Energies(e.U, g, hessian, e.rates, gJ, e.scale)
+        return self._on_loops(points, Energies(e.U, g, hessian, e.rates, gJ, e.scale))
+
+    def _on_loops(self, points: Points, e: Energies) -> Energies:
+        """Project derivatives with respect to x onto the closed shapes of loops, if any."""
+        surface = points.surface
+        if surface is None:
+            return e
+        ma, rest = points.dimension, 2 * self.problem.directional
+        tangents, is_regular = surface.tangents(points.x)
+        B = np.zeros((len(points), ma + rest, tangents.shape[2] + rest))
+        B[:, :ma, : tangents.shape[2]] = tangents
+        B[:, ma:, tangents.shape[2] :] = np.eye(rest)
+        hessian, Bt = e.hessian.copy(), np.swapaxes(B, 1, 2)
+        hessian[:, :ma, :ma] -= surface.curvature(points.x, e.gradient[:, :ma])
+        hessian[~is_regular] = np.nan  # so that no shape where equations depend is critical
+        g, gJ = ((Bt @ part[..., None])[..., 0] for part in (e.gradient, e.by_momentum))
+        return Energies(e.U, g, Bt @ hessian @ B, e.rates, gJ, e.scale)
 
 
 def _symmetrised(d: InertiaDerivatives) -> InertiaDerivatives:
     """Return the derivatives with the symmetric part of the second ones."""
     halves = [0.5 * (part + np.swapaxes(part, -1, -2)) for part in (d.d2H, d.d2com)]
     return replace(d, d2H=halves[0], d2com=halves[1])
-
-
-def _displaced(space: ShapeSpace, x: ca.SX, w: ca.SX) -> ca.SX:
-    """Return x exp(w), (nx,), up to terms of second order in w."""
-    shape = ca.SX(space.nx, 1)
-    for joint in space.joints:
-        q, v = x[joint.x.start : joint.x.stop], w[joint.v.start : joint.v.stop]
-        if joint.kind.is_ball:
-            real = 1.0 - ca.sumsqr(v) / 8.0
-            vector = real * q[:3] + 0.5 * (q[3] * v + ca.cross(q[:3], v))
-            shape[joint.x] = ca.vertcat(vector, real * q[3] - 0.5 * ca.dot(q[:3], v))
-        else:
-            shape[joint.x] = q + v
-    return shape
 
 
 def _symmetric(matrix: Array) -> Array:

@@ -237,6 +237,8 @@ class DistinctPoints:
             if n.size:
                 n_middle /= np.linalg.norm(n_middle, axis=1, keepdims=True)
             halfway = points.at(x, n)[which].shape_displaced(0.5 * across[which])
+            if points.surface is not None:
+                halfway = points.surface.closed(halfway)[0]
             middle = points.at(halfway, n_middle)
             before, after = (
                 residuals(self._energy(p, self._J)) for p in (points.at(x, n)[which], middle)

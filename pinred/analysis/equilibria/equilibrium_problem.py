@@ -21,13 +21,13 @@ from ...common.names import joint_index
 from ...forces.force import Force
 from ...forces.force_model import ForceModel, touched_by
 from ...forces.signals import Signal
-from ...reduction.cyclic_joints import cyclic_joints
-from ...reduction.pointwise_reduction import PointwiseReduction
+from ...reduction.cyclic_joints import cyclic_of
 from ...scene.scene import Scene
 from ...simulation.plan import Plan, plan_of
 from ...system.joints import axes_of
 from ...system.shape_space import PlacedJoint, ShapeSpace, shape_space
 from ...system.system import System
+from .loop_surface import LoopSurface
 from .points import Points
 
 Kind: TypeAlias = Literal["axis", "free", "heavy"]
@@ -75,8 +75,9 @@ class Problem(FrozenArrays):
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns: one per active rate, and two for a direction."""
-        return len(self.active) + 2 * self.directional
+        """Number of unknowns: active rates, less equations of loops, and two for a direction."""
+        constraints = 0 if self.surface is None else self.surface.rank
+        return len(self.active) - constraints + 2 * self.directional
 
     @property
     def forces(self) -> ForceModel | None:
@@ -101,6 +102,15 @@ class Problem(FrozenArrays):
         """Manifold of the active joints."""
         joints = self._active_joints
         return shape_space([joint.name for joint in joints], [joint.kind for joint in joints])
+
+    @cached_property
+    def surface(self) -> LoopSurface | None:
+        """Closed shapes of the active joints; None without loops."""
+        if not self.system.loops:
+            return None
+        rest = self.shapes(self.space.neutral[None])[0]
+        active = np.array(self.active, dtype=np.intp)
+        return LoopSurface(self.system, self.space, active, self.active_x, rest)
 
     @cached_property
     def active_x(self) -> list[int]:
@@ -140,7 +150,7 @@ class Problem(FrozenArrays):
         Returns:
             The points.
         """
-        return Points(x, n, self.space if self.space.balls else None)
+        return Points(x, n, self.space if self.space.balls else None, self.surface)
 
     def rates(self, cyclic: Array) -> Array:
         """Return shape rates (m,) for rates of the cyclic joints (nc,)."""
@@ -182,7 +192,7 @@ def problem_of(
     """
     scene = Scene(
         system=system,
-        x0=system.space.neutral,
+        x0=system.space.neutral if system.closure is None else system.closure.x,
         springs=springs or {},
         forces=forces,
         prescribed=prescribed or {},
@@ -230,7 +240,7 @@ def _steady(system: System, model: ForceModel | None, end: float) -> tuple[Array
         return np.zeros(0), np.zeros(0)
     plans = [model.prescribed(t, model.numbers_from(t, end)) for t in _TIMES]
     first, names = plans[0], [system.shape_names[k] for k in model.joints]
-    free = cyclic_joints(PointwiseReduction(system)) if first.xdot.any() else ()
+    free = cyclic_of(system, frozenset(), pushed=False) if first.xdot.any() else ()
     for k, name in enumerate(names):
         rates = np.array([plan.xdot[k] for plan in plans])
         acceleration = max(abs(plan.xddot[k]) for plan in plans)

@@ -16,6 +16,7 @@ from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.system import System, checked_system
 from ..stability.linearisation import linearised
+from ..stability.linearised_flow import of_smooth_momenta
 from ..stability.second_variation import second_variation
 from ..stability.stability_verdict import Stability, assess_stability
 from .amended_energy import AmendedEnergy, Energies
@@ -77,7 +78,7 @@ def relative_equilibria(
         SymmetryError: Gravity breaks the symmetry.
     """
     problem = problem_of(
-        checked_system(system, "relative_equilibria"), cyclic=cyclic, springs=springs,
+        checked_system(system, "relative_equilibria", loops=True), cyclic=cyclic, springs=springs,
         forces=forces, prescribed=prescribed, passive=passive,
     )  # fmt: skip
     J = finite(momentum, "momentum")
@@ -276,4 +277,4 @@ def flow_at(problem: Problem, point: Points, xdot: Array, xi: Array) -> Compiled
         problem.scene, x0=problem.shapes(point.x)[0], xdot0=xdot, xi0=xi,
         pose0=pose_of(problem, point.n[0]),
     )  # fmt: skip
-    return CompiledFlow.of_plan(plan_of(scene), all_momenta=True)
+    return CompiledFlow.of_plan(plan_of(of_smooth_momenta(scene)), all_momenta=True)

@@ -40,6 +40,8 @@ def euler_characteristic(problem: Problem) -> tuple[int | None, str]:
     Returns:
         The Euler characteristic and "", or None and the reason why the Morse sum does not apply.
     """
+    if problem.surface is not None:
+        return None, "the topology of the closed shapes of loops is not known"
     names = problem.system.shape_names
     balls = problem.space.balls
     cut = [joint.name for joint in balls if not _is_smooth_at(problem, joint.name)]
@@ -94,6 +96,8 @@ def morse_sum(energy: AmendedEnergy, points: DistinctPoints, J: float) -> int | 
     Returns:
         The sum, or None if the degree of an equilibrium is unknown.
     """
+    if energy.problem.surface is not None:
+        return None
     total = 0
     for orbit in points.orbits:
         degree = _degree(energy, orbit, J) if orbit.is_flat else 1 - 2 * (orbit.index % 2)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...lie.rotations import rotation
 from ...system.shape_space import ShapeSpace
+from .loop_surface import LoopSurface
 
 Which: TypeAlias = slice | list[int] | NDArray[Any]
 
@@ -24,11 +25,13 @@ class Points:
         x: Coordinates of the active joints, (N, k).
         n: Directions in the body, (N, 3), or (N, 0) if none is unknown.
         space: Manifold of the active joints; None if they are hinges and slides.
+        surface: Closed shapes of loops; None without loops.
     """
 
     x: Array
     n: Array
     space: ShapeSpace | None = None
+    surface: LoopSurface | None = None
 
     def __len__(self) -> int:
         return len(self.x)
@@ -72,13 +75,16 @@ class Points:
         """Return the points after a step.
 
         Args:
-            step: Displacements along the frame of the shape, and on the tangent plane of the
-                sphere, (N, unknowns).
+            step: Displacements along the frame of the shape, or along the closed shapes of loops,
+                and on the tangent plane of the sphere, (N, unknowns).
         Returns:
             The new points, with unit directions.
         """
-        ma = self.dimension
-        x = self.shape_displaced(step[:, :ma])
+        ma = self.dimension if self.surface is None else self.dimension - self.surface.rank
+        if self.surface is None:
+            x = self.shape_displaced(step[:, :ma])
+        else:
+            x = self.surface.moved(self.x, step[:, :ma])
         if not self.n.shape[1]:
             return self.at(x, self.n)
         n = self.n + (tangents(self.n) @ step[:, ma:, None])[..., 0]

@@ -12,8 +12,10 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError
 from ...lie.rotations import quaternion_exp
-from ...reduction.pointwise_reduction import PointwiseReduction
+from ...reduction.inertia_split import mass_matrix
 from ...scene.scene import Scene
+from ...system.loops.loop_assembly import assemble
+from ...system.loops.looped_system import loop_jacobian
 from ...system.system import System
 from ..stability.stability_verdict import Mode, Stability, Verdict
 from .census import Census
@@ -107,6 +109,8 @@ class RelativeEquilibrium(FrozenArrays):
         change = self._change(mode, amplitude)
         system, problem = self.system, self.problem
         x = system.space.integrate(self.x, change[: system.m])
+        if system.closure is not None:
+            x = assemble(system, x, system.closure.length)[0]
         pose = pose_of(problem, self.direction)
         pi, mu = self._momenta(change)
         if problem.kind == "heavy":
@@ -139,7 +143,7 @@ class RelativeEquilibrium(FrozenArrays):
         """Return π (m,) of the joints and the body momentum (r,) after a perturbation."""
         system = self.system
         v = np.concatenate([self.xi, self.xdot])
-        momentum = PointwiseReduction(system).mass_matrix(self.x) @ v
+        momentum = mass_matrix(system, self.x) @ v
         r, m = system.r, system.m
         mu, base = momentum[:r].copy(), change[2 * m :]
         if self.problem.kind == "heavy":
@@ -151,13 +155,20 @@ class RelativeEquilibrium(FrozenArrays):
     def _velocity(self, x: Array, pi: Array, mu: Array) -> tuple[Array, Array]:
         """Compute (ẋ, ξ) from the momenta; driven joints keep their prescribed rates."""
         system, problem = self.system, self.problem
-        H = PointwiseReduction(system).mass_matrix(x)
+        H = mass_matrix(system, x)
         driven = system.r + np.array(problem.driven, dtype=np.intp)
         free = np.setdiff1d(np.arange(system.n), driven)
         v = np.zeros(system.n)
         v[driven] = problem.driven_rate
         remaining = np.concatenate([mu, pi])[free] - H[np.ix_(free, driven)] @ v[driven]
-        v[free] = np.linalg.solve(H[np.ix_(free, free)], remaining)
+        inertia = H[np.ix_(free, free)]
+        v[free] = np.linalg.solve(inertia, remaining)
+        if system.closure is not None:  # an impulse of the loops keeps them closed
+            J = np.zeros((system.closure.rank, system.n))
+            J[:, system.r :] = loop_jacobian(system, x)[system.closure.rows]
+            response = np.linalg.solve(inertia, J[:, free].T)
+            for _ in range(2):  # the second time removes round-off, which small rates reveal
+                v[free] -= response @ np.linalg.solve(J[:, free] @ response, J @ v)
         return v[system.r :], v[: system.r]
 
     def _usual_duration(self, mode: int | None) -> float:

@@ -57,6 +57,8 @@ def starting_points(problem: Problem, count: int, rng: np.random.Generator) -> P
     symmetric = min(len(quarters), count)
     scalars[:symmetric, turns] = 0.5 * np.pi * (quarters[:symmetric, :hinges] - 1)
     x = _with_attitudes(space, scalars, quarters[:symmetric, hinges:], rng)
+    if problem.surface is not None:
+        x = problem.surface.random(x, rng)
     if not problem.directional:
         return problem.points(x, np.zeros((count, 0)))
     n = rng.normal(size=(count, 3))

@@ -109,7 +109,11 @@ def symmetries_of(energy: AmendedEnergy, J: float) -> tuple[Symmetry, ...]:
     n = rng.normal(size=(_POINTS, 3 * problem.directional))
     n = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
     space = problem.space
-    points = problem.points(x if not space.balls else space.integrate(space.neutral, x), n)
+    if space.balls:
+        x = space.integrate(space.neutral, x)
+    if problem.surface is not None:
+        x = problem.surface.random(x, rng)
+    points = problem.points(x, n)
     e = energy(points, J)
     candidates = _without_copies(_candidates(problem, points.x[0]), points)
     if not candidates:
@@ -117,6 +121,8 @@ def symmetries_of(energy: AmendedEnergy, J: float) -> tuple[Symmetry, ...]:
     images = joined([candidate(points) for candidate in candidates])
     difference = energy(images, J).U.reshape(len(candidates), _POINTS) - e.U
     agrees = np.all(np.abs(difference) <= _SAME_ENERGY * e.scale, axis=1)
+    if problem.surface is not None:
+        agrees &= problem.surface.is_closed(images.x).reshape(len(candidates), _POINTS).all(axis=1)
     return tuple(c for c, same in zip(candidates, agrees.tolist(), strict=True) if same)
 
 

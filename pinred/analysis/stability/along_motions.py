@@ -86,7 +86,6 @@ def linearise(traj: Trajectory, t: float = 0.0) -> Linearisation:
     Raises:
         InputError: t is outside the motion, or the motion has no base.
     """
-    traj.system.refuse_loops("linearise")
     scene = scene_at(traj, t)
     flow = CompiledFlow.of_plan(plan_of(scene))
     model, layout = scene.force_model, flow.kernel.layout
@@ -130,6 +129,7 @@ def lyapunov(
     with shown(progress, "Lyapunov") as report:
         for k in range(count):
             flow.advance(step)
+            flow.reset_gauge()
             Q, R = np.linalg.qr(flow.Y)
             sums += np.log(np.abs(np.diag(R)))
             flow.Y[:] = Q
@@ -169,6 +169,7 @@ def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipli
     initial_y, initial_basis = flow.y.copy(), flow.Y.copy()
     flow.advance_converged(T)
     flow.align(initial_y)
+    flow.reset_gauge()
     closure = _closure(traj, flow, initial_y, T)
     if not closure <= _MAX_CLOSURE:
         raise InputError(

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...kernels.derived_code import jacobian_of
+from ...kernels.evaluate import evaluate
 from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.sample import Sample
 from .reduced_state import Leaf, leaf_of
 
 _ROUND_OFF = 10.0  # error of the Jacobian, in units of machine epsilon times its norm
@@ -23,7 +25,7 @@ class Linearisation(FrozenArrays):
 
     Attributes:
         state: Reduced state z without cyclic angles and time, (k,).
-        names: Names of the entries of z.
+        names: Names of the entries of z; with closed loops, π is the impetus.
         matrix: Exact Jacobian of the reduced flow, (k, k).
         eigenvalues: Eigenvalues on the leaf where the Casimirs are constant, (d,) [1/s], largest
             growth first.
@@ -48,19 +50,26 @@ class Linearisation(FrozenArrays):
 
 def linearised(flow: CompiledFlow, y: Array) -> Linearisation:
     """Linearise the flow at a reduced state y (size,)."""
-    matrix = jacobian_of(flow.kernel, y, flow.parameters)
-    leaf = leaf_of(flow.kernel, y, _usual_rate(flow, y))
+    sample = flow.sample(0.0, y)
+    leaf = leaf_of(flow.kernel, y, sample.x, _usual_rate(flow, sample))
     indices = leaf.indices
-    matrix = matrix[np.ix_(indices, indices)]
+    if leaf.gauge is None:
+        matrix = jacobian_of(flow.kernel, y, flow.parameters)[np.ix_(indices, indices)]
+    else:
+        at, parameters = y.copy(), np.ascontiguousarray(flow.parameters)
+        rates = evaluate(flow.kernel.rate.address, parameters, y[None], len(y))[0]
+        at[indices], shear = leaf.gauge.at_rest(sample.x, y[indices], rates[indices])
+        matrix = jacobian_of(flow.kernel, at, flow.parameters)[np.ix_(indices, indices)]
+        matrix = np.linalg.solve(shear, matrix @ shear)
     on_leaf = leaf.restrict(matrix)
     values, left, right = eigen(on_leaf)
     error = eigenvalue_errors(left, right, _ROUND_OFF * np.finfo(float).eps * norm(on_leaf))
     return Linearisation(y[indices], leaf.names, matrix, values, leaf.embed(right), error, leaf)
 
 
-def _usual_rate(flow: CompiledFlow, y: Array) -> float:
+def _usual_rate(flow: CompiledFlow, sample: Sample) -> float:
     """Return the largest rate at a state [rad/s], at least 1 rad/s under gravity or forces."""
-    kernel, sample = flow.kernel, flow.sample(0.0, y)
+    kernel = flow.kernel
     angular_velocity = sample.xi[kernel.system.group.linear :]
     rate = max(float(np.abs(rates).max(initial=0.0)) for rates in (angular_velocity, sample.xdot))
     has_forces = bool(kernel.layout.gravity) or kernel.forces is not None

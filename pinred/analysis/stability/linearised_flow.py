@@ -23,6 +23,7 @@ from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State
+from .loop_gauge import loop_gauge
 from .reduced_state import Leaf, leaf_of
 
 _STEP_RATIO = 0.5  # longest step, relative to the median step of the motion
@@ -69,6 +70,25 @@ class LinearisedFlow:
             if np.abs(after - signs * before).max() <= _SAME_RATE * np.abs(before).max():
                 self.y *= signs
                 self.Y *= signs[:, None]
+
+    def reset_gauge(self) -> None:
+        """With closed loops, change to the gauge ν = 0, and project Y on closed perturbations.
+
+        Gaps are constant, so their round-off would exceed directions that decay.
+        """
+        gauge, indices = self.leaf.gauge, self.leaf.indices
+        if gauge is None:
+            return
+        sample = self.flow.sample(0.0, self.y)
+        quaternions = self.leaf.quaternions
+        gauge = loop_gauge(gauge.system, self.flow.kernel.layout, quaternions, self.y[indices])
+        assert gauge is not None
+        z, Z = gauge.reset(sample, self.y[indices], self.Y[indices])
+        scales = self.leaf.scales
+        Q = np.linalg.qr(gauge.gradients(sample.x, scales).T)[0]
+        scaled = Z / scales[:, None]
+        self.y[indices] = z
+        self.Y[indices] = (scaled - Q @ (Q.T @ scaled)) * scales[:, None]
 
     def converged_step(self, duration: float) -> float:
         """Return a step [s] so short that halving it does not change Y after a duration [s]."""
@@ -134,7 +154,6 @@ def linearised_flow(traj: Trajectory) -> LinearisedFlow:
         InputError: The motion was not computed by the compiled engine, or its forces are not smooth
             in time.
     """
-    traj.system.refuse_loops("linearised flows")
     if traj.run.engine != "compiled":
         raise InputError(
             "traj: the linearised flow needs a motion that was simulated with engine='compiled'"
@@ -144,7 +163,7 @@ def linearised_flow(traj: Trajectory) -> LinearisedFlow:
             "traj: the linearised flow needs forces that are smooth in time, and no controllers"
         )
     flow = CompiledFlow.of_plan(plan_of(without_base(traj.scene)))
-    leaf = leaf_of(flow.kernel, flow.y0)
+    leaf = leaf_of(flow.kernel, flow.y0, flow.sample(0.0, flow.y0).x)
     Y = np.zeros((len(flow.y0), leaf.basis.shape[1]))
     Y[leaf.indices] = np.linalg.qr(leaf.embed(np.eye(leaf.basis.shape[1])))[0]
     step_ends = traj.motion.knots
@@ -167,7 +186,18 @@ def linearised_flow(traj: Trajectory) -> LinearisedFlow:
 
 def without_base(scene: Scene) -> Scene:
     """Return the same scene with outputs="shape", which leaves out the base."""
-    return scene if scene.outputs == "shape" else replace(scene, outputs="shape")
+    scene = scene if scene.outputs == "shape" else replace(scene, outputs="shape")
+    return of_smooth_momenta(scene)
+
+
+def of_smooth_momenta(scene: Scene) -> Scene:
+    """Return a scene whose balls have momenta along their axes, if it has loops and balls.
+
+    Symplectic methods use conjugate momenta of quaternions, in which the gauge of loops is not
+    linear.  The flow is the same.
+    """
+    system = scene.system
+    return replace(scene, method=DOP853()) if system.loops and system.space.balls else scene
 
 
 def scene_at(traj: Trajectory, t: float) -> Scene:
@@ -187,8 +217,9 @@ def scene_at(traj: Trajectory, t: float) -> Scene:
             "traj: linearise needs a motion with its base. Simulate with outputs='all'."
         )
     return replace(
-        traj.scene, x0=state.x, xdot0=state.xdot, xi0=state.xi, pose0=state.pose, momentum=None,
-        seed=None, keyframe=None, q0=None, v0=None, outputs="shape",
+        of_smooth_momenta(traj.scene), x0=state.x, xdot0=state.xdot, xi0=state.xi,
+        pose0=state.pose, momentum=None, seed=None, keyframe=None, q0=None, v0=None,
+        outputs="shape",
     )  # fmt: skip
 
 

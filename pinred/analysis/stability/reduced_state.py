@@ -4,7 +4,8 @@ The state of the compiled kernel is y = (x, π) of the active joints, x of the c
 of the balls, entries of the base, and time. Cyclic angles and time are left out, because the flow
 does not depend on them. The momentum of the base stays on its symplectic leaf, where the Casimirs
 are constant. The quaternion q of a ball stays on the sphere |q| = 1; with a conjugate momentum p,
-q · p is constant, too.
+q · p is constant, too.  With closed loops, perturbations keep the loops closed and are orthogonal
+to the gauge of the impetus (see loop_gauge.py).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from ...kernels.state_layout import Layout
 from ...reduction.base_parts import BaseParts
 from ...reduction.inertia_split import usual_inertias
 from ...system.system import System
+from .loop_gauge import LoopGauge, loop_gauge
 
 _ZERO_MOMENTUM = 1e-12  # largest scaled momentum that counts as zero
 
@@ -37,6 +39,7 @@ class Leaf:
         places: Position of x of the active joints in z.
         momenta: Position of π of the active joints in z.
         quaternions: Position of the quaternion of each ball in z.
+        gauge: Gauge of closed loops; None without loops.
     """
 
     indices: Array
@@ -46,6 +49,7 @@ class Leaf:
     places: slice
     momenta: slice
     quaternions: tuple[slice, ...] = ()
+    gauge: LoopGauge | None = None
 
     def restrict(self, matrix: Array) -> Array:
         """Restrict a matrix (k, k) on z to the leaf, (d, d)."""
@@ -56,12 +60,13 @@ class Leaf:
         return np.asarray((self.scales * (self.basis @ vectors).T).T)
 
 
-def leaf_of(kernel: Kernel, y: Array, rate: float = 1.0) -> Leaf:
+def leaf_of(kernel: Kernel, y: Array, x: Array, rate: float = 1.0) -> Leaf:
     """Return the leaf through a reduced state.
 
     Args:
         kernel: Compiled kernel of the flow.
         y: Reduced state, (size,).
+        x: Shape of this state, (nx,), with prescribed joints.
         rate: Typical rate [rad/s], which scales momenta.
     Returns:
         The leaf.
@@ -74,6 +79,9 @@ def leaf_of(kernel: Kernel, y: Array, rate: float = 1.0) -> Leaf:
     basis, z = np.eye(len(indices)), y[indices] / scales
     quaternions = _quaternions(layout)
     gradients = _sphere_gradients(layout, y[indices], scales, quaternions)
+    gauge = loop_gauge(system, layout, quaternions, y[indices])
+    if gauge is not None:
+        gradients = np.vstack([gradients, gauge.gradients(x, scales)])
     if not base.attitude:
         gradients = np.vstack([_casimir_gradients(z, len(z) - base.size, base), gradients])
     basis = _null_space(gradients) if len(gradients) else basis
@@ -85,6 +93,7 @@ def leaf_of(kernel: Kernel, y: Array, rate: float = 1.0) -> Leaf:
         slice(0, active),
         slice(pairs, pairs + active),
         quaternions,
+        gauge,
     )
 
 

@@ -109,10 +109,12 @@ def weights(problem: Problem, point: Points) -> Array:
     active_indices = [system.r + k for k in problem.active]
     H = mass_matrix(system, problem.shapes(point.x)[0])
     K, coupling = H[np.ix_(group_indices, group_indices)], H[np.ix_(group_indices, active_indices)]
+    on_shape = H[np.ix_(active_indices, active_indices)] - coupling.T @ np.linalg.solve(K, coupling)
+    if problem.surface is not None:
+        N = problem.surface.tangents(point.x)[0][0]
+        on_shape, ma = N.T @ on_shape @ N, N.shape[1]
     metric = np.zeros((problem.unknowns, problem.unknowns))
-    metric[:ma, :ma] = H[np.ix_(active_indices, active_indices)] - coupling.T @ np.linalg.solve(
-        K, coupling
-    )
+    metric[:ma, :ma] = on_shape
     if problem.directional:
         T = tangents(point.n)[0]
         I = K[system.r - 3 : system.r, system.r - 3 : system.r]

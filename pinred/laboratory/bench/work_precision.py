@@ -133,9 +133,10 @@ class WorkPrecision:
         )
 
     def fastest_of_tools(self, error: float) -> list[str]:
-        """Return pinred's methods and the fastest method of each other tool.
+        """Return the default method of pinred, and the fastest method of each other tool.
 
-        The tool is the method's name up to its first hyphen.
+        The tool is the method's name up to its first hyphen. `pinred` is a complete call of
+        `simulate`; if it was not measured, the fastest method of pinred replaces it.
 
         Args:
             error: Error at which times are compared [rad | m].
@@ -144,8 +145,9 @@ class WorkPrecision:
         """
         tools: dict[str, list[str]] = {}
         for name in self.about:
-            tool = name if name.startswith("pinred") else name.partition("-")[0]
-            tools.setdefault(tool, []).append(name)
+            tools.setdefault(name.partition("-")[0], []).append(name)
+        if "pinred" in self.about:
+            tools["pinred"] = ["pinred"]
 
         def wall(name: str) -> float:
             wall_time = self.wall_at(name, error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import os
 import re
@@ -30,6 +31,7 @@ SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120
 GIF_FPS = (0.01, 50.0)  # gif delays are multiples of 0.01 s; browsers slow delays below 0.02 s
 SUFFIXES = (".mp4", ".gif", ".png")
+_PNG = "data:image/png;base64,"  # start of the pictures that the page returns
 
 
 def save_film(
@@ -73,7 +75,9 @@ def save_film(
     try:
         with (
             _tidy_at_sigterm(),
-            closing(_capture(source, times, pixels, view, progress or (lambda _: None))) as shots,
+            closing(
+                capture_frames(source, times, pixels, view, progress or (lambda _: None))
+            ) as shots,
         ):
             if path.suffix == ".png":
                 return write_frames(path, shots)
@@ -135,7 +139,7 @@ def _tidy_at_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def _capture(
+def capture_frames(
     source: MotionSource,
     times: Array,
     size: Sequence[int],
@@ -150,8 +154,8 @@ def _capture(
         screen.open(f"{file.as_uri()}#bare", width=size[0], height=size[1])
         screen.wait_for("window.pinred !== undefined")
         for k, t in enumerate(times.tolist(), start=1):
-            screen.run(f"pinred.seek({t!r})")
-            yield screen.screenshot()
+            # The page draws and encodes the picture; a screenshot would draw it a second time.
+            yield base64.b64decode(screen.run(f"pinred.picture({t!r})").removeprefix(_PNG))
             progress(k / len(times))
 
 

@@ -187,6 +187,7 @@
   look();
   draw(now);
   requestAnimationFrame(step);
+  const show = (t) => { setPlaying(false); now = Math.min(end, Math.max(times[0], t)); draw(now); };
   window.pinred = {
     loaded: performance.now(), // [ms] since the page was asked for
     begin: times[0],
@@ -195,7 +196,8 @@
     get playing() { return playing; },
     play: () => setPlaying(true),
     pause: () => setPlaying(false),
-    seek: (t) => { setPlaying(false); now = Math.min(end, Math.max(times[0], t)); draw(now); viewer.render(); },
+    seek: (t) => { show(t); viewer.render(); },
+    picture: bare ? capture(viewer, show) : null, // of a time, as the data URL of a PNG
     node, // three.js object at a path of the viewer's scene
     project: at.project,
   };

@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 
 from ...analysis.connections.connection import Connection
 from ...analysis.gaits.gait import Gait
-from ...analysis.phases.lift import in_space
 from ...analysis.phases.phase import Phase
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...lie.group import Group
+from ...lie.rotations import unwrapped_rotation_vectors
 from ...planning.optimisation.best_gait import BestGait
 from ...planning.optimisation.objective import AxisAim
 from ...planning.reorientation.turn_plan import TurnPlan
@@ -58,9 +58,9 @@ def cycles(source: Phase, *, count: int = 5) -> Figure:
     starts = np.array([source.cycles(k) for k in range(number + 1)])
     poses = np.concatenate([group.compose(start[None], source.path) for start in starts[:-1]])
     times = np.concatenate([source.times + k * source.times[-1] for k in range(number)])
-    motion = _motion_of(source)
+    title = f"the base over {number} cycle{'s' * (number > 1)}: {_motion_of(source)}"
     if group.plane:
-        drawing = figure(f"the base over {number} cycles: {motion}", height=4.4)
+        drawing = figure(title, height=4.4)
         axes = drawing.subplots()
         i, j = group.plane
         axes.plot(poses[:, i], poses[:, j], color=BLACK, linewidth=1.0, label="path")
@@ -69,14 +69,13 @@ def cycles(source: Phase, *, count: int = 5) -> Figure:
         axes.set_aspect("equal", adjustable="datalim")
         legend(axes)
         return drawing
-    drawing = figure(f"the base over {number} cycles: {motion}", height=3.2)
-    axes = drawing.subplots()
-    log = np.unwrap(in_space(group, group.log(poses)), axis=0)
-    names = ("x", "y", "z", "θx", "θy", "θz")
-    for k in group.axes:
-        axes.plot(times, log[:, k], label=names[k], **line(k))
-    axes.set(xlabel="time [s]", ylabel="logarithm of the pose [m | rad]")
-    legend(axes)
+    panels = [name for name in ("position", "rotation") if _changes(group, poses, name)[1]]
+    drawing = figure(title, height=0.6 + 2.2 * len(panels))
+    for axes, name in zip(
+        drawing.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0], panels, strict=True
+    ):
+        _draw_changes(axes, group, times, poses, name)
+    drawing.axes[-1].set_xlabel("time [s]")
     return drawing
 
 
@@ -112,8 +111,8 @@ def loop(source: BestGait | TurnPlan) -> Figure:
 
     The loop is drawn over the curvature of the two joints that move most, in the component that the
     objective concerns, with the other joints at their initial values; thin lines are further local
-    optima. The panels over time are the joints,
-    and the rotation of the base [°], or its position if it cannot rotate [m].
+    optima. The panels over time are the joints, and the rotation of the base [°], or its position
+    if it cannot rotate [m].
 
     Args:
         source: Result of `optimise_gait` or `reorient`.
@@ -189,15 +188,37 @@ def _on_curvature(
 
 def _over_time(axes: Axes, group: Group, t: Array, poses: Array) -> None:
     """Draw the rotation of the base over time, or its position if it cannot rotate."""
-    if group.turns == 1:
-        axes.plot(t, np.degrees(poses[:, -1] - poses[0, -1]), label="θ", **line(0))
-    else:
-        inverse = group.inverse(poses[0])
-        log = in_space(group, group.log(group.compose(inverse[None], poses)))
-        changes = np.degrees(log[:, 3:]) if group.turns else log[:, :3]
-        for k in range(3):
-            if group.turns or k in group.axes:
-                label = f"{'θ' if group.turns else ''}{'xyz'[k]}"
-                axes.plot(t, changes[:, k], label=label, **line(k))
-    axes.set(xlabel="time [s]", ylabel="turn of the base [°]" if group.turns else "base [m]")
+    _draw_changes(axes, group, t, poses, "rotation" if group.turns else "position")
+    axes.set_xlabel("time [s]")
+
+
+def _draw_changes(axes: Axes, group: Group, t: Array, poses: Array, what: str) -> None:
+    """Draw the changes of the position or the attitude of the base over time."""
+    changes, names = _changes(group, poses, what)
+    for k, name in enumerate(names):
+        axes.plot(t, changes[:, k], label=name, **line(k))
+    axes.set_ylabel("turn of the base [°]" if what == "rotation" else "base [m]")
     legend(axes)
+
+
+def _changes(group: Group, poses: Array, what: str) -> tuple[Array, list[str]]:
+    """Compute the changes of the position [m] or the attitude [°] since the first pose.
+
+    Attitudes in space are continuous rotation vectors along the axes of the first pose, also beyond
+    half a turn.
+
+    Args:
+        group: Symmetry group.
+        poses: Poses, (T, size).
+        what: "position" or "rotation".
+    Returns:
+        The changes, (T, n), and their names; none if the group does not move so.
+    """
+    moved = group.compose(group.inverse(poses[0])[None], poses)
+    if what == "position":
+        return moved[:, : group.linear], list(group.pose_names[: group.linear])
+    if group.turns == 1:
+        return np.degrees(poses[:, -1:] - poses[0, -1]), ["θ"]
+    if not group.turns:
+        return moved[:, :0], []
+    return np.degrees(unwrapped_rotation_vectors(moved[:, -4:])), ["θx", "θy", "θz"]
