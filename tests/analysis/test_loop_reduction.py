@@ -12,9 +12,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
 import pinred
+from pinred.analysis.connections.closed_path import ClosedPath
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, SingularInertiaError, UnsupportedOperationError
 from pinred.system.loops.loop import Loop
+from pinred.system.loops.loop_chart import loop_chart
 
 ROBOTS: dict[str, Callable[[], tuple[pin.Model, list[Loop]]]] = {
     "five-bar": five_bar,
@@ -203,3 +205,58 @@ def test_charts_that_do_not_fit_are_refused_by_name() -> None:
     model, loops = four_bar()
     crank = pinred.LoopReduction(pinred.load(model, loops=loops), independent=["crank"])
     assert crank.at(crank.shape([3.0])).curvature.shape == (3, 1, 1)
+
+
+@pytest.mark.parametrize(
+    "robot", ["five-bar", "redundant", pytest.param("in space", marks=pytest.mark.by_hand)]
+)
+def test_shapes_of_a_batch_equal_those_followed_one_by_one(robot: str) -> None:
+    """CasADi's loops agree with Pinocchio's, also for G and for its derivatives."""
+    model, loops = ROBOTS[robot]()
+    system = pinred.load(model, loops=loops)
+    chart = loop_chart(system)
+    path, rng = ClosedPath(chart), np.random.default_rng(0)
+    assert system.closure is not None
+    u = system.closure.x[chart.independent] + 0.1 * rng.normal(size=(8, system.shape_dim))
+    shapes, rates = path.shapes(u), rng.normal(size=(8, system.shape_dim))
+    np.testing.assert_allclose(shapes, chart.shapes(u), atol=1e-13)
+    G = path.tangents(shapes)
+    xdot = np.einsum("nma,na->nm", G, rates)
+    turned = path.turned(shapes, G, xdot)
+    for k, x in enumerate(shapes):
+        expected = chart.tangent(x)
+        np.testing.assert_allclose(G[k], expected, atol=1e-12 * np.abs(G).max())
+        changes = [chart.tangent_rate(x, c, expected) @ rates[k] for c in expected.T]
+        bound = 1e-11 * np.abs(turned).max()
+        np.testing.assert_allclose(turned[k], np.stack(changes, axis=-1), atol=bound)
+
+
+def test_shapes_of_a_batch_end_where_the_loops_do_not_close() -> None:
+    """Lines to shapes that cannot be reached are an error, not another branch."""
+    connection = pinred.Connection.mechanical(linkage(), independent=INDEPENDENT)
+    with pytest.raises(SingularInertiaError, match="do not determine the other joints"):
+        connection.grid([[2.0, 1.0], [3.3, -0.2]]).curvature  # noqa: B018
+
+
+@pytest.mark.by_hand
+def test_optimal_gait_of_a_five_bar_turns_further_than_random_ellipses() -> None:
+    """Within limits and a path length, no ellipse of 40 turns the base further."""
+    connection = pinred.Connection.mechanical(linkage(), independent=INDEPENDENT)
+    limits = {"left_crank": (1.5, 2.5), "right_crank": (0.6, 1.5)}
+    best = pinred.optimise_gait(connection, most=0.6, harmonics=1, starts=1, limits=limits)
+    turn = abs(float(pinred.phase(connection, best.gait).pose[2]))
+    rng, others = np.random.default_rng(0), []
+    for _ in range(40):
+        centre = rng.uniform([1.7, 0.8], [2.3, 1.3])
+        ellipse = rng.normal(size=(2, 2))
+        room = np.minimum(centre - [1.5, 0.6], [2.5, 1.5] - centre)
+        ellipse *= (room / np.linalg.norm(ellipse, axis=0)).min() * rng.uniform(0.3, 1.0)
+        gait = pinred.Gait.fourier(centre, ellipse[:1], ellipse[1:])
+        s = np.linspace(0.0, 1.0, 65)[:-1]
+        states = [gait.at(t * gait.period) for t in s]
+        metrics = [connection.metric(u) for u, _ in states]
+        speeds = [np.sqrt(v @ M @ v) for (_, v), M in zip(states, metrics, strict=True)]
+        if np.mean(speeds) * gait.period <= 0.6:
+            others.append(abs(float(pinred.phase(connection, gait).pose[2])))
+    assert len(others) > 5
+    assert turn >= max(others)

@@ -16,6 +16,7 @@ from ...common.errors import InputError, UnsupportedOperationError
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures, Locals, Velocities
 from ...system.loops.loop_chart import LoopChart, loop_chart
 from ...system.system import System, checked_system
+from .closed_path import ClosedPath
 from .mechanical_connection import mechanical_code
 
 
@@ -43,12 +44,7 @@ class LoopConnectionCode(ConnectionCode):
         rates = np.einsum("nma,na->nm", G, xdot)
         slopes, m = self.tree.velocity_slopes(shapes, rates), self.tree.form.m
         by_rate = slopes[:, :, m:] @ G
-        turned = np.stack(
-            [
-                np.stack([self.chart.tangent_rate(s, c, g) @ w for c in g.T], axis=-1)
-                for s, g, w in zip(shapes, G, xdot, strict=True)
-            ]
-        )
+        turned = self._path.turned(shapes, G, rates)
         by_shape = slopes[:, :, :m] @ G + slopes[:, :, m:] @ turned
         return np.concatenate([by_shape, by_rate], axis=-1)
 
@@ -99,10 +95,12 @@ class LoopConnectionCode(ConnectionCode):
 
     def _closed(self, u: Array) -> tuple[Array, Array]:
         """Return closed shapes, (N, nx), and their maps G, (N, m, d)."""
-        shapes = self.chart.shapes(rows(u, self.form.nx, "x"))
-        empty = np.empty((0, self.tree.form.m, self.form.m))
-        G = np.stack([self.chart.tangent(x) for x in shapes]) if len(shapes) else empty
-        return shapes, G
+        shapes = self._path.shapes(rows(u, self.form.nx, "x"))
+        return shapes, self._path.tangents(shapes)
+
+    @property
+    def _path(self) -> ClosedPath:
+        return ClosedPath(self.chart)
 
     def _pulled_back(self, shapes: Array, G: Array) -> tuple[Array, Array]:
         B, health = self.tree.curvature(shapes)

@@ -73,7 +73,7 @@ def jacobian_function(system: System) -> ca.Function:
         x = ca.SX.sym("x", system.nx)
         entries = ca.vertsplit(x)
         phi = ca.vertcat(*constraint_values(system, bodies_of(system), entries))
-        J = ca.jacobian(phi, x) @ _rate_map(system, entries)
+        J = ca.jacobian(phi, x) @ rate_map(system, entries)
         return ca.Function("loop_jacobian", [x], [ca.densify(J)], {"cse": True})
 
     return once(system, jacobian_function, make)
@@ -106,7 +106,7 @@ def solve_with_loops(
     entries = ca.vertsplit(ca.SX.sym("x", system.nx)) if driven else x
     column = ca.vertcat(*entries)
     phi = ca.vertcat(*constraint_values(system, bodies, entries))
-    frame = _rate_map(system, entries)
+    frame = rate_map(system, entries)
     constraints = jacobian = ca.jacobian(phi, column) @ frame
     here = ca.vertcat(*(ca.SX(value) for value in x))
     if driven:
@@ -141,7 +141,7 @@ def _product(a: Swept, b: Swept) -> Scalar:
     return total([mul(u, w) for (u, _), (_, w) in zip(a.factors, b.factors, strict=True)])
 
 
-def _rate_map(system: System, x: Sequence[ca.SX]) -> ca.SX:
+def rate_map(system: System, x: Sequence[ca.SX]) -> ca.SX:
     """Return E(x), (nx, m), which maps rates along the frame to derivatives of x."""
     E = ca.SX(system.nx, system.m)
     for joint in system.space.joints:
