@@ -100,6 +100,7 @@ def test_code_of_page_runs(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
     """The Python blocks of a page run in order, with their assertions."""
     if path.stem == "legged_robots" and not has_example_robots():
         pytest.skip("example-robot-data is not installed")
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
     code = "\n".join(site_pages.python_blocks(path.read_text("utf-8")))
     exec(compile(code, path.name, "exec"), {})

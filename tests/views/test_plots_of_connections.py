@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from importlib import resources
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -44,6 +47,17 @@ def test_zero_contour_has_zero_curvature() -> None:
     assert "signed area of the gait 0.7854" in axes.figure.get_suptitle() + axes.get_title() + str(
         [text.get_text() for text in axes.figure.texts]
     )
+
+
+def test_figures_and_playback_have_the_same_colours() -> None:
+    """Signed fields have the colours of field.js at −1, 0 and 1."""
+    field = resources.files(pinred) / "views/playback/field.js"
+    colours = re.findall(r"\[(\d+), (\d+), (\d+)\]", field.read_text("utf-8"))
+    low, high = (tuple(map(int, colour)) for colour in colours)
+    figure = plots.field(rods(), limits=[(-2.0, 2.0)] * 2)
+    shown = filled_contours(figure.axes[0]).get_cmap()
+    expected = [low, (255, 255, 255), high]
+    np.testing.assert_allclose(shown([0.0, 0.5, 1.0], bytes=True)[:, :3], expected, atol=1)
 
 
 def test_integral_in_title_equals_phase() -> None:
@@ -158,7 +172,7 @@ def test_fields_of_both_signs_are_white_at_zero_with_equal_axes() -> None:
     """The colours diverge from zero; angles have equal scales; one sign has the other colours."""
     figure = plots.field(rods(), limits=[(-2, 1), (-1, 1)])
     filled = filled_contours(figure.axes[0])
-    assert filled.get_cmap().name == "RdBu_r"
+    assert filled.get_cmap().name == "pinred_signed"
     levels = np.asarray(filled.levels)
     assert levels[0] == -levels[-1]
     assert figure.axes[0].get_aspect() == 1.0

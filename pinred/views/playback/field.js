@@ -3,7 +3,7 @@
 function shapePlane(box, labels) { // box: left, top, width, height in the canvas
   const OUTSIDE = [176, 184, 192, 255]; // of values that are not defined
   function colour(v) { // −1 blue, 0 white, 1 orange: told apart by the colour-blind
-    const strong = v < 0 ? [33, 102, 172] : [217, 95, 2], a = Math.min(1, Math.abs(v));
+    const strong = v < 0 ? [0, 114, 178] : [213, 94, 0], a = Math.min(1, Math.abs(v));
     return strong.map((c) => 255 + (c - 255) * a);
   }
   function paintField(ink, n, values, name) {

@@ -17,6 +17,7 @@ import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -33,7 +34,8 @@ DASHES: tuple[Any, ...] = (
 )
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 FIELD = "cividis"  # colour map that is also readable in grey
-SIGNED = "RdBu_r"  # colour map of values of both signs, white at zero
+# Colour map of values of both signs, white at zero: the colours of playback (field.js).
+SIGNED = LinearSegmentedColormap.from_list("pinred_signed", (BLUE, "#FFFFFF", RED))
 WIDTH = 6.4  # text width of a page [in]
 PANEL = 1.9  # height of a panel in a figure with several panels [in]
 STEADY = 1e-6  # largest relative change of values that count as constant
