@@ -55,15 +55,21 @@ class SweepPlugin(distributed.WorkerPlugin):
             return self._job
 
 
-def compute_on_worker(name: str, index: int) -> tuple[Block | PinredError, str]:
+def compute_on_worker(
+    name: str, index: int, version: str
+) -> tuple[Block | PinredError | None, str]:
     """Compute a block on a worker.
 
     Args:
         name: Name of the plugin with the sweep.
         index: Index of the block.
+        version: Version of pinred on the driver.
     Returns:
-        The results or an error, and the version of pinred on the worker.
+        The results or an error, and the version of pinred on the worker.  The result is None if
+        the versions differ; the sweep of another version is not even unpickled.
     """
+    if version != __version__:
+        return None, __version__
     plugin: Any = distributed.get_worker().plugins[name]
     try:
         return plugin.job.compute(index, 1), __version__
@@ -114,7 +120,9 @@ def compute_on_dask(job: SweepJob, blocks: Sequence[int], scheduler: Any) -> Ite
 
 
 def _submit(client: Any, name: str, index: int) -> Any:
-    return client.submit(compute_on_worker, name, index, key=f"{name}-{index}", pure=False)
+    return client.submit(
+        compute_on_worker, name, index, __version__, key=f"{name}-{index}", pure=False
+    )
 
 
 @contextmanager

@@ -126,6 +126,22 @@ def test_errors_of_workers_reach_the_driver(cluster: DaskCluster, tmp_path: Path
         )  # fmt: skip
 
 
+def test_workers_of_another_version_are_refused(
+    cluster: DaskCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker with another version computes nothing, and no store is left."""
+    from pinred.sweeps import dask_engine
+
+    monkeypatch.setattr(dask_engine, "__version__", "99.0")
+    words = rf"a worker has pinred {pinred.__version__}, but the driver has 99\.0"
+    with pytest.raises(pinred.InputError, match=words):
+        pinred.sweep(
+            SCENE, VARY, points=60, block=30, outputs={"turn": lambda _: np.zeros(2)},
+            store=tmp_path / "s.zarr", scheduler=cluster.address,
+        )  # fmt: skip
+    assert not list(tmp_path.iterdir())
+
+
 def test_schedulers_that_do_not_exist_are_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
