@@ -65,7 +65,7 @@ def run(method: str, folder: Path, cache: Path) -> tuple[str, int]:
 def stepper_of(name: str) -> Stepper:
     """The stepper of a method, which is the same for all options."""
     kind: Any = METHODS[name]
-    stepper: Stepper = (kind() if kind.adaptive else kind(0.01)).stepper()
+    stepper: Stepper = (kind() if kind.adaptive else kind(0.01))._stepper()
     return stepper
 
 
