@@ -41,6 +41,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("flow", "calls, gradients, and variable inertias of flows", "robots", "four")
     add("scaling", "one kernel evaluation for chains of 5 to 100 joints")
     add("floquet", "Floquet multipliers by three routes against a closed form")
+    add("compare", "time of comparisons, and of one integration by ABA", "scenes", "all installed")
     add("films", "time of a film's frame, compared with a screenshot", "robots", "four")
     add("loops", "gaps of closed loops in MuJoCo, whose constraints are soft, and in pinred")
     text = "trajectories per second of a batch, also with other tools"

@@ -21,6 +21,7 @@ from pinred.laboratory.bench import (
     bench_many,
     bench_scaling,
     bench_threads,
+    compare_timing,
     method_choice,
     timing,
 )
@@ -35,6 +36,17 @@ pytestmark = pytest.mark.slow
 def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make rounds so short that measurements take almost no time."""
     monkeypatch.setattr(timing, "SPAN", 1e-5)
+
+
+def test_compare_timing_counts_integrations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A comparison takes longer than the integration by ABA that it contains."""
+    monkeypatch.setattr(compare_timing, "_ROUNDS", 1)
+    (result,) = compare_timing.bench_compare(["falling_cat, 2 s"])
+    assert result.verdict == "PASSED"
+    assert result.integrations > 1.0
+    assert f"{result.seconds:.3f}" in str(result)
+    with pytest.raises(InputError, match=r"no scene 'moon'; the scenes are falling_cat"):
+        compare_timing.bench_compare(["moon"])
 
 
 def test_importing_bench_is_lazy() -> None:

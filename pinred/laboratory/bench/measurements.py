@@ -45,6 +45,14 @@ def _forces(robots: Sequence[str]) -> Result:
     return _table(ForcesTiming.header(), timings), {"forces": records}
 
 
+def _compare(scenes: Sequence[str]) -> Result:
+    from .compare_timing import CompareTiming, bench_compare
+
+    timings = bench_compare(scenes, progress=True)
+    records = [dict(vars(timing)) for timing in timings]
+    return _table(CompareTiming.header(), timings), {"compare": records}
+
+
 def _evaluations(scenes: Sequence[str]) -> Result:
     from .evaluations import ERRORS, FEW_SCENES, bench_evaluations
 
@@ -150,6 +158,7 @@ def _loops() -> Result:
 MEASUREMENTS: dict[str, Callable[..., Result]] = {
     "kernels": _kernels,
     "forces": _forces,
+    "compare": _compare,
     "evaluations": _evaluations,
     "flow": _flow,
     "scaling": _scaling,

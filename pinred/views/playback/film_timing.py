@@ -79,10 +79,7 @@ def _bench_film(name: str) -> FilmTiming:
         filmed, shown = (stack.enter_context(_open_page(content)) for _ in range(2))
         for k in range(-1, _FRAMES):  # the first frame is not counted
             t = _SPAN * max(k, 0) / _FRAMES
-            seconds[k, 0] = _duration(lambda t=t: filmed.run(f"pinred.picture({t!r})"))
-            seconds[k, 1] = _duration(
-                lambda t=t: (shown.run(f"pinred.seek({t!r})"), shown.screenshot())
-            )
+            seconds[k] = _duration(_take_picture, filmed, t), _duration(_take_screenshot, shown, t)
     frame, screenshot = np.median(seconds, axis=0).tolist()
     return FilmTiming(name, frame, screenshot)
 
@@ -98,7 +95,16 @@ def _open_page(content: bytes) -> Iterator[Browser]:
         yield screen
 
 
-def _duration(action: Callable[[], object]) -> float:
+def _take_picture(screen: Browser, t: float) -> None:
+    screen.run(f"pinred.picture({t!r})")
+
+
+def _take_screenshot(screen: Browser, t: float) -> None:
+    screen.run(f"pinred.seek({t!r})")
+    screen.screenshot()
+
+
+def _duration(action: Callable[[Browser, float], None], screen: Browser, t: float) -> float:
     began = time.perf_counter()
-    action()
+    action(screen, t)
     return time.perf_counter() - began
