@@ -15,6 +15,8 @@ from .names import brief
 
 Array: TypeAlias = NDArray[np.float64]
 
+_FLOATS = np.dtype(float)
+_SHORT = 32  # length up to which a list of floats is checked faster than an array
 _LARGEST = float(np.finfo(float).max)
 
 
@@ -72,7 +74,9 @@ def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -
     Raises:
         ShapeError: The length is wrong, or an entry is not finite.
     """
-    array = as_floats(value, what)
+    array = (
+        value if type(value) is np.ndarray and value.dtype is _FLOATS else as_floats(value, what)
+    )
     if array.shape != (size,):
         raise ShapeError(f"{what} must have shape ({size},){_hint(labels)}, got {array.shape}")
     return _finite(array, what, labels)
@@ -137,10 +141,17 @@ def _hint(labels: Sequence[str]) -> str:
     return f" ({', '.join(labels)})" if 0 < len(labels) <= 12 else ""
 
 
+def is_finite(array: Array) -> bool:
+    """Return whether all entries of an array are finite; faster than NumPy for short vectors."""
+    if array.ndim == 1 and array.size <= _SHORT:
+        return all(map(isfinite, array.tolist()))
+    return bool(np.isfinite(array).all())
+
+
 def _finite(array: Array, what: str, labels: Sequence[str]) -> Array:
     """Return a finite array unchanged.  Raises ShapeError that names the entry at fault."""
-    finite = np.isfinite(array)
-    if not finite.all():
+    if not is_finite(array):
+        finite = np.isfinite(array)
         index = tuple(int(i) for i in np.argwhere(~finite)[0])
         label = f" ({labels[index[-1]]})" if labels else ""
         entry = index[0] if len(index) == 1 else index

@@ -68,7 +68,7 @@ def derived_code(
         judge(native)
         return native
 
-    return once(kernel, (derived_code, json.dumps(kind)), load)
+    return once(kernel, (derived_code, *kind.items()), load)
 
 
 _TRIALS, _REQUIRED = 40, 2  # number of random states to try, and of states that must be comparable

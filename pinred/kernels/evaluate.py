@@ -29,6 +29,18 @@ def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
     return values
 
 
+def evaluate_row(address: int, parameters: Array, y: Array, values: Array) -> None:
+    """Evaluate a kernel at one state, without the checks and copies of `evaluate`.
+
+    Args:
+        address: Address of the machine code.
+        parameters: Parameters, (1, p).
+        y: State, (1, k).
+        values: Outputs, (1, size), filled.
+    """
+    _evaluate_all(address, parameters, y, values, 0)
+
+
 def evaluate_runs(
     address: int, constants: Array, y: Array, times: Array, entries: int, values: Array
 ) -> None:

@@ -96,6 +96,11 @@ class InitialConditionsKernel:
         """Number of outputs."""
         return self.system.m + 2 * self.system.r
 
+    @property
+    def own_numbers(self) -> Array:
+        """Values of the variable body parameters of the system; (1,) without any."""
+        return free_numbers(self.system, self.freed) if self.freed else np.zeros(1)
+
     def evaluate(self, states: Array, numbers: Array | None = None) -> Array:
         """Compute the outputs of the kernel, (N, size).
 
@@ -106,16 +111,22 @@ class InitialConditionsKernel:
             The outputs.
         """
         if numbers is None:
-            numbers = free_numbers(self.system, self.freed) if self.freed else np.zeros(1)
+            numbers = self.own_numbers
         return evaluate(self.code.address, numbers, states, self.size)
+
+    @property
+    def about(self) -> slice:
+        """Indices of the outputs `about` of InitialConditions."""
+        m, r, k = self.system.m, self.system.r, self.system.group.linear
+        return slice(m, m + r - k)
 
     def split(self, values: Array) -> InitialConditions:
         """Split the outputs of the kernel, (N, size)."""
         m, r, k = self.system.m, self.system.r, self.system.group.linear
-        about, fixed, c0, v0 = m, m + r - k, m + 2 * (r - k), m + 2 * (r - k) + k
+        fixed, c0, v0 = m + r - k, m + 2 * (r - k), m + 2 * (r - k) + k
         return InitialConditions(
-            pi=values[:, :about],
-            about=values[:, about:fixed],
+            pi=values[:, :m],
+            about=values[:, self.about],
             fixed=values[:, fixed:c0],
             c0=values[:, c0:v0],
             v0=values[:, v0:],

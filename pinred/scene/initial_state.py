@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arrays import Array, FrozenArrays
+from ..common.arrays import Array, FrozenArrays, is_finite
 from ..common.errors import InputError
 from ..common.names import quoted
 from ..reduction.pointwise_reduction import PointwiseReduction
@@ -103,7 +103,7 @@ def start_of(system: System, given: GivenStates) -> Start:
 
 def finite_start(*arrays: Array | None) -> None:
     """Raise InputError unless all arrays computed from an initial state are finite."""
-    if not all(array is not None and np.isfinite(array).all() for array in arrays):
+    if not all(array is not None and is_finite(array) for array in arrays):
         raise InputError("the initial momentum or twist overflows; reduce rates or momentum")
 
 
@@ -113,7 +113,7 @@ def refuse_vague(x: Array, system: System) -> None:
     Raises:
         InputError: An angle is too large.
     """
-    if np.abs(x).max(initial=0.0) <= _LARGEST_SAFE:
+    if max(map(abs, x.tolist()), default=0.0) <= _LARGEST_SAFE:
         return
     for name, angle in _angles(x, system):
         if np.spacing(abs(angle)) > _RESOLUTION:

@@ -35,8 +35,8 @@ from .option_checks import (
 from .parameters import GivenParameters, given_parameters
 from .passive_forces import acting_passive, check_passive, passive_left_out
 from .random_state import random_state
+from .scene_options import ARRAYS_OF_STATE, OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields
 from .scene_options import ENGINES as ENGINES
-from .scene_options import OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields
 from .scene_options import Engine as Engine
 from .scene_structure import MOST_STRUCTURES, Shared, structure_key
 from .tolerances import MOMENTUM_MARGIN, TIGHTEST, check_tolerances, with_tolerances
@@ -89,7 +89,19 @@ class Scene(SceneFields):
         for name in ("x0", "xdot0"):
             value = order_by_joint(getattr(self, name), self.system, name)
             self._keep(name, value)
-        self._keep("_given", self._resolve())
+        self.resolve_state()
+
+    def resolve_state(self) -> None:
+        """Check and store the initial state that the options state.
+
+        The scene has copies of the arrays, because a caller may change them afterwards.
+        """
+        values = vars(self)
+        for name in ARRAYS_OF_STATE:
+            value = values[name]
+            if value is not None and type(value) is np.ndarray:
+                values[name] = read_only(value.copy())
+        values["_given"] = self._resolve()
 
     def _check_structure(self) -> Shared:
         """Check all options except the numbers of the initial state; return these options."""
@@ -138,32 +150,9 @@ class Scene(SceneFields):
         return _scene_of, (options,)
 
     def _repr_html_(self) -> str:
-        from ..common.html import card, line, numbers, table
+        from .scene_card import scene_card
 
-        system, start = self.system, self.start
-        rows = [
-            (joint.name, numbers(start.x[joint.x]), numbers(start.xdot[joint.v]))
-            if joint.kind.is_ball
-            else (joint.name, float(start.x[joint.x][0]), float(start.xdot[joint.v][0]))
-            for joint in system.space.joints
-        ]
-        forces: tuple[Force, ...] = vars(self)["forces"]
-        acting = [
-            *((f"spring {name}", str(spring)) for name, spring in self.springs.items()),
-            *((force.label, repr(force)) for force in forces),
-            *((f"{force.label}, of the file", repr(force)) for force in self.own_forces),
-            *((f"prescribed {name}", repr(plan)) for name, plan in self.prescribed.items()),
-        ]
-        method = self.integrator or self.method
-        return card(
-            f"Scene of {system.name}",
-            f"{self.end:g} s, {len(self.report_times)} times, rtol {self.rtol:g}, "
-            f"atol {self.atol:g}, {method}, outputs '{self.outputs}'",
-            table("start", ["joint", "x", "rate"], rows),
-            line(f"twist of the base: {numbers(start.xi)}"),
-            line(f"pose of the base: {numbers(start.pose)}"),
-            table("acting", ["", ""], acting),
-        )
+        return scene_card(self)
 
     @cached_property
     def start(self) -> Start:
@@ -331,13 +320,16 @@ class Scene(SceneFields):
         default = keyframe or (
             system.initial if self.seed is None else random_state(system, self.seed)
         )
-        no_shape = all(getattr(self, name) is None for name in ("x0", "xdot0", "q0", "v0"))
-        if default is not None and no_shape:
-            x, xdot = default.x, default.xdot
-            xi = default.xi if self.xi0 is None else xi
-        self._require_state()
+        if self.x0 is None and self.xdot0 is None and self.q0 is None and self.v0 is None:
+            if default is None:
+                self._require_state()
+            else:
+                x, xdot = default.x, default.xdot
+                xi = default.xi if self.xi0 is None else xi
         refuse_vague(x, system)
-        x, xdot = self.with_prescribed(x[None], xdot[None])
+        x, xdot = x[None], xdot[None]
+        if self.force_model is not None:
+            x, xdot = self.with_prescribed(x, xdot)
         if system.loops:
             closed = self._closed_state(x[0], xdot[0])
             x, xdot = (values[None] for values in closed)

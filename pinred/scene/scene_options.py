@@ -222,6 +222,8 @@ SCENE_OPTIONS: dict[str, Option] = {
     for entry in fields(SceneFields)
     if "option" in entry.metadata
 }
+# Options that state the initial state as arrays.
+ARRAYS_OF_STATE = ("x0", "xdot0", "pose0", "xi0", "momentum", "q0", "v0")
 # Options of scene files and commands that are not fields of a Scene.
 RUN_OPTIONS = {
     "samples": Option(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import Array, read_only
+from ..forces.switch_times import time_within
 from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
 from .control import Control, ControlAction, Replay
@@ -73,7 +74,6 @@ class Motion:
         self.actions = tuple(actions)
         self.crossings: list[Crossing] = [] if watch is None else watch.crossings
         self.ended_by = None if watch is None else watch.end
-        self._ends = self.segments.ends
 
     @property
     def steps(self) -> int:
@@ -94,7 +94,7 @@ class Motion:
     @property
     def replay(self) -> Replay:
         """The actions of the controllers, for another simulation."""
-        return Replay(self._ends, [self._numbers(segment) for segment in self.segments])
+        return Replay(self.segments.ends, [self._numbers(segment) for segment in self.segments])
 
     def reduced(self, t: Array) -> Array:
         """Return the reduced states at times (T,), (T, k)."""
@@ -168,7 +168,9 @@ class Motion:
 
     def _which(self, t: Array) -> Indices:
         """Return the segment index of each time; a stop belongs to the segment that it ends."""
-        return np.minimum(np.searchsorted(self._ends, t, side="left"), len(self.segments) - 1)
+        return np.minimum(
+            np.searchsorted(self.segments.ends, t, side="left"), len(self.segments) - 1
+        )
 
 
 @dataclass(frozen=True)
@@ -233,6 +235,11 @@ def follow(
         return Motion(flow, through(), varies=varies)
     t, y, parameters = 0.0, flow.y0, flow.parameters.copy()
     numbers = parameters[flow.numbers_at]
+    if len(plan.stops) == 1 and record is None and not plan.is_observed:
+        end = plan.scene.end
+        if plan.forces is not None:
+            numbers[plan.forces.within] = time_within(0.0, end)
+        return Motion(flow, [integrate(0.0, end, y, read_only(parameters))])
     control, watched = Control(plan.scene), plan.scene.watched
     watch = None if watched is None else Watch(plan.scene, flow, watched)
     stopping = watch.look if watch is not None and (watch.may_end or thinned) else None

@@ -7,7 +7,7 @@ plan may differ.  `Plan.kind` returns the equations of either case.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -218,10 +218,14 @@ class Plan:
         return self.choice.method
 
     @cached_property
+    def is_observed(self) -> bool:
+        """Whether controllers or events observe the run."""
+        return bool(self.scene.events_given or (self.forces is not None and self.forces.held))
+
+    @cached_property
     def passes_stops(self) -> bool:
         """Whether there are several stops, without controllers or events between them."""
-        has_controllers = self.forces is not None and bool(self.forces.held)
-        return len(self.stops) > 1 and not has_controllers and not self.scene.events_given
+        return len(self.stops) > 1 and not self.is_observed
 
     @cached_property
     def has_time_functions(self) -> bool:
@@ -231,7 +235,7 @@ class Plan:
             return False
         return bool(self.scene.integrator is None or self.scene.integrator.adaptive)
 
-    @property
+    @cached_property
     def notices(self) -> tuple[str, ...]:
         """Sentences on errors that the method does not control; empty if there are none."""
         forces, method = self.forces, self.scene.integrator  # "auto" avoids such methods
@@ -332,7 +336,7 @@ def stops_of(scene: Scene) -> Array:
 
 
 def plan_of(scene: Scene) -> Plan:
-    """Return the plan of a scene, cached.
+    """Return the plan of a scene; its numbers are computed once for scenes of one structure.
 
     Args:
         scene: The scene.
@@ -351,11 +355,13 @@ def plan_of(scene: Scene) -> Plan:
         numbers = _NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end))
         return Plan(scene, acting, read_only(stops_of(scene)), numbers)
 
-    def of_structure() -> Plan:
-        first = once(scene.shared, Plan, make)
-        return first if first.scene is scene else replace(first, scene=scene)
-
-    return once(scene, Plan, of_structure)
+    # The plan refers to its scene, so a scene that kept its plan would not be freed at once.
+    first = once(scene.shared, Plan, make)
+    if first.scene is scene:
+        return first
+    plan = object.__new__(Plan)
+    vars(plan).update(vars(first), scene=scene)  # all cached properties belong to the structure
+    return plan
 
 
 def _acting(system: System, forces: ForceModel | None, varied: ModelParameters | None) -> Acting:

@@ -102,7 +102,6 @@ class Segments(Sequence[Segment]):
     """Segments in order of time.
 
     Attributes:
-        ends: End times, (S,) [s].
         steps: Number of accepted steps.
         evaluations: Number of evaluations of the vector field.
     """
@@ -110,9 +109,13 @@ class Segments(Sequence[Segment]):
     def __init__(self, segments: Sequence[Segment]) -> None:
         """Collect segments."""
         self._segments = segments
-        self.ends = np.array([segment.end for segment in segments])
         self.steps = sum(segment.steps for segment in segments)
         self.evaluations = sum(segment.evaluations for segment in segments)
+
+    @cached_property
+    def ends(self) -> Array:
+        """End times, (S,) [s]."""
+        return np.array([segment.end for segment in self._segments])
 
     @cached_property
     def knots(self) -> Array:

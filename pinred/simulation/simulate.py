@@ -17,6 +17,7 @@ from ..common.errors import AccuracyWarning, InputError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
+from ..scene.repeated_scene import scene_of
 from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
@@ -104,9 +105,10 @@ def _simulated(
 ) -> Trajectory:
     """Return the trajectory of a plan; with `check`, one whose steps skip no force."""
     again = partial(simulate, plan.scene, engine=engine, check=check)
-    run = partial(_pinocchio, progress=progress, again=again)
     if engine == "compiled":
         run = partial(_compiled, progress=progress, again=again, checkpoint=checkpoint)
+    else:
+        run = partial(_pinocchio, progress=progress, again=again)
     if not check:
         return _resolved(plan, run)
     from .step_resolution import check_has_step_control, resolve_steps
@@ -143,7 +145,7 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
         unknown = next(option for option in options if option not in names)
         raise InputError(f"{what} has no option '{unknown}'; the options are {', '.join(names)}")
     if not isinstance(scene, Scene):
-        return Scene(system=checked_system(scene, what, loops=True), **options)
+        return scene_of(checked_system(scene, what, loops=True), options)
     parameters = options.get("parameters")
     if isinstance(parameters, Mapping):  # keep the parameters that the options do not replace
         options = {**options, "parameters": joined(scene.parameters, parameters)}

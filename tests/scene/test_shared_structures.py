@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -10,10 +12,12 @@ import pytest
 from ball_trees import ball_tree
 
 from pinred import DOP853, Scene, System, load, simulate
-from pinred.common.errors import InputError
+from pinred.common.errors import InputError, ShapeError
 from pinred.common.memo import recent
 from pinred.forces import PD, Controller, Damper, Torque, Wrench
 from pinred.forces.force_model_cache import cached_force_model
+from pinred.scene.repeated_scene import scene_of
+from pinred.scene.scene_options import ARRAYS_OF_STATE
 from pinred.scene.scene_structure import Shared
 from pinred.signals import Attitude
 from pinred.simulation.compiled.compiled_flow import CompiledFlow, flows_of
@@ -206,3 +210,85 @@ def test_attitude_changed_in_a_table_has_an_effect() -> None:
     assert not np.array_equal(first, other)
     assert np.array_equal(first, poses(slow))
     assert np.array_equal(other, poses(["0.4*t", 0.1, 0.0]))
+
+
+STATED: dict[str, dict[str, Any]] = {
+    "nothing but times": {"times": [0.5, 1.0]},
+    "twist": {"xi0": np.array([0.1, 0.2, 0.4]), "duration": 1.0},
+    "momentum": {"momentum": np.array([0.1, 0.2, 0.4]), "duration": 1.0, "method": "DOP853"},
+    "pose": {"pose0": np.array([0.1, 0.2, 0.3]), "times": np.array([0.3, 1.0])},
+    "velocity": {"v0": np.array([0.1, 0.2, 0.3, 0.1, 0.2]), "duration": 1.0},
+    "forces": {"forces": [Damper("joint1", 0.1)], "springs": {"joint1": (3.0, 0.1)}},
+    "prescribed": {"prescribed": {"joint1": "0.3*t"}, "duration": 1.0},
+}
+
+
+@pytest.mark.parametrize("stated", STATED)
+def test_repeated_scene_equals_a_scene_that_checks_all_options(stated: str, robot: System) -> None:
+    """A scene of an earlier call's structure has the fields of Scene(...)."""
+    options = dict(STATED[stated])
+    options["x0"] = np.array([0.2, 0.1])
+    if "v0" not in options:
+        options["xdot0"] = np.array([0.3, 0.4])
+    scene_of(robot, options)
+    for name in ARRAYS_OF_STATE:
+        if name in options:
+            options[name] = options[name] + 0.125
+    repeated, scene = scene_of(robot, options), Scene(system=robot, **options)
+    assert vars(repeated)["_shared"] is vars(scene)["_shared"]
+    for name, value in vars(scene).items():
+        if name in ("_given", "_once"):
+            continue
+        other = vars(repeated)[name]
+        same = np.array_equal(other, value) if isinstance(value, np.ndarray) else other == value
+        assert same or other is value or name in ("forces", "_held", "_parameters"), name
+    assert tuple(vars(repeated)["forces"]) == tuple(vars(scene)["forces"])
+    for name, value in vars(scene.given).items():
+        assert np.array_equal(value, vars(repeated.given)[name]) or value is None
+    assert np.array_equal(simulate(repeated).x, simulate(scene).x)
+
+
+@pytest.mark.parametrize("name", ["x0", "xdot0", "xi0", "momentum"])
+def test_repeated_call_rejects_invalid_numbers(name: str, robot: System) -> None:
+    """NaN, infinity and wrong lengths are rejected after a valid call of the same structure."""
+    size = 2 if name.startswith("x") and name != "xi0" else 3
+    options = {**START, name: np.full(size, 0.1)}
+    simulate(robot, **options)
+    for value in (np.nan, np.inf, -np.inf):
+        wrong = np.full(size, 0.1)
+        wrong[-1] = value
+        with pytest.raises(ShapeError, match=f"{name} must be finite"):
+            simulate(robot, **{**options, name: wrong})
+    with pytest.raises(ShapeError, match=f"{name} must have shape"):
+        simulate(robot, **{**options, name: np.zeros(size + 1)})
+    vague = {**options, "x0": np.array([1e12, 0.1])}
+    if name == "x0":
+        with pytest.raises(InputError, match="only accurate to"):
+            simulate(robot, **vague)
+
+
+def test_arrays_changed_after_a_call_leave_its_scene_unchanged(robot: System) -> None:
+    """`compare` and copies of the scene use the initial state of the call."""
+    for _ in range(2):  # the first call of a structure, and a repeated one
+        x0, xi0 = np.array([0.3, -0.2]), np.array([0.1, 0.2, 0.4])
+        trajectory = simulate(robot, **{**START, "x0": x0, "xi0": xi0})
+        x0 += 0.5
+        xi0 += 0.5
+        start = trajectory.scene.start
+        assert np.array_equal(start.x, [0.3, -0.2])
+        assert np.array_equal(np.asarray(trajectory.scene.x0), start.x)
+        assert np.array_equal(start.xi, [0.1, 0.2, 0.4])
+
+
+def test_trajectory_is_freed_without_garbage_collection(robot: System) -> None:
+    """A repeated call creates no cycle of references, which would keep its memory."""
+    simulate(robot, **START)
+    gc.collect()
+    gc.disable()
+    try:
+        trajectory = simulate(robot, **START)
+        kept = weakref.ref(trajectory.motion)
+        del trajectory
+        assert kept() is None
+    finally:
+        gc.enable()

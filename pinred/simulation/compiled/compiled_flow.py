@@ -31,7 +31,7 @@ from ...system.variants import nominal
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan
 from ..reduced_flow import entry_name
 from ..sample import Sample
-from .flow_start import Constants, PreparedStart, assemble, prepare_start
+from .flow_start import Constants, PreparedStart, StartConditions, assemble, prepare_start
 
 # Number of members that are set up together, limited to bound the memory.
 _AT_ONCE = 512
@@ -66,24 +66,28 @@ class CompiledFlow:
             all_momenta: Whether constant momenta of symmetric balls are integrated, too.
         """
         given, shared = plan.scene.given, plan.scene.shared
-        kernel = _conditions_kernel(plan, given, NO_DIFFERENCES)
-        state = np.concatenate([given.pose, given.x, given.xdot, given.motion], axis=1)
-        values = kernel.evaluate(state)
-        conditions = kernel.split(values)
-        zero = not conditions.about.any()
+        of_twist = given.mu is None
+        conditions = once(
+            shared,
+            (StartConditions, of_twist),
+            lambda: StartConditions.of(_conditions_kernel(plan, given, NO_DIFFERENCES)),
+        )
+        state, values = conditions.at(given)
+        zero = not any(values[0, conditions.about].tolist())
 
         def make() -> PreparedStart | None:
             flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
             constants = _constants(plan, NO_DIFFERENCES, flow_kernel)
-            return prepare_start(flow_kernel, given, kernel, constants)
+            return prepare_start(flow_kernel, given, conditions.kernel, constants)
 
-        key = PreparedStart, type(plan.method), zero, given.mu is None, all_momenta
+        key = PreparedStart, type(plan.method), zero, of_twist, all_momenta
         prepared = once(shared, key, make)
         flow_kernel = None if prepared is None else prepared.kernel()
         if flow_kernel is None:
             flow_kernel = kernel_of(plan, zero_momentum=zero, all_momenta=all_momenta)
         if prepared is None:
-            return _set_up(plan, given, conditions, NO_DIFFERENCES, flow_kernel)[0]
+            start = conditions.kernel.split(values)
+            return _set_up(plan, given, start, NO_DIFFERENCES, flow_kernel)[0]
         return cls(flow_kernel, *prepared.start(state[0], values[0]))
 
     def __getitem__(self, members: object) -> CompiledFlow:

@@ -12,6 +12,7 @@ from weakref import ref
 import numpy as np
 
 from ...common.arrays import Array
+from ...kernels.evaluate import evaluate_row
 from ...kernels.initial_conditions import InitialConditions, InitialConditionsKernel
 from ...kernels.kernel import Kernel
 from ...kernels.state_layout import Layout
@@ -82,6 +83,35 @@ def _fill(rows: Array, columns: list[Array]) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class StartConditions:
+    """The kernel of initial conditions, prepared for single states of one structure.
+
+    Attributes:
+        kernel: The kernel.
+        numbers: Values of the variable body parameters, (1, s).
+        about: Indices of the angular momentum about the centre of mass in the conditions.
+        size: Number of conditions.
+    """
+
+    kernel: InitialConditionsKernel
+    numbers: Array
+    about: slice
+    size: int
+
+    @classmethod
+    def of(cls, kernel: InitialConditionsKernel) -> StartConditions:
+        """Return the prepared kernel."""
+        return cls(kernel, kernel.own_numbers[None], kernel.about, kernel.size)
+
+    def at(self, given: GivenStates) -> tuple[Array, Array]:
+        """Return a state, (1, k), with its initial conditions, (1, size)."""
+        state = np.concatenate([given.pose, given.x, given.xdot, given.motion], axis=1)
+        values = np.empty((1, self.size))
+        evaluate_row(self.kernel.code.address, self.numbers, state, values)
+        return state, values
+
+
+@dataclass(frozen=True, eq=False)
 class PreparedStart:
     """The indices of all copies at the start of a flow, for scenes of one structure.
 
@@ -89,16 +119,15 @@ class PreparedStart:
         kernel: Weak reference to the kernel of the flow.  A structure does not keep kernels beyond
             those that a system keeps.
         constants: Zero, and the numbers that the scenes share, (c,).
-        y0_at: Indices of y0 in (constants, initial state, initial conditions), (k,).
-        parameters_at: Indices of the parameters, (p,).
-        path_at: Indices of the path, (3k,).
+        at: Indices of the reduced state (k,), the parameters (p,) and the path (3k,) in (constants,
+            initial state, initial conditions).
+        ends: Ends of the reduced state and of the parameters in `at`: k and k + p.
     """
 
     kernel: ref[Kernel]
     constants: Array
-    y0_at: Indices
-    parameters_at: Indices
-    path_at: Indices
+    at: Indices
+    ends: tuple[int, int]
 
     def start(self, state: Array, conditions: Array) -> tuple[Array, Array, Array]:
         """Return the reduced state, the parameters and the path at the start.
@@ -111,10 +140,10 @@ class PreparedStart:
         Raises:
             InputError: A number is not finite.
         """
-        numbers = np.concatenate([self.constants, state, conditions])
-        arrays = numbers[self.y0_at], numbers[self.parameters_at], numbers[self.path_at]
-        finite_start(*arrays)
-        return arrays
+        numbers = np.concatenate([self.constants, state, conditions])[self.at]
+        finite_start(numbers)
+        k, p = self.ends
+        return numbers[:k], numbers[k:p], numbers[p:]
 
 
 def prepare_start(
@@ -151,7 +180,8 @@ def prepare_start(
     whole = np.concatenate(arrays, axis=1)
     if not (np.isin(whole, np.arange(count + conditions.size))).all():
         return None
-    prepared = PreparedStart(ref(kernel), values, *(array[0].astype(np.intp) for array in arrays))
+    ends = arrays[0].shape[1], arrays[0].shape[1] + arrays[1].shape[1]
+    prepared = PreparedStart(ref(kernel), values, whole[0].astype(np.intp), ends)
     return prepared if _are_copies(prepared, layout, given, conditions, constants) else None
 
 

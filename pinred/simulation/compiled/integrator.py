@@ -68,14 +68,20 @@ def integrator(
         The function, which raises an IntegrationError with time and shape if it fails.
     """
     scene, method, layout = plan.scene, plan.method, flow.kernel.layout
-    reports, address = scene.report_times, flow.address(method)
     divisions = divisions_of(plan)
 
     n = max(1, len(flow.y0))
 
     def prepare(end: float, times: Array, tangent: Callable[[], int] = flow.tangent) -> Integration:
         return Integration(
-            method, address, n, end, times, layout.quaternions, layout.canonical, tangent
+            method,
+            flow.address(method),
+            n,
+            end,
+            times,
+            layout.quaternions,
+            layout.canonical,
+            tangent,
         )
 
     def whole() -> Integration:
@@ -86,7 +92,7 @@ def integrator(
             for dropped in [k for k, each in list(shared.items()) if each.kernel() is None]:
                 shared.pop(dropped, None)
             kernel = ref(flow.kernel)
-            integration = prepare(scene.end, reports, partial(_tangent_of, kernel))
+            integration = prepare(scene.end, scene.report_times, partial(_tangent_of, kernel))
             found = shared[id(flow.kernel)] = _Shared(kernel, method, integration)
         return found.integration
 
@@ -105,16 +111,24 @@ def integrator(
         y0 = y0 if y0.size else np.zeros(1)
 
         def segment(solution: Solution) -> Segment:
-            knots = refined(solution.knots + start, divisions)
-            if solution.complete:
-                knots[-1] = end  # exact, despite round-off in the sum of step lengths
+            def knots() -> Array:
+                return refined(solution.knots + start, divisions)
 
             def at(t: Array) -> Array:
                 if t is solution.times:
                     return solution.y
                 return solution.at(np.clip(t - start, 0.0, solution.knots[-1]))
 
-            return Segment.stored(knots, at, parameters, solution.steps, solution.evaluations)
+            counts = solution.steps, solution.evaluations
+            if not solution.complete:  # its step ends will change
+                return Segment.stored(knots(), at, parameters, *counts)
+
+            def exact() -> Array:
+                times = knots()
+                times[-1] = end  # despite round-off in the sum of step lengths
+                return times
+
+            return Segment(end, exact, at, parameters, *counts)
 
         integrate = whole() if is_complete else prepare(end - start, _NO_TIMES)
         try:
