@@ -50,9 +50,15 @@ _SWEEP_COST = 1.9  # Cost of a sweep without identical branches, in evaluations 
 # A sweep saves _AT_LOOSEST evaluations at rtol = 10^−_LOOSEST, and _PER_DIGIT more for each
 # further digit of accuracy.
 _LOOSEST, _AT_LOOSEST, _PER_DIGIT = 4.0, 1.0, 0.45
-# Number of stability-limited DOP853 steps above which DOP853 is chosen, because AdaptiveGauss
-# would need even more steps.
+# Steps of DOP853 at the limit of stability above which the decay determines the costs.
 _STABILITY_STEPS = 100.0
+# Sweeps of AdaptiveGauss for each e-fold of the fastest decay.
+_GAUSS_DECAY = 2.6
+# E-folds of the fastest decay in a step of DOP853 at rtol = _DECAY_FITTED: fast modes that are
+# still excited limit its steps by accuracy, below _STABLE.
+_DOP853_DECAY, _DECAY_FITTED = 1.7, 1e-11
+# E-folds of the fastest decay beyond which fast modes are rarely excited until the end.
+_LONG_DECAY = 7e4
 
 _STEP = 1e-4  # Step of the difference quotients of forces [rad | m | rad/s | m/s].
 
@@ -70,8 +76,19 @@ class Choice:
     why: str
 
 
-def choose(scene: Scene, stops: Array) -> Choice:
-    """Choose the integrator of a scene that stops at times `stops`, (S,) [s]."""
+def choose(
+    scene: Scene, stops: Array, cyclic: tuple[int, ...] = (), *, momentum_changes: bool = True
+) -> Choice:
+    """Choose the integrator of a scene.
+
+    Args:
+        scene: The scene.
+        stops: Times at which the integration stops, (S,) [s].
+        cyclic: Indices of the joints whose momentum is constant.
+        momentum_changes: Whether a force changes the angular momentum of the base.
+    Returns:
+        The integrator with the reason.
+    """
     if scene.integrator is not None:
         return Choice(scene.integrator, "requested by the scene")
     rtol, atol = scene.tolerance
@@ -92,10 +109,23 @@ def choose(scene: Scene, stops: Array) -> Choice:
         return Choice(dop853, "the scene is integrated in segments")
     if scene.force_model is not None and scene.force_model.has_kinks:
         return Choice(dop853, "a force has kinks, which long steps miss")
-    if steps > _STABILITY_STEPS:
-        return Choice(dop853, f"forces decay at {rates.decay:.0e}/s, too fast for long steps")
-    branches = scene.system.workspace("limbs as lanes", lambda: _limbs(scene.system))
+    system = scene.system
+    if len(cyclic) == system.m and system.group.turns < 3 and not momentum_changes:
+        return Choice(dop853, "all rates are constant, so that one step of any method is exact")
+    branches = system.workspace(("limbs as lanes", cyclic), lambda: _limbs(system, cyclic))
     cost = _SWEEP_COST * branches
+    if steps > _STABILITY_STEPS:
+        folds = rates.decay * scene.end
+        finer = max(rtol, DOP853_LEAST) / _DECAY_FITTED
+        explicit = _DOP853_STEP / min(_STABLE, _DOP853_DECAY * finer**0.125)
+        implicit = _GAUSS_DECAY * cost
+        if folds > _LONG_DECAY or implicit > explicit:
+            return Choice(dop853, f"forces decay at {rates.decay:.0e}/s, too fast for long steps")
+        why = (
+            f"forces decay at {rates.decay:.0e}/s: each e-fold costs {implicit:.1f} evaluations, "
+            f"and {explicit:.1f} with DOP853"
+        )
+        return Choice(AdaptiveGauss(rtol, atol), why)
     saved = _AT_LOOSEST + _PER_DIGIT * max(0.0, -log10(scene.rtol) - _LOOSEST)
     why = f"a sweep costs {cost:.1f} evaluations and saves {saved:.1f} at rtol = {scene.rtol:g}"
     if cost < saved:
@@ -125,11 +155,17 @@ def radau_gain(scene: Scene) -> float:
     return gain
 
 
-def _limbs(system: System) -> float:
-    """Return the ratio of all bodies to the bodies left when identical branches share lanes."""
+def _limbs(system: System, cyclic: tuple[int, ...]) -> float:
+    """Return the ratio of all bodies to the bodies left when identical branches share lanes.
+
+    Bodies at cyclic joints do not count: their constant momenta need no lanes.
+    """
     bodies = bodies_of(system)
     coupled = Groups(bodies, {}, system.coupled).members
-    return len(bodies) / len(links_of(bodies, Lanes(), (), coupled))
+    links = links_of(bodies, Lanes(), (), coupled)
+    skipped = cyclic if system.coupled is None else ()
+    lanes = [sum(bodies[k].v_at not in skipped for k in link.lanes) for link in links]
+    return sum(lanes) / sum(count > 0 for count in lanes)
 
 
 @dataclass(frozen=True)

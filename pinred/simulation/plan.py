@@ -8,7 +8,7 @@ plan may differ.  `Plan.kind` returns the equations of either case.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -207,10 +207,11 @@ class Plan:
     @cached_property
     def choice(self) -> Choice:
         """The method of the compiled engine, with the reason for it."""
-        shared = self.scene.shared
-        if self.stops is not vars(once(shared, Plan, lambda: self))["stops"]:
-            return choose(self.scene, self.stops)
-        return once(shared, Choice, lambda: choose(self.scene, self.stops))
+        shared, acting = self.scene.shared, self.acting
+        changes = acting.momentum_changes
+        make = partial(choose, self.scene, self.stops, acting.cyclic, momentum_changes=changes)
+        is_first = self.stops is vars(once(shared, Plan, lambda: self))["stops"]
+        return once(shared, Choice, make) if is_first else make()
 
     @property
     def method(self) -> Method:

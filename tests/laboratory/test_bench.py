@@ -211,4 +211,4 @@ def test_bench_methods_compares_the_choice_with_the_fastest_accurate_method(
     monkeypatch.setattr(method_choice, "METHODS", ("DOP853", "AdaptiveGauss"))
     assert main(["bench", "methods", "planar1", "--held", "0", "--out", str(tmp_path)]) == 0
     assert "of 1 scenes within 1.3 times the fastest method" in capsys.readouterr().out
-    assert (tmp_path / "methods.csv").read_text().startswith("scene,chosen,ratio,DOP853 wall")
+    assert (tmp_path / "methods.csv").read_text().startswith("scene,chosen,ratio,DOP853 cpu")

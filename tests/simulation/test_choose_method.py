@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -14,6 +15,7 @@ from pinred import DOP853, AdaptiveGauss, Gauss, Radau
 from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
+from pinred.laboratory.bench.held_robots import held_robot
 from pinred.signals import Hold
 from pinred.simulation.choose_method import LANES_GAIN, Choice, radau_gain, rates_near_rest
 from pinred.simulation.members.member_groups import members_plan
@@ -124,6 +126,57 @@ def test_damped_forces_get_dop853() -> None:
     assert isinstance(choose(1e4, 100.0).method, DOP853)
     assert "forces decay at" in choose(1e4, 100.0).why
     assert isinstance(choose(1e2, 1.0).method, AdaptiveGauss)
+
+
+def test_damping_at_tight_tolerances_gets_adaptive_gauss() -> None:
+    """Excited fast modes shorten the steps of DOP853 there; AdaptiveGauss does less work."""
+    scenes = {seed: held_robot(seed) for seed in (45, 64)}
+    for seed, held in scenes.items():
+        choice = plan_of(held).choice
+        assert isinstance(choice.method, AdaptiveGauss), seed
+        assert "each e-fold costs" in choice.why
+        sweeps = pinred.simulate(held).run.evaluations / 8
+        evaluations = pinred.simulate(held, method="DOP853").run.evaluations
+        assert 2.5 * sweeps < evaluations
+    # Loose tolerances, batches, and decays over very long times are left to DOP853.
+    held = scenes[45]
+    assert isinstance(plan_of(replace(held, rtol=1e-7)).choice.method, DOP853)
+    assert isinstance(members_plan(held).method, DOP853)
+    long = 7.1e4 / rates_near_rest(held).decay
+    assert isinstance(plan_of(replace(held, times=[long])).choice.method, DOP853)
+    assert isinstance(plan_of(replace(held, times=[0.9 * long])).choice.method, AdaptiveGauss)
+
+
+def test_arm_held_by_pd_control_does_not_get_radau() -> None:
+    """The steps of Radau cost most for many joints, of which PD control holds six here."""
+    servicer = pinred.load(limbed_model("SE3", 2, 6, 0))
+    held = dict.fromkeys(servicer.shape_names[6:], 0.0)
+    options: dict[str, Any] = {"forces": [PD(held, 2000.0, 100.0)], "times": [2.0]}
+    chosen = plan_of(scene(servicer, **options)).choice
+    assert servicer.m >= 12
+    assert not isinstance(chosen.method, Radau)
+    assert isinstance(members_plan(scene(servicer, **options)).method, DOP853)
+
+
+def test_constant_rates_get_dop853() -> None:
+    """If all joints are cyclic and the base turns about one axis, one step is exact."""
+    for name in ("elroys_beanie", "coupled_planar"):
+        choice = plan_of(pinred.Scene(system=pinred.load(name), times=[5.0])).choice
+        assert isinstance(choice.method, DOP853)
+        assert "all rates are constant" in choice.why
+        assert pinred.simulate(pinred.load(name), times=[5.0]).run.steps < 12
+    beanie = pinred.load("elroys_beanie")
+    sprung = pinred.Scene(system=beanie, times=[5.0], springs={"beanie": (1.0, 0.0)})
+    assert "constant" not in plan_of(sprung).choice.why
+    assert "constant" not in plan_of(scene(pinred.load("rigid_body"))).choice.why
+
+
+def test_wheels_do_not_count_as_branches_in_lanes() -> None:
+    """Cyclic wheels leave the lanes of a sweep free."""
+    wheels = pinred.load("reaction_wheel_satellite")
+    choice = plan_of(pinred.Scene(system=wheels, times=[10.0])).choice
+    assert isinstance(choice.method, AdaptiveGauss)
+    assert "a sweep costs 1.9" in choice.why
 
 
 def test_rates_of_a_damped_joint() -> None:

@@ -135,7 +135,7 @@ def _methods(scenes: Sequence[str], held: int) -> Result:
     records: Records = [
         {
             "scene": result.scene, "chosen": result.chosen, "ratio": result.ratio,
-            **{f"{name} wall": result.wall[name] for name in METHODS},
+            **{f"{name} cpu": result.cpu[name] for name in METHODS},
             **{f"{name} error": result.error[name] for name in METHODS},
         }
         for result in results

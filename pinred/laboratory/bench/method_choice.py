@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
@@ -46,29 +46,29 @@ class MethodChoice:
     Attributes:
         scene: Name of the scene.
         chosen: Name of the method that pinred chooses.
-        wall: Time of an integration by method [s]; infinity if the method fails or is too slow.
+        cpu: CPU time of an integration by method [s]; infinity if the method fails or is too slow.
         error: Largest error of the final reduced state by method.
     """
 
     scene: str
     chosen: str
-    wall: Mapping[str, float]
+    cpu: Mapping[str, float]
     error: Mapping[str, float]
 
     @property
     def best(self) -> str:
         """The fastest method whose error is at most that of the chosen method."""
         most = self.error[self.chosen]
-        accurate = [name for name in self.wall if self.error[name] <= most]
-        return min(accurate, key=lambda name: self.wall[name])
+        accurate = [name for name in self.cpu if self.error[name] <= most]
+        return min(accurate, key=lambda name: self.cpu[name])
 
     @property
     def ratio(self) -> float:
         """Time of the chosen method divided by that of the best method."""
-        return self.wall[self.chosen] / self.wall[self.best]
+        return self.cpu[self.chosen] / self.cpu[self.best]
 
     def __str__(self) -> str:
-        cells = (f"{1e3 * self.wall[n]:>9.3g} {self.error[n]:>7.0e}" for n in METHODS)
+        cells = (f"{1e3 * self.cpu[n]:>9.3g} {self.error[n]:>7.0e}" for n in METHODS)
         return f"{self.scene:<26}{self.chosen:<14}{self.ratio:>6.2f}" + "".join(cells)
 
     @staticmethod
@@ -130,21 +130,21 @@ def measure(name: str, scene: Scene) -> MethodChoice | None:
         The result.
     """
     plans = {method: plan_of(replace(scene, method=method)) for method in METHODS}
-    walls: dict[str, float] = dict.fromkeys(METHODS, np.inf)
+    times: dict[str, float] = dict.fromkeys(METHODS, np.inf)
     ends: dict[str, Array] = {}
     for method, plan in plans.items():
         try:
-            ends[method], walls[method] = _run(plan, _ROUNDS)
+            ends[method], times[method] = _run(plan, _ROUNDS)
         except (PinredError, _TooSlowError):
             continue
     try:
-        reference = _reference(scene, min(ends, key=lambda method: walls[method]))
+        reference = _reference(scene, min(ends, key=lambda method: times[method]))
     except (PinredError, _TooSlowError, ValueError):
         return None
     errors = dict.fromkeys(METHODS, np.inf)
     for method, end in ends.items():
         errors[method] = float(np.max(np.abs(end - reference) / (1.0 + np.abs(reference))))
-    return MethodChoice(name, plan_of(scene).method.name, walls, errors)
+    return MethodChoice(name, plan_of(scene).method.name, times, errors)
 
 
 def _reference(scene: Scene, fastest: str) -> Array:
@@ -154,24 +154,24 @@ def _reference(scene: Scene, fastest: str) -> Array:
 
 
 def _run(plan: Plan, rounds: int) -> tuple[Array, float]:
-    """Return the final state, (k,), and the shortest time of an integration [s]."""
+    """Return the final state, (k,), and the least CPU time of an integration [s]."""
     flow = CompiledFlow.of_plan(plan)
     parameters, began = read_only(flow.parameters.copy()), np.inf
 
     def watch(_: float) -> None:
-        if perf_counter() - began > _PATIENCE:
+        if process_time() - began > _PATIENCE:
             raise _TooSlowError
 
     once, end = integrator(flow, plan, watch), plan.scene.end
     once(0.0, 1e-9 * end, flow.y0, parameters)  # compiles the method and the kernel's derivative
-    began = perf_counter()
+    began = process_time()
     solution = once(0.0, end, flow.y0, parameters)
-    first = perf_counter() - began
+    first = process_time() - began
     run = partial(integrator(flow, plan, None), 0.0, end, flow.y0, parameters)
-    count, walls = max(1, int(_SPAN / first)), [first]
+    count, times = max(1, int(_SPAN / first)), [first]
     for _ in range(rounds if rounds * first < _PATIENCE else 0):
-        began = perf_counter()
+        began = process_time()
         for _ in range(count):
             run()
-        walls.append((perf_counter() - began) / count)
-    return solution.at(np.array([end]))[0], min(walls)
+        times.append((process_time() - began) / count)
+    return solution.at(np.array([end]))[0], min(times)
