@@ -35,6 +35,7 @@ class SmoothField:
         address: Address of the kernel.
         quaternions: Quaternions of the state, see `integrate`.
         tangent: Address of the kernel of (y, params, δy, δparams), with SEEDS directions at once.
+        pair: Address of the kernel of (y, params, δy, δparams) → (ẏ, δẏ), for one direction.
         adjoint: Address of the kernel of (y, params, λ).
         tangents: Function of the number of lanes that returns the address of the tangent kernel for
             as many states at once, with one direction for each state.
@@ -45,6 +46,7 @@ class SmoothField:
     address: int
     quaternions: Quaternions
     tangent: Callable[[], int]
+    pair: Callable[[], int]
     adjoint: Callable[[], int]
     tangents: Callable[[int], int]
     adjoints: Callable[[int], int]
@@ -194,6 +196,8 @@ def _explicit_along(
     along_params: Array,
 ) -> Along:
     """Propagate tangents over the steps of an explicit method."""
+    if along.shape[1] == 1:
+        return _explicit_pair(method, field, replay, y0, along, along_params)
     (n, count), T = along.shape, len(replay[-1])
     weights, batches = weights_of(type(method).tableau()), -(-count // SEEDS)
     directions, param_directions = (
@@ -211,6 +215,22 @@ def _explicit_along(
         from_lanes(out_lanes[k], out_along[k])
     from_lanes(directions, end_along)
     return Along(out, out_along, y, end_along)
+
+
+def _explicit_pair(
+    method: Explicit,
+    field: SmoothField,
+    replay: Replay,
+    y0: Array,
+    along: Array,
+    along_params: Array,
+) -> Along:
+    """Propagate one tangent over the steps of an explicit method."""
+    n, T, weights = len(along), len(replay[-1]), weights_of(type(method).tableau())
+    y, direction, out, out_along = y0.copy(), along.T.copy(), np.empty((T, n)), np.empty((T, 1, n))
+    tangents = (y, direction, np.ascontiguousarray(along_params.T), out, out_along)
+    explicit.forward_pair(replay, field.pair(), weights, tangents, explicit.pairs_of(weights, n))
+    return Along(out, np.moveaxis(out_along, 1, 2), y, direction.T)
 
 
 def _stages_of(method: Method) -> tuple[int, int]:

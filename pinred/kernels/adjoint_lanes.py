@@ -1,8 +1,7 @@
 """Reverse-mode derivative of a vector field whose identical branches are in SIMD lanes.
 
-CasADi's reverse mode does not support the symbols that represent lane operations (`Mark`).  This
-backward sweep visits every instruction from the last to the first, and propagates the adjoint of
-the result to the operands.  Instructions on values in lanes are propagated in lanes.  If lanes
+The backward sweep visits every node (see `lane_nodes`) from the last to the first, and propagates
+the adjoint of the result to the operands.  Instructions on values in lanes are propagated in lanes.  If lanes
 contribute to the adjoint of a scalar, their contributions are summed once, when the sweep reaches
 the scalar.  The adjoint of a number extracted from a lane is added to that lane, and the adjoint
 of a sum over lanes is added to all lanes.
@@ -10,38 +9,11 @@ of a sum over lanes is added to all lanes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
-
 import casadi as ca
 
 from ..reduction.tree.identical_branches import Lanes, Mark
 from ..reduction.tree.scalars import Scalar, add, mul
-
-
-@dataclass
-class _Node:
-    """A node of the computational graph: a scalar, or a value with one number per lane.
-
-    Attributes:
-        value: CasADi expression of the value.
-        width: Number of lanes.
-        parents: Operands, with the derivative of the value with respect to each.
-        mark: The lane operation that created the value, or None for an ordinary operation.
-        adjoint: Sum of the adjoint contributions received so far.
-        from_lanes: Adjoint contributions to a scalar that are not yet summed over the lanes.
-        lanes: Number of lanes of `from_lanes`.
-        from_extracts: Adjoint of each number that was extracted from a lane of this value.
-    """
-
-    value: Scalar
-    width: int = 1
-    parents: list[tuple[_Node, Any]] = field(default_factory=list)
-    mark: Mark | None = None
-    adjoint: Scalar = 0.0
-    from_lanes: Scalar = 0.0
-    lanes: int = 1
-    from_extracts: list[Scalar] | None = None
+from .lane_nodes import Node, record
 
 
 def adjoint_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: str) -> ca.Function:
@@ -59,7 +31,7 @@ def adjoint_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: s
     """
     y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))
     covector = ca.SX.sym("l", rate.numel_out(1))
-    tape, inputs, outputs = _record(rate, marks, lanes, y, p)
+    tape, inputs, outputs = record(rate, marks, lanes, y, p)
     for row, node in outputs.items():
         node.adjoint = add(node.adjoint, covector[row])
     for node in reversed(tape):
@@ -69,81 +41,7 @@ def adjoint_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: s
     return lanes.function(name, [y, p, covector], ca.vertcat(ca.SX(0, 1), *adjoints))
 
 
-def _record(
-    rate: ca.Function, marks: list[Mark], lanes: Lanes, y: ca.SX, p: ca.SX
-) -> tuple[list[_Node], dict[tuple[int, int], _Node], dict[int, _Node]]:
-    """Return all nodes in execution order, the input nodes, and the output nodes by row."""
-    tape: list[_Node] = []
-    inputs: dict[tuple[int, int], _Node] = {}
-    outputs: dict[int, _Node] = {}
-    registers: dict[int, _Node] = {}  # node currently stored in each register
-    marked: list[_Node] = []
-    operands: list[_Node] = []
-    for k in range(rate.n_instructions()):
-        op, arguments = rate.instruction_id(k), rate.instruction_input(k)
-        if op == ca.OP_CONST:
-            node = _Node(float(rate.instruction_constant(k)))
-        elif op == ca.OP_INPUT:
-            which, entry = arguments
-            if which == 2:
-                node = marked[entry]
-            else:
-                if (which, entry) not in inputs:
-                    inputs[which, entry] = _Node((y, p)[which][entry])
-                node = inputs[which, entry]
-        elif op == ca.OP_OUTPUT:
-            which, row = rate.instruction_output(k)
-            if which == 1:
-                outputs[row] = registers[arguments[0]]
-                continue
-            operands.append(registers[arguments[0]])
-            mark = marks[len(marked)]
-            if len(operands) == len(mark.operands):
-                marked.append(_mark_node(mark, operands, lanes))
-                tape.append(marked[-1])
-                operands = []
-            continue
-        else:
-            node = _operation_node(op, [registers[i] for i in arguments])
-            tape.append(node)
-        registers[rate.instruction_output(k)[0]] = node
-    return tape, inputs, outputs
-
-
-def _operation_node(op: int, parents: list[_Node]) -> _Node:
-    values = [ca.SX(parent.value) for parent in parents]
-    result = ca.SX.unary(op, values[0]) if len(values) == 1 else ca.SX.binary(op, *values)
-    pairs = list(zip(parents, _local_derivatives(op, values), strict=True))
-    return _Node(result, max(parent.width for parent in parents), pairs)
-
-
-def _local_derivatives(op: int, values: list[ca.SX]) -> list[Scalar]:
-    """Return the derivative of an operation with respect to each operand; constants are floats."""
-    if op not in _RULES:
-        symbols = [ca.SX.sym("a"), ca.SX.sym("b")][: len(values)]
-        result = ca.SX.unary(op, *symbols) if len(values) == 1 else ca.SX.binary(op, *symbols)
-        rules = [ca.densify(ca.jacobian(result, symbol)) for symbol in symbols]
-        _RULES[op] = ca.Function("rule", symbols, rules)
-    results = _RULES[op](*values)
-    derivatives = [results] if len(values) == 1 else list(results)
-    return [float(entry) if entry.is_constant() else entry for entry in derivatives]
-
-
-_RULES: dict[int, ca.Function] = {}  # by operation code: its partial derivatives
-
-
-def _mark_node(mark: Mark, operands: list[_Node], lanes: Lanes) -> _Node:
-    if mark.kind == "pack":
-        value = lanes.pack([operand.value for operand in operands])
-        width = mark.width
-    elif mark.kind == "lane":
-        value, width = lanes.lane(operands[0].value, mark.lane, mark.width), 1
-    else:
-        value, width = lanes.sum(operands[0].value, mark.width), 1
-    return _Node(value, width, [(operand, 1.0) for operand in operands], mark)
-
-
-def _propagate(node: _Node, lanes: Lanes) -> None:
+def _propagate(node: Node, lanes: Lanes) -> None:
     """Add the adjoint of a node to the adjoints of its operands."""
     adjoint = _total_adjoint(node, lanes)
     if isinstance(adjoint, float) and adjoint == 0.0:
@@ -170,7 +68,7 @@ def _propagate(node: _Node, lanes: Lanes) -> None:
             parent.from_extracts[mark.lane] = add(parent.from_extracts[mark.lane], adjoint)
 
 
-def _total_adjoint(node: _Node, lanes: Lanes) -> Scalar:
+def _total_adjoint(node: Node, lanes: Lanes) -> Scalar:
     """Return the total adjoint of a node."""
     adjoint = node.adjoint
     if not (isinstance(node.from_lanes, float) and node.from_lanes == 0.0):

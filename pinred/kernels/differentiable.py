@@ -27,12 +27,14 @@ from ..integrators.stepping.kernel_call import (
     from_lanes,
     to_lanes,
 )
-from ..reduction.tree.identical_branches import Lanes
+from ..reduction.tree.identical_branches import Lanes, Mark
 from .adjoint_lanes import adjoint_in_lanes
 from .derived_code import derived_code
 from .kernel import Kernel
 from .machine.native import NativeCode, compile_object
 from .reduced_graph import ReducedGraph
+from .tangent_lanes import tangent_in_lanes
+from .validation import require_agreement
 
 _STEP = 1e-3  # step of the finite differences, for columns of magnitude one
 _TOLERANCE = 1e-7  # relative tolerance of directional derivatives
@@ -50,7 +52,8 @@ class Differentiable:
         write: Function that builds the CasADi Function (a, b) → result from the reduced graph.
         sample: Function that draws random columns (a, b) for the validation.
         judge: Function that validates the machine code of the value.
-        limbs: Whether the adjoint computes identical branches of the robot in SIMD lanes.
+        limbs: Whether the adjoint computes identical branches of the robot in SIMD lanes. `pair`
+            always does.
     """
 
     kernel: Kernel
@@ -74,10 +77,34 @@ class Differentiable:
         return self._tangent_code(f"{self.name}_tangent", sizes, (2, 3))
 
     @cached_property
+    def pair(self) -> NativeCode:
+        """Machine code (a, b, direction of a, of b, out); out: the result, then its derivative."""
+        name = f"{self.name}_pair"
+
+        def validate(native: NativeCode) -> None:
+            def derivative(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
+                both, expected = np.empty((2, len(covector))), np.empty(len(covector))
+                _call_forward(native.address, a, b, da, db, both.ravel())
+                call_value(self._reference, a, b, expected)
+                if np.isfinite(expected).all():
+                    terms = np.abs(expected).max(initial=0.0) * np.ones(len(expected))
+                    require_agreement(
+                        f"'{name}' of '{self.kernel.system.name}'", "the value", both[0],
+                        expected, terms,
+                    )  # fmt: skip
+                return float(covector @ both[1])
+
+            self._validate_derivative(derivative)
+
+        return self._code(name, lambda _: self._compile_in_lanes(name, tangent_in_lanes), validate)
+
+    @cached_property
     def adjoint(self) -> NativeCode:
         """Machine code (a, b, λ, result) of the adjoint; result: λᵀ∂f/∂a, then λᵀ∂f/∂b."""
         name = f"{self.name}_adjoint"
-        return self._adjoint_code(name, 1, self._compile_in_lanes if self.limbs else None)
+        if not self.limbs:
+            return self._adjoint_code(name, 1)
+        return self._adjoint_code(name, 1, lambda _: self._compile_in_lanes(name, adjoint_in_lanes))
 
     def wide_tangent(self, lanes: int) -> NativeCode:
         """Return the tangent for several columns a at once, each along one direction.
@@ -206,13 +233,15 @@ class Differentiable:
 
         return self._code(name, compile_code or compile_default, validate)
 
-    def _compile_in_lanes(self, _: ca.Function) -> bytes:
-        """Compile the adjoint with identical branches in SIMD lanes."""
-        rate_lanes, adjoint_lanes, kernel = Lanes(), Lanes(), self.kernel
-        graph = ReducedGraph(kernel.system, kernel.structure, kernel.forces, rate_lanes)
-        rate, name = self.write(graph), f"{self.name}_adjoint"
-        adjoint = adjoint_in_lanes(rate, rate_lanes.marks[rate.name()], adjoint_lanes, name)
-        return compile_object(adjoint, name, adjoint_lanes.marks[name])
+    def _compile_in_lanes(
+        self, name: str, differentiate: Callable[[ca.Function, list[Mark], Lanes, str], ca.Function]
+    ) -> bytes:
+        """Compile a derivative with identical branches in SIMD lanes."""
+        value_lanes, lanes, kernel = Lanes(), Lanes(), self.kernel
+        graph = ReducedGraph(kernel.system, kernel.structure, kernel.forces, value_lanes)
+        value = self.write(graph)
+        derivative = differentiate(value, value_lanes.marks[value.name()], lanes, name)
+        return compile_object(derivative, name, lanes.marks[name])
 
     def _validate_derivative(self, derivative: Callable[..., float]) -> None:
         """Compare λᵀ(∂f/∂a δa + ∂f/∂b δb) with finite differences of λᵀf.
@@ -224,7 +253,7 @@ class Differentiable:
             InputError: The finite differences are inaccurate at most points.
         """
         rng, size, compared = np.random.default_rng(0), self._result_size(), 0
-        address = (self.kernel.rate if self.name == "rate" else self.value).address
+        address = self._reference
         for _ in range(_TRIALS):
             a, b = self.sample(rng)
             # Use steps relative to the entries, so that small inertias stay positive.
@@ -250,6 +279,11 @@ class Differentiable:
             f"the forces on '{self.kernel.system.name}' have no derivatives at "
             f"{_TRIALS - compared} of {_TRIALS} random states"
         )
+
+    @property
+    def _reference(self) -> int:
+        """Address of the validated machine code of the function itself."""
+        return (self.kernel.rate if self.name == "rate" else self.value).address
 
     def _result_size(self) -> int:
         graph = ReducedGraph(self.kernel.system, self.kernel.structure, self.kernel.forces)

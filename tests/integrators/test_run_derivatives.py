@@ -56,6 +56,9 @@ def code(kind: str, lanes: int) -> NativeCode:
         # Many directions of one state, or many states with one direction each.
         "tangent": ([y, p, v, w], (2, 3), ca.jtimes(out, y, v) + ca.jtimes(out, p, w)),
         "tangents": ([y, p, v, w], (0, 2), ca.jtimes(out, y, v) + ca.jtimes(out, p, w)),
+        "pair": (
+            [y, p, v, w], (), ca.vertcat(out, ca.jtimes(out, y, v) + ca.jtimes(out, p, w))
+        ),
         "adjoint": (
             [y, p, v], (0, 2), ca.vertcat(ca.jtimes(out, y, v, True), ca.jtimes(out, p, v, True))
         ),
@@ -71,6 +74,7 @@ def field_of(method: Any) -> SmoothField:
         address=code("rate", method.lanes).address,
         quaternions=QUATERNIONS,
         tangent=lambda: code("tangent", SEEDS).address,
+        pair=lambda: code("pair", 1).address,
         adjoint=lambda: code("adjoint", 1).address,
         tangents=lambda lanes: code("tangents", lanes).address,
         adjoints=lambda lanes: code("adjoint", lanes).address,
@@ -225,6 +229,14 @@ def test_forward_and_backward_derivatives_are_exact(method: Any, stages: bool) -
     np.testing.assert_allclose(found.slopes, slopes[:-1], rtol=0, atol=2e-12)
     np.testing.assert_allclose(found.end_slopes, slopes[-1], rtol=0, atol=2e-12)
     rng = np.random.default_rng(1)
+    v = rng.normal(size=(N + P, 1))
+    alone = run_along(
+        method, field, PARAMS, Y0, solution.knots, solution.times, v[:N], v[N:], solution.states
+    )
+    np.testing.assert_allclose(alone.y, states[:-1], rtol=0, atol=2e-13)
+    np.testing.assert_allclose(alone.end, states[-1], rtol=0, atol=2e-13)
+    np.testing.assert_allclose(alone.slopes, slopes[:-1] @ v, rtol=0, atol=4e-12)
+    np.testing.assert_allclose(alone.end_slopes, slopes[-1] @ v, rtol=0, atol=4e-12)
     at_times, at_end = rng.normal(size=(len(solution.times), N)), rng.normal(size=N)
     kept = at_times.copy(), at_end.copy()
     back = run_back(method, field, solution, solution.times, at_end, at_times)
@@ -253,6 +265,22 @@ def test_runs_without_directions_or_inner_reports(method: Any) -> None:
     back = run_back(method, field, solution, np.empty(0), covector, np.empty((0, N)))
     np.testing.assert_allclose(back.by_state, covector @ by_y[-1], rtol=0, atol=2e-12)
     np.testing.assert_allclose(back.by_parameters, covector @ by_p[-1], rtol=0, atol=2e-12)
+
+
+def test_single_direction_equals_derivative_of_step_formulas() -> None:
+    """DOP853 along one direction of state and parameters, with reports inside steps."""
+    method = DOP853()
+    solution = run_of(method, stages=False)
+    states, by_y, by_p = expected_of(method, solution)
+    v = np.random.default_rng(3).normal(size=(N + P, 1))
+    found = run_along(
+        method, field_of(method), PARAMS, Y0, solution.knots, solution.times, v[:N], v[N:]
+    )
+    slopes = np.concatenate([by_y, by_p], axis=2) @ v
+    np.testing.assert_allclose(found.y, states[:-1], rtol=0, atol=2e-13)
+    np.testing.assert_allclose(found.end, states[-1], rtol=0, atol=2e-13)
+    np.testing.assert_allclose(found.slopes, slopes[:-1], rtol=0, atol=4e-12)
+    np.testing.assert_allclose(found.end_slopes, slopes[-1], rtol=0, atol=4e-12)
 
 
 def test_steps_without_a_solution_are_refused_with_their_time() -> None:

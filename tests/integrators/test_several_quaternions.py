@@ -402,6 +402,7 @@ def test_derivatives_equal_central_differences(method: Any, stages: bool) -> Non
         address=code("rate", 2, method.lanes).address,
         quaternions=quaternions(2),
         tangent=lambda: code("tangent", 2, SEEDS).address,
+        pair=lambda: code("tangent", 2, SEEDS).address,  # not called
         adjoint=lambda: code("adjoint", 2, 1).address,
         tangents=lambda lanes: code("tangents", 2, lanes).address,
         adjoints=lambda lanes: code("adjoint", 2, lanes).address,

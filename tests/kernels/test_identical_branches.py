@@ -20,8 +20,9 @@ from pinred.kernels.adjoint_lanes import adjoint_in_lanes
 from pinred.kernels.machine.native import compile_object, load_object
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.state_layout import Structure
+from pinred.kernels.tangent_lanes import tangent_in_lanes
 from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
-from pinred.reduction.tree.identical_branches import Lanes, links_of
+from pinred.reduction.tree.identical_branches import Lanes, Mark, links_of
 from pinred.reduction.tree.scalars import Turn
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
@@ -162,19 +163,23 @@ def test_rotations_of_mirrored_branches_equal_pinocchio() -> None:
             np.testing.assert_allclose(found, np.ravel(expected), rtol=0, atol=1e-15)
 
 
-def call_adjoint(adjoint: ca.Function, lanes: Lanes, columns: list[Array]) -> Array:
-    """Compile and call an adjoint (y, parameters, covector)."""
-    code = load_object(compile_object(adjoint, "adjoint", lanes.marks["adjoint"]), "adjoint")
-    found = np.full(len(columns[0]) + len(columns[1]), np.nan)
+def call_derivative(derivative: ca.Function, lanes: Lanes, columns: list[Array]) -> Array:
+    """Compile and call a derivative in lanes."""
+    name = derivative.name()
+    code = load_object(compile_object(derivative, name, lanes.marks[name]), name)
+    found = np.full(derivative.numel_out(1), np.nan)
     pointers = [column.ctypes.data_as(POINTER) for column in (*columns, found)]
-    ctypes.CFUNCTYPE(None, *[POINTER] * 4)(code.address)(*pointers)
+    ctypes.CFUNCTYPE(None, *[POINTER] * len(pointers))(code.address)(*pointers)
     assert code.address
     return found
 
 
-@pytest.mark.parametrize("width", [2, 4])
-def test_adjoint_of_lane_operations_equals_casadi(width: int) -> None:
-    """Scalars used in several lanes, lanes extracted twice, sums, constants and unused inputs."""
+def lane_operations(width: int) -> tuple[ca.Function, list[Mark], ca.SX, ca.SX, ca.SX]:
+    """Return a Function with all lane operations and its marks; y, p, and the same without lanes.
+
+    Scalars are used in several lanes, lanes are extracted twice; there are sums, constants and
+    unused inputs.
+    """
     y, p = ca.SX.sym("y", width + 3), ca.SX.sym("p", 3)
     lanes, weights = Lanes(), np.linspace(0.5, 1.5, width)
     a = lanes.pack([y[k] for k in range(width)])
@@ -186,7 +191,6 @@ def test_adjoint_of_lane_operations_equals_casadi(width: int) -> None:
     parts = [lanes.lane(e, k, width) for k in range(width)]
     out = [total * y[width], first * parts[0], *parts, parts[-1] * p[0], y[1], ca.SX(0.7)]
     rate = lanes.function("rate", [y, p], ca.vertcat(*out))
-    # The same without lanes.
     C = [y[width + 1], *weights[1:].tolist()]
     D = [
         ca.sin(y[k] * y[width]) * p[0] - weights[k] * ca.cos(y[width]) / (2.0 + C[k] * C[k])
@@ -196,37 +200,65 @@ def test_adjoint_of_lane_operations_equals_casadi(width: int) -> None:
     whole = sum(entry * entry for entry in D)
     E = [D[k] * whole + y[width] * y[k] for k in range(width)]
     plain = ca.vertcat(whole * y[width], D[0] * E[0], *E, E[-1] * p[0], y[1], 0.7)
-    covector = ca.SX.sym("l", plain.numel())
-    slope = ca.jtimes(plain, ca.vertcat(y, p), covector, True)
+    return rate, lanes.marks["rate"], y, p, plain
+
+
+@pytest.mark.parametrize("width", [2, 4])
+def test_derivatives_of_lane_operations_equal_casadi(width: int) -> None:
+    """The adjoint, and the value with its tangent, against CasADi's modes without lanes."""
+    rate, marks, y, p, plain = lane_operations(width)
+    covector, v = ca.SX.sym("l", plain.numel()), ca.SX.sym("v", y.numel() + p.numel())
+    both, inputs = ca.vertcat(y, p), [y, p, covector, v]
+    slopes = [ca.jtimes(plain, both, covector, True), ca.jtimes(plain, both, v)]
     rng = np.random.default_rng(width)
-    columns = [rng.normal(size=size) for size in (width + 3, 3, plain.numel())]
-    expected = np.array(ca.Function("slope", [y, p, covector], [slope])(*columns))[:, 0]
+    columns = [rng.normal(size=column.numel()) for column in inputs]
+    expected, value, slope = (
+        np.array(result)[:, 0]
+        for result in ca.Function("slopes", inputs, [slopes[0], plain, slopes[1]])(*columns)
+    )
     others = Lanes()
-    adjoint = adjoint_in_lanes(rate, lanes.marks["rate"], others, "adjoint")
-    found = call_adjoint(adjoint, others, columns)
+    adjoint = adjoint_in_lanes(rate, marks, others, "adjoint")
+    found = call_derivative(adjoint, others, columns[:3])
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
     assert found[width + 2] == found[-1] == 0.0  # inputs that are not used
+    others = Lanes()
+    pair = tangent_in_lanes(rate, marks, others, "pair")
+    along = [columns[3][: y.numel()].copy(), columns[3][y.numel() :].copy()]
+    found = call_derivative(pair, others, [*columns[:2], *along])
+    np.testing.assert_allclose(found[: len(value)], value, rtol=0, atol=1e-14 * abs(value).max())
+    np.testing.assert_allclose(found[len(value) :], slope, rtol=0, atol=1e-13 * abs(slope).max())
+    assert found[-1] == 0.0  # a constant
 
 
 @pytest.mark.parametrize(("group", "limbs"), [("SE3", 2), ("SO3", 3), ("SE2", 4)])
-def test_adjoint_with_identical_branches_equals_casadi(group: str, limbs: int) -> None:
-    """CasADi's reverse mode on the equations without lanes gives the same derivatives."""
+def test_derivatives_with_identical_branches_equal_casadi(group: str, limbs: int) -> None:
+    """CasADi's derivatives of the equations without lanes are the same."""
     system, structure = (
         pinred.load(limbed_model(group, limbs, 2, 1)),
         Structure(zero_momentum=False),
     )
-    plain, lanes, others = ReducedGraph(system, structure).rate(), Lanes(), Lanes()
+    plain, lanes = ReducedGraph(system, structure).rate(), Lanes()
     rate = ReducedGraph(system, structure, lanes=lanes).rate()
-    assert lanes.marks[rate.name()]
-    adjoint = adjoint_in_lanes(rate, lanes.marks[rate.name()], others, "adjoint")
+    marks = lanes.marks[rate.name()]
+    assert marks
     sizes = [plain.numel_in(0), plain.numel_in(1), plain.numel_out(0)]
     y, p, covector = (ca.SX.sym("v", size) for size in sizes)
-    slope = ca.jtimes(plain(y, p), ca.vertcat(y, p), covector, True)
+    dy, dp, both = ca.SX.sym("dy", sizes[0]), ca.SX.sym("dp", sizes[1]), ca.vertcat(y, p)
+    value, inputs = plain(y, p), [y, p, covector, dy, dp]
+    slopes = [ca.jtimes(value, both, covector, True), ca.jtimes(value, both, ca.vertcat(dy, dp))]
     rng = np.random.default_rng(limbs)
-    columns = [0.7 * rng.normal(size=size) for size in sizes]
-    expected = np.array(ca.Function("slope", [y, p, covector], [slope])(*columns))[:, 0]
-    found = call_adjoint(adjoint, others, columns)
+    columns = [0.7 * rng.normal(size=column.numel()) for column in inputs]
+    expected, along = (
+        np.array(result)[:, 0] for result in ca.Function("slopes", inputs, slopes)(*columns)
+    )
+    others = Lanes()
+    adjoint = adjoint_in_lanes(rate, marks, others, "adjoint")
+    found = call_derivative(adjoint, others, columns[:3])
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+    others = Lanes()
+    pair = tangent_in_lanes(rate, marks, others, "pair")
+    found = call_derivative(pair, others, [*columns[:2], *columns[3:]])[sizes[2] :]
+    np.testing.assert_allclose(found, along, rtol=0, atol=1e-11 * np.abs(along).max())
 
 
 def test_graph_size_hardly_grows_with_identical_branches() -> None:

@@ -2,7 +2,8 @@
 
 With fixed step lengths a run is a function of its initial state and parameters. Tangents are
 propagated through the same stages (A. Griewank, A. Walther, Evaluating Derivatives, 2nd ed.,
-SIAM 2008, chapter 3). `adjoint_sweep` contains the backward pass. States inside a step come from
+SIAM 2008, chapter 3). A single direction is one more half of the state: the kernel computes the
+rates of both halves at once. `adjoint_sweep` contains the backward pass. States inside a step come from
 the dense output, which is linear in the rates of all stages.
 """
 
@@ -35,6 +36,17 @@ def workspace_of(weights: Weights, n: int) -> Workspace:
     size = len(weights[0])
     Y, K = np.empty((2, size, n))
     return Y, K, np.empty(n * SEEDS), np.empty((size, n * SEEDS)), np.empty(size)
+
+
+# The arrays that a step overwrites with one direction; each row is a state with its tangent:
+# stages, (S, 2, n); their rates, (S, 2 n); start of the step, (2 n,); weights, (S,).
+Pairs: TypeAlias = tuple[Array, Array, Array, Array]
+
+
+def pairs_of(weights: Weights, n: int) -> Pairs:
+    """Allocate the workspace of one direction for states with n entries."""
+    size = len(weights[0])
+    return np.empty((size, 2, n)), np.zeros((size, 2 * n)), np.empty(2 * n), np.empty(size)
 
 
 @once_for_all
@@ -139,6 +151,62 @@ def forward(
             if times[first] >= knots[step + 1]:
                 report(tangents, first, quaternions, SEEDS)
             first += 1
+
+
+@compiled
+def forward_pair(
+    replay: Replay, pair: int, weights: Weights, tangents: Tangents, work: Pairs
+) -> None:
+    """Propagate a state and one tangent direction over steps with prescribed ends, in place.
+
+    Args:
+        replay: The steps.
+        pair: Address of the kernel of (y, params, δy, δparams) → (ẏ, δẏ).
+        weights: Weights of the method.
+        tangents: The state and its tangent.
+        work: Workspace.
+    """
+    _, quaternions, params, knots, times = replay
+    (A, dense, stages), (Z, K, z, w) = weights, work
+    y, along, along_params, out, out_along = tangents
+    n = y.shape[0]
+    rows = Z.reshape((Z.shape[0], 2 * n))
+    normalise_with(y, quaternions, along, 1)
+    first = 0
+    while first < times.shape[0] and times[first] <= knots[0]:
+        report(tangents, first, quaternions, 1)
+        first += 1
+    for step in range(knots.shape[0] - 1):
+        h = knots[step + 1] - knots[step]
+        last = last_report(times, knots, step, first)
+        inside = last > first and times[first] < knots[step + 1]
+        end = A.shape[0] if inside else stages + 1
+        _join(y, along[0], z)
+        for i in range(end):
+            _add_up(rows[i], z, A[i], K, i, h)
+            if inside or i < stages:
+                call_slopes(pair, Z[i, 0], params, Z[i, 1], along_params[0], K[i])
+        copy_row(Z[stages, 0], y)
+        copy_row(Z[stages, 1], along[0])
+        normalise_with(y, quaternions, along, 1)
+        while first < last:
+            if times[first] < knots[step + 1]:
+                fill_weights(dense, (times[first] - knots[step]) / h, w)
+                _add_up(rows[0], z, w, K, end, h)
+                copy_row(Z[0, 0], out[first])
+                copy_row(Z[0, 1], out_along[first, 0])
+                normalise_with(out[first], quaternions, out_along[first], 1)
+            else:
+                report(tangents, first, quaternions, 1)
+            first += 1
+
+
+@compiled
+def _join(y: Array, along: Array, z: Array) -> None:
+    """Write a state and its tangent into one row."""
+    n = y.shape[0]
+    for k in range(n):
+        z[k], z[n + k] = y[k], along[k]
 
 
 @compiled

@@ -158,7 +158,7 @@ class Columns:
         Args:
             columns: Values of the inputs, (its size,) each.
             along: A direction of each input, (its size,) or (N, its size); eight directions
-                are propagated at once.
+                are propagated at once, or a single one with limbs in SIMD lanes.
         Returns:
             (size,), or (N, size) for N directions.
         """

@@ -65,6 +65,7 @@ class Propagator:
             address=rate_address(kernel, self.method),
             quaternions=layout.quaternions,
             tangent=lambda: rate.tangent.address,
+            pair=lambda: rate.pair.address,
             adjoint=lambda: rate.adjoint.address,
             tangents=lambda count: rate.wide_tangent(count).address,
             adjoints=lambda count: rate.wide_adjoint(count).address,
