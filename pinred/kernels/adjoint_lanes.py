@@ -1,10 +1,10 @@
 """Reverse-mode derivative of a vector field whose identical branches are in SIMD lanes.
 
 The backward sweep visits every node (see `lane_nodes`) from the last to the first, and propagates
-the adjoint of the result to the operands.  Instructions on values in lanes are propagated in lanes.  If lanes
-contribute to the adjoint of a scalar, their contributions are summed once, when the sweep reaches
-the scalar.  The adjoint of a number extracted from a lane is added to that lane, and the adjoint
-of a sum over lanes is added to all lanes.
+the adjoint of the result to the operands.  Instructions on values in lanes are propagated in lanes.
+If lanes contribute to the adjoint of a scalar, their contributions are summed once, when the sweep
+reaches the scalar.  The adjoint of a number extracted from a lane is added to that lane, and the
+adjoint of a sum over lanes is added to all lanes.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ from ..common.differences import central_differences
 from ..common.errors import InputError, KernelMismatch
 from ..common.memo import once
 from ..common.object_cache import ObjectCache, cache_key
+from ..integrators.stepping import linear_systems
 from ..integrators.stepping.kernel_call import SEEDS
-from ..integrators.stepping.linear_systems import jacobian
 from .build import model_bytes
 from .evaluate import evaluate
 from .kernel import Kernel
@@ -98,7 +98,7 @@ def tangent_of(kernel: Kernel) -> NativeCode:
         lambda graph: compile_object(
             _tangent_graph(graph, kernel), "tangent", wide=SEEDS, wide_inputs=(2,)
         ),
-        lambda native: _validate_tangent(kernel, native),
+        lambda native: validate_jacobian(kernel, partial(jacobian_by_columns, native)),
     )
 
 
@@ -111,36 +111,40 @@ def _tangent_graph(graph: ReducedGraph, kernel: Kernel) -> ca.Function:
     )
 
 
-def jacobian_of(kernel: Kernel, y: Array, parameters: Array) -> Array:
-    """Compute the Jacobian of the vector field.
+def jacobian_by_columns(native: NativeCode, y: Array, parameters: Array) -> Array:
+    """Compute the Jacobian of the vector field, eight columns at once.
 
     Args:
-        kernel: The kernel.
+        native: The machine code of `tangent_of`.
         y: Reduced state, (size,).
         parameters: Parameters, (p,).
     Returns:
         (size, size): ∂ẏ/∂y.
     """
-    return _evaluate_jacobian(tangent_of(kernel), y, parameters)
-
-
-def _evaluate_jacobian(native: NativeCode, y: Array, parameters: Array) -> Array:
     n = len(y)
     seeds, derivatives = np.zeros((2, n * SEEDS))
     padded = np.zeros((n, -(-n // SEEDS) * SEEDS))
-    jacobian(native.address, y, parameters, seeds, derivatives, padded, 0, n)
+    linear_systems.jacobian(native.address, y, parameters, seeds, derivatives, padded, 0, n)
     return padded[:, :n].copy()
 
 
-def _validate_tangent(kernel: Kernel, native: NativeCode) -> None:
-    """Compare the derivative with finite differences of the rates where these are accurate."""
+def validate_jacobian(kernel: Kernel, jacobian: Callable[[Array, Array], Array]) -> None:
+    """Compare a Jacobian with finite differences of the rates where these are accurate.
+
+    Args:
+        kernel: The kernel, already validated against Pinocchio.
+        jacobian: Function of the reduced state and the parameters.
+    Raises:
+        KernelMismatch: The Jacobian disagrees with differences of the kernel.
+        InputError: The forces are not differentiable at most random states.
+    """
     rng, size, compared = np.random.default_rng(0), kernel.layout.size, 0
     who = f"the derivative of the kernel of '{kernel.system.name}'"
     for trial in range(_TRIALS):
         reach = 0.9 ** max(0, trial - _REQUIRED)
         y = reach * rng.normal(size=size)
         parameters = kernel.random_parameters(rng)
-        values = _evaluate_jacobian(native, y, parameters)
+        values = jacobian(y, parameters)
         rate_at = partial(kernel.evaluate_rate, parameters=parameters)
         rough, expected = (central_differences(rate_at, y, h) for h in (2.0 * _STEP, _STEP))
         rate = rate_at(y)

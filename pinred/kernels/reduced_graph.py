@@ -37,6 +37,8 @@ from ..reduction.tree.scalars import (
     Scalar,
     Vec,
     add,
+    as_column,
+    as_scalars,
     cross,
     dot,
     mul,
@@ -65,6 +67,10 @@ class ReducedGraph:
         xi: Body twist relative to the centre of mass, (r,).
         xdot: Shape rate, (m,).
         pidot: Rates of the canonical momenta, (m,).
+        swept: Results of the sweep.
+        sweep_inputs: The inputs (μ, x, π) of the sweep, in one column.
+        sweep_results: The results (ξ, ẋ, π̇) of the sweep, without forces, in one column.
+        cuts: Symbols that stand for these results if the graph is cut.
     """
 
     def __init__(
@@ -73,6 +79,8 @@ class ReducedGraph:
         structure: Structure,
         forces: ForceModel | None = None,
         lanes: Lanes | None = None,
+        *,
+        cut: bool = False,
     ) -> None:
         """Build the expressions with an articulated-body sweep.
 
@@ -82,6 +90,7 @@ class ReducedGraph:
             forces: Forces on the system, or None.
             lanes: If not None, identical branches are computed in SIMD lanes.  The Functions must
                 then be compiled by `compile_object` with the marks of `lanes`.
+            cut: Whether `rates` depends on symbols that stand for the results of the sweep.
         """
         self.system, self.forces, self._lanes = system, forces, lanes
         self._freed = structure.freed
@@ -132,14 +141,21 @@ class ReducedGraph:
                 system, self._bodies, self.x, self.pi, sweep_from, prescribed=prescribed
             )
             result, self._canonical_pi, loop_rates = terms.swept, terms.pi, terms.rates
-        self.xi: list[Scalar] = [
-            [*result.root_linear, *result.root_angular][axis] for axis in group.axes
-        ]
+        twist = [*result.root_linear, *result.root_angular]
+        self.xi: list[Scalar] = [twist[axis] for axis in group.axes]
         self.xdot: list[Scalar] = result.xdot
+        shape_rates = result.pidot
+        self.swept, self.sweep_inputs = result, as_column(mu, angles, momenta)
+        self.sweep_results = as_column(self.xi, self.xdot, shape_rates)
+        self.cuts = ca.SX.sym("cut", self.sweep_results.numel())
+        if cut:
+            cuts = ca.vertsplit(self.cuts)
+            self.xi, self.xdot = cuts[: system.r], cuts[system.r : system.r + m]
+            shape_rates = cuts[system.r + m :]
         self._rotor_rates = self._turn_rotor_rates()
         self._prescribed_pi = {k: result.pi[k] for k in prescribed}
         torque, wrench = self._forces(mu)
-        pidot = [add(p, t) for p, t in zip(result.pidot, torque, strict=True)]
+        pidot = [add(p, t) for p, t in zip(shape_rates, torque, strict=True)]
         pidot = [add(p, t) for p, t in zip(pidot, loop_rates, strict=True)]
         self.pidot = self._add_shape_loads(pidot, wrench)
         weight = self.base.body_weight()
@@ -149,7 +165,7 @@ class ReducedGraph:
     def y(self) -> ca.SX:
         """The reduced state, (size,)."""
         layout, lifted = self.layout, self.layout.lifted_balls
-        return _column(
+        return as_column(
             [self.x[k] for k in (*layout.active_x, *(layout.ball_x if lifted else ()))],
             [self.pi[k] for k in layout.active],
             *(self._lifted_momenta if lifted else ()),
@@ -165,7 +181,7 @@ class ReducedGraph:
         """The parameters, (parameters,)."""
         momenta = [self.pi[k] for k in self.layout.constant_pi]
         physical = [*self._gravity, *self._body_numbers, *self._com_path]
-        return _column(self.base.spin, momenta, physical, self._numbers)
+        return as_column(self.base.spin, momenta, physical, self._numbers)
 
     def _lift_balls(self, structure: Structure) -> list[list[Scalar]]:
         """Create conjugate momenta p, (4,), of the balls, and set π = ½ E(q)ᵀ p."""
@@ -229,6 +245,11 @@ class ReducedGraph:
 
     def rate(self) -> ca.Function:
         """Return the vector field as a Function (y, parameters) → dy/dt."""
+        return self._function("rate", self.rates, [self.y, self.parameters])
+
+    @cached_property
+    def rates(self) -> ca.SX:
+        """The rates dy/dt, (size,)."""
         layout, lifted = self.layout, self.layout.lifted_balls
         attitudes = [
             quaternion_rate_in_parent(self.x[x : x + 4], self._rotor_rates[v])
@@ -236,7 +257,7 @@ class ReducedGraph:
             else quaternion_rate(self.x[x : x + 4], self.xdot[v : v + 3])
             for x, v in layout.balls
         ]
-        rate = _column(
+        return as_column(
             [self.xdot[k] for k in layout.active],
             *(attitudes if lifted else ()),
             [self.pidot[k] for k in layout.active],
@@ -247,7 +268,6 @@ class ReducedGraph:
             self._base_rate,
             [1.0] * layout.clock,
         )
-        return self._function("rate", rate, [self.y, self.parameters])
 
     def outputs(self) -> ca.Function:
         """Return the outputs as a Function ((y, t), (parameters, c0, v0, g)) → fields of Outputs.
@@ -278,14 +298,14 @@ class ReducedGraph:
         blocks += [fields[name] for name in separate_fields(base=self.layout.base_requested)]
         y = self.y if self.layout.clock else ca.vertcat(self.y, self._t)
         inputs = [y, ca.vertcat(self.parameters, *com_path)]
-        return self._function("outputs", _column(*blocks), inputs)
+        return self._function("outputs", as_column(*blocks), inputs)
 
     def _potential(self, com: Vec) -> Scalar:
         """Return the potential V(x) plus the gravitational energy of a pivoted body."""
         energy: Scalar = 0.0
         if self.forces is not None:
-            value = self.forces.potential_function(_column(self._unit_x), _column(self._numbers))
-            energy = add(energy, _scalars(value)[0])
+            value = self.forces.potential_function(as_column(self._unit_x), as_column(self._numbers))
+            energy = add(energy, as_scalars(value)[0])
         if self._weight is not None:
             weight = self.base.body_weight() or self._weight
             origin = dot(self._weight, root_of(self.system).origin.tolist())
@@ -321,8 +341,8 @@ class ReducedGraph:
         """Return the coordinates, then the rates of the prescribed joints."""
         if self.forces is None or not self.layout.prescribed:
             return []
-        x, xdot, _ = self.forces.prescribed_function(self._t, _column(self._numbers))
-        return _scalars(x) + _scalars(xdot)
+        x, xdot, _ = self.forces.prescribed_function(self._t, as_column(self._numbers))
+        return as_scalars(x) + as_scalars(xdot)
 
     def _forces(self, mu: list[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
         """Evaluate the forces; return the torques, (m,), and the base wrench, (r,) or empty."""
@@ -330,9 +350,9 @@ class ReducedGraph:
             return [0.0] * self.system.m, []
         base, robot = self._observed_base(mu), self._robot_parameters(self.forces)
         columns = (self._unit_x, self.xdot, self.xi, mu, self._numbers, *base, robot)
-        state = [_column(list(column)) for column in columns]
+        state = [as_column(list(column)) for column in columns]
         torque, wrench = self.forces.acting_function(self._t, *state)
-        return _scalars(torque), _scalars(wrench) if self.forces.has_wrench else []
+        return as_scalars(torque), as_scalars(wrench) if self.forces.has_wrench else []
 
     def _robot_parameters(self, forces: ForceModel) -> list[Scalar]:
         """Return the robot parameters that the forces depend on; constants remain floats."""
@@ -380,17 +400,6 @@ class ReducedGraph:
         if not (isinstance(energy, ca.SX) and m):
             return pidot
         gradient = shape_gradient(self.system, energy, self._angles)
-        symbols, values = _column([s for s, _ in loads]), _column([v for _, v in loads])
-        (gradient,) = ca.substitute([gradient], [symbols, self._angles], [values, _column(self.x)])
+        symbols, values = as_column([s for s, _ in loads]), as_column([v for _, v in loads])
+        (gradient,) = ca.substitute([gradient], [symbols, self._angles], [values, as_column(self.x)])
         return [add(pidot[k], mul(-1.0, gradient[k])) for k in range(m)]
-
-
-def _column(*blocks: list[Scalar]) -> ca.SX:
-    entries = [entry for block in blocks for entry in block]
-    return ca.vertcat(*entries) if entries else ca.SX(0, 1)
-
-
-def _scalars(column: ca.SX) -> list[Scalar]:
-    """Return the entries of a column, constants as floats, so that products with 0 vanish."""
-    entries = [column[k] for k in range(column.numel())]
-    return [float(entry) if entry.is_constant() else entry for entry in entries]

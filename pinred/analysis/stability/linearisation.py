@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
-from ...kernels.derived_code import jacobian_of
 from ...kernels.evaluate import evaluate
+from ...kernels.state_jacobian import jacobian_of
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.sample import Sample
 from .reduced_state import Leaf, leaf_of

@@ -2,8 +2,8 @@
 
 With fixed step lengths a run is a function of its initial state and parameters. Tangents are
 propagated through the same stages (A. Griewank, A. Walther, Evaluating Derivatives, 2nd ed.,
-SIAM 2008, chapter 3). A single direction is one more half of the state: the kernel computes the
-rates of both halves at once. `adjoint_sweep` contains the backward pass. States inside a step come from
+SIAM 2008, chapter 3). For a single direction, one kernel computes the rates of the state and of
+its tangent together. `adjoint_sweep` contains the backward pass. States inside a step come from
 the dense output, which is linear in the rates of all stages.
 """
 

@@ -23,7 +23,7 @@ from ...analysis.stability.linearised_flow import without_base
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.progress import Progress, one_by_one
-from ...kernels.derived_code import jacobian_of
+from ...kernels.state_jacobian import jacobian_of
 from ...reduction.pointwise_reduction import PointwiseReduction
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow

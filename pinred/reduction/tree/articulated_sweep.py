@@ -70,6 +70,11 @@ class Swept:
         factors: Pairs (u, u/D) of all eliminated rates, then of the root, from H = L D Lᵀ with
             u = L⁻¹(μ, π).  So (μ, π)·H⁻¹(μ, π)' is the sum of u u'/D, without an outward pass.
             They are complete if no joints follow others.
+        links: The links of the sweep, root first.
+        joints: The eliminated joint of each link; None at the root.
+        twists: Twist of each link before its joint moves, (linear, angular), in the frame of the
+            joint at rest; the root's twist first.
+        root: Entries of L below the unit diagonal, and 1/D, of the root's inertia L D Lᵀ.
     """
 
     root_linear: Vec
@@ -78,6 +83,10 @@ class Swept:
     pi: list[Scalar]
     pidot: list[Scalar]
     factors: list[tuple[Scalar, Scalar]]
+    links: list[Link]
+    joints: list[Eliminated | None]
+    twists: list[tuple[Vec, Vec]]
+    root: tuple[list[Vec], Vec]
 
 
 def sweep(
@@ -147,11 +156,11 @@ def sweep(
     factors = [
         (rate.momentum, rate.drive) for joint in joints if joint is not None for rate in joint.rates
     ]
-    linear, angular, root_factors = _solve_root(
+    linear, angular, root_factors, root = _solve_root(
         inertia[0], mu, [divmod(k, 3) for k in axes], root_armature
     )
     factors += root_factors
-    v, w = [linear], [angular]
+    v, w, twists = [linear], [angular], [(linear, angular)]
     groups.find_rates(0, linear, angular)
     xdot: list[Scalar] = [0.0] * len(pi)
     momenta = [0.0 if k in rates else momentum for k, momentum in enumerate(pi)]
@@ -160,6 +169,7 @@ def sweep(
         link, body, solved = links[i], links[i].body, joints[i]
         assert solved is not None
         vi, wi = solved.step.fixed.outward(v[link.parent], w[link.parent])
+        twists.append((vi, wi))
         if body.is_ball:
             vi, wi, *columns = _move_ball(groups, i, link, solved, (vi, wi), pi, lanes)
             groups.find_rates(i, vi, wi)
@@ -204,7 +214,7 @@ def sweep(
                 if k in rates:
                     lane_momentum = lanes.lane(along, lane, len(link.lanes))
                     momenta[k] = add(momenta[k], mul(ratio, lane_momentum))
-    return Swept(linear, angular, xdot, momenta, pidot, factors)
+    return Swept(linear, angular, xdot, momenta, pidot, factors, links, joints, twists, root)
 
 
 def _momenta(groups: Groups, link: Link, pi: list[Scalar], lanes: Lanes) -> list[Scalar]:
@@ -326,8 +336,8 @@ def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
 
 def _solve_root(
     a: Articulated, mu: list[Scalar], axes: list[tuple[int, int]], armature: float
-) -> tuple[Vec, Vec, list[tuple[Scalar, Scalar]]]:
-    """Return the root's twist (linear, angular), solved from its momentum, and its factors.
+) -> tuple[Vec, Vec, list[tuple[Scalar, Scalar]], tuple[list[Vec], Vec]]:
+    """Return the root's twist (linear, angular), solved from its momentum, and its factors twice.
 
     axes: entries of the group's twists, each as (0 for linear or 1 for angular, axis).
     """
@@ -352,4 +362,4 @@ def _solve_root(
     angular: Vec = [0.0, 0.0, 0.0]
     for value, (ang, k) in zip(solution, axes, strict=True):
         (angular if ang else linear)[k] = value
-    return linear, angular, factors
+    return linear, angular, factors, (L, inverse)

@@ -24,6 +24,7 @@ class Rate:
         gain_angular: Angular part of U/D, (3,).
         drive: Rate u/D at zero twist.
         momentum: Momentum u, which remains of π when the subtree takes its part.
+        inverse: 1/D.
     """
 
     axis: int
@@ -31,6 +32,7 @@ class Rate:
     gain_angular: Vec
     drive: Scalar
     momentum: Scalar = 0.0
+    inverse: Scalar = 0.0
 
     def at(self, v: Vec, w: Vec) -> Scalar:
         """Return the rate at the twist (v, w) before the joint moves."""
@@ -78,7 +80,7 @@ def eliminate_rate(freedom: Freedom, a: Articulated, pi: Scalar) -> tuple[Articu
     ang = [add(a.ang[k], mul(Ua[k], drive)) for k in range(3)]
     if free:
         (lin if slides else ang)[axis] = pi
-    return Articulated(M, B, I, lin, ang), Rate(axis, gain, gain_angular, drive, u)
+    return Articulated(M, B, I, lin, ang), Rate(axis, gain, gain_angular, drive, u, inverse)
 
 
 def join_groups(groups: Groups, i: int, freedom: Freedom, a: Articulated, step: Step) -> Eliminated:

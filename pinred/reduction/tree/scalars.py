@@ -264,3 +264,14 @@ def solve_factored(L: list[list[Scalar]], inverse: list[Scalar], b: list[Scalar]
     for i in range(n - 1, -1, -1):
         x[i] = sub(x[i], total([mul(L[j][i], x[j]) for j in range(i + 1, n)]))
     return x
+
+def as_column(*blocks: list[Scalar]) -> ca.SX:
+    """Return lists of entries as one column."""
+    entries = [entry for block in blocks for entry in block]
+    return ca.vertcat(*entries) if entries else ca.SX(0, 1)
+
+
+def as_scalars(column: ca.SX) -> list[Scalar]:
+    """Return the entries of a column, constants as floats, so that products with 0 vanish."""
+    entries = [column[k] for k in range(column.numel())]
+    return [float(entry) if entry.is_constant() else entry for entry in entries]
