@@ -39,6 +39,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     text = "evaluations that an accuracy costs, for many methods"
     add("evaluations", text, "scenes", "four")
     add("flow", "calls, gradients, and variable inertias of flows", "robots", "four")
+    text = "forward and backward derivatives of flows, and the state Jacobian of kernels"
+    add("derivatives", text, "robots", "four")
     add("scaling", "one kernel evaluation for chains of 5 to 100 joints")
     add("floquet", "Floquet multipliers by three routes against a closed form")
     add("compare", "time of comparisons, and of one integration by ABA", "scenes", "all installed")

@@ -13,6 +13,7 @@ import casadi as ca
 from ..forces.force_model import ForceModel
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.identical_branches import Lanes, Mark
+from ..reduction.tree.scalars import Mat
 from ..reduction.tree.sweep_jacobian import sweep_jacobian
 from ..system.system import System
 from .reduced_graph import ReducedGraph
@@ -54,7 +55,7 @@ def jacobian_graph(
     return function, lanes.marks["jacobian"]
 
 
-def _matrix(rows: Sequence[Sequence[object]]) -> ca.SX:
+def _matrix(rows: Mat) -> ca.SX:
     """Return a matrix without its entries that are exactly zero."""
     entries = [
         (i, k, entry)

@@ -59,5 +59,6 @@ def jacobian_code(kernel: Kernel) -> NativeCode:
 
 def _evaluate(native: NativeCode, y: Array, parameters: Array) -> Array:
     matrix = np.empty((len(y), len(y)))
-    call_value(native.address, *map(np.ascontiguousarray, (y, parameters)), matrix.ravel())
+    y, parameters = np.ascontiguousarray(y), np.ascontiguousarray(parameters)
+    call_value(native.address, y, parameters, matrix.ravel())
     return matrix

@@ -16,6 +16,7 @@ from pinred.kernels import jacobian_graph as graphs
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.state_jacobian import jacobian_code, jacobian_of
+from pinred.reduction.tree.sweep_jacobian import sweep_jacobian
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 
@@ -77,7 +78,7 @@ def test_wrong_recursion_is_rejected(
 ) -> None:
     """An error of 1e-5 in the derivatives of the sweep is detected when the code is built."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path_factory.mktemp("cache", numbered=True)))
-    right = graphs.sweep_jacobian
+    right = sweep_jacobian
 
     def wrong(*arguments: Any) -> Any:
         rows = right(*arguments)

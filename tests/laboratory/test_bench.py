@@ -16,12 +16,15 @@ import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError
 from pinred.laboratory.bench import (
+    DerivativeTiming,
     Scaling,
+    bench_derivatives,
     bench_forces,
     bench_many,
     bench_scaling,
     bench_threads,
     compare_timing,
+    derivative_timing,
     method_choice,
     timing,
 )
@@ -83,6 +86,18 @@ def test_bench_forces_counts_integrated_states(
     assert main(["bench", "forces", "elroys_beanie", "--out", str(tmp_path)]) == 0
     assert "torque, attitude" in capsys.readouterr().out
     assert (tmp_path / "forces.csv").read_text().startswith("robot,free,torque,wrench,full")
+
+
+def test_bench_derivatives_measures_every_ratio(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each ratio is a positive number, and appears in the table."""
+    monkeypatch.setattr(derivative_timing, "_ROUNDS", 2)
+    monkeypatch.setattr(derivative_timing, "_BURST", 1e-5)
+    (result,) = bench_derivatives(["coupled_planar"])
+    ratios = [value for value in vars(result).values() if isinstance(value, float)]
+    assert len(ratios) == 8
+    assert min(ratios) > 0.0
+    assert all(f"{ratio:.2f}" in str(result) for ratio in ratios)
+    assert len(DerivativeTiming.header().splitlines()[0].split()) == 10
 
 
 def test_scaling_fits_power_law() -> None:

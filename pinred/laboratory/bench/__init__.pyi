@@ -7,6 +7,8 @@ from .accuracy import Effort as Effort
 from .accuracy import bench_accuracy as bench_accuracy
 from .batch_timing import ManyTiming as ManyTiming
 from .batch_timing import bench_many as bench_many
+from .derivative_timing import DerivativeTiming as DerivativeTiming
+from .derivative_timing import bench_derivatives as bench_derivatives
 from .evaluations import Evaluations as Evaluations
 from .evaluations import bench_evaluations as bench_evaluations
 from .floquet_timing import FloquetTiming as FloquetTiming

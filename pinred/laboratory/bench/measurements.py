@@ -74,6 +74,14 @@ def _flow(robots: Sequence[str]) -> Result:
     return _table(FlowTiming.header(), timings), {"flow": records}
 
 
+def _derivatives(robots: Sequence[str]) -> Result:
+    from .derivative_timing import DerivativeTiming, bench_derivatives
+
+    timings = bench_derivatives(robots, progress=True)
+    records = [dict(vars(timing)) for timing in timings]
+    return _table(DerivativeTiming.header(), timings), {"derivatives": records}
+
+
 def _scaling() -> Result:
     from .scaling import bench_scaling
 
@@ -161,6 +169,7 @@ MEASUREMENTS: dict[str, Callable[..., Result]] = {
     "compare": _compare,
     "evaluations": _evaluations,
     "flow": _flow,
+    "derivatives": _derivatives,
     "scaling": _scaling,
     "floquet": _floquet,
     "loops": _loops,
