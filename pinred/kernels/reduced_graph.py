@@ -26,7 +26,7 @@ import casadi as ca
 from ..forces.force_model import ForceModel
 from ..forces.force_numbers import numbers_in
 from ..reduction.base_parts import root_of
-from ..reduction.tree.all_joints import joint_rates, joint_values, shape_gradient
+from ..reduction.tree.all_joints import configuration, joint_rates, joint_values, shape_gradient
 from ..reduction.tree.articulated_sweep import Swept, sweep
 from ..reduction.tree.body_frames import bodies_of, with_rotors
 from ..reduction.tree.free_bodies import total_mass, with_free
@@ -289,7 +289,8 @@ class ReducedGraph:
         com_path = [ca.SX.sym(f"line{j}") for j in range(3 * k)]
         if self.layout.base_requested:
             full = self.base.full(self.xi, self._mu, com, self._t, com_path)
-            fields["pose"], fields["q"] = full.pose, self._q(full.pose)
+            fields["pose"] = full.pose
+            fields["q"] = configuration(system, full.pose, self._unit_x)
             fields["v"] = [*full.xi, *joint_rates(system, self.xdot)]
             fields["body_momentum"] = full.body_momentum
             fields["spatial_momentum"] = full.spatial_momentum
@@ -304,22 +305,15 @@ class ReducedGraph:
         """Return the potential V(x) plus the gravitational energy of a pivoted body."""
         energy: Scalar = 0.0
         if self.forces is not None:
-            value = self.forces.potential_function(as_column(self._unit_x), as_column(self._numbers))
+            value = self.forces.potential_function(
+                as_column(self._unit_x), as_column(self._numbers)
+            )
             energy = add(energy, as_scalars(value)[0])
         if self._weight is not None:
             weight = self.base.body_weight() or self._weight
             origin = dot(self._weight, root_of(self.system).origin.tolist())
             energy = sub(energy, add(dot(weight, com), origin))
         return energy
-
-    def _q(self, pose: list[Scalar]) -> list[Scalar]:
-        """Return Pinocchio's configuration."""
-        y, q = [*pose, *joint_values(self.system, self._unit_x)], [0.0] * self.system.model.nq
-        for i, at in self.system.plain:
-            q[at] = y[i]
-        for i, at in self.system.angles:
-            q[at], q[at + 1] = ca.cos(y[i]), ca.sin(y[i])
-        return q
 
     def _function(self, name: str, value: ca.SX, inputs: list[ca.SX]) -> ca.Function:
         if self._lanes is not None:
@@ -401,5 +395,6 @@ class ReducedGraph:
             return pidot
         gradient = shape_gradient(self.system, energy, self._angles)
         symbols, values = as_column([s for s, _ in loads]), as_column([v for _, v in loads])
-        (gradient,) = ca.substitute([gradient], [symbols, self._angles], [values, as_column(self.x)])
+        at = [values, as_column(self.x)]
+        (gradient,) = ca.substitute([gradient], [symbols, self._angles], at)
         return [add(pidot[k], mul(-1.0, gradient[k])) for k in range(m)]

@@ -32,6 +32,16 @@ def joint_rates(system: System, xdot: Sequence[Scalar]) -> list[Scalar]:
     return [_sum(coupled.terms(j), xdot) for j in range(len(coupled.G))]
 
 
+def configuration(system: System, pose: Sequence[Scalar], x: Sequence[Scalar]) -> list[Scalar]:
+    """Return Pinocchio's configuration, (nq,), at a pose and a shape x, (nx,)."""
+    y, q = [*pose, *joint_values(system, x)], [0.0] * system.model.nq
+    for i, at in system.plain:
+        q[at] = y[i]
+    for i, at in system.angles:
+        q[at], q[at + 1] = ca.cos(y[i]), ca.sin(y[i])
+    return q
+
+
 def on_shape(system: System, momenta: Sequence[Scalar]) -> list[Scalar]:
     """Map momenta or forces p of all joints to shape momenta or forces Gᵀ p, (m,)."""
     coupled = system.coupled

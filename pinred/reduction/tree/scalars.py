@@ -265,6 +265,7 @@ def solve_factored(L: list[list[Scalar]], inverse: list[Scalar], b: list[Scalar]
         x[i] = sub(x[i], total([mul(L[j][i], x[j]) for j in range(i + 1, n)]))
     return x
 
+
 def as_column(*blocks: list[Scalar]) -> ca.SX:
     """Return lists of entries as one column."""
     entries = [entry for block in blocks for entry in block]
