@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -125,6 +126,15 @@ def test_commands_of_page_are_accepted(path: Path) -> None:
     for command in site_pages.console_commands(path.read_text("utf-8")):
         words = command.partition(" && ")[0].split()
         main._parser(words).parse_args(main._join_negative(words))
+
+
+def test_start_lists_every_extra() -> None:
+    """The table of extras has those of pyproject.toml, and no other."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    text = (DOCS / "start.md").read_text("utf-8")
+    table = text[text.index("| extra |") :].split("\n\n")[0]
+    extras = re.findall(r"`(\w+)`", " ".join(row.split("|")[1] for row in table.splitlines()))
+    assert sorted(extras) == sorted(project["optional-dependencies"])
 
 
 def test_gallery_shows_every_kind_of_figure() -> None:
