@@ -145,9 +145,10 @@ def _between(system: System, method: str) -> Any:
 def _derivatives(system: System, method: str) -> Any:
     try:
         endpoint = flow(system, wrt=["x0"], seed=1, duration=_DURATION, method=method)
-        endpoint.jacobian()
+        columns = endpoint.jacobian()["x0"].shape[-1]
     except InputError:  # the steps of some methods have no derivatives
         return None
+    endpoint.jvp({"x0": np.ones(columns)})
     return endpoint.vjp({"pose": np.ones(system.group.dim)})
 
 
