@@ -29,6 +29,7 @@ _MOST_STEPS = 200  # number of randomly sampled steps that are evaluated for lon
 _SLOPE_STEP = 1e-6  # step of directional difference quotients, relative to the sizes of states
 # Defects above this multiple of the median defect indicate a kink of a force within the step.
 _KINK = 10.0
+_MOST_GROWTH = 1.0  # largest growth exponent over a step for which defects are filtered
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,12 @@ def largest_defect(
 
 
 def compute_defects(
-    traj: Trajectory, full: FullState, *, max_steps: int = _MOST_STEPS, propagate: bool = True
+    traj: Trajectory,
+    full: FullState,
+    *,
+    max_steps: int = _MOST_STEPS,
+    propagate: bool = True,
+    stiff: bool = False,
 ) -> Defects:
     """Compute the defects of a trajectory with ABA.
 
@@ -118,6 +124,8 @@ def compute_defects(
         max_steps: Largest number of steps to evaluate; longer trajectories are sampled randomly.
         propagate: Propagate residuals inside a step to its end. Without it, motion_steps omits
             residuals that cancel in the integral.
+        stiff: Filter the defects of steps, see `filter_defect`. Such defects show less, so they
+            cannot pass a motion.
     Returns:
         Defects of the steps and of their subintervals.
     """
@@ -125,7 +133,7 @@ def compute_defects(
     steps = np.arange(count)
     if count > max_steps:
         steps = np.sort(np.random.default_rng(0).choice(steps, max_steps, replace=False))
-    defects = _defects_of_steps(traj, full, steps, propagate=propagate)
+    defects = _defects_of_steps(traj, full, steps, propagate=propagate, stiff=stiff)
     forces = traj.scene.force_model
     if forces is None or not forces.has_kinks:
         return defects
@@ -135,7 +143,7 @@ def compute_defects(
 
 
 def _defects_of_steps(
-    traj: Trajectory, full: FullState, steps: Indices, *, propagate: bool
+    traj: Trajectory, full: FullState, steps: Indices, *, propagate: bool, stiff: bool
 ) -> Defects:
     a, b, first = _subintervals(traj, steps)
     middle, half = 0.5 * (a + b), 0.5 * (b - a)
@@ -159,6 +167,8 @@ def _defects_of_steps(
     sizes, motion_sizes = _sizes(traj, full)
     of_steps = np.add.reduceat(missed, first)  # step ends between subintervals cancel
     propagated = _propagate(full, quadrature, first, sizes) if propagate else of_steps
+    if stiff:
+        of_steps = _filter_defects(full, quadrature, first, of_steps, sizes)
     # Round-off of ABA where the mass matrix is almost singular is not a defect.
     noise, durations = SPREAD_MARGIN * spread, np.add.reduceat(b - a, first)
     of_steps, propagated, missed = (
@@ -173,6 +183,40 @@ def _defects_of_steps(
         motion_subintervals=np.maximum.reduceat((missed / motion_sizes).max(axis=1), first),
         round_off_rate=float((spread / motion_sizes).max()),
     )
+
+
+def _filter_defects(
+    full: FullState, quadrature: _Quadrature, first: Indices, defects: Array, sizes: Array
+) -> Array:
+    """Return the filtered defects of steps, (S, n), with Jacobians by difference quotients."""
+    filtered, lengths = np.empty_like(defects), np.add.reduceat(quadrature.lengths, first)
+    moves = np.diag(_SLOPE_STEP * sizes)
+    for row, defect, interval, h in zip(filtered, defects, first, lengths, strict=True):
+        k = int(interval) * len(_NODES) + len(_NODES) // 2
+        full.set_parameters(quadrature.parameters[k])
+        t, y = float(quadrature.nodes[k]), quadrature.y[k]
+        changes = [full.rate(t, y + move) - quadrature.rates[k] for move in moves]
+        row[:] = filter_defect(np.array(changes).T / (_SLOPE_STEP * sizes), float(h), defect)
+    return filtered
+
+
+def filter_defect(J: Array, h: float, defect: Array) -> Array:
+    """Compute (1 − h J / 2)⁻¹ · defect, the change of the state that explains a stiff defect.
+
+    A stiff damper turns a round-off of the rates into a large residual, which decays within the
+    step. Implicit integrators filter their error estimates in the same way. A defect that grows is
+    not filtered.
+
+    Args:
+        J: Jacobian of the rates of the state, (n, n).
+        h: Length of the step [s].
+        defect: Defect of the step, (n,).
+    Returns:
+        (n,) filtered defect.
+    """
+    if not h * np.linalg.eigvals(J).real.max() < _MOST_GROWTH:
+        return defect
+    return np.asarray(np.linalg.solve(np.eye(len(J)) - 0.5 * h * J, defect))
 
 
 def _propagate(full: FullState, quadrature: _Quadrature, first: Indices, sizes: Array) -> Array:
