@@ -191,7 +191,7 @@ def test_field_has_colour_bar(screen: Browser, page: Path) -> None:
     entries = np.reshape(data, (520, 4))[:, :3]
     blue, orange = (
         np.flatnonzero(np.abs(entries - colour).max(axis=1) < 8)
-        for colour in ([33, 102, 172], [217, 95, 2])
+        for colour in ([0, 114, 178], [213, 94, 0])
     )
     assert len(blue) > 0
     assert len(orange) > 0

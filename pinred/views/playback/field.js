@@ -21,7 +21,7 @@ function shapePlane(box, labels) { // box: left, top, width, height in the canva
   }
   function paintBar(ink, most, name) { // colour bar above the field
     const bound = most < 1e-3 ? most.toExponential(1) : most.toPrecision(2), top = 14, wide = 110;
-    const left = box[0] + ink.measureText(`−${bound}`).width + 8;
+    const left = Math.ceil(box[0] + ink.measureText(`−${bound}`).width + 8); // whole pixels keep colours pure
     ink.fillStyle = "#1d2733";
     ink.fillText(`−${bound}`, box[0], top + 16);
     ink.fillText(`+${bound}`, left + wide + 8, top + 16);
