@@ -127,6 +127,10 @@ def test_loop_plot_of_gait_and_plan() -> None:
         np.testing.assert_allclose([y.min(), y.max()], gait.limits[1], atol=1e-3)
         assert drawn(joints, "alpha1")[1][0] == pytest.approx(gait.at(0.0)[0][0])
         assert drawn(base, "θ")[1][-1] == pytest.approx(np.degrees(end), abs=1e-6)
+    satellite = pinred.load("satellite_two_arms")
+    plan = pinred.reorient(satellite, [0.0, 0.0, 0.1], limits=2.6)
+    labels = [axes.get_ylabel() for axes in plots.loop(plan).axes]
+    assert "B, component ω3" in labels  # of the target, not the largest
     cat = pinred.Connection.mechanical(pinred.load("falling_cat"))
     turning = pinred.optimise_gait(cat, axis="x", limits=1.0, harmonics=1, starts=1)
     t, _ = drawn(pinred.plot(turning, "loop").axes[-1], "θx")

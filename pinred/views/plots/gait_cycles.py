@@ -144,7 +144,7 @@ def loop(source: BestGait | TurnPlan) -> Figure:
     drawing = figure(f"{connection.form.what}: {title}", width=9.6, height=4.4)
     panels: Any = drawing.subfigures(1, 2, width_ratios=(1.25, 1.0))
     field_panel, time_panel = panels
-    component = _component_of(connection.group, source)
+    component = _component_of(connection.group, source, poses)
     _on_curvature(field_panel.subplots(), connection, gaits[: 1 + _OTHERS], component)
     joints, base = time_panel.subplots(2, 1, sharex=True)
     moving = np.argsort(-gait.amplitude, kind="stable")[:6]
@@ -157,13 +157,18 @@ def loop(source: BestGait | TurnPlan) -> Figure:
     return drawing
 
 
-def _component_of(group: Group, source: BestGait | TurnPlan) -> int | None:
-    """Return the component of the curvature that the objective concerns; None for a target."""
+def _component_of(group: Group, source: BestGait | TurnPlan, poses: Array) -> int | None:
+    """Return the component of the curvature that the objective concerns, or None.
+
+    For a target pose it is the axis about which the base turns most from the first to the last
+    pose; without a turn there is none.
+    """
     aim = source.task.aim if isinstance(source, BestGait) else source.aim
-    if not isinstance(aim, AxisAim):
-        return None
-    largest = int(np.argmax(np.abs(aim.axis)))
-    return largest + (group.linear if aim.kind == "rotation" else 0)
+    if isinstance(aim, AxisAim):
+        largest = int(np.argmax(np.abs(aim.axis)))
+        return largest + (group.linear if aim.kind == "rotation" else 0)
+    turned = np.abs(_changes(group, poses, "rotation")[0][-1])
+    return group.linear + int(np.argmax(turned)) if np.any(turned > 1e-6) else None
 
 
 def _on_curvature(
