@@ -287,6 +287,19 @@ def test_framing_contains_robot_and_path() -> None:
     assert not frame(film("rigid_body"), drawn_bodies(pinred.load("rigid_body"))).follow
 
 
+@pytest.mark.parametrize("gravity", [(1.5, 0.7, -3.0), (0.0, 0.0, 0.0)])
+def test_framing_has_gravity_and_room_for_its_arrow(gravity: tuple[float, float, float]) -> None:
+    """Gravity is the acceleration of the centre of mass; half its arrow ends within the picture."""
+    traj = pinred.simulate(pinred.load("diver", gravity=gravity), momentum=[0.0] * 6, duration=1.0)
+    shown = playback(traj, View(fps=2.0))
+    framing = frame(shown, drawn_bodies(shown.system))
+    acceleration = 4.0 * (shown.com[0] - 2.0 * shown.com[1] + shown.com[2])
+    np.testing.assert_allclose(framing.gravity, acceleration, atol=1e-9)
+    assert not shown.momentum.vector.any()  # its arrow would need more room than that of gravity
+    assert np.linalg.norm(framing.gravity_at) + 0.25 * framing.radius <= framing.reach
+    np.testing.assert_allclose(framing.gravity_at @ framing.eye, 0.0, atol=1e-12)
+
+
 def test_frames_are_written_all_or_none(tmp_path: Path) -> None:
     """A film that fails leaves existing files and none of its frames."""
     (tmp_path / "film_0000.png").write_bytes(b"old")

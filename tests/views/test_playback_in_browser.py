@@ -141,6 +141,29 @@ def test_balls_and_momentum_sphere_are_drawn(screen: Browser, tmp_path: Path) ->
     assert complaints(screen) == []
 
 
+def test_gravity_arrow_points_along_acceleration(screen: Browser, tmp_path: Path) -> None:
+    """The arrow of a tilted gravity points along the acceleration of the centre of mass."""
+    diver = pinred.load("diver", gravity=(1.5, 0.7, -3.0))
+    traj = pinred.simulate(diver, seed=1, duration=1.0)
+    pinred.save_html(traj, tmp_path / "diver.html")
+    show(screen, (tmp_path / "diver.html").as_uri())
+    shown = picture_at(screen, 0.5)
+    arrow = "pinred.node('Gravity', '<object>')"
+    ends = [f"{arrow}.children[{k}].getWorldPosition({arrow}.position.clone())" for k in (0, 1)]
+    along = np.array(screen.run(f"{ends[1]}.sub({ends[0]}).toArray()"))
+    com = playback(traj, View()).com
+    start, middle, end = com[[0, len(com) // 2, -1]]
+    acceleration = 4.0 * (start - 2.0 * middle + end)  # exact for a parabola over one second
+    # three.js turns its world by the camera's frame: y is up.
+    x, y, z = acceleration / np.linalg.norm(acceleration)
+    np.testing.assert_allclose(along / np.linalg.norm(along), [x, z, -y], atol=1e-5)
+    label = screen.run("document.getElementsByName('Gravity')[0].parentNode.textContent")
+    assert label.strip() == f"gravity: {np.linalg.norm(acceleration):.4g} m/s²"
+    switch(screen, Gravity=False)
+    assert count_different(shown, picture_at(screen, 0.5)) > 200
+    assert complaints(screen) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["falling_cat", *OTHERS])
 def test_saved_page_plays_offline(screen: Browser, tmp_path: Path, name: str) -> None:
@@ -157,6 +180,8 @@ def test_saved_page_plays_offline(screen: Browser, tmp_path: Path, name: str) ->
     # The robot itself, without overlays: it is there, and turns.
     switch(screen, Grid=False, Shape=False, Momentum=False, Locked_inertia=False,
            Base_frame=False, CoM_trail=False)  # fmt: skip
+    if traj.system.gravity.any():
+        switch(screen, Gravity=False)
     early, late = picture_at(screen, 0.0), picture_at(screen, 0.9 * traj.scene.end)
     switch(screen, Robot=False)
     empty = picture_at(screen, 0.0)
@@ -182,6 +207,7 @@ def test_served_page_plays(screen: Browser) -> None:
         first, began = picture(screen), screen.run("pinred.time")
         screen.wait_for(f"pinred.time > {began} + 0.3 || pinred.time < {began}")
         assert count_different(first, picture(screen)) > 500
+        assert screen.run("document.getElementsByName('Gravity').length") == 0  # of a cat without
         assert complaints(screen) == []
         assert requests(screen) == [player.url]
 

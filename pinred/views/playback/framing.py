@@ -14,6 +14,9 @@ from .playback import Playback
 ARROW = 1.3  # length of the momentum arrow with a margin, in radii of the robot
 _SAMPLES = 200  # number of frames that determine the robot's radius
 _BESIDE = 1.8  # distance between the robot and its ghost, in radii of the robot
+# Distance of the gravity arrow to the left of the centre of mass, in radii of the robot. The arrow
+# is half a radius long (player.js), so that it is within `reach` in any direction.
+_LEFT = 0.8
 _ELEVATION, _PLANAR_ELEVATION = 18.0, 50.0  # elevation of the camera [deg]
 _DEEP = 5.0  # largest fall for which the grid is drawn as a floor, in radii of the robot
 _FAR = 10.0  # half of the side length of the grid, in radii of the robot
@@ -31,6 +34,8 @@ class Framing(FrozenArrays):
         follow: Whether the camera should follow the robot.
         eye: Unit vector to the camera.
         aside: Offset from the robot to its ghost.
+        gravity: Acceleration of gravity [m/s²].
+        gravity_at: Offset from the centre of mass to the middle of the gravity arrow.
         cell: Side of the grid's squares.
         cells: Number of squares in a row of the grid, which follows the camera.
         wide: Factor on the size of the squares if the camera does not move and shows the whole
@@ -46,6 +51,8 @@ class Framing(FrozenArrays):
     follow: bool
     eye: Array
     aside: Array
+    gravity: Array
+    gravity_at: Array
     cell: float
     cells: int
     wide: float
@@ -97,7 +104,8 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
     path = float(np.linalg.norm(film.com - middle, axis=1).max())
     eye = _eye(film)
     right = np.cross([0.0, 0.0, 1.0], eye)
-    aside = np.zeros(3) if film.ghost is None else _BESIDE * radius * right / np.linalg.norm(right)
+    right /= np.linalg.norm(right)
+    aside = np.zeros(3) if film.ghost is None else _BESIDE * radius * right
     reach = 1.05 * radius
     if film.momentum.vector.any():
         arm = film.momentum.tail - film.com
@@ -123,6 +131,8 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
         follow=path > radius,
         eye=eye,
         aside=aside,
+        gravity=film.system.gravity,
+        gravity_at=-_LEFT * radius * right,
         cell=cell,
         cells=cells,
         wide=_round_up(max(1.0, wide)),

@@ -1,4 +1,4 @@
-// Overlays of the player: axes of bodies, markers of ball joints, the momentum sphere.
+// Overlays of the player: axes of bodies, markers of ball joints, the momentum sphere, gravity.
 "use strict";
 function overlays(THREE, radius) {
   const flat = (color) => new THREE.MeshBasicMaterial({ color });
@@ -43,5 +43,16 @@ function overlays(THREE, radius) {
     globe.scale.setScalar(1.25 * radius);
     return globe;
   }
-  return { flat, rod, rings, shell, axes, marker, sphere };
+  function pointer(vector, length, color) { // an arrow of fixed direction, about its middle
+    const thin = 0.012 * radius, head = 0.3 * length, arrow = new THREE.Group();
+    const shaft = new THREE.Mesh(rod(thin), flat(color));
+    const tip = new THREE.Mesh(new THREE.ConeGeometry(4 * thin, head, 24), flat(color));
+    shaft.position.y = -0.5 * length;
+    shaft.scale.y = length - head;
+    tip.position.y = 0.5 * (length - head);
+    arrow.add(shaft, tip);
+    arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), vector.clone().normalize());
+    return arrow;
+  }
+  return { flat, rod, rings, shell, axes, marker, sphere, pointer };
 }

@@ -27,6 +27,10 @@
   const sphere = head.sphere && draws.sphere(array(head.sphere.path));
   if (sphere) put(sphere, "Momentum sphere");
 
+  const gravity = new THREE.Vector3(...head.gravity), heavy = gravity.length() > 0;
+  const weight = heavy && draws.pointer(gravity, 0.5 * head.radius, 0x8c510a);
+  if (heavy) put(at.seenThrough(weight, 3), "Gravity");
+
   const trail = new THREE.Group(), track = new THREE.BufferGeometry();
   track.setAttribute("position", new THREE.BufferAttribute(com, 3));
   const stub = new THREE.BufferGeometry(); // from the last frame to the current CoM
@@ -69,6 +73,7 @@
     const vector = mix(momentum, 3, k, s);
     at.point(mix(tail, 3, k, s), vector, head.momentum.largest);
     at.markJoints(c);
+    if (heavy) weight.position.fromArray(c.map((value, i) => value + head.gravity_at[i]));
     if (sphere) {
       sphere.position.fromArray(mix(tail, 3, k, s));
       sphere.quaternion.copy(reduced[head.sphere.joint].quaternion);
@@ -128,6 +133,7 @@
   if (!still) toggle("Momentum", "momentum", "#d55e00", true, set("Momentum"));
   if (sphere) toggle("Momentum sphere", `momentum seen from ${head.sphere.body}`, "#aa3377", true, set("Momentum sphere"));
   if (at.balls.length) toggle("Ball joints", "ball joints", "#7b4fa3", true, set("Ball joints"));
+  if (heavy) toggle("Gravity", `gravity: ${Number(gravity.length().toPrecision(4))} m/s²`, "#8c510a", true, set("Gravity"));
   toggle("Base frame", "base frame", "#009e73", true, set("Base frame"));
   toggle("CoM trail", "centre of mass and its trail", "#111", true, set("CoM trail"));
   if (picture)
