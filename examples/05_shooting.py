@@ -1,7 +1,7 @@
 """A cat rolls in the air by three torques, computed by a shooting solver over steps of pinred.
 
 `flow.step(h)` is one step of the flow as a map with its Jacobians; Crocoddyl's FDDP uses these
-maps as action models (pip install "pinred[crocoddyl]"). The goal concerns shape and attitude only;
+maps as action models (extra crocoddyl). The goal concerns shape and attitude only;
 momentum stays zero because pinred conserves it.
 """
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..common.errors import PinredError
+from ..common.optional_packages import install_command
 from ..common.version import __version__
 
 _GROUPS = ("all", "dev")  # extras that only collect others, or serve development
@@ -125,8 +126,8 @@ def _check_extra(extra: str, requirements: list[Requirement]) -> Finding:
     checked = [(requirement.name, *_installed(requirement)) for requirement in requirements]
     faults = [f"{name}: {fault}" for name, _, fault in checked if fault]
     if faults:
-        remedy = f'pip install "pinred[{extra}]"'
-        return Finding(f"extra {extra}", "missing", f"{', '.join(faults)}; {remedy}")
+        text = f"{', '.join(faults)}; {install_command(extra)}"
+        return Finding(f"extra {extra}", "missing", text)
     return Finding(f"extra {extra}", "ok", ", ".join(f"{name} {v}" for name, v, _ in checked))
 
 

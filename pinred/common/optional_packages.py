@@ -1,4 +1,4 @@
-"""Import of optional packages, only when they are needed."""
+"""Import of optional packages, only when they are needed, and the command that installs them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from importlib.util import find_spec
 from typing import Any
 
 from .errors import MissingPackageError
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra of pinred, from a release or from a checkout."""
+    return f'pip install "pinred[{extra}]" (in a checkout: pip install ".[{extra}]")'
 
 
 def optional_package(name: str, message: str) -> Any:

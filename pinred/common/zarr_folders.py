@@ -9,14 +9,14 @@ from typing import Any
 
 from .errors import InputError, OutputError
 from .names import quoted_path
-from .optional_packages import optional_package
+from .optional_packages import install_command, optional_package
 
 
 def import_zarr(path: Path, extra: str = "zarr") -> Any:
     """Return the package zarr.  Raises MissingPackageError with the command that installs it."""
     return optional_package(
         "zarr",
-        f"{quoted_path(path)}: files of zarr need the package zarr: pip install 'pinred[{extra}]'",
+        f"{quoted_path(path)}: files of zarr need the package zarr: {install_command(extra)}",
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..common.argument_kinds import checks_arguments
-from ..common.optional_packages import optional_package
+from ..common.optional_packages import install_command, optional_package
 from ..system.state_fields import (
     FIELDS,
     State,
@@ -97,4 +97,4 @@ class OverTime(StateArrays):
 
 
 def _import_package(package: str) -> Any:
-    return optional_package(package, f"this needs {package}: pip install 'pinred[{package}]'")
+    return optional_package(package, f"this needs {package}: {install_command(package)}")

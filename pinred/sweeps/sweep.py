@@ -16,7 +16,7 @@ from ..common.arrays import whole
 from ..common.errors import InputError, RejectedWarning
 from ..common.files import is_folder
 from ..common.names import brief, nearest, one_of, quoted, quoted_path
-from ..common.optional_packages import optional_package, require_package
+from ..common.optional_packages import install_command, optional_package, require_package
 from ..common.progress import Progress, shown
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
@@ -33,7 +33,7 @@ from .varied_numbers import VariedScene
 if TYPE_CHECKING:
     from .sweep_result import SweepResult
 
-_NO_XARRAY = "sweeps need the package xarray: pip install 'pinred[sweep]'"
+_NO_XARRAY = f"sweeps need the package xarray: {install_command('sweep')}"
 
 
 @checks_arguments
@@ -198,7 +198,7 @@ def _blocks(
     if scheduler is None:
         return compute_locally(job, pending, threads, done.inside)
     optional_package(
-        "distributed", "scheduler: this needs dask.distributed: pip install 'pinred[dask]'"
+        "distributed", f"scheduler: this needs dask.distributed: {install_command('dask')}"
     )
     from .dask_engine import compute_on_dask
 

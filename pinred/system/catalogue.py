@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import LoadError
+from ..common.optional_packages import install_command
 from .loops.loop import Constraint, parse_loops
 
-INSTALL_ROBOTS = 'pip install "pinred[robots]"'
+INSTALL_ROBOTS = install_command("robots")
 
 
 @dataclass(frozen=True)

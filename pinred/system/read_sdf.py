@@ -21,12 +21,12 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import LoadError, ModelError
 from ..common.names import listed, plain_path, quoted
-from ..common.optional_packages import optional_package
+from ..common.optional_packages import install_command, optional_package
 from .passive import Spring
 from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
 from .robot_files import read_text, read_xml
 
-INSTALL = 'pip install "pinred[sdf]"'
+INSTALL = install_command("sdf")
 _JOINTS = "revolute, continuous, prismatic, universal, screw, ball or fixed joints"
 _ALIGNED = 1e-12  # largest deviation of an axis from x, y or z that counts as round-off
 

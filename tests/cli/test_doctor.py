@@ -45,7 +45,8 @@ def test_doctor_without_fault_exits_with_zero(
     lines = {line[:20].strip(): line[21:] for line in capsys.readouterr().out.splitlines()}
     assert lines["pinred"].split() == ["ok", __version__]
     assert lines["machine code"].startswith("ok")
-    assert 'absent: not installed; pip install "pinred[figures]"' in lines["extra figures"]
+    command = 'pip install "pinred[figures]" (in a checkout: pip install ".[figures]")'
+    assert lines["extra figures"].endswith(f"absent: not installed; {command}")
     assert lines["extra other"].split() == ["ok", "new", "2.10.0"]
     assert "extra all" not in lines
 

@@ -16,6 +16,7 @@ import pinred
 from pinred.cli.main import main
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, IntegrationError, LoadError
+from pinred.common.optional_packages import install_command
 from pinred.integrators.methods import RKMK4
 from pinred.judge.distances import FullMotion
 from pinred.laboratory.bench import (
@@ -363,7 +364,7 @@ def test_missing_example_robots_are_reported(monkeypatch: pytest.MonkeyPatch) ->
     second, missing = problems_named()
     assert [problem.name for problem in second] == ["planar1", "planar5", "satellite"]
     assert missing == [
-        f'{name} is left out: pip install "pinred[robots]"' for name in ("solo12", "talos")
+        f"{name} is left out: {install_command('robots')}" for name in ("solo12", "talos")
     ]
 
 

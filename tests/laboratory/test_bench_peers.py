@@ -15,6 +15,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError, UnsupportedOperationError
+from pinred.common.optional_packages import install_command
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.kernels.reduced_graph import ReducedGraph
@@ -114,7 +115,7 @@ def test_missing_peer_is_reported() -> None:
     missing = missing_unless_equal("no_such_package", "It", MujocoModel)
     system = pinred.load("cartpole")
     line = missing(Problem("p", "", system, random_state(system, 0)))
-    assert line == 'It is left out: pip install "pinred[bench]"'
+    assert line == f"It is left out: {install_command('bench')}"
 
 
 def test_aborting_library_is_a_failure() -> None:

@@ -283,7 +283,7 @@ def test_missing_packages_are_named_with_their_extra(
 ) -> None:
     """The message has the command that installs the package."""
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(pinred.MissingPackageError, match=rf"pip install 'pinred\[{extra}\]'"):
+    with pytest.raises(pinred.MissingPackageError, match=rf'pip install "pinred\[{extra}\]"'):
         pinred.sweep(**changed(), store=tmp_path / "s.zarr", scheduler=scheduler)
 
 

@@ -311,4 +311,5 @@ def test_missing_matplotlib_is_reported() -> None:
         "traj = pinred.simulate(pinred.load('elroys_beanie'), duration=0.1)\n"
         "try:\n    pinred.plot(traj)\nexcept pinred.MissingPackageError as error:\n    print(error)"
     )
-    assert python(code) == 'plots need matplotlib: pip install "pinred[plots]"\n'
+    command = 'pip install "pinred[plots]" (in a checkout: pip install ".[plots]")'
+    assert python(code) == f"plots need matplotlib: {command}\n"

@@ -154,8 +154,8 @@ def test_missing_package_names_the_extra(
         return load(name, *rest)
 
     monkeypatch.setattr("pinred.common.optional_packages.import_module", lambda name: without(name))
-    with pytest.raises(pinred.MissingPackageError, match=r"pip install 'pinred\[viser\]'"):
+    with pytest.raises(pinred.MissingPackageError, match=r'pip install "pinred\[viser\]"'):
         pinred.play(traj, viewer="viser", show=False)
-    with pytest.raises(pinred.MissingPackageError, match=r"pip install 'pinred\[rerun\]'"):
+    with pytest.raises(pinred.MissingPackageError, match=r'pip install "pinred\[rerun\]"'):
         pinred.save_rrd(traj, tmp_path / "a.rrd")
     assert not [*tmp_path.iterdir()]

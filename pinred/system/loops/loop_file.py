@@ -20,7 +20,7 @@ import pinocchio as pin
 from ...common.errors import InputError, LoadError
 from ...common.files import is_file
 from ...common.names import brief, listed, nearest, plain_path, quoted
-from ...common.optional_packages import optional_package
+from ...common.optional_packages import install_command, optional_package
 from ..rebuild import NewJoint, rebuild
 from ..split_joints import copy_losses
 from .loop import KINDS, Constraint, Loop, parse_loops
@@ -154,7 +154,7 @@ def read_loop_file(path: Path) -> LoopFile:
 
 
 def _read(path: Path) -> Any:
-    yaml = optional_package("yaml", 'YAML is read by PyYAML: pip install "pinred[yaml]"')
+    yaml = optional_package("yaml", f"YAML is read by PyYAML: {install_command('yaml')}")
     shown = plain_path(path)
     if not is_file(path):
         raise LoadError(f"no such file: {shown}")

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ...common.optional_packages import optional_package
+from ...common.optional_packages import install_command, optional_package
 
-INSTALL = 'pip install "pinred[mjcf]"'
+INSTALL = install_command("mjcf")
 
 
 def mujoco_package() -> Any:

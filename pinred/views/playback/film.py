@@ -20,6 +20,7 @@ from types import FrameType
 from ...common.arrays import Array
 from ...common.errors import InputError, OutputError
 from ...common.files import check_path, write_atomic
+from ...common.optional_packages import install_command
 from ...common.progress import Progress
 from ..motion_source import MotionSource
 from .headless_browser import browser
@@ -98,7 +99,7 @@ def find_ffmpeg() -> str:
         return str(get_ffmpeg_exe())
     except (ImportError, RuntimeError):
         raise InputError(
-            'mp4 films need ffmpeg: pip install "pinred[film]" or apt-get install ffmpeg; '
+            f"mp4 films need ffmpeg: apt-get install ffmpeg, or {install_command('film')}; "
             "a .gif or .png needs neither"
         ) from None
 

@@ -15,7 +15,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import OutputError
 from ...common.files import check_path, write_atomic
-from ...common.optional_packages import optional_package
+from ...common.optional_packages import install_command, optional_package
 from ..motion_source import MotionSource
 from .drawn_bodies import PALETTE, drawn_bodies
 from .framing import Framing, camera, frame
@@ -30,7 +30,7 @@ ASPECT = 0.6  # smallest width of the 3D view, relative to its height, that show
 TIMELINE = "time"
 _CENTRE = "centre of mass"
 _PIXELS = -1.0  # radius of lines; negative radii are in pixels
-_MISSING = ".rrd files need the package rerun-sdk (500 MB): pip install 'pinred[rerun]'"
+_MISSING = f".rrd files need the package rerun-sdk (500 MB): {install_command('rerun')}"
 
 
 def save_rrd(source: MotionSource, path: str | Path, view: View) -> int:

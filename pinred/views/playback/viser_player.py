@@ -18,7 +18,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...common.optional_packages import optional_package
+from ...common.optional_packages import install_command, optional_package
 from ..motion_source import MotionSource
 from .drawn_bodies import drawn_bodies
 from .framing import Framing, camera, frame
@@ -37,7 +37,7 @@ from .view_options import View
 FOV = math.radians(45.0)  # vertical field of view
 _UPDATES = 60.0  # largest number of updates of the page per second
 _FADE = 3.0  # distance at which the grid vanishes, relative to the distance of the camera
-_MISSING = "viewer=\"viser\" needs the package viser: pip install 'pinred[viser]'"
+_MISSING = 'viewer="viser" needs the package viser: ' + install_command("viser")
 
 
 class ViserPlayer(Player):

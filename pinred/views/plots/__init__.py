@@ -10,8 +10,7 @@ imported. The stub `__init__.pyi` lists the modules of the functions.
 import lazy_loader
 
 from ...common.errors import MissingPackageError
-
-INSTALL = 'pip install "pinred[plots]"'
+from ...common.optional_packages import install_command
 
 _imported, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
@@ -24,4 +23,4 @@ def __getattr__(name: str) -> object:
     except ModuleNotFoundError as missing:
         if (missing.name or "").split(".")[0] not in ("matplotlib", "mpl_toolkits"):
             raise
-        raise MissingPackageError(f"plots need matplotlib: {INSTALL}") from None
+        raise MissingPackageError(f"plots need matplotlib: {install_command('plots')}") from None

@@ -13,12 +13,13 @@ import pinocchio as pin
 
 from ....common.arrays import Array
 from ....common.errors import UnsupportedOperationError
+from ....common.optional_packages import install_command
 from ....reduction.inertia_split import symmetric
 from ....system.system import System
 from ..problems import Problem
 from ..solver import UNKNOWN
 
-INSTALL = 'pip install "pinred[bench]"'
+INSTALL = install_command("bench")
 EQUAL = 1e-9  # largest relative difference that counts as equal
 _STATES = 5
 
