@@ -14,8 +14,13 @@ GAIT = pinred.Gait.fourier([0.5, 0.5], [[1.0, 0.0]], [[0.0, 1.0]])
 
 
 def results() -> list[Summary]:
-    """Return a phase with momentum, a best gait with limits, and a corrected integral."""
+    """Return connections, a phase with momentum, a best gait, and a corrected integral."""
+    flying = pinred.Connection.mechanical(pinred.load("diver"))
+    tilted = pinred.load("double_spherical_pendulum", gravity=(1.0, 0.0, -9.0))
     return [
+        flying,
+        flying.in_chart(),
+        pinred.Connection.mechanical(tilted),
         pinred.phase(RODS, GAIT, [0.0, 0.0, 0.2]),
         pinred.optimise_gait(RODS, harmonics=1, starts=2, limits=1.5, speeds=20.0),
         pinred.corrected_integral(RODS, GAIT),
@@ -43,7 +48,15 @@ def test_text_and_card_have_the_same_rows(shown: list[Summary]) -> None:
 
 def test_rows_have_the_numbers_of_the_result(shown: list[Summary]) -> None:
     """The pose, the merit and the integral can be read back."""
-    phase, best, integral = shown
+    connection, in_chart, tilted, phase, best, integral = shown
+    spaces = dict(connection.rows())
+    assert spaces["group"] == "SE3, r = 6"
+    assert spaces["shape space"].startswith("m = 9: ")
+    assert spaces["shape space"].endswith(", …")
+    assert spaces["metric"] == "on shape space"
+    assert "momenta" not in spaces
+    assert dict(tilted.rows())["momenta"].startswith("not conserved: gravity (1, 0, -9) breaks")
+    assert dict(in_chart.rows())["coordinates"] == "in rotation vectors"
     assert isinstance(phase, pinred.Phase)
     assert isinstance(best, pinred.BestGait)
     pose = [float(word) for word in dict(phase.rows())["pose"].split()[1::2]]

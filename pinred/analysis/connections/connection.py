@@ -19,6 +19,7 @@ from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.shape_space import ShapeSpace
 from ...system.system import System
+from .connection_summary import ConnectionSummary
 from .fluid import Ellipse, Ellipsoid, Rod, fluid_form, viscous_form
 from .loop_connection import code_with_loops, refuse_moved_loops
 from .other_frames import from_link, in_section
@@ -88,8 +89,8 @@ class ConnectionField:
 
 
 @checks_arguments
-@dataclass(frozen=True, eq=False)
-class Connection:
+@dataclass(frozen=True, eq=False, repr=False)
+class Connection(ConnectionSummary):
     """A local connection on G × B: horizontal motion is ξ = −A(x) ẋ.
 
     ξ is the body twist of the base, (r,) [linear; angular].  ẋ are rates along the frame of the
@@ -105,12 +106,12 @@ class Connection:
         chart: Coordinates of `in_chart`; None if the shapes are those of the system.
     """
 
-    form: ConnectionForm = field(repr=False)
-    code: ConnectionCode = field(repr=False)
-    system: System | None = field(default=None, repr=False)
-    is_mechanical: bool = field(default=False, repr=False)
-    turned_by_gravity: str = field(default="", repr=False)
-    chart: RotationChart | None = field(default=None, repr=False)
+    form: ConnectionForm
+    code: ConnectionCode
+    system: System | None = None
+    is_mechanical: bool = False
+    turned_by_gravity: str = ""
+    chart: RotationChart | None = None
 
     @classmethod
     def of(cls, form: ConnectionForm) -> Connection:
@@ -225,9 +226,6 @@ class Connection:
         chart = chart_about(self.space, self.system, centre, self.chart)
         code = once(self, chart.centre.tobytes(), partial(chart.code_of, self.form))
         return replace(self, form=code.form, code=code, chart=chart)
-
-    def __repr__(self) -> str:
-        return f"Connection({self.form.what}, {self.group.name}, m={self.m})"
 
     @property
     def group(self) -> Group:
