@@ -18,8 +18,8 @@ from .force import Symbols
 def loop_motion(system: System, s: Symbols, independent: Sequence[int]) -> tuple[ca.SX, ca.SX]:
     """Return G and d with ẋ = G u̇ and ẍ = G ü + d for the rates u̇ of independent joints.
 
-    From J ẋ = 0 follow the rates of the dependent joints D, −J_D⁻¹ J_I u̇, and with J ẍ + J̇ ẋ = 0
-    the drift d_D = −J_D⁻¹ J̇ ẋ.
+    J ẋ = 0 determines the rates of the dependent joints D, −J_D⁻¹ J_I u̇.  J ẍ + J̇ ẋ = 0
+    determines their drift, d_D = −J_D⁻¹ J̇ ẋ.
 
     Args:
         system: The robot, with loops.

@@ -28,16 +28,16 @@ class _Repeated:
     """The checked options of a scene, without its initial state."""
 
     def __init__(self, scene: Scene, options: Mapping[str, Any]) -> None:
-        """Keep the options of a scene that was made from `options`."""
+        """Store the validated options of `scene`, which was built from `options`."""
         self.states = [name for name in options if name in _STATES]
         self.others = [name for name in options if name not in _STATES]
         stated = {*self.states, "_given", "_once", "start"}
         self.checked = {name: v for name, v in vars(scene).items() if name not in stated}
-        # Options that the checks keep as they are belong to each scene itself.
+        # Validation returns these options unchanged, so each scene uses its own.
         self.kept = [n for n in self.others if n not in scene.shared.options]
 
     def with_state(self, options: Mapping[str, Any]) -> Scene:
-        """Return the scene of `options`, which have the key of the earlier scene."""
+        """Build a scene from options with the same key as those of the earlier scene."""
         scene = object.__new__(Scene)
         values = vars(scene)
         values.update(self.checked)

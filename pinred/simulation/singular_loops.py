@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 _MOST = 400  # largest number of times at which the rank of the equations is checked
 _NEAR = 0.05  # fraction of the generic singular value below which a minimum is refined
 _SINGULAR = 1e-6  # fraction of the generic singular value at which equations are dependent
-_CLOSER, _RESOLVED = 17, 0.8  # number of times at which a change is resolved, and least cosine
+# Number of times of a closer look, and least cosine between neighbours at which rows are followed.
+_CLOSER, _RESOLVED = 17, 0.8
 _COSINE = 0.3  # least cosine between the row spaces of J at neighbouring times
 
 

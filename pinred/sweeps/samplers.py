@@ -22,8 +22,8 @@ from ..scene.sweep_options import Sampler
 from .distributions import Distribution, Listed
 
 _DRAWN = 4096  # number of random points that share a generator
-_BITS = 30  # resolution of SciPy's sequence
-MOST_SOBOL = 2**_BITS  # number of points of SciPy's sequence
+_BITS = 30  # binary digits of the numbers in SciPy's Sobol sequence
+MOST_SOBOL = 2**_BITS  # number of points of this sequence
 
 
 @dataclass(frozen=True, eq=False)

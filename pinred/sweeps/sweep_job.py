@@ -1,4 +1,4 @@
-"""SweepJob: what a block of a sweep needs, and the computation of a block."""
+"""SweepJob: the inputs of the blocks of a sweep, and the computation of a block."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ class VariedScene:
                     members[number.member] = np.repeat(nominal_value[None], len(values), axis=0)
                 members[number.member][:, number.entry] = column
         space = self.scene.system.space
-        if "x0" in members and space.balls:  # Distributions are of rotation vectors.
+        if "x0" in members and space.balls:  # The columns of a ball are a rotation vector.
             members["x0"] = space.integrate(space.neutral, members["x0"])
         return members, seeds
 

@@ -225,7 +225,7 @@ def axis_lengths(system: System) -> dict[Axis | None, int]:
     return {None: 1} | {axis: len(labels) for axis, labels in axis_labels(system).items()}
 
 
-# The axis of the derivative rows of a field that is not differentiated by its entries.
+# Axis of the derivative rows by the kind of derivative; other fields have rows along their axis.
 _TANGENT_AXES: Mapping[str, Axis] = {"frame": "joint", "twist": "twist"}
 
 

@@ -28,7 +28,7 @@ from ...system.shape_space import ShapeSpace
 from ...system.system import System
 
 _SMALL = 4.0  # square of the angle below which Taylor series replace the closed forms [rad²]
-_TERMS = 16  # number of terms, which is exact to round-off for three derivatives
+_TERMS = 16  # terms of the series; three derivatives are then exact to round-off
 _CLOSED = 1e-9  # largest angle between the attitudes at both ends of a loop [rad]
 
 

@@ -121,7 +121,7 @@ class DistinctPoints:
         return new
 
     def is_same(self, a: Points, b: Points, within: float) -> bool:
-        """Return whether two points are equal, perhaps after a covering.
+        """Return whether two points are equal, or a covering maps one to the other.
 
         Args:
             a: A Points of length one.

@@ -127,7 +127,7 @@ class LoopSurface:
             done = size <= _CLOSED
             is_closed[running[done]] = True
             running = running[~done]
-        # Equations of rotations also hold half a turn away.
+        # The equations of rotations also hold for frames that are half a turn apart.
         is_closed[is_closed] = self.is_closed(x[is_closed])
         return x, is_closed
 

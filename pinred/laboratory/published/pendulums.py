@@ -34,7 +34,7 @@ def pendulum() -> System:
         .hinge("tilt2", parent="swing2", axis="y", mass=MASS[1], com=[0.0, 0.0, -LENGTH[1]])
     )  # fmt: skip
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ModelWarning)  # it is singular where it hangs straight
+        warnings.simplefilter("ignore", ModelWarning)  # the straight pendulum is singular
         return load(model, group="SO2")
 
 

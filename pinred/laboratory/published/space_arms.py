@@ -37,7 +37,7 @@ def virtual_jacobian(x: Array) -> Array:
     virtual = np.array([0.5, 1.0, 1.0]) - mean
     angle = np.array([0.0, x[0], x[0] + x[1]])
     inertia = (K * np.cos(angle[:, None] - angle)).sum(axis=1)
-    joints = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])  # absolute rates per joint rate
+    joints = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])  # derivatives of the link angles
     rates = joints - np.outer(np.ones(3), inertia @ joints / inertia.sum())
     return np.asarray(np.array([-virtual * np.sin(angle), virtual * np.cos(angle)]) @ rates)
 
@@ -104,7 +104,7 @@ def satellite_arm() -> Numbers:
         .slide("boom", parent="shoulder", axis="x", mass=0.5 * arm, inertia=20.0)
     )  # fmt: skip
 
-    half = 0.5 * arm  # the half at the shoulder moves with the base
+    half = 0.5 * arm  # at the shoulder, so it moves with the base
     rest = mass + half
     e, lever = half * rest / (half + rest), at * mass / rest
     own = 2000.0 + mass * half / rest * at**2 + e * lever**2

@@ -162,7 +162,7 @@ def prepare_start(
     layout = kernel.layout
     if layout.base.down or layout.lifted_balls:
         return None
-    count = 1  # The entry 0 is zero, for entries that start at zero.
+    count = 1  # Index 0 holds the constant zero, for entries that start at zero.
 
     def indices(array: Array) -> Array:
         nonlocal count

@@ -20,7 +20,7 @@ from ...kernels.evaluate import evaluate
 from ...kernels.kernel import Kernel
 from ..plan import Plan, Span
 
-_SAME = 1e-9  # relative difference of derivatives of times that count as equal
+_SAME = 1e-9  # derivatives of switch times with a smaller relative difference are equal
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class RecordedMembers(OverTime):
         robot: Name of the robot.
         group: Name of its symmetry group.
         joints: Labels of the m shape rates.
-        content: The states, members first; NaN at times that a member did not reach.
+        content: States with members on the first axis; NaN at times that a member did not reach.
         failures: Members that did not reach their end time.
         origin: Arrays of the file that state how the robot was loaded.
     """
@@ -76,7 +76,7 @@ class RecordedMembers(OverTime):
 
     @property
     def outputs(self) -> State | ShapeState:
-        """The states in the file, members first."""
+        """The states in the file, with members on the first axis."""
         return self.content
 
     @property

@@ -125,7 +125,7 @@ def _try_members(options: MemberOptions, members: Indices) -> dict[int, str]:
         return {}
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LoopWarning)  # the valid members repeat it together
+            warnings.simplefilter("ignore", LoopWarning)  # the run of the valid members warns again
             options.select(members).members()
     except PinredError as error:
         return _find_rejected(options, members, error)

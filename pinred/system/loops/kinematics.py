@@ -165,7 +165,7 @@ class LoopKinematics:
     def bias(self, q: Array, v: Array) -> Array:
         """Return J̇ v, (c,): the accelerations of the constraints at zero joint acceleration."""
         beside_root = v.copy()
-        beside_root[: self._root] = 0.0  # The root moves both frames alike; keep no round-off.
+        beside_root[: self._root] = 0.0  # The root moves both frames alike; this removes round-off.
         pin.forwardKinematics(self._model, self._data, q, beside_root, np.zeros(len(v)))
         blocks = []
         for k, loop in enumerate(self.loops):
@@ -200,7 +200,7 @@ class LoopKinematics:
             for end in (a, b)
         )
         D = J_b - X.toActionMatrixInverse() @ J_a
-        D[:, : self._root] = 0.0  # The root moves both frames alike; keep no round-off.
+        D[:, : self._root] = 0.0  # The root moves both frames alike; this removes round-off.
         return np.asarray(D)
 
     def _relative_rate(self, k: int, X: pin.SE3, V: Array) -> Array:

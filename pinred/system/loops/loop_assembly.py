@@ -153,8 +153,8 @@ def loop_angle(loop: Constraint, R: Array) -> float:
 def _linearised(system: LoopedSystem, x: Array, length: float) -> tuple[Array, Array]:
     """Return the scaled residuals (c,), and their Jacobian (c, m), for one step of the assembly.
 
-    Rotations use the rotation vector or the angle, which point to the closed shape from any
-    distance, unlike the sines of φ.
+    Rotational residuals are rotation vectors or angles.  Unlike the sines in φ, they point to the
+    closed shape from any distance.
     """
     kinematics = loop_kinematics(system)
     q = configuration(system, x)

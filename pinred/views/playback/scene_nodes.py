@@ -18,7 +18,7 @@ ARROW_COLOUR, TRAIL_COLOUR = (0.84, 0.37, 0.0), (0.07, 0.07, 0.07)
 _SPHERE_COLOUR = (0.67, 0.20, 0.47)
 _GHOST_COLOUR = (0.0, 0.45, 0.70, 0.38)
 _ARROW_LENGTH = 1.25  # length of the momentum arrow, in radii of the robot
-_STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # the placement that moves nothing
+_STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # identity placement
 
 
 @dataclass(frozen=True)

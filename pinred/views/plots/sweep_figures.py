@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _BINS = 40  # bins of histograms and maps
 _LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 _MOST_DOTS = 20_000  # points of a scatter plot; more would hide each other
-_MOST_LISTED = 400  # most values of a number that count as a list of a grid
+_MOST_LISTED = 400  # largest number of different values that get a cell each
 
 
 @checks_arguments
