@@ -232,6 +232,12 @@ def test_reorient_rejects_invalid_options(options: dict[str, object], message: s
         pinred.reorient(pinred.load("three_rods"), **options)  # type: ignore[arg-type]
 
 
+def test_target_of_another_length_is_explained() -> None:
+    """The message names the two forms, and how to write a turn about one axis."""
+    with pytest.raises(pinred.ShapeError, match=r"rotation vector \(3,\) \[rad\] or a pose \(7,\)"):
+        pinred.reorient(pinred.load("falling_cat"), [0.5])
+
+
 def test_reorient_unreachable_target_raises() -> None:
     """A joint with a tiny range cannot rotate the base far, and one joint cannot at all."""
     with pytest.raises(pinred.NoOptimum, match="give wider limits"):

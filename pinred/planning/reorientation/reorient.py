@@ -26,7 +26,13 @@ from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import phase
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats, positive, vector, vector_or_zero, whole
-from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
+from ...common.errors import (
+    InputError,
+    IntegrationError,
+    NoOptimum,
+    ShapeError,
+    SingularInertiaError,
+)
 from ...lie.rotations import quaternion_log
 from ...scene.joint_values import order_by_joint
 from ...system.system import System, checked_system
@@ -193,6 +199,12 @@ def _target_rotation(system: System, target: ArrayLike) -> Array:
     group = system.group
     if group.turns == 1 and np.ndim(target) == 0:
         return vector(np.atleast_1d(as_floats(target, "target")), 1, "target")
+    shape = as_floats(getattr(target, "homogeneous", target), "target").shape
+    if group.turns == 3 and len(shape) < 2 and shape not in ((3,), (group.size,)):
+        raise ShapeError(
+            f"target: expected a rotation vector (3,) [rad] or a pose ({group.size},), got shape "
+            f"{shape}. For a turn about the z axis, pass [0, 0, angle]."
+        )
     aim = target_aim(group, target)
     if np.shape(target) == (group.turns,):
         return vector(np.asarray(target, dtype=float), group.turns, "target")
