@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..common.default_marker import Default
-from ..common.parameter import Parameter
+from ..common.parameter import Parameter, VectorParameter
 from .controller import Controller
 from .force import Force, Limit
 from .kinds import Damper, Friction, Spring
@@ -49,7 +49,7 @@ def key_of(value: Any) -> Hashable:
     kind = type(value)
     if kind in PLAIN:
         return kind, value
-    if kind in (Parameter, Expression) or isinstance(value, _FUNCTIONS):
+    if kind in (Parameter, VectorParameter, Expression) or isinstance(value, _FUNCTIONS):
         return kind, value
     if kind is dict:
         return kind, tuple([(key_of(name), key_of(entry)) for name, entry in value.items()])

@@ -15,6 +15,7 @@ import numpy as np
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..common.memo import once
+from ..common.parameter import value_in
 from ..reduction.tree.all_joints import shape_gradient
 from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..system.system import System
@@ -210,7 +211,7 @@ class ForceModel:
     def with_values(self, values: Mapping[str, Any]) -> ForceModel:
         """Return this model with new Parameter values {name: value}; functions are shared."""
         changes = np.array(
-            [values.get(parameter.name, parameter.value) for parameter in self.parameters]
+            [value_in(values, parameter) for parameter in self.parameters], dtype=float
         )
         changes -= [parameter.value for parameter in self.parameters]
         if not changes.any():

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..common.arrays import Array, read_only
 from ..common.errors import InputError
-from ..common.parameter import Affine, Parameter
+from ..common.parameter import Affine, Parameter, by_name
 from ..reduction.potential import acting_gravity
 from ..reduction.tree.body_frames import Body, bodies_of
 from ..reduction.tree.free_bodies import (
@@ -104,6 +104,7 @@ class ForceNumbers:
                 f"two Parameters have the name '{twice[0]}'; create one and use it in both "
                 "places, or give them different names"
             )
+        by_name(parameters)  # Refuses names that collide with those of vectors.
         return tuple(parameters)
 
     def slopes(self, parameters: tuple[Parameter, ...]) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import InputError
-from ..common.parameter import Parameter, parameter_of
+from ..common.parameter import Parameter, parameter_of, value_in
 from ..system.system import System
 from .columns import seen_of_base, symbols_of, terms_of
 from .force import SymbolFunction, Symbols, Terms, called, scalar
@@ -136,7 +136,7 @@ class Watched:
         Returns:
             The values; parameters that are not named keep their own.
         """
-        return np.array([values.get(p.name, p.value) for p in self.parameters], dtype=float)
+        return np.array([value_in(values, p) for p in self.parameters], dtype=float)
 
     def __call__(self, columns: Sequence[Array], values: Mapping[str, Any]) -> Array:
         """Evaluate the expressions.

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arrays import Array, as_floats, vector
+from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError
 from ..common.names import brief, listed
+from ..common.parameter import Parameter, VectorParameter, refuse_entry
 from ..system.model_parameters import ModelParameters, joined, kinds_near, plain_value, requested
 from ..system.system import System
 from ..system.variants import nominal
@@ -34,15 +35,16 @@ class GivenParameters:
     numbers: Mapping[str, Array]
     system: System
 
-    def checked(self, known: Sequence[str]) -> dict[str, Any]:
+    def checked(self, known: Mapping[str, Parameter | VectorParameter]) -> dict[str, Any]:
         """Return all parameters as numbers and arrays.
 
         Args:
-            known: Names of the Parameters in forces and events.
+            known: The Parameters in forces and events, by name.
         Returns:
             {name: number or array}.
         Raises:
             InputError: a name is unknown, or belongs to both the robot and a force.
+            ShapeError: a value has the wrong shape.
         """
         parameters: dict[str, Any] = {}
         for name, value in self.values.items():
@@ -55,17 +57,23 @@ class GivenParameters:
                 parameters[name] = plain_value(self.numbers[name])
                 continue
             self._check(name, known)
-            number = np.ravel(as_floats(value, f"parameters['{name}']"))
-            parameters[name] = float(vector(number, 1, f"parameters['{name}']")[0])
+            what, parameter = f"parameters['{name}']", known[name]
+            if isinstance(parameter, VectorParameter):
+                parameters[name] = read_only(vector(value, len(parameter), what).copy())
+                continue
+            number = np.ravel(as_floats(value, what))
+            parameters[name] = float(vector(number, 1, what)[0])
         for name in self.requested:
             self._check(name, known)
         return parameters
 
-    def _check(self, name: object, known: Sequence[str]) -> None:
+    def _check(self, name: object, known: Mapping[str, Parameter | VectorParameter]) -> None:
         if name not in known:
+            refuse_entry(name, known, "parameters")
+            names = list(known)
             raise InputError(
-                f"parameters: there is no {brief(name)}; {kinds_near(self.system, name, known)}; "
-                f"the Parameters in forces and signals here are {listed(known, 60) or 'none'}"
+                f"parameters: there is no {brief(name)}; {kinds_near(self.system, name, names)}; "
+                f"the Parameters in forces and signals here are {listed(names, 60) or 'none'}"
             )
 
 

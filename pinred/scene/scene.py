@@ -16,6 +16,7 @@ from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.memo import recent
 from ..common.names import brief, one_of
+from ..common.parameter import Parameter, by_name
 from ..forces.force import Force
 from ..integrators.methods import Method
 from ..system.model_parameters import ModelParameters
@@ -42,7 +43,6 @@ from .scene_structure import MOST_STRUCTURES, Shared, structure_key
 from .tolerances import MOMENTUM_MARGIN, TIGHTEST, check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
-    from ..common.parameter import Parameter
     from ..forces.force_model import ForceModel
     from ..forces.formula import Watched
 
@@ -263,7 +263,7 @@ class Scene(SceneFields):
         watched = self._check_events()
         if not (self.springs or forces or file_forces or prescribed):
             self._keep("_forces", None)
-            self._check_parameters([parameter.name for parameter in watched])
+            self._check_parameters(watched)
             return
         from ..forces.force_model_cache import (
             cached_force_model,  # Imported here because it needs CasADi.
@@ -271,7 +271,7 @@ class Scene(SceneFields):
 
         acting = (*forces, *file_forces)
         model = cached_force_model(self.system, self.springs, acting, prescribed, self.varied)
-        self._check_parameters([parameter.name for parameter in (*model.parameters, *watched)])
+        self._check_parameters((*model.parameters, *watched))
         model = model.with_values(self.parameters)
         check_span(model, self.end, base=self.outputs == "all")
         self._keep("_forces", model)
@@ -284,13 +284,13 @@ class Scene(SceneFields):
         self._keep("_watched", watched)
         return () if watched is None else watched.parameters
 
-    def _check_parameters(self, known: Sequence[str]) -> None:
-        """Store the parameters as numbers; raise InputError for an unknown name.
+    def _check_parameters(self, known: Sequence[Parameter]) -> None:
+        """Store the parameters as numbers and arrays; raise InputError for an unknown name.
 
-        `known` contains the names of the Parameters in forces and events.
+        `known` contains the Parameters in forces and events.
         """
         parameters: GivenParameters = vars(self)["_parameters"]
-        self._keep("parameters", MappingProxyType(parameters.checked(known)))
+        self._keep("parameters", MappingProxyType(parameters.checked(by_name(known))))
 
     def _require_state(self) -> None:
         """Raise InputError if neither the options nor the robot state an initial state."""

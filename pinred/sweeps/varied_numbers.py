@@ -13,9 +13,10 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.errors import InputError, PinredError
 from ..common.names import listed, nearest, quoted
-from ..common.parameter import Parameter
+from ..common.parameter import Parameter, VectorParameter, value_in
 from ..forces.signals import Constant
 from ..scene.scene import Scene
+from ..simulation.members.member_parameters import force_parameters
 from ..system.model_parameters import ModelParameters, kinds_near, size_of
 from ..system.system import System
 from ..system.variants import nominal
@@ -116,15 +117,14 @@ class VariedScene:
 
     def nominal_values(self) -> Array:
         """Return the values of the numbers in the scene; 0 for a seed."""
-        values = []
+        values, parameters = [], _parameters_of(self.scene)
         for number in self.numbers:
             if number.member == "seed":
                 values.append(0.0)
             elif number.entry is not None:
                 values.append(float(_nominal(self.scene, number.member)[number.entry]))
-            elif number.member in _parameters_of(self.scene):
-                own = _own_value(self.scene, number.member)
-                values.append(float(self.scene.parameters.get(number.member, own)))
+            elif number.member in parameters:
+                values.append(float(value_in(self.scene.parameters, parameters[number.member])))
             else:
                 values.append(float(np.ravel(_nominal(self.scene, number.member))[0]))
         return np.array(values)
@@ -137,15 +137,19 @@ class VariedScene:
             return VariedNumber(key, key, None, "1")
         word, _, end = key.partition(".")
         states = _states(scene)
-        if labels := [*states.get(key, ())] or _labels_of(system, key):
-            entries = listed([f"{key}.{label}" for label in labels], 60)
+        parameters = _parameters_of(scene)
+        names = [f"{key}.{label}" for label in [*states.get(key, ())] or _labels_of(system, key)]
+        names += [p.name for p in parameters.values() if p.place and p.place[0].name == key]
+        if names:
             raise InputError(
-                f"vary: {quoted(key)} is a vector. Vary some of its entries: {entries}"
+                f"vary: {quoted(key)} is a vector. Vary some of its entries: {listed(names, 60)}"
             )
         if word in states and plain_label(end) in states[word]:
             entry, unit = states[word][plain_label(end)]
             return VariedNumber(key, word, entry, unit)
-        if key in _parameters_of(scene):
+        if key in parameters:
+            if (place := parameters[key].place) is not None:
+                return VariedNumber(key, place[0].name, place[1], "")
             return VariedNumber(key, key, None, "")
         if key == "gravity.strength" and not system.gravity.any():
             raise InputError(
@@ -168,17 +172,12 @@ def size_of_robot(system: System, name: str) -> int | None:
         return None
 
 
-def _parameters_of(scene: Scene) -> list[str]:
-    """Return the names of the Parameters in forces and signals."""
-    model = scene.force_model
-    return [] if model is None else [parameter.name for parameter in model.parameters]
-
-
-def _own_value(scene: Scene, name: str) -> float:
-    """Return the value of a Parameter in forces and signals."""
-    model = scene.force_model
-    assert model is not None
-    return next(entry.value for entry in model.parameters if entry.name == name)
+def _parameters_of(scene: Scene) -> dict[str, Parameter]:
+    """Return the Parameters in forces and signals, and all entries of vectors, by name."""
+    parameters: list[Parameter] = []
+    for parameter in force_parameters(scene).values():
+        parameters.extend(parameter if isinstance(parameter, VectorParameter) else [parameter])
+    return {parameter.name: parameter for parameter in parameters}
 
 
 def _states(scene: Scene) -> dict[str, dict[str, tuple[int, str]]]:
@@ -294,6 +293,8 @@ def _nominal(scene: Scene, member: str) -> Array:
         return np.asarray(rows[0])
     if member == "gravity":
         return np.asarray(system.gravity)
+    if (parameter := force_parameters(scene).get(member)) is not None:
+        return np.asarray(scene.parameters.get(member, parameter.value))
     return np.asarray(ModelParameters(system, [member]).own()[member])
 
 
@@ -301,7 +302,7 @@ def _hint(scene: Scene, key: str) -> str:
     """Return a list of the numbers that can vary, with the nearest one first."""
     states = [f"{name}.{label}" for name, entries in _states(scene).items() for label in entries]
     system = scene.system
-    own = _parameters_of(scene)
+    own = list(_parameters_of(scene))
     forces: tuple[Any, ...] = vars(scene)["forces"]
     others = [f"springs.{joint}.{end}" for joint in scene.springs for end in ("stiffness", "rest")]
     others += [f"forces[{k}].{name}" for k, f in enumerate(forces) for name in _numbers_of(f)]

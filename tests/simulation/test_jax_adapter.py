@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from perturbed_cat import AT, BATCH, flow_of
+from twelve_gains import OTHER, OWN, assert_same_bits, flow_pair
 
 import pinred
 from pinred import InputError, ShapeError
@@ -226,3 +227,18 @@ def test_cost_of_a_call() -> None:
     least = {name: 1e6 * min(each) for name, each in times.items()}
     print({name: f"{each:.0f} µs" for name, each in least.items()})
     assert least["jax"] < 0.8 * least["callback"]
+
+
+def test_vector_has_the_bits_of_scalars_in_jax() -> None:
+    """The JAX function has one array, and its derivatives are those of scalars."""
+    one, many = flow_pair()
+    f, g = one.jax(), many.jax()
+    x, columns = np.array([0.1, 0.2, -0.1]), list(OTHER[:, None])
+    assert_same_bits(f(OTHER, x), g(*columns, x))
+    y, along = jax.jvp(lambda u: f(u, x), (OTHER,), (OWN,))
+    _, scalar_along = jax.jvp(lambda *u: g(*u, x), tuple(columns), tuple(OWN[:, None]))
+    assert_same_bits(along, scalar_along)
+    (back,) = jax.vjp(lambda u: f(u, x), OTHER)[1](y)
+    assert_same_bits(back, np.concatenate(jax.vjp(lambda *u: g(*u, x), *columns)[1](y)))
+    with pytest.raises(ShapeError, match=r"u must have shape .*12.*got \(11,\)"):
+        f(OTHER[:11], x)

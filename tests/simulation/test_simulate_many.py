@@ -97,6 +97,8 @@ def test_invalid_members_are_rejected() -> None:
     with pytest.raises(pinred.ShapeError, match="none"):
         pinred.simulate_many(system, x0=[0.0])
     with pytest.raises(pinred.ShapeError, match="none, and one for all push"):
+        pinred.simulate_many(system, duration=0.1, members={"push": np.zeros((3, 3, 3))})
+    with pytest.raises(pinred.InputError, match="'push' cannot vary in these scenes"):
         pinred.simulate_many(system, duration=0.1, members={"push": np.zeros((3, 3))})
     with pytest.raises(pinred.InputError, match="no option 'speed'"):
         pinred.simulate_many(system, x0=np.zeros((2, 1)), speed=1.0)  # type: ignore[call-arg]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from perturbed_cat import AT, BATCH, flow_of
+from twelve_gains import OTHER, OWN, assert_same_bits, flow_pair
 
 from pinred import InputError, ShapeError
 from pinred.simulation.flow_map.flow_columns import Columns
@@ -120,3 +121,22 @@ def test_invalid_inputs_are_rejected(function: Any) -> None:
     (slope,) = torch.autograd.grad(function(x).sum(), x, create_graph=True)
     with pytest.raises(InputError, match="only have first derivatives"):
         slope.sum().backward()
+
+
+def test_vector_has_the_bits_of_scalars_in_torch() -> None:
+    """The PyTorch function has one tensor, and its derivatives are those of scalars."""
+    one, many = flow_pair()
+    f, g = one.torch(), many.torch()
+    x = torch.tensor([0.1, 0.2, -0.1], dtype=torch.float64)
+    u = torch.tensor(OTHER, requires_grad=True)
+    columns = [torch.tensor([value], requires_grad=True) for value in OTHER]
+    y, z = f(u, x), g(*columns, x)
+    assert_same_bits(y.detach(), z.detach())
+    (back,) = torch.autograd.grad((y * y).sum(), u)
+    assert_same_bits(back, torch.cat(torch.autograd.grad((z * z).sum(), columns)))
+    along = torch.func.jvp(lambda v: f(v, x), (u.detach(),), (torch.tensor(OWN),))[1]
+    directions = tuple(torch.tensor([value]) for value in OWN)
+    points = tuple(column.detach() for column in columns)
+    assert_same_bits(along, torch.func.jvp(lambda *v: g(*v, x), points, directions)[1])
+    with pytest.raises(ShapeError, match=r"u must have shape \(…, 12\), got \(11,\)"):
+        f(u[:11], x)

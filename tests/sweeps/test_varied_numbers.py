@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from twelve_gains import OTHER, assert_same_bits, scene_of, vector_parameter
 
 import pinred
 from pinred.forces import Damper, Spring
@@ -99,3 +100,19 @@ def test_strength_of_no_gravity_is_rejected() -> None:
     )
     judge = pinred.simulate(cart, duration=0.3, parameters={"gravity.strength": 4.0})
     np.testing.assert_allclose(result["x"][0], judge.x[-1], rtol=0, atol=1e-9)
+
+
+def test_sweep_varies_entries_of_vectors() -> None:
+    """A sweep varies an entry by its name; the other entries have their values in the scene."""
+    scene = scene_of(vector_parameter(), parameters={"u": OTHER})
+    result = pinred.sweep(scene, {"u[3]": [0.5, 1.5]}, outputs={"bend": "x.bend"})
+    for k, value in enumerate((0.5, 1.5)):
+        values = OTHER.copy()
+        values[3] = value
+        x = pinred.simulate(scene, parameters={"u": values}).x[-1]
+        np.testing.assert_allclose(result["bend"][k], x[0], atol=1e-7)
+        assert_same_bits(result.point(k).scene.parameters["u"], values)
+    with pytest.raises(
+        pinred.InputError, match=r"'u' is a vector. Vary some of its entries: u\[0\]"
+    ):
+        pinred.sweep(scene, {"u": [0.5, 1.5]}, outputs=["x"])

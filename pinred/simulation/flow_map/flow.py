@@ -135,7 +135,7 @@ class Flow:
             **inputs: Values of inputs by name.
         Returns:
             (…, rows, size) by input, with times first for a flow over times.  There is no
-            last axis for parameters with one entry.
+            last axis for parameters that are one number.
         """
         run = self.run(inputs)
         slopes = self.propagator.along(run, self._rows, *self.input_map.basis(run.given))
@@ -151,7 +151,7 @@ class Flow:
                 zero for omitted outputs.
             **inputs: Values of inputs by name.
         Returns:
-            (size,) by input; a number for parameters with one entry.
+            (size,) by input; a number for parameters that are one number.
         """
         run = self.run(inputs, stages=True)
         by_state, by_constants = self.propagator.back(run, self._rows, self._covectors(covector))

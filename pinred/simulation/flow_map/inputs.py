@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ...common.arrays import Array, as_floats, entries_of, vector
+from ...common.arrays import Array, entries_of, vector
 from ...common.errors import InputError, ShapeError
 from ...common.names import brief, listed, nearest
+from ...common.parameter import VectorParameter, by_name, refuse_entry
+from ...forces.force_model import ForceModel
 from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.kernel import Kernel
 from ...reduction.potential import falling
@@ -74,8 +76,8 @@ class Inputs:
             twist: initial.motion[0],
         }  # fmt: skip
         self._places = _slices({name: len(values) for name, values in initial_parts.items()})
-        self._parameters = {} if model is None else {p.name: p.value for p in model.parameters}
-        self._slopes = np.zeros((0, 0)) if model is None else model.slopes
+        self._parameters = {} if model is None else by_name(model.parameters)
+        self._slopes = {} if model is None else _slopes_by_name(model)
         numbers = np.empty(0) if model is None else model.numbers
         bodies = free_numbers(system, layout.freed)
         constants = [gravity[list(layout.gravity)], bodies, numbers, falling(system)]
@@ -84,10 +86,10 @@ class Inputs:
         self._numbers_at = slice(first, first + len(numbers))
         self._robot = None if scene.varied is None else RobotColumns(scene, layout, len(numbers))
         self._robot_values = {} if self._robot is None else self._robot.values
-        self._columns_of = {name: k for k, name in enumerate(self._parameters)}
-        for name, value in scene.parameters.items():
-            if name in self._parameters:
-                self._parameters[name] = float(np.ravel(as_floats(value, name))[0])
+        self._values: dict[str, float | Array] = {
+            name: scene.parameters.get(name, parameter.value)
+            for name, parameter in self._parameters.items()
+        }
         for name in self._parameters:
             if name in self._places or name in self._robot_values:
                 raise InputError(
@@ -95,16 +97,22 @@ class Inputs:
                     "flow. Rename the Parameter."
                 )
         self.known = (*self._places, *self._parameters, *self._robot_values)
-        self.names = tuple(_checked_names(wrt, self.known))
+        self.names = tuple(self._check_names(wrt, self.known))
         sizes = {name: place.stop - place.start for name, place in self._places.items()}
         sizes |= {"pose0": system.r, "x0": system.m}
         sizes |= {n: len(v) for n, v in self._robot_values.items()}
-        self.sizes = {name: sizes.get(name, 1) for name in self.names}
+        sizes |= {n: slope.shape[1] for n, slope in self._slopes.items()}
+        self.sizes = {name: sizes[name] for name in self.names}
         self._spans = _slices(self.sizes)
         curved = ["pose0", *["x0"] * bool(system.space.balls or system.loops)]
         curved += ["xdot0"] * bool(system.loops)
         self._curved = [name for name in curved if name in self.sizes]
-        self._scalars = {n for n, size in self.sizes.items() if size == 1 and n not in self._places}
+        vectors = {name for name, value in self._values.items() if isinstance(value, np.ndarray)}
+        self._scalars = {
+            name
+            for name, size in self.sizes.items()
+            if size == 1 and name not in self._places and name not in vectors
+        }
         self._last: tuple[Given, tuple[Array, Array]] | None = None  # cache of `basis`
 
     def value(self, name: str) -> Array:
@@ -113,7 +121,7 @@ class Inputs:
             return self._robot_values[name]
         if name in self._places:
             return self.own.state[self._places[name]]
-        return np.array([self._parameters[name]])
+        return np.atleast_1d(self._values[name])
 
     def given(self, values: Mapping[str, Any]) -> Given:
         """Return the columns for values by name; other inputs have their values in the scene.
@@ -140,12 +148,18 @@ class Inputs:
             place = self._places.get(name)
             if place is None:
                 if name not in self._parameters:
-                    _checked_names([name], self.known)
+                    self._check_names([name], self.known)
+                slopes, own = self._slopes[name], self._values[name]
+                if isinstance(own, np.ndarray):
+                    # Add entry by entry, so that a vector has the bits of scalar parameters.
+                    entries = vector(value, len(own), name)
+                    for k in range(len(own)):
+                        constants[self._numbers_at] += slopes[:, k] * (entries[k] - own[k])
+                    continue
                 number = value
                 if type(value) is not float or not isfinite(value):
                     number = float(vector(np.ravel(value), 1, name)[0])
-                slope = self._slopes[:, self._columns_of[name]]
-                constants[self._numbers_at] += slope * (number - self._parameters[name])
+                constants[self._numbers_at] += slopes[:, 0] * (number - own)
             elif name == "pose0":
                 state[place] = self._system.group.pose(value)
             elif isinstance(value, Mapping):
@@ -165,6 +179,21 @@ class Inputs:
         state[self._shape_at] = close_inputs(self._system, state[self._places["x0"]], rates, values)
         return Given(state, constants, robot, rates)
 
+    def _check_names(self, names: Sequence[str], known: Sequence[str]) -> list[str]:
+        """Return the names as a list.  Raises InputError if a name is unknown or repeated."""
+        entries = _as_list(names)
+        for name in entries:
+            if name not in known:
+                refuse_entry(name, self._parameters, "the inputs of a flow")
+                hint = nearest(name, list(known)) if isinstance(name, str) else ""
+                raise InputError(
+                    f"a flow of this scene has no input {brief(name)}; {hint}"
+                    f"its inputs are {listed(list(known), 200)}"
+                )
+            if entries.count(name) > 1:
+                raise InputError(f"the input '{name}' of a flow is named twice")
+        return entries
+
     @property
     def _shape_at(self) -> slice:
         """Place of the shape and its rate, which follows it, among the columns."""
@@ -174,7 +203,7 @@ class Inputs:
         """Convert {input: direction} to directions (…, 1) of state and constants."""
         column = np.zeros((sum(self.sizes.values()), 1))
         for name, value in along.items():
-            _checked_names([name], self.names)
+            self._check_names([name], self.names)
             direction = vector(np.atleast_1d(value), self.sizes[name], f"the direction of {name}")
             column[self._spans[name], 0] = direction
         state, constants = self.basis(at)
@@ -197,7 +226,7 @@ class Inputs:
     def by_name(self, rows: Array) -> dict[str, Array]:
         """Return {input: its columns} from rows (…, N) in the order of `basis`.
 
-        There is no last axis for a parameter with one entry.
+        There is no last axis for a parameter that is one number.
         """
         return {
             name: rows[..., span.start] if name in self._scalars else rows[..., span]
@@ -211,8 +240,8 @@ class Inputs:
         state = np.zeros((len(self.own.state), count))
         constants = np.zeros((len(self.own.constants), count))
         for name, span in self._spans.items():
-            if name in self._columns_of:
-                constants[self._numbers_at, span] = self._slopes[:, [self._columns_of[name]]]
+            if name in self._slopes:
+                constants[self._numbers_at, span] = self._slopes[name]
             elif name in self._places and name not in self._curved:
                 state[self._places[name], span] = np.eye(self.sizes[name])
         self._put_tangents(state, self.own)
@@ -280,19 +309,16 @@ def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:
     return dict(zip(sizes, map(slice, ends, ends[1:]), strict=True))
 
 
-def _checked_names(names: Sequence[str], known: Sequence[str]) -> list[str]:
-    """Return the names as a list.  Raises InputError if a name is unknown or repeated."""
-    entries = _as_list(names)
-    for name in entries:
-        if name not in known:
-            hint = nearest(name, list(known)) if isinstance(name, str) else ""
-            raise InputError(
-                f"a flow of this scene has no input {brief(name)}; {hint}"
-                f"its inputs are {listed(list(known), 200)}"
-            )
-        if entries.count(name) > 1:
-            raise InputError(f"the input '{name}' of a flow is named twice")
-    return entries
+def _slopes_by_name(model: ForceModel) -> dict[str, Array]:
+    """Return {parameter: ∂numbers/∂parameter, (p, its size)}; zero for unused entries."""
+    columns = {parameter: model.slopes[:, [k]] for k, parameter in enumerate(model.parameters)}
+    unused = np.zeros((len(model.slopes), 1))
+    return {
+        name: np.hstack([columns.get(entry, unused) for entry in parameter])
+        if isinstance(parameter, VectorParameter)
+        else columns[parameter]
+        for name, parameter in by_name(model.parameters).items()
+    }
 
 
 def _as_list(names: Any) -> list[Any]:

@@ -20,7 +20,7 @@ from ...common.errors import (
     ShapeError,
     SymmetryError,
 )
-from ...common.names import brief, listed
+from ...common.names import brief
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
 from ...scene import input_formats
@@ -29,7 +29,7 @@ from ...scene.joint_values import order_by_joint
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
-from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
+from ...system.model_parameters import GRAVITY, requested, size_of
 from ...system.system import System
 from ...system.variants import in_gravity, nominal
 from ..plan import MemberParameters
@@ -38,6 +38,7 @@ from ..simulate import as_scene
 from .closed_members import close_members
 from .initial_shapes import with_prescribed_joints
 from .member_groups import Group, Members, members_plan
+from .member_parameters import check_varying, member_numbers, rows_of, varying_parameters
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
 # Pairs (option, field of State) that q0 and v0 determine; then the fields that a seed determines.
@@ -118,11 +119,7 @@ class MemberOptions:
         self.gravity = self._member_gravity(values, scene_values)
         sizes = {name: size_of(system, name) for name in values}
         self.robot = {name: size for name, size in sizes.items() if size is not None}
-        self.parameters = {
-            name: _column(value, name)
-            for name, value in values.items()
-            if dimensions(value) == (2 if self.robot.get(name, 1) > 1 else 1)
-        }
+        self.parameters = varying_parameters(values, self.robot, base, members or {})
         if self.gravity is not None:
             scene_values = {
                 name: value for name, value in scene_values.items() if name not in GRAVITY
@@ -140,7 +137,7 @@ class MemberOptions:
         if dimensions(values.get("gravity.strength", 0.0)) == 1:
             g = np.asarray(own.get("gravity", self.system.gravity))
             unit = g / np.linalg.norm(g) if g.any() else g
-            return np.outer(_column(values.pop("gravity.strength"), "gravity.strength"), unit)
+            return np.outer(rows_of(values.pop("gravity.strength"), "gravity.strength"), unit)
         return None
 
     def _count(self) -> int:
@@ -212,15 +209,7 @@ class MemberOptions:
         """
         # Use common parameters only, so that results do not depend on member order.
         template = self.scene(0, common_parameters=True)
-        model = template.force_model
-        names = [] if model is None else [parameter.name for parameter in model.parameters]
-        for name in self.parameters:
-            if name not in (*names, *self.robot):
-                raise InputError(
-                    f"members: {brief(name)} cannot vary in these scenes; "
-                    f"{kinds_near(self.system, name, [*STATES, *names])}; these scenes accept "
-                    f"{_OPTIONS}: {listed(names, 60) or 'none'}"
-                )
+        check_varying(self.parameters, template, self.robot, STATES, _OPTIONS)
         varying = [name for name in self.robot if name in self.parameters]
         if varying:
             template = with_own(template, varying)
@@ -275,15 +264,8 @@ class MemberOptions:
         model = template.force_model
         if not self.parameters or model is None:
             return None
-        # Compute entry by entry, so that a member's results do not depend on the number of members.
-        numbers = np.repeat(model.numbers_from(0.0, template.end)[None], self.count, axis=0)
-        for k, parameter in enumerate(model.parameters):
-            if parameter.name in self.robot or parameter.name not in self.parameters:
-                shifts = np.zeros(self.count)
-            else:
-                shifts = self.parameters[parameter.name] - parameter.value
-            numbers += shifts[:, None] * model.slopes[:, k]
-        return numbers
+        varying = {n: values for n, values in self.parameters.items() if n not in self.robot}
+        return member_numbers(model, template.end, varying, self.count)
 
     def _robot_numbers(self, template: Scene) -> Array:
         """Return the variable parameters of the bodies of each member, (N, s).
@@ -389,9 +371,3 @@ def _checked_members(members: Mapping[str, Any] | None) -> Mapping[str, Any]:
     if not (isinstance(members, Mapping) and all(isinstance(name, str) for name in members)):
         raise InputError(f"members must be {{name: (N, …) values}}, got {brief(members)}")
     return members
-
-
-def _column(value: Any, name: str) -> Array:
-    """Return the values (N,), or (N, k), of a parameter.  Raises ShapeError."""
-    column = as_floats(value, name)
-    return vectors(column, column.shape[-1], f"parameters['{name}']")
