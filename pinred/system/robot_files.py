@@ -137,7 +137,10 @@ def read_xml(path: Path) -> ElementTree.Element:
         parser.Parse(_without_declaration(read_text(path)), True)
         return builder.close()
     except (expat.ExpatError, ValueError) as error:
-        raise LoadError(f"{plain_path(path)} is not XML: {error}") from None
+        advice = ""
+        if path.suffix == ".toml":
+            advice = ". Scene files are simulated by `pinred run`, and compared by its --compare"
+        raise LoadError(f"{plain_path(path)} is not XML: {error}{advice}") from None
 
 
 def _without_declaration(text: str) -> str:

@@ -176,12 +176,37 @@ def test_inspection_reports_loops_rank_and_dimension() -> None:
     assert pinred.inspect(pinred.load(model, loops=loops)).flat
 
 
+def test_coordinates_have_the_order_of_independent() -> None:
+    """Exchanged coordinates exchange the columns of A and the sign of the curvature."""
+    system = linkage()
+    red, exchanged = (
+        pinred.LoopReduction(system, independent=names)
+        for names in (INDEPENDENT, INDEPENDENT[::-1])
+    )
+    assert exchanged.independent == INDEPENDENT[::-1]
+    assert system.closure is not None
+    x = system.closure.x
+    a, b = red.at(x), exchanged.at(x)
+    assert abs(a.local_connection[:, 0] - a.local_connection[:, 1]).max() > 1e-3
+    np.testing.assert_allclose(b.local_connection, a.local_connection[:, ::-1], atol=1e-14)
+    np.testing.assert_allclose(b.curvature, -a.curvature, atol=1e-13)
+    u = x[[system.shape_names.index(name) for name in INDEPENDENT]]
+    np.testing.assert_allclose(exchanged.shape(u[::-1] + 0.1), red.shape(u + 0.1), atol=1e-12)
+    forms = [
+        pinred.Connection.mechanical(system, independent=names).local(order)
+        for names, order in ((INDEPENDENT, u), (INDEPENDENT[::-1], u[::-1]))
+    ]
+    np.testing.assert_allclose(forms[1], forms[0][:, ::-1], atol=1e-13)
+    with pytest.raises(InputError, match="each once, got left_crank, left_crank"):
+        pinred.LoopReduction(system, independent=["left_crank", "left_crank"])
+
+
 def test_charts_that_do_not_fit_are_refused_by_name() -> None:
     """Unknown joints, a wrong number, dead points, open shapes, frames and robots without loops."""
     system = linkage()
     with pytest.raises(InputError, match="independent: no joint 'knee'"):
         pinred.LoopReduction(system, independent=["knee", "left_crank"])
-    with pytest.raises(InputError, match="independent: expected 2 joints, got 1"):
+    with pytest.raises(InputError, match="independent: expected 2 joints, each once, got"):
         pinred.LoopReduction(system, independent=["left_crank"])
     red = pinred.LoopReduction(system, independent=INDEPENDENT)
     with pytest.raises(InputError, match="expected a closed shape of 'five_bar', but loop 'tips'"):

@@ -131,3 +131,17 @@ def test_invalid_progress_is_rejected() -> None:
     """A value that is no function is rejected before the integration."""
     with pytest.raises(pinred.InputError, match="progress must be True or a function"):
         pinred.simulate_many(pinred.load("falling_cat"), seeds=[0], progress="bar")  # type: ignore[arg-type]
+
+
+def test_members_that_end_before_all_report_times_are_nan() -> None:
+    """Elroy's beanie moves at constant rate, so a terminal event at 0.3 rad comes at 0.3 / rate."""
+    members = {"xdot0": np.array([[1.0], [0.1]])}
+    stop = pinred.Event("x[0] - 0.3", "stop", terminal=True)
+    many = pinred.simulate_many(
+        pinred.load("elroys_beanie"),
+        members=members, x0=[0.0], duration=1.0, times=[0.6], events=[stop],
+    )  # fmt: skip
+    assert many.failures == ()
+    assert np.isnan(many.x[0]).all()
+    np.testing.assert_allclose(many.x[1], [[0.06]], rtol=1e-12)
+    assert many[0].ended_by == "stop"

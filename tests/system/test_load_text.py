@@ -98,3 +98,11 @@ def test_load_takes_either_source_or_text() -> None:
         pinred.load()
     with pytest.raises(pinred.InputError, match="got both"):
         pinred.load("falling_cat", text=MJCF)
+
+
+def test_scene_file_in_place_of_a_robot_names_its_command(tmp_path: Path) -> None:
+    """A reader ran `pinred compare scene.toml`."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text('robot = "falling_cat"\n')
+    with pytest.raises(pinred.LoadError, match=r"not XML: .*`pinred run`"):
+        pinred.load(scene)

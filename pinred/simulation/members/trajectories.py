@@ -77,10 +77,10 @@ class Trajectories(OverTime):
     """Motions of one system; the fields of State have shape (N, T, …), with members first.
 
     `trajectories[i]` is the Trajectory of one member.  Entries are NaN at times that a member did
-    not reach.
+    not reach, because it failed or because a terminal event ended it.
 
     Attributes:
-        failures: Members that did not reach their end time.
+        failures: Members that failed before their end time.
     """
 
     def __init__(
@@ -289,6 +289,8 @@ def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State
     if np.array_equal(traj.outputs.t, t):
         return traj.outputs
     reached = t <= traj.scene.end
+    if not reached.any():
+        return _missing_states(system, t, wanted=wanted)
 
     def fill(missing: Array, values: Array) -> Array:
         filled = missing.copy()

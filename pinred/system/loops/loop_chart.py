@@ -166,8 +166,9 @@ def loop_chart(system: LoopedSystem, independent: Sequence[str] | None = None) -
 
     Args:
         system: The system, with loops.
-        independent: Names of the independent joints, as many as `shape_dim`.  None: the dependent
-            joints are chosen by a pivoted QR factorisation at the assembled shape.
+        independent: Names of the independent joints, as many as `shape_dim`, in the order of the
+            coordinates u.  None: a pivoted QR factorisation at the
+            assembled shape chooses the dependent joints.
     Returns:
         The chart.
     Raises:
@@ -190,11 +191,11 @@ def loop_chart(system: LoopedSystem, independent: Sequence[str] | None = None) -
                 raise InputError(
                     f"independent: no joint {brief(name)}. The joints are {listed(names, 60)}."
                 )
-        chosen = np.sort([names.index(name) for name in {*independent}]).astype(np.intp)
-        if len(chosen) != system.shape_dim:
+        chosen = np.array([names.index(name) for name in independent], dtype=np.intp)
+        if len(chosen) != system.shape_dim or len({*independent}) != len(chosen):
             raise InputError(
-                f"independent: expected {system.shape_dim} joints, got {len(chosen)}. The joints "
-                f"are {listed(names, 60)}."
+                f"independent: expected {system.shape_dim} joints, each once, got "
+                f"{listed(independent, 60)}. The joints are {listed(names, 60)}."
             )
         dependent = np.setdiff1d(np.arange(system.m), chosen)
     chart = LoopChart(system, chosen.astype(np.intp), dependent.astype(np.intp))
