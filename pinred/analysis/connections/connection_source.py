@@ -43,6 +43,7 @@ def system_of(source: ConnectionSource, what: str) -> System:
         return source
     if source.system is None or not source.is_mechanical:
         raise InputError(
-            f"{what} simulates a robot by its mechanical connection, got {source}; pass the System"
+            f"{what} simulates a robot by its mechanical connection, got {source.title()}; pass "
+            "the System"
         )
     return source.system

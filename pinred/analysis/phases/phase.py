@@ -291,8 +291,8 @@ def refined(connection: Connection, gait: Gait, *, momentum: bool) -> Iterator[S
     """
     if connection.m != gait.m:
         raise InputError(
-            f"gait: expected {connection.m} joints for {connection}, got {gait.m}. The joints are "
-            f"{', '.join(connection.joints)}"
+            f"gait: expected {connection.m} joints for {connection.title()}, got {gait.m}. "
+            f"The joints are {', '.join(connection.joints)}"
         )
     # The attitude of a ball that turns is not a periodic function of time, so that the body twist
     # cannot be interpolated by a Fourier series.

@@ -151,8 +151,8 @@ class BestGait(Summary, Optimum):
         connection = self.task.connection
         if connection.system is None or not connection.is_mechanical:
             raise InputError(
-                f"expected a mechanical connection, got {connection}; motions with drag or wheels "
-                "cannot be simulated"
+                f"expected a mechanical connection, got {connection.title()}; motions "
+                "with drag, wheels or independent joints of loops cannot be simulated"
             )
         if not self.gait.is_smooth:
             raise InputError(

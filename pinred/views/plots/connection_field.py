@@ -107,7 +107,7 @@ def field(
 
 def _closed_path(source: Connection, gait: Gait) -> Array:
     if gait.m != source.m:
-        raise InputError(f"the gait moves {gait.m} joints, but {source} has {source.m}")
+        raise InputError(f"the gait moves {gait.m} joints, but {source.title()} has {source.m}")
     return gait.at(np.linspace(0.0, gait.period, _ALONG_GAIT + 1))[0]
 
 
