@@ -21,7 +21,7 @@ from .scene_options import ARRAYS_OF_STATE
 from .scene_structure import MOST_STRUCTURES, is_empty_table, key_of_option
 
 _STATES = frozenset(ARRAYS_OF_STATE)
-_FLOATS = np.dtype(float)
+_ARRAYS = frozenset({np.ndarray, list, tuple})  # Their entries are checked in each scene.
 
 
 class _Repeated:
@@ -81,9 +81,14 @@ def scene_of(system: System, options: Mapping[str, Any]) -> Scene:
 
 
 def _key_of_call(options: Mapping[str, Any]) -> Hashable:
-    """Return the key of a call; None if the initial state does not consist of arrays of floats."""
+    """Return the key of a call; None if the initial state does not consist of arrays and lists."""
     try:
-        key = tuple([(name, _key_of(name, value)) for name, value in options.items()])
+        key = tuple(
+            [
+                (name, (name in _STATES and type(value) in _ARRAYS) or _key_of(name, value))
+                for name, value in options.items()
+            ]
+        )
         hash(key)
     except (NotKeyedError, TypeError):
         return None  # Scene reports an invalid option.
@@ -94,8 +99,6 @@ def _key_of(name: str, value: Any) -> Hashable:
     if name in _STATES:
         if value is None:
             return False
-        if type(value) is np.ndarray and value.dtype is _FLOATS:
-            return True
         raise NotKeyedError
     if name == "seed" and value is not None:
         raise NotKeyedError  # The state is drawn for each scene.

@@ -54,7 +54,7 @@ class Motion:
     def __init__(
         self,
         flow: ReducedFlow,
-        segments: Sequence[Segment],
+        segments: list[Segment] | Segments,
         *,
         varies: bool = False,
         actions: Sequence[ControlAction] = (),
@@ -70,7 +70,7 @@ class Motion:
             watch: Detection of events; None for scenes without events.
         """
         self.flow, self._varies = flow, varies
-        self.segments = segments if isinstance(segments, Segments) else Segments(segments)
+        self.segments = Segments(segments) if isinstance(segments, list) else segments
         self.actions = tuple(actions)
         self.crossings: list[Crossing] = [] if watch is None else watch.crossings
         self.ended_by = None if watch is None else watch.end

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
-
-import numpy as np
 
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import AccuracyWarning, InputError
@@ -23,12 +20,8 @@ from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
 from .checkpoint import Checkpoint, opened
-from .motion import follow
 from .plan import Plan, plan_of
-from .reduced_flow import Integrate, ReducedFlow, Segments
-from .run_record import RunRecord
-from .singular_loops import refuse_singular_loops
-from .trajectory import Cost, Trajectory
+from .trajectory import Trajectory
 
 _OPTIONS = Scene.__dataclass_fields__.keys() - {"system"}
 
@@ -105,10 +98,15 @@ def _simulated(
 ) -> Trajectory:
     """Return the trajectory of a plan; with `check`, one whose steps skip no force."""
     again = partial(simulate, plan.scene, engine=engine, check=check)
+    run: Callable[[Plan], Trajectory]
     if engine == "compiled":
-        run = partial(_compiled, progress=progress, again=again, checkpoint=checkpoint)
+        from .compiled.run_compiled import run_compiled
+
+        run = partial(run_compiled, progress=progress, again=again, checkpoint=checkpoint)
     else:
-        run = partial(_pinocchio, progress=progress, again=again)
+        from .pinocchio.run_pinocchio import run_pinocchio
+
+        run = partial(run_pinocchio, progress=progress, again=again)
     if not check:
         return _resolved(plan, run)
     from .step_resolution import check_has_step_control, resolve_steps
@@ -152,72 +150,6 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
     return replace(scene, **options) if options else scene
 
 
-_Again = Callable[[], Trajectory]
-
-
-def _pinocchio(plan: Plan, progress: Progress | None, again: _Again) -> Trajectory:
-    from .pinocchio.pinocchio_flow import PinocchioFlow
-    from .pinocchio.scipy_integrator import integrator
-
-    flow = PinocchioFlow(plan)
-    integrate = integrator(flow, plan, progress)
-    return _integrate_plan(plan, flow, integrate, "pinocchio", "DOP853", again)
-
-
-def _compiled(
-    plan: Plan, progress: Progress | None, again: _Again, checkpoint: Checkpoint | None = None
-) -> Trajectory:
-    from .compiled.compiled_flow import CompiledFlow
-    from .compiled.integrator import integrator
-    from .compiled.long_segments import long_integrator
-    from .compiled.thinned_segments import thinned
-
-    flow = CompiledFlow.of_plan(plan)
-    record = None if checkpoint is None else checkpoint.run(flow, plan)
-    through: Callable[[], Segments] | None = thinned(flow, plan, progress, record)
-    if through is None and plan.passes_stops and record is None:
-        from .compiled.through_stops import through_stops
-
-        through = through_stops(flow, plan, progress)
-    integrate = integrator(flow, plan, progress)
-    long = None if through else long_integrator(flow, plan, integrate, progress)
-    name, integrate = plan.method.name, long or integrate
-    trajectory = _integrate_plan(
-        plan, flow, integrate, "compiled", name, again, through, record, thinned=long is not None
-    )
-    if checkpoint is not None and record is not None:
-        checkpoint.close(record, flow, plan, cut=trajectory.ended_by is not None)
-    return trajectory
-
-
 def trajectory_of(scene: Scene) -> Trajectory:
     """Return the trajectory of a scene with the compiled engine."""
     return _simulated(plan_of(scene), "compiled")
-
-
-def _integrate_plan(
-    plan: Plan,
-    flow: ReducedFlow,
-    integrate: Integrate,
-    engine: Engine,
-    method: str,
-    again: _Again,
-    through: Callable[[], Segments] | None = None,
-    record: RunRecord | None = None,
-    *,
-    thinned: bool = False,
-) -> Trajectory:
-    started = time.perf_counter()
-    motion = follow(plan, flow, integrate, through, record, thinned=thinned)
-    wall = time.perf_counter() - started
-    refuse_singular_loops(plan.system, motion)
-    run = Cost(engine, method, motion.steps, motion.evaluations, wall, plan.notices)
-    terminal_crossing = motion.ended_by
-    scene = plan.scene if terminal_crossing is None else _until(plan.scene, terminal_crossing.t)
-    return Trajectory(scene, motion, run, again)
-
-
-def _until(scene: Scene, end: float) -> Scene:
-    """Return the scene with an earlier end, which is also a report time."""
-    t = scene.report_times
-    return replace(scene, duration=end, times=np.append(t[t < end], end))

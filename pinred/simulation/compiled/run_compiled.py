@@ -1,0 +1,54 @@
+"""Integration of a plan with the compiled engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ...common.progress import Progress
+from ...integrators.methods import EqualSteps
+from ..checkpoint import Checkpoint
+from ..integrate_plan import Again, integrate_plan
+from ..plan import Plan
+from ..reduced_flow import Segments
+from ..trajectory import Trajectory
+from .compiled_flow import CompiledFlow
+from .integrator import integrator
+from .long_segments import long_integrator
+from .thinned_segments import thinned
+from .through_stops import through_stops
+
+
+def run_compiled(
+    plan: Plan, progress: Progress | None, again: Again, checkpoint: Checkpoint | None = None
+) -> Trajectory:
+    """Return the trajectory of a plan, integrated with machine code.
+
+    Args:
+        plan: The plan.
+        progress: Called repeatedly with the completed fraction of the time, 0 to 1.
+        again: Function that simulates the scene again; see Trajectory.
+        checkpoint: Checkpoint that the run continues and updates; or None.
+    Returns:
+        The trajectory.
+    Raises:
+        IntegrationError: The integrator cannot continue.
+    """
+    flow = CompiledFlow.of_plan(plan)
+    record = None if checkpoint is None else checkpoint.run(flow, plan)
+    equal_steps = isinstance(plan.method, EqualSteps)
+    through: Callable[[], Segments] | None = None
+    if equal_steps:
+        through = thinned(flow, plan, progress, record)
+    if through is None and plan.passes_stops and record is None:
+        through = through_stops(flow, plan, progress)
+    integrate = integrator(flow, plan, progress)
+    long = None
+    if equal_steps and through is None:
+        long = long_integrator(flow, plan, integrate, progress)
+    name, integrate = plan.method.name, long or integrate
+    trajectory = integrate_plan(
+        plan, flow, integrate, "compiled", name, again, through, record, thinned=long is not None
+    )
+    if checkpoint is not None and record is not None:
+        checkpoint.close(record, flow, plan, cut=trajectory.ended_by is not None)
+    return trajectory
