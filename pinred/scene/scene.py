@@ -94,13 +94,15 @@ class Scene(SceneFields):
     def resolve_state(self) -> None:
         """Check and store the initial state that the options state.
 
-        The scene has copies of the arrays, because a caller may change them afterwards.
+        The scene has copies of arrays and lists, because a caller may change them afterwards.
         """
         values = vars(self)
         for name in ARRAYS_OF_STATE:
             value = values[name]
-            if value is not None and type(value) is np.ndarray:
+            if type(value) is np.ndarray:
                 values[name] = read_only(value.copy())
+            elif type(value) is list:
+                values[name] = value.copy()
         values["_given"] = self._resolve()
 
     def _check_structure(self) -> Shared:

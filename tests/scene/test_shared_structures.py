@@ -6,6 +6,7 @@ import gc
 import weakref
 from collections.abc import Callable
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -267,13 +268,32 @@ def test_repeated_call_rejects_invalid_numbers(name: str, robot: System) -> None
             simulate(robot, **vague)
 
 
-def test_arrays_changed_after_a_call_leave_its_scene_unchanged(robot: System) -> None:
+@pytest.mark.parametrize("kind", [np.array, list, tuple])
+def test_repeated_call_takes_arrays_and_lists_without_other_checks(
+    kind: Callable[..., Any], robot: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A state as lists has the bits of one as arrays, and repeats the checks of the state only."""
+    options = {**START, "x0": [1, 0], "xdot0": [0, 1]}
+    expected = fresh(robot, **{**options, "x0": np.array([0.5, 0]), "xdot0": np.array([0.0, 1])})
+    simulate(robot, **{**options, "x0": kind([1, 0]), "xdot0": kind([0, 1])})
+    checks = MagicMock(side_effect=AssertionError("all options are checked again"))
+    monkeypatch.setattr(Scene, "__post_init__", checks)
+    repeated = simulate(robot, **{**options, "x0": kind([0.5, 0]), "xdot0": kind([0, 1])})
+    assert np.array_equal(repeated.x, expected)
+    with pytest.raises(ShapeError, match="x0 must be finite"):
+        simulate(robot, **{**options, "x0": kind([np.nan, 0]), "xdot0": kind([0, 1])})
+
+
+@pytest.mark.parametrize("kind", [np.array, list])
+def test_arrays_changed_after_a_call_leave_its_scene_unchanged(
+    kind: Callable[..., Any], robot: System
+) -> None:
     """`compare` and copies of the scene use the initial state of the call."""
     for _ in range(2):  # the first call of a structure, and a repeated one
-        x0, xi0 = np.array([0.3, -0.2]), np.array([0.1, 0.2, 0.4])
+        x0, xi0 = kind([0.3, -0.2]), kind([0.1, 0.2, 0.4])
         trajectory = simulate(robot, **{**START, "x0": x0, "xi0": xi0})
-        x0 += 0.5
-        xi0 += 0.5
+        x0[0] += 0.5
+        xi0[0] += 0.5
         start = trajectory.scene.start
         assert np.array_equal(start.x, [0.3, -0.2])
         assert np.array_equal(np.asarray(trajectory.scene.x0), start.x)

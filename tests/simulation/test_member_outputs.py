@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -47,3 +48,20 @@ def test_one_thread_is_kept_for_further_calls() -> None:
     before = set(threading.enumerate())
     run()
     assert set(threading.enumerate()) == before
+
+
+def test_batch_copies_no_states_that_all_members_have() -> None:
+    """Members that are all integrated together need at most 800 bytes each, not 970."""
+    system, count = load("planar_chain5"), 20_000
+    x0 = np.random.default_rng(0).normal(size=(count, system.m))
+    peaks = []
+    for size in (count // 4, count):
+        options: dict[str, Any] = {"x0": x0[:size], "times": [1e-3], "rtol": 1e-3}
+        simulate_many(system, **options, threads=1)
+        tracemalloc.start()
+        try:
+            simulate_many(system, **options, threads=1)
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+    assert (peaks[1] - peaks[0]) / (count - count // 4) < 800

@@ -56,15 +56,18 @@ def integrate_members(
         done = None if progress is None else _scaled(progress, k, last)
         for runs in _together(plan, stops, status, k, vary=vary):
             own = [stops[i] for i in runs] if vary else stops[:1]
-            piece, y0 = _piece(own, k, reports), states[runs]
-            solutions = _integrate_piece(flow[runs], plan.method, piece, y0, threads, done)
+            # Copy the rows only if some members are left out: they are most of the memory.
+            rows = slice(None) if len(runs) == count else runs
+            piece, part = _piece(own, k, reports), flow if len(runs) == count else flow[runs]
+            solutions = _integrate_piece(part, plan.method, piece, states[rows], threads, done)
             _store(y, runs, piece, solutions)
             status[runs], entry[runs] = solutions.status, solutions.entry
             steps[runs] += solutions.steps
             evaluations[runs] += solutions.evaluations
             end[runs] = piece.start + solutions.end
-            final = solutions.y[np.arange(len(runs)), piece.reported.sum(axis=1)]
-            states[runs[solutions.ok]] = final[solutions.ok]
+            if k + 1 < last:
+                final = solutions.y[np.arange(len(runs)), piece.reported.sum(axis=1)]
+                states[runs[solutions.ok]] = final[solutions.ok]
     alive = np.flatnonzero(status == 0)
     failures = []
     for j in np.flatnonzero(status).tolist():
