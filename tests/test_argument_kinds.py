@@ -339,3 +339,13 @@ def test_check_of_known_types_costs_less_than_a_microsecond() -> None:
         for function in (bare, gated)
     }
     assert fastest[gated] < 10.0 * fastest[bare]
+
+
+def test_number_for_a_value_of_one_number_gets_the_construction_as_advice() -> None:
+    """A bare number where a Limit is expected is likely its bound."""
+    with pytest.raises(
+        InputError, match=r"limit: expected a Limit or None, got 5\. Write Limit\(5\)\."
+    ):
+        pinred.forces.PD({"bend": 0.1}, kp=1.0, kd=1.0, limit=5)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"a Limit or None, got 'five'\. See"):
+        pinred.forces.PD({"bend": 0.1}, kp=1.0, kd=1.0, limit="five")  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import wraps
 from pathlib import Path
 from types import NoneType, UnionType
@@ -41,12 +41,14 @@ class Kind:
         settled: Predicate of admitted values: whether all values of the same type are admitted;
             for arrays, all arrays of the same dtype.
         error: Type of the error for a rejected value.
+        remedy: Function from a rejected value to a sentence that ends in a blank, or "".
     """
 
     expected: str
     admits: Callable[[Any], bool]
     settled: Callable[[Any], bool] = lambda _: True
     error: type[InputError] = InputError
+    remedy: Callable[[Any], str] = lambda _: ""
 
 
 def checks_arguments(thing: T) -> T:
@@ -169,7 +171,7 @@ class _Checks:
         if kind is not None and not kind.admits(value):
             return kind.error(
                 f"{self.names[number]}: expected {kind.expected}, got {brief(value)}. "
-                f"See help({self._function.__qualname__})."
+                f"{kind.remedy(value)}See help({self._function.__qualname__})."
             )
         same = value.dtype if type(value) is np.ndarray else type(value)
         if kind is None or ((number, same) not in self._open and kind.settled(value)):
@@ -244,7 +246,22 @@ def kind_of(annotation: Any, names: _Names) -> Kind | None:
         return _tuple([kind_of(arg, names) for arg in args])
     if issubclass(origin, Iterable) and args:
         return _sequence(kind_of(args[0], names))
-    return Kind(_description(origin), lambda value: isinstance(value, origin))
+    return Kind(
+        _description(origin),
+        lambda value: isinstance(value, origin),
+        remedy=lambda value: _wrapping(origin, value),
+    )
+
+
+def _wrapping(kind: Any, value: Any) -> str:
+    """Return the advice to construct a dataclass of a number, if it consists of one number."""
+    if not (is_dataclass(kind) and is_number(value)):
+        return ""
+    try:
+        kind(value)
+    except (TypeError, ValueError):
+        return ""
+    return f"Write {kind.__name__}({brief(value)}). "
 
 
 def _has_instances(kind: type) -> bool:
@@ -281,6 +298,7 @@ def _union(args: tuple[Any, ...], names: _Names) -> Kind | None:
         lambda value: any(kind.admits(value) for kind in members),
         settled,
         ShapeError if _NUMBERS in members else InputError,
+        lambda value: next(filter(None, (kind.remedy(value) for kind in members)), ""),
     )
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays
 from ..common.errors import IntegrationError
+from ..common.named_results import NamedResults
 from ..forces.formula import Watched
 from ..scene.scene import Scene
 from ..system.coordinates import Indices
@@ -322,7 +323,7 @@ def cut_at_event(watch: Watch, segment: Segment, integrate: Integrate) -> list[S
 
 def crossings_by_event(
     scene: Scene, crossings: list[Crossing], states: Callable[[Array], State | ShapeState]
-) -> dict[str, Crossings]:
+) -> NamedResults[Crossings]:
     """Return the crossings of each event by its name.
 
     Args:
@@ -339,7 +340,7 @@ def crossings_by_event(
         rising = np.array([crossing.rising for crossing in selected], dtype=bool)
         event_states = states(t) if selected else _no_states(states)
         by_name[event.name] = Crossings(event.name, t, rising, event_states)
-    return by_name
+    return NamedResults("event", by_name)
 
 
 def _no_states(states: Callable[[Array], State | ShapeState]) -> State | ShapeState:

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array, read_only
+from ..common.named_results import NamedResults
 from ..reduction.inertia_split import symmetric
 from ..system.loops.kinematics import rotation_axes
 from ..system.loops.loop import Loop
@@ -46,7 +47,7 @@ def loop_forces(
         for loop, rows in zip(system.loops, loop_kinematics(system).rows, strict=True):
             own = multipliers[rows]
             wrenches[loop.name][k] = _wrench(loop.kind, own) if isinstance(loop, Loop) else own
-    return {name: read_only(wrench) for name, wrench in wrenches.items()}
+    return NamedResults("loop", {name: read_only(wrench) for name, wrench in wrenches.items()})
 
 
 def _multipliers(plan: Plan, states: State, k: int, sample: Sample, numbers: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, as_floats, read_only, vector
+from ..common.arrays import Array, as_floats, positive, read_only, vector
 from ..common.errors import InputError, ShapeError
 from ..common.names import brief, quoted
 
@@ -74,6 +74,15 @@ def unit_axis(value: str | ArrayLike, what: str) -> Array:
     if length == 0.0:
         raise InputError(f"axis of {what} must not be zero")
     return read_only(given / length)
+
+
+def checked_mass(mass: float, inertia: Array, com: Array, joint: str, what: str) -> float:
+    """Return the mass of a body.  A body on a fixed joint may be a frame without mass."""
+    if joint == "fixed" and isinstance(mass, (int, float)) and mass == 0:
+        if inertia.any() or com.any():
+            raise InputError(f"{what}: a frame without mass has neither inertia nor com")
+        return 0.0
+    return positive(mass, f"mass of {what}")
 
 
 def increasing_limits(value: tuple[float, float] | None, what: str) -> tuple[float, float] | None:

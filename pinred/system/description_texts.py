@@ -58,8 +58,11 @@ def _joint(
 
 
 def _link(robot: Element, body: DescribedBody) -> None:
-    """Add a link with its inertia to a URDF robot."""
-    inertial = SubElement(SubElement(robot, "link", name=body.name), "inertial")
+    """Add a link with its inertia, if it has mass, to a URDF robot."""
+    link = SubElement(robot, "link", name=body.name)
+    if not body.mass:
+        return
+    inertial = SubElement(link, "inertial")
     SubElement(inertial, "origin", xyz=_numbers(body.com))
     SubElement(inertial, "mass", value=repr(body.mass))
     entries = {
@@ -91,13 +94,22 @@ def mjcf_of(name: str, bodies: Sequence[DescribedBody]) -> str:
                 joint.set("axis", _numbers(body.axis))
             if body.limits is not None:
                 joint.set("range", _numbers(np.array(body.limits)))
-        inertia, (i, j) = body.inertia, np.triu_indices(3, 1)
+        if not body.mass:
+            continue
         SubElement(
-            element, "inertial", pos=_numbers(body.com), mass=repr(body.mass),
-            fullinertia=_numbers(np.append(np.diag(inertia), inertia[i, j])),
+            element, "inertial", _moments(body.inertia), pos=_numbers(body.com),
+            mass=repr(body.mass),
         )  # fmt: skip
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
+
+
+def _moments(inertia: Array) -> dict[str, str]:
+    """Return the MJCF attribute of an inertia.  MuJoCo accepts zeros in principal moments only."""
+    products = inertia[np.triu_indices(3, 1)]
+    if not products.any():
+        return {"diaginertia": _numbers(np.diag(inertia))}
+    return {"fullinertia": _numbers(np.append(np.diag(inertia), products))}
 
 
 def _numbers(values: Array) -> str:

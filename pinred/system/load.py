@@ -52,6 +52,7 @@ from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, Origin
 from .robot_files import is_mjcf, outermost, read_text, text_in_file
 from .split_joints import split_joints
+from .stated_limits import stated_limits
 from .system import System
 from .variants import checked_gravity
 from .visuals import Visuals, mesh_folders, with_visuals
@@ -109,8 +110,8 @@ def load(
     """Load a robot as symmetry group times shape.
 
     Emits a LeftOutWarning for actions in the file that pinred does not simulate
-    (System.left_out), and a ModelWarning for doubtful inertias, for commas in number lists of a
-    URDF file, and for armature of a free joint.
+    (System.left_out; not for the limits that URDF demands), and a ModelWarning for doubtful
+    inertias, for commas in number lists of a URDF file, and for armature of a free joint.
 
     Args:
         source: Name of a bundled robot or of one in example-robot-data; path of a URDF or MJCF
@@ -229,8 +230,10 @@ def _load_source(
 
 def _report(system: System, *, strict: bool) -> None:
     """Warn about actions left out and about doubts, or refuse doubts if `strict`."""
-    if system.left_out:
-        counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
+    # URDF demands limits at most joints, so a warning about them would meet every file.
+    unusual = [left for left in system.left_out if not left.demanded]
+    if unusual:
+        counts = ", ".join(f"{left.what} ({len(left.names)})" for left in unusual)
         message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
         warnings.warn(message, LeftOutWarning, stacklevel=_CALLER)
     for warning in system.contents.warnings:
@@ -352,7 +355,12 @@ def _load_model(
     passive = passive_contents(split.model, shape, locked, split.sliding, robot.springs)
     contents = replace(
         passive,
-        left_out=(*passive.left_out, *merge.left_out(forces), *merge.limits(split.model)),
+        left_out=(
+            *passive.left_out,
+            *merge.left_out(forces),
+            *merge.limits(split.model),
+            *stated_limits(robot.raw, locked=split.whole(locked), merged=merge.hinges),
+        ),
         passive=merge.forces(passive.passive),
         visuals=visuals,
         warnings=(*([robot.warning] if robot.warning else []), *merge.warnings(split.model)),

@@ -49,6 +49,11 @@ class Merge:
     triples: tuple[HingeTriple, ...] = ()
     skipped: tuple[HingeTriple, ...] = ()
 
+    @property
+    def hinges(self) -> frozenset[str]:
+        """Names of the hinges that became balls."""
+        return frozenset(name for triple in self.triples for name in triple.hinges)
+
     def model(self, raw: pin.Model) -> pin.Model:
         """Return a copy of a model with these balls; `raw` itself if there are none.
 
@@ -119,7 +124,7 @@ class Merge:
 
     def forces(self, passive: Iterable[Force]) -> tuple[Force, ...]:
         """Return the forces that act on none of these balls."""
-        merged = {name for triple in self.triples for name in triple.hinges}
+        merged = self.hinges
         return tuple(
             force
             for force in passive

@@ -131,6 +131,7 @@ class _Tree:
         self._plant, self._frictions = plant, frictions
         self._builder, self.fixed = ModelBuilder(), list[str]()
         self._losses = [np.empty((2, 0))]
+        self._most = [np.empty((2, 0))]  # largest rates and efforts
         joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
         self._on: dict[int, list[Any]] = {}
         carriers: dict[int, Any] = {}
@@ -170,6 +171,7 @@ class _Tree:
         model = self._builder.finish()
         model.damping, model.upperDryFrictionLimit = np.concatenate(self._losses, axis=1)
         model.lowerDryFrictionLimit = -model.upperDryFrictionLimit
+        model.upperVelocityLimit, model.upperEffortLimit = np.concatenate(self._most, axis=1)
         return model
 
     def springs(self) -> tuple[Spring, ...]:
@@ -223,6 +225,8 @@ class _Tree:
         damping = np.broadcast_to(joint.default_damping_vector(), nv)
         friction = np.full(nv, self._frictions.get(joint.name(), 0.0))
         self._losses.append(np.array([damping, friction]))
+        effort = np.full(nv, self._efforts().get(int(joint.index()), np.inf))
+        self._most.append(np.array([joint.velocity_upper_limits(), effort]))
         return index
 
     def _rotors(self) -> dict[int, float]:
@@ -233,6 +237,12 @@ class _Tree:
             joint = int(actuator.joint().index())
             rotors[joint] = rotors.get(joint, 0.0) + actuator.default_reflected_inertia()
         return rotors
+
+    def _efforts(self) -> dict[int, float]:
+        """Return the effort limits of actuators, {joint index: torque or force}."""
+        plant = self._plant
+        actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+        return {int(one.joint().index()): one.effort_limit() for one in actuators}
 
 
 def _pinocchio_joint(joint: Any) -> pin.JointModel:

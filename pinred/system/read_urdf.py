@@ -26,7 +26,7 @@ from .robot_files import read_xml
 from .urdf_elements import (
     UNLIMITED,
     check_urdf,
-    keep_dynamics,
+    keep_numbers,
     mimic_couplings,
     reduced_text,
     replace_commas,
@@ -79,7 +79,7 @@ def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...], str]:
             f"Pinocchio cannot read {plain_path(path)}: {reason.removeprefix('Error:').strip()}"
         )
     _check_mass(path, model, total_mass(root))
-    keep_dynamics(root, model)
+    keep_numbers(root, model)
     for limits in (model.lowerPositionLimit, model.upperPositionLimit):
         limits[np.abs(limits) >= UNLIMITED] *= np.inf
     return model, couplings, warning

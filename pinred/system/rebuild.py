@@ -23,6 +23,7 @@ from .robot_file_contents import Coupling
 # Prismatic joints along x, y and z, which are faster than the last one, for an arbitrary axis.
 PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)
 REVOLUTE = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned)
+_RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
 _ALIGNED = 1e-9  # largest deviation of a unit axis from x, y or z that counts as round-off
 
 
@@ -209,6 +210,12 @@ def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
     if not mimics:
         return model.copy(), ()
     plain = rebuild(model, replaced={i: [_joint_of_mimic(model, i)] for i in mimics})
+    for old, name in zip(model.joints, model.names, strict=True):
+        if old.nv:
+            new = plain.joints[plain.getJointId(name)]
+            for kind in _RATE_LIMITS:
+                limits = getattr(model, kind)[old.idx_v : old.idx_v + old.nv]
+                getattr(plain, kind)[new.idx_v : new.idx_v + new.nv] = limits
     leaders = {
         model.joints[k].idx_v: model.names[k] for k in range(1, model.njoints) if k not in mimics
     }

@@ -8,7 +8,7 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import positive, read_only, vector
+from ..common.arrays import read_only, vector
 from ..common.errors import InputError
 from ..common.files import check_path, write_atomic
 from ..common.names import listed, nearest, quoted
@@ -16,6 +16,7 @@ from .attitude import attitude_of
 from .described_body import (
     BodyJoint,
     DescribedBody,
+    checked_mass,
     increasing_limits,
     inertia_matrix,
     unit_axis,
@@ -156,18 +157,19 @@ class Model:
         parent: str,
         at: ArrayLike = _ORIGIN,
         attitude: ArrayLike = _ORIGIN,
-        mass: float,
+        mass: float = 0.0,
         inertia: ArrayLike = 0.0,
         com: ArrayLike = _ORIGIN,
     ) -> Model:
-        """Return the model with a body that is fixed to another.
+        """Return the model with a body, or a frame without mass, that is fixed to another.
 
         Args:
             name: Name of the body.
             parent: Name of the body to which it is fixed.
             at: Origin of the new body frame in the parent's frame, (3,) [m].
             attitude: Attitude of the new body (see `hinge`).
-            mass: Mass [kg].
+            mass: Mass [kg].  A body without mass is a frame: the tip of a tool, or the end of a
+                loop.
             inertia: Moment of inertia about the centre of mass (see `body`) [kg m²].
             com: Centre of mass in the new body frame, (3,) [m].
         Raises:
@@ -236,9 +238,11 @@ class Model:
                 f"{what}: no body {quoted(parent)} carries it; {nearest(parent, names)}the bodies "
                 f"are {listed(names, 20) or 'none, so begin with body(…)'}"
             )
+        moments = inertia_matrix(inertia, what)
+        centre = read_only(vector(com, 3, f"com of {what}"))
         body = DescribedBody(
-            name, positive(mass, f"mass of {what}"), inertia_matrix(inertia, what),
-            read_only(vector(com, 3, f"com of {what}")), joint, parent, unit_axis(axis, what),
+            name, checked_mass(mass, moments, centre, joint, what), moments, centre,
+            joint, parent, unit_axis(axis, what),
             read_only(vector(at, 3, f"at of {what}")),
             read_only(attitude_of(attitude, f"attitude of {what}")),
             increasing_limits(limits, what),

@@ -90,10 +90,13 @@ class LeftOut:
     Attributes:
         what: Kind of action, such as "actuators".
         names: Names of the actions.
+        demanded: Whether the format of the file demands such entries, so that they cause no
+            warning.
     """
 
     what: str
     names: tuple[str, ...]
+    demanded: bool = False
 
     def __str__(self) -> str:
         return f"{self.what}: {shortened(self.names)}"

@@ -5,7 +5,7 @@ Simple joints are hinges, slides and balls.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import pairwise
@@ -74,6 +74,10 @@ class SplitModel:
                 )
             values |= dict.fromkeys(parts, value)
         return values
+
+    def whole(self, parts: Collection[str]) -> set[str]:
+        """Return the joints, as named before the split, all of whose parts are among `parts`."""
+        return {n for n, own in self.parts.items() if {*own} <= {*parts}} | {*parts}
 
 
 def split_joints(raw: pin.Model) -> SplitModel:

@@ -147,21 +147,27 @@ def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
     return tuple(couplings)
 
 
-def keep_dynamics(robot: Element, model: pin.Model) -> None:
-    """Copy the <dynamics> of planar and floating joints, which Pinocchio drops, to the model."""
+def keep_numbers(robot: Element, model: pin.Model) -> None:
+    """Copy the numbers of planar and floating joints that Pinocchio drops to the model.
+
+    They are damping, dry friction, and the limits of velocity and effort.
+    """
     for joint in moving_joints(robot):
-        dynamics, name = joint.find("dynamics"), joint.get("name", "?")
-        if dynamics is None or joint.get("type") not in ("planar", "floating"):
+        if joint.get("type") not in ("planar", "floating"):
             continue
+        name = joint.get("name", "?")
         entry = model.joints[model.getJointId(name)]
         entries = slice(entry.idx_v, entry.idx_v + entry.nv)
-        for key, array, sign in (
-            ("damping", model.damping, 1.0),
-            ("friction", model.upperDryFrictionLimit, 1.0),
-            ("friction", model.lowerDryFrictionLimit, -1.0),
+        for tag, key, array, sign in (
+            ("dynamics", "damping", model.damping, 1.0),
+            ("dynamics", "friction", model.upperDryFrictionLimit, 1.0),
+            ("dynamics", "friction", model.lowerDryFrictionLimit, -1.0),
+            ("limit", "velocity", model.upperVelocityLimit, 1.0),
+            ("limit", "effort", model.upperEffortLimit, 1.0),
         ):
-            if key in dynamics.attrib:
-                (value,) = _floats(dynamics, key, f"the dynamics of joint '{name}'", 1)
+            element = joint.find(tag)
+            if element is not None and key in element.attrib:
+                (value,) = _floats(element, key, f"the {tag} of joint '{name}'", 1)
                 array[entries] = sign * value
 
 

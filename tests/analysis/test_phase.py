@@ -18,7 +18,9 @@ from textbook import DELTA, I1, I2, J2, M2, D, M
 from trees import random_model
 
 import pinred
+from pinred.analysis.phases.screw import screw_of
 from pinred.common.arrays import Array
+from pinred.lie.groups import group_named
 from pinred.system.robot_file_contents import Contents, Coupling
 
 Gait = pinred.Gait
@@ -314,6 +316,21 @@ def test_phase_matches_simulation() -> None:
     error = system.group.error(traj.pose[-1], p.pose)
     assert error.rotation < 1e-9
     assert error.translation < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("group", "pose", "text"),
+    [
+        ("SO2", [0.0], "none"),
+        ("SO2", [-0.3], "0.3 rad about (0, 0, -1)"),
+        ("SE2", [0.0, 0.05, 0.0], "none, but a slide of 0.05 m along (0, 1, 0)"),
+        ("SE3", [0.1, 0.0, 0.0, np.sin(0.2), 0.0, 0.0, np.cos(0.2)], "0.4 rad about (1, 0, 0), "
+         "slide 0.1 m"),
+    ],
+)  # fmt: skip
+def test_screw_text_names_only_what_moves(group: str, pose: list[float], text: str) -> None:
+    """Without rotation the axis has no meaning, and without translation there is no slide."""
+    assert str(screw_of(group_named(group), np.array(pose))) == text
 
 
 def test_screw_of_phase() -> None:

@@ -48,11 +48,11 @@ def test_urdf_dynamics_become_passive_forces(tmp_path: Path) -> None:
     system = pinred.load(path)
     wanted = (Damper("j", 0.5), Friction("j", 0.2), Damper("k", 0.25))
     assert system.passive == wanted
-    assert system.left_out == ()
+    assert all(left.demanded for left in system.left_out)
     assert pinred.load(path, lock=["j"]).passive == wanted[2:]
     said = str(pinred.inspect(system))
     assert (
-        "left out    the file has 2 dampers and 1 joint with dry friction; a run leaves them out "
+        "the file has 2 dampers and 1 joint with dry friction; a run leaves them out "
         "(passive=True uses springs and dampers, friction=WIDTH uses the friction)"
     ) in said
     assert "2 dampers" in pinred.inspect(system)._repr_html_()
@@ -67,7 +67,7 @@ def test_urdf_dynamics_of_base_are_left_out(tmp_path: Path, kind: str) -> None:
     )  # fmt: skip
     with pytest.warns(pinred.LeftOutWarning, match=rf"{BASE} \(1\)"):
         system = pinred.load(path)
-    assert [(left.what, left.names) for left in system.left_out] == [(BASE, ("base",))]
+    assert (BASE, ("base",)) in [(left.what, left.names) for left in system.left_out]
     assert system.passive == (Friction("j", 0.2),)
 
 

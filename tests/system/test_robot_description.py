@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,25 @@ def accelerations(system: System, shape: dict[str, Any], rates: dict[str, float]
     a = pin.aba(system.model, system.model.createData(), q, v, np.zeros(system.model.nv))
     by_name = dict(zip(system.shape_names, np.array(a)[system.r :], strict=True))
     return np.append(a[: system.r], [by_name[name] for name in sorted(by_name)])
+
+
+def test_fixed_body_without_mass_is_a_frame(tmp_path: Path) -> None:
+    """It changes no number, in both formats, and may carry bodies."""
+    arm = described(ball=False)
+    tip = arm.fixed("tip", parent="arm", at=AT, attitude=TURN)
+    tool = tip.fixed("tool", parent="tip", mass=0.5)
+    bare = arm.fixed("tool", parent="arm", at=AT, attitude=TURN, mass=0.5)
+    shape, rates = {"arm": 0.4, "piston": -0.2}, {"arm": 0.5, "piston": -0.4}
+    expected = accelerations(pinred.load(bare), shape, rates)
+    assert pinred.load(tip).mass == pinred.load(arm).mass
+    for suffix in (".urdf", ".xml"):
+        if suffix == ".xml":
+            pytest.importorskip("mujoco")
+        with warnings.catch_warnings(action="ignore", category=pinred.LeftOutWarning):
+            robot = pinred.load(tool.save(tmp_path / f"tool{suffix}"))
+        found = accelerations(robot, shape, rates)
+        np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+        assert robot.model.existFrame("tip")
 
 
 @pytest.mark.filterwarnings("ignore:sampler. in the file, but not simulated. joint limits")
@@ -135,6 +155,9 @@ HUB = Model().body("hub", mass=1.0, inertia=1.0)
         (lambda: HUB.fixed("hub", parent="hub", mass=1.0), "'hub'.*cannot be used"),
         (lambda: HUB.fixed("world", parent="hub", mass=1.0), "reserved"),
         (lambda: HUB.ball("b", parent="hub", mass=0.0), "mass of ball 'b'"),
+        (lambda: HUB.fixed("b", parent="hub", inertia=0.1), "neither inertia nor com"),
+        (lambda: HUB.fixed("b", parent="hub", com=[0.1, 0, 0]), "neither inertia nor com"),
+        (lambda: HUB.fixed("b", parent="hub", mass=-1.0), "mass of fixed 'b'"),
         (lambda: HUB.ball("b", parent="hub", mass=float("nan")), "mass of ball 'b'"),
         (lambda: HUB.ball("b", parent="hub", mass=1.0, inertia=[1.0, 2.0]), "got shape"),
         (lambda: HUB.ball("b", parent="hub", mass=1.0, inertia=np.nan), "finite and symmetric"),

@@ -128,6 +128,26 @@ def test_joints_have_names_limits_and_damping(tmp_path: Path) -> None:
 
 
 @needs_drake
+def test_limits_are_left_out_by_kind(tmp_path: Path) -> None:
+    """Limits of positions, rates and efforts that the file states, and no others."""
+    limits = (
+        "<limit><lower>-1</lower><upper>1</upper></limit>",
+        "<limit><velocity>2</velocity></limit>",
+        "<limit><effort>3</effort></limit>",
+        "",
+    )
+    links = [link(f"b{k}") for k in range(5)]
+    joints = [
+        joint(f"j{k}", "revolute", f"b{k}", f"b{k + 1}", axis("0.6 0.8 0", text))
+        for k, text in enumerate(limits)
+    ]
+    system = pinred.load(write(tmp_path, sdf(*links, *joints)))
+    assert [(left.what, left.names) for left in system.left_out] == [
+        ("joint limits", ("j0",)), ("velocity limits", ("j1",)), ("effort limits", ("j2",)),
+    ]  # fmt: skip
+
+
+@needs_drake
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_floating_model_is_loaded_and_simulated(tmp_path: Path, kind: str) -> None:
     """With springs, dampers and friction."""

@@ -80,10 +80,7 @@ class Phase(Summary, FrozenArrays):
         if self.momentum.any():
             rows.append(("geometric", self.in_words(self.geometric)))
             rows.append(("dynamic", self.in_words(self.dynamic)))
-        screw = self.screw
-        axis = ", ".join(f"{value:.6g}" for value in screw.axis)
-        turn = f"{screw.angle:.12g} rad about ({axis}), slide {screw.slide:.12g} m"
-        rows.append(("turn", turn))
+        rows.append(("turn", str(self.screw)))
         if self.length == self.length:  # not NaN
             rows.append(("length of the gait", f"{self.length:.12g}, in the connection's metric"))
         return [*rows, ("samples", str(self.samples))]

@@ -31,6 +31,13 @@ class Screw(FrozenArrays):
     angle: float
     slide: float
 
+    def __str__(self) -> str:
+        axis = f"({', '.join(f'{value:.6g}' for value in self.axis)})"
+        if self.angle:
+            slide = f", slide {self.slide:.12g} m" if self.slide else ""
+            return f"{self.angle:.12g} rad about {axis}{slide}"
+        return f"none, but a slide of {self.slide:.12g} m along {axis}" if self.slide else "none"
+
     @property
     def radius(self) -> float:
         """Radius of the circle or helix of the base origin [m]; ∞ for a straight line."""

@@ -25,6 +25,15 @@ WHOLE_TURN = 2.0 * np.pi  # default limit of rotational joints in either directi
 BALL_LIMIT = 3.6
 
 
+def require_two_joints(m: int) -> None:
+    """Raise InputError for a single joint, whose loops enclose no area."""
+    if m < 2:
+        raise InputError(
+            "a loop needs two joints: a single joint can only retrace its path. The phase of its "
+            "whole turns is phase(connection, Gait.waypoints([x0], turns=[1]))"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Limits(FrozenArrays):
     """Limits of the joints; an infinite entry means that there is no limit.

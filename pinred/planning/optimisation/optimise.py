@@ -19,7 +19,7 @@ from ...common.progress import Progress, shown
 from .best_gait import BestGait, Optimum, group_optima
 from .gait_search import RESIDUAL, Search, StartFailed, finish, fourier_path_of, measure
 from .ipopt import Minimum, minimum
-from .limits import LimitsLike, limits_of, margins
+from .limits import LimitsLike, limits_of, margins, require_two_joints
 from .objective import (
     AIMS,
     AimKind,
@@ -137,8 +137,7 @@ def optimise_gait(
     """
     connection = connection_of(connection, "optimise_gait").in_chart()
     connection.refuse_gravity()
-    if connection.m < 2:
-        raise InputError("a loop needs two joints: a single joint can only retrace its path")
+    require_two_joints(connection.m)
     if cost is not None:
         check_cost(connection, cost)
     aim = _aim(connection, objective, axis, target)

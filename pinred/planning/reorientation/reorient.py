@@ -37,7 +37,7 @@ from ...lie.rotations import quaternion_log
 from ...scene.joint_values import order_by_joint
 from ...system.system import System, checked_system
 from ..optimisation.gait_search import StartFailed
-from ..optimisation.limits import Limits, LimitsLike, limits_of, margins
+from ..optimisation.limits import Limits, LimitsLike, limits_of, margins, require_two_joints
 from ..optimisation.objective import TargetAim, target_aim
 from ..optimisation.transcription import Passage, Task
 from .joint_peaks import Peaks, peaks_of
@@ -98,8 +98,7 @@ def reorient(
     if not group.turns:
         raise InputError(f"the group {group.name} has no rotation")
     connection.refuse_gravity()
-    if system.m < 2:
-        raise InputError("a loop needs two joints: a single joint can only retrace its path")
+    require_two_joints(system.m)
     bounds = limits_of(connection, limits, speeds, torques)
     start = _initial_shape(system, bounds, x0)
     turn = _target_rotation(system, target)

@@ -1,0 +1,56 @@
+"""Limits of joints in a URDF or SDF file or a pin.Model, which no simulation enforces."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+from .robot_file_contents import LeftOut
+from .urdf_elements import UNLIMITED
+
+POSITION, VELOCITY, EFFORT = ("joint limits", "velocity limits", "effort limits")
+
+
+def stated_limits(
+    raw: pin.Model, *, locked: Collection[str] = (), merged: Collection[str] = ()
+) -> tuple[LeftOut, ...]:
+    """Return the limits of the joints that can move, by kind.
+
+    A velocity or effort limit of zero counts as not stated, because the format of URDF demands
+    both numbers and many files fill them with zeros.
+
+    Args:
+        raw: Model with all joints of the file.
+        locked: Names of locked joints, whose limits do not matter.
+        merged: Names of hinges that became balls.  Their position limits are listed elsewhere.
+    """
+    names: dict[str, list[str]] = {POSITION: [], VELOCITY: [], EFFORT: []}
+    for i in range(1, raw.njoints):
+        name, joint = str(raw.names[i]), raw.joints[i]
+        if name in locked:
+            continue
+        q = slice(joint.idx_q, joint.idx_q + joint.nq)
+        v = slice(joint.idx_v, joint.idx_v + joint.nv)
+        positions = [raw.lowerPositionLimit[q], raw.upperPositionLimit[q]]
+        # Positions that are no angle or length, such as cosines, have bounds by their nature.
+        if joint.nq == joint.nv and name not in merged and _has_bound(*positions):
+            names[POSITION].append(name)
+        if _has_bound(_nonzero(raw.lowerVelocityLimit[v]), _nonzero(raw.upperVelocityLimit[v])):
+            names[VELOCITY].append(name)
+        if _has_bound(_nonzero(raw.lowerEffortLimit[v]), _nonzero(raw.upperEffortLimit[v])):
+            names[EFFORT].append(name)
+    return tuple(
+        LeftOut(kind, tuple(joints), demanded=True) for kind, joints in names.items() if joints
+    )
+
+
+def _nonzero(limits: Array) -> Array:
+    return np.asarray(limits[limits != 0.0])
+
+
+def _has_bound(*limits: Array) -> bool:
+    """Return whether any of the limits is a number instead of an infinity."""
+    return any(bool((np.abs(values) < UNLIMITED).any()) for values in limits)
