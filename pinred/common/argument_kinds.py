@@ -14,7 +14,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from types import NoneType, UnionType
@@ -255,7 +255,7 @@ def kind_of(annotation: Any, names: _Names) -> Kind | None:
 
 def _wrapping(kind: Any, value: Any) -> str:
     """Return the advice to construct a dataclass of a number, if it consists of one number."""
-    if not (is_dataclass(kind) and is_number(value)):
+    if not (hasattr(kind, "__dataclass_fields__") and is_number(value)):
         return ""
     try:
         kind(value)

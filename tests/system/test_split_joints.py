@@ -194,7 +194,7 @@ def test_dynamics_of_planar_joint_are_read_or_reported(tmp_path: Path) -> None:
     assert system.shape_names == ("a-b", "b-c.x", "b-c.y", "b-c.turn")
     damped = [Damper(name, 0.5) for name in system.shape_names[1:]]
     assert set(system.passive) == {*damped, Friction("b-c.turn", 0.2)}
-    assert [(left.what, left.names) for left in system.left_out] == [(SLIDING, ("b-c",))]
+    assert (SLIDING, ("b-c",)) in [(left.what, left.names) for left in system.left_out]
 
 
 def test_locks_apply_to_a_joint_or_to_its_parts(tmp_path: Path) -> None:

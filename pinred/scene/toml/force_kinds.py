@@ -146,7 +146,8 @@ FORCES: dict[str, ForceKind] = {
     ),
     "ball_pd": _force_kind(
         kinds.BallPD,
-        "a PD controller of the attitude of a ball joint",
+        "a PD controller of the attitude of a ball joint: torque −kp log(E) − kd (σ − Eᵀ σ_d), "
+        "E = R_dᵀ R",
         {
             "joint": _BALL,
             "attitude": (
@@ -187,7 +188,9 @@ FORCES: dict[str, ForceKind] = {
         },
         function="by joint",
     ),
-    "pd": _force_kind(kinds.PD, "a PD controller of the joints", _CONTROL),
+    "pd": _force_kind(
+        kinds.PD, "a PD controller of the joints: torque kp (x_d − x) + kd (ẋ_d − ẋ)", _CONTROL
+    ),
     "computed_torque": _force_kind(
         kinds.ComputedTorque,
         "torques that make every joint follow its reference exactly",
