@@ -1,24 +1,27 @@
-"""Hairer's integrators as wrapped by SciPy, with preserved exceptions and step lengths.
+"""Hairer's integrators as wrapped by SciPy, with exceptions, step lengths and dense output.
 
 SciPy's compiled loop swallows exceptions of its callbacks, Ctrl-C included, and continues with
 undefined values, possibly forever. So callbacks raise nothing here. An exception is stored, the
 loop is asked to stop after its step, and the exception is raised afterwards.
 
-The loop restarts at each requested time. The loop's guess of the first step is about ten times too
-short, which doubles the number of evaluations where times are close. So the length of earlier
-accepted steps is passed on as the first step.
+The loop restarts at each end of a span. Its guess of the first step is about ten times too short,
+which doubles the number of evaluations where spans are short. So the length of earlier accepted
+steps is passed on as the first step. Times within a span need no restart: the stages of dop853 are
+recorded for its dense output.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.integrate import ode
 
 from ..common.arrays import Array
 from ..common.interrupts import held_interrupt
+from .dense_output import DenseOutput, Step, dense_output
 
 _CONTINUE, _STOP = 1, -1  # return values of the callback after each step
 _MOST_STEPS = 10_000_000
@@ -29,10 +32,15 @@ _EVALUATIONS = {
 _CALM = 8  # number of consecutive spans without rejected steps before longer first steps are tried
 # Hairer's error estimate squares changes, so changes below this in a run would give 0/0.
 _LEAST = 1e-120
+_SMALL = 1e-200  # square of the norm of a rate above which no change is that small in all entries
 
 
 class Hairer:
-    """An initial value problem dy/dt = rate(t, y) under "dop853" or "dopri5"."""
+    """An initial value problem dy/dt = rate(t, y) under "dop853" or "dopri5".
+
+    Attributes:
+        rtol: Relative tolerance.
+    """
 
     def __init__(
         self,
@@ -55,7 +63,7 @@ class Hairer:
             atol: Absolute tolerance.
             end: Last requested time [s]. Rates too small to change y until then count as zero.
         """
-        self._rate = rate
+        self._rate, self.rtol = rate, rtol
         self._least = _LEAST / max(end - t, 1.0)
         self._raised: BaseException | None = None
         self._is_interrupted: Callable[[], bool] = bool
@@ -67,21 +75,26 @@ class Hairer:
             0  # spans before the first step is doubled; 0 until a doubled step is rejected
         )
         self._evaluations, self._step_ends = 0, [t]
+        self._rates: list[Array] = []  # rates at the last step end and after it
+        self._targets: list[float] = []
+        self._passed = 0  # number of targets up to the last step end
+        self._y, self._steps = y, list[Step]()
 
     @property
     def t(self) -> float:
         """Time reached [s]."""
         return float(self._solver.t)
 
-    def integrate(self, t: float) -> Array | None:
+    def integrate(self, t: float, targets: Sequence[float] = ()) -> Array | None:
         """Integrate to time t, and re-raise exceptions of the vector field and KeyboardInterrupt.
 
         Args:
             t: Time [s].
+            targets: Increasing times up to t at which the dense output will be evaluated [s].
         Returns:
             The state, (n,), or None if the time cannot be reached.
         """
-        self._restart()
+        self._restart(targets)
         with held_interrupt() as self._is_interrupted, warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # the caller reports failures
             y = self._solver.integrate(t)
@@ -90,12 +103,22 @@ class Hairer:
         self._update_first_step()
         return y if self._solver.successful() and np.isfinite(y).all() else None
 
-    def _restart(self) -> None:
+    def dense(self) -> DenseOutput | None:
+        """Return the dense output of the steps of the last span that contain targets.
+
+        Returns:
+            The dense output, or None if no target lies within a step.
+        """
+        return dense_output(self._steps, self._rate) if self._steps else None
+
+    def _restart(self, targets: Sequence[float]) -> None:
         """Set the first step to the length of accepted steps; 0 lets the loop guess it."""
         options = {**self._options, "first_step": self._first_step}
         self._solver.set_integrator(self._method, **options)
         self._solver.set_solout(self._after_step)
         self._evaluations, self._step_ends = 0, []
+        self._targets = list(targets) if self._method == "dop853" else []
+        self._rates, self._steps = [], []
 
     def _update_first_step(self) -> None:
         """Set the first step of the next span from the accepted steps of this span."""
@@ -123,9 +146,26 @@ class Hairer:
         except BaseException as error:  # any exception is raised again outside the loop
             self._raised = error
             return np.zeros(len(y))
-        negligible = np.abs(rate) < self._least
-        return np.where(negligible, 0.0, rate) if np.count_nonzero(negligible) else rate
+        if rate.dot(rate) < _SMALL:
+            rate = np.where(np.abs(rate) < self._least, 0.0, rate)
+        if self._targets:
+            self._rates.append(rate)
+        return rate
 
-    def _after_step(self, t: float, _y: Array) -> int:
+    def _after_step(self, t: float, y: Array) -> int:
+        if self._targets:
+            self._record_step(t, y.copy())
         self._step_ends.append(t)
         return _STOP if self._raised is not None or self._is_interrupted() else _CONTINUE
+
+    def _record_step(self, t: float, y: Array) -> None:
+        """Store the step that ends at t if it contains a target, and drop its rates."""
+        passed = bisect_right(self._targets, t)
+        if not self._step_ends:  # the loop also reports its initial state
+            del self._rates[1:]
+        else:
+            if passed > self._passed:
+                rates = [self._rates[0], *self._rates[-_EVALUATIONS[self._method] :]]
+                self._steps.append(Step(self._step_ends[-1], t, self._y, y, rates))
+            del self._rates[:-1]
+        self._passed, self._y = passed, y
