@@ -21,7 +21,7 @@ from scipy.integrate import ode
 
 from ..common.arrays import Array
 from ..common.interrupts import held_interrupt
-from .dense_output import DenseOutput, Step, dense_output
+from .hairer_dense_output import DenseOutput, Step, dense_output
 
 _CONTINUE, _STOP = 1, -1  # return values of the callback after each step
 _MOST_STEPS = 10_000_000
