@@ -95,7 +95,8 @@ class LoopReduction:
         Args:
             system: System with closed loops.
             independent: Names of the independent joints, as many as `System.shape_dim`.  None:
-                they are chosen where the loops were assembled.
+                they are chosen where the loops were assembled.  `at` replaces them at their dead
+                points.
             springs: Springs that are added to V(x), {joint: (stiffness [N·m/rad | N/m],
                 rest [rad | m])}.
         Raises:
@@ -133,13 +134,16 @@ class LoopReduction:
     def at(self, x: ArrayLike) -> ClosedShape:
         """Compute all quantities at one closed shape.
 
+        At a dead point, where the independent joints do not determine the others, other independent
+        joints replace them; `ClosedShape.independent` names them.
+
         Args:
             x: Closed shape, (nx,) [rad | m | 1].
         Returns:
             The quantities.
         Raises:
             InputError: A loop is open at x; the message names it and its gap.
-            SingularInertiaError: The independent joints do not determine the others at x.
+            SingularInertiaError: The equations of the loops are dependent at x.
         """
         system, closure = self.system, self.system.closure
         assert closure is not None
@@ -150,14 +154,15 @@ class LoopReduction:
                 f"x: expected a closed shape of {quoted(system.name)}, but "
                 f"{describe_gap(system, gaps, closure.length)}. LoopReduction.shape returns one."
             )
-        G = self._chart.tangent(tree.x)
-        dG = np.stack([self._chart.tangent_rate(tree.x, column, G) for column in G.T], axis=-1)
+        chart = self._chart.regular_at(tree.x)
+        G = chart.tangent(tree.x)
+        dG = np.stack([chart.tangent_rate(tree.x, column, G) for column in G.T], axis=-1)
         A, M = tree.local_connection, tree.reduced_metric
         dM = np.einsum("mnp,ma,nb,pc->abc", tree.dM, G, G, G)
         turned = np.einsum("mac,mn,nb->abc", dG, M, G)
         return ClosedShape(
             x=tree.x,
-            independent=self.independent,
+            independent=chart.names,
             G=G,
             locked_inertia=tree.locked_inertia,
             local_connection=A @ G,

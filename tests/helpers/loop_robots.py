@@ -14,11 +14,12 @@ FOUR_BAR = {"crank": 0.4, "coupler": 0.9, "rocker": 0.8, "frame": 1.0}  # length
 
 
 def four_bar(
-    kind: LoopKind = "3d", lengths: Mapping[str, float] = FOUR_BAR
+    kind: LoopKind = "3d", lengths: Mapping[str, float] = FOUR_BAR, *, ball: bool = False
 ) -> tuple[pin.Model, list[Loop]]:
     """Return a four-bar linkage whose frame floats in the plane, and its loop.
 
-    The crank and the rocker are hinged to the frame; the coupler is hinged to the crank.
+    The crank and the rocker are hinged to the frame; the coupler is hinged to the crank, or with
+    `ball` attached by a ball.
     """
     model = pin.Model()
     model.name = "four_bar"
@@ -31,7 +32,8 @@ def four_bar(
         ("rocker", "frame", lengths["frame"]),
     ):
         at = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
-        joints[name] = model.addJoint(joints[parent], pin.JointModelRZ(), at, name)
+        joint = pin.JointModelSpherical() if ball and name == "coupler" else pin.JointModelRZ()
+        joints[name] = model.addJoint(joints[parent], joint, at, name)
     for k, (name, joint) in enumerate(joints.items()):
         length, mass = lengths[name], 3.0 / (k + 1)
         lever = np.array([0.5 * length, 0.0, 0.0])

@@ -62,6 +62,11 @@ class ClosedPath:
         key = (self.chart.names, cell.tobytes())
         return recent(self._system, key, make, _ANCHORS, ClosedPath)
 
+    def regularity(self, shapes: Array) -> Array:
+        """Return the smallest singular values of J_D at shapes (N, nx), relative to J, (N,)."""
+        J = self._jacobians(shapes)
+        return np.asarray(self._least(J) / np.linalg.norm(J, axis=(1, 2)))
+
     def tangents(self, shapes: Array) -> Array:
         """Return G, (N, m, d), at closed shapes (N, nx).
 
@@ -73,8 +78,7 @@ class ClosedPath:
         J_D, J_I = J[:, :, chart.dependent], J[:, :, chart.independent]
         G = np.zeros((count, chart.system.m, len(chart.independent)))
         G[:, chart.independent] = np.eye(len(chart.independent))
-        least = np.linalg.svd(J_D, compute_uv=False)[:, -1] if J_D.size else np.ones(count)
-        is_doubtful = ~(least > _SINGULAR * np.linalg.norm(J, axis=(1, 2)))
+        is_doubtful = ~(self._least(J) > _SINGULAR * np.linalg.norm(J, axis=(1, 2)))
         regular = np.flatnonzero(~is_doubtful)
         G[np.ix_(regular, chart.dependent)] = -np.linalg.solve(J_D[regular], J_I[regular])
         for k in np.flatnonzero(is_doubtful).tolist():
@@ -137,6 +141,11 @@ class ClosedPath:
                 return None
         x[:, at] = u
         return x
+
+    def _least(self, J: Array) -> Array:
+        """Return the smallest singular value of J_D, (N,)."""
+        values = np.linalg.svd(J[:, :, self.chart.dependent], compute_uv=False)
+        return np.asarray(values[:, -1])
 
     @property
     def _system(self) -> System:

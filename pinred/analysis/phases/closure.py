@@ -6,6 +6,7 @@ import numpy as np
 
 from ...common.errors import InputError
 from ..connections.connection import Connection
+from ..connections.gaits_of_all_joints import AllJointsCode
 from ..connections.loop_connection import LoopConnectionCode
 from ..gaits.arcs import TAU
 from ..gaits.gait import Gait
@@ -60,10 +61,11 @@ def _open_joint(connection: Connection, gait: Gait) -> str:
     x, xdot = gait.samples(_SAMPLES)
     xi = connection.code.velocities(x, xdot).xi
     size = float(np.abs(xi).max(initial=0.0))
+    is_closed_loop = isinstance(connection.code, AllJointsCode | LoopConnectionCode)
     for k in np.flatnonzero(rise).tolist():
         # Joints of a closed loop may turn together although none of them can turn alone.
         alone = TAU * np.eye(connection.m)[k]
-        turned = x + (rise if isinstance(connection.code, LoopConnectionCode) else alone)
+        turned = x + (rise if is_closed_loop else alone)
         change = float(np.abs(connection.code.velocities(turned, xdot).xi - xi).max(initial=0.0))
         if connection.form.units[k] != "rad" or not change <= _REPEATS * size:
             return connection.joints[k]

@@ -24,6 +24,7 @@ from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
 from ..connections.connection_source import ConnectionSource, connection_of
+from ..connections.dead_points import along_joints
 from ..connections.singular_shapes import refuse_crossing, refuse_singular
 from ..gaits.gait import Gait
 from .closure import refuse_open, turns_ball
@@ -156,10 +157,9 @@ def phase(
     Fourier series, convergence is spectral.
 
     Args:
-        connection: Connection that lifts the gait, or a System for its mechanical connection. If
-            there are ball joints, the gait is given in rotation vectors, about the centre of
-            `Connection.in_chart` or else about rest.
-        gait: Closed path in shape space.
+        connection: Connection that lifts the gait, or a System for its mechanical connection. The
+            gait of balls is in rotation vectors, about the centre of `Connection.in_chart` or rest.
+        gait: Closed path in shape space: of independent or of all joints of a robot with loops.
         momentum: 0, or the body momentum μ at the start, (r,). Ad*_{g⁻¹} μ is conserved.
         tolerance: Tolerance of the pose, in rotation [rad] and translation [m].
     Returns:
@@ -173,6 +173,7 @@ def phase(
     if not isinstance(gait, Gait):
         raise InputError(f"phase takes a Connection and a Gait, got {type(gait).__name__}")
     connection = connection_of(connection, "phase").in_chart()
+    connection, gait = along_joints(connection, gait)
     connection.refuse_gravity()
     refuse_open(connection, gait)
     goal = max(positive(tolerance, "tolerance"), _LEAST)
@@ -380,9 +381,8 @@ def _interpolated(values: Array) -> Array:
     shifts = _shifts(count)
     modes = np.fft.rfft(values, axis=0) / count  # wave numbers 0 … N/2
     half = count // 2
-    # On N/2 equidistant nodes, wave numbers k and k − N/2 are indistinguishable, so add them. Twice
-    # the real
-    # part of the positive wave numbers gives all of them.
+    # On N/2 equidistant nodes, wave numbers k and k − N/2 are indistinguishable, so add them.
+    # Twice the real part of the positive wave numbers gives all of them.
     modes[1:half] *= 2.0
     shifted = shifts[..., None] * modes  # (8, N/2 + 1, k)
     folded = shifted[:, :half].copy()

@@ -5,7 +5,8 @@ With independent joints I and dependent joints D, closed shapes have the rates �
     G = [1; −J_D⁻¹ J_I],   ∂_c G = [0; −J_D⁻¹ (∂_c J) G],
 
 where J are the independent equations of the loops, and ∂_c is the derivative along column c of G.
-The chart is singular where J_D is: at the dead points of a mechanism.
+The chart is singular where J_D is: at the dead points of a mechanism.  Other independent joints
+are regular there, unless the equations of the loops are dependent.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ from .loop_assembly import rate_units, scaled_jacobian
 from .looped_system import LoopedSystem, loop_jacobian, loop_jacobian_rate, loop_values
 
 _SINGULAR = 1e-7  # smallest singular value of J_D, relative to that of J, away from dead points
+_DEAD = 1e-4  # the same ratio, below which other independent joints replace those of the chart
 _STEP = 0.1  # longest step along which a closed shape is followed [rad | fraction of the length]
+_SHORTEST = 1e-4  # shortest such step, near dead points
 _ITERATIONS = 20  # largest number of Newton steps
 _CLOSED = 1e-13  # largest change of a joint in the last Newton step [rad | m]
 _LONGEST = 1.0  # longest Newton step [rad | fraction of the length]
@@ -57,6 +60,46 @@ class LoopChart:
         self._coordinates()
         units = [self.system.space.units[k] for k in self.independent]
         return shape_space(self.names, [SLIDE if unit == "m" else HINGE for unit in units])
+
+    def regular_at(self, x: Array) -> LoopChart:
+        """Return this chart, or other independent joints at a dead point of these.
+
+        Args:
+            x: Closed shape, (nx,) [rad | m].
+        Returns:
+            A chart that is regular at x.
+        Raises:
+            SingularInertiaError: The equations of the loops are dependent at x, so no chart is.
+        """
+        if self.regularity(x) > _DEAD:
+            return self
+        scaled, _ = self._scaled(x)
+        singular = np.linalg.svd(scaled, compute_uv=False).min(initial=np.inf)
+        if not singular > _SINGULAR * np.linalg.norm(scaled):
+            loops = listed([loop.name for loop in self.system.loops], 6)
+            raise SingularInertiaError(
+                f"the equations of the loops {loops} of '{self.system.name}' become dependent at "
+                f"x = {x}, where motions can continue in several ways. Stay away from this shape."
+            )
+        return LoopChart(self.system, *_pivoted(self.system, x))
+
+    def regularity(self, x: Array) -> float:
+        """Return the smallest singular value of J_D at x (nx,), relative to the size of J."""
+        scaled, least = self._scaled(x)
+        return least / max(float(np.linalg.norm(scaled)), 1e-300)
+
+    def near(self, x: Array, u: Array) -> Array:
+        """Return the closed shape near a shape x (nx,), with independent coordinates u (d,).
+
+        Raises:
+            SingularInertiaError: The loops do not close there.
+        """
+        at = self._coordinates()
+        x = x.copy()
+        x[at] = u
+        closed = self._follow(x, np.zeros(len(at)))
+        closed[at] = u
+        return closed
 
     def tangent(self, x: Array) -> Array:
         """Return G at a closed shape x (nx,), (m, d).
@@ -92,12 +135,19 @@ class LoopChart:
         unit = rate_units(self.system, closure.length)[self.independent]
         x, shapes = closure.x, np.empty((len(u), self.system.space.nx))
         for k, target in enumerate(u):
-            span = target - x[at]
-            steps = max(1, int(np.ceil(np.abs(span / unit).max(initial=0.0) / _STEP)))
-            for n in range(1, steps + 1):
-                goal = target if n == steps else x[at] + span / steps
-                x = self._follow(x, goal - x[at])
+            step = _STEP
+            while (span := target - x[at]).any():
+                share = min(1.0, step / float(np.abs(span / unit).max()))
+                goal = target if share == 1.0 else x[at] + share * span
+                try:
+                    x = self._follow(x, goal - x[at])
+                except SingularInertiaError:
+                    # Near a dead point, the other joints move faster than the independent ones.
+                    if (step := 0.25 * step) < _SHORTEST:
+                        raise
+                    continue
                 x[at] = goal
+                step = min(_STEP, 2.0 * step)
             shapes[k] = x
         return shapes
 
@@ -108,7 +158,8 @@ class LoopChart:
         change = np.zeros(self.system.m)
         change[self.independent] = step
         J = self._jacobian(x)
-        residual, last = J[:, self.independent] @ step, np.inf
+        residual = loop_values(self.system, x)[closure.rows] + J[:, self.independent] @ step
+        last = np.inf
         side = np.linalg.slogdet(J[:, self.dependent])[0]
         for _ in range(_ITERATIONS):
             try:
@@ -133,13 +184,18 @@ class LoopChart:
 
     def _solve(self, x: Array, right: Array) -> Array:
         """Return J_D⁻¹ times a vector or matrix.  Raises SingularInertiaError at dead points."""
-        closure = self.system.closure
-        assert closure is not None
-        scaled = scaled_jacobian(self.system, x, closure.length)[closure.rows]
-        least = np.linalg.svd(scaled[:, self.dependent], compute_uv=False).min(initial=np.inf)
+        scaled, least = self._scaled(x)
         if not least > _SINGULAR * np.linalg.norm(scaled):
             raise SingularInertiaError(self._singular(x))
         return np.asarray(np.linalg.solve(self._jacobian(x)[:, self.dependent], right))
+
+    def _scaled(self, x: Array) -> tuple[Array, float]:
+        """Return J without units, (k, m), and the smallest singular value of its J_D."""
+        closure = self.system.closure
+        assert closure is not None
+        scaled = scaled_jacobian(self.system, x, closure.length)[closure.rows]
+        singular = np.linalg.svd(scaled[:, self.dependent], compute_uv=False)
+        return scaled, float(singular.min(initial=np.inf))
 
     def _singular(self, x: Array) -> str:
         loops = listed([loop.name for loop in self.system.loops], 6)
@@ -173,18 +229,13 @@ def loop_chart(system: LoopedSystem, independent: Sequence[str] | None = None) -
         The chart.
     Raises:
         InputError: A joint is unknown, or the number of joints is wrong.
-        SingularInertiaError: The joints do not determine the others at the assembled shape.
+        SingularInertiaError: The joints do not determine the others at the assembled shape, or the
+            equations of the loops are dependent there.
     """
     closure, names = system.closure, system.space.names
     assert closure is not None
     if independent is None:
-        J = scaled_jacobian(system, closure.x, closure.length)[closure.rows]
-        J /= np.maximum(np.linalg.norm(J, axis=1, keepdims=True), 1e-300)
-        weight = np.ones(system.m)
-        weight[system.space.ball_v] = 1.0 / _BALL
-        _, _, order = qr(J * weight, mode="economic", pivoting=True)
-        dependent = np.sort(order[: closure.rank])
-        chosen = np.setdiff1d(np.arange(system.m), dependent)
+        chosen, dependent = _pivoted(system, closure.x)
     else:
         for name in independent:
             if name not in names:
@@ -199,5 +250,19 @@ def loop_chart(system: LoopedSystem, independent: Sequence[str] | None = None) -
             )
         dependent = np.setdiff1d(np.arange(system.m), chosen)
     chart = LoopChart(system, chosen.astype(np.intp), dependent.astype(np.intp))
+    chart.regular_at(closure.x)
     chart.tangent(closure.x)
     return chart
+
+
+def _pivoted(system: LoopedSystem, x: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return independent (d,) and dependent (k,) rates by a pivoted QR factorisation at x."""
+    closure = system.closure
+    assert closure is not None
+    J = scaled_jacobian(system, x, closure.length)[closure.rows]
+    J /= np.maximum(np.linalg.norm(J, axis=1, keepdims=True), 1e-300)
+    weight = np.ones(system.m)
+    weight[system.space.ball_v] = 1.0 / _BALL
+    _, _, order = qr(J * weight, mode="economic", pivoting=True)
+    dependent = np.sort(order[: closure.rank]).astype(np.intp)
+    return np.setdiff1d(np.arange(system.m), dependent).astype(np.intp), dependent
