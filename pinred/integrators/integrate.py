@@ -23,12 +23,20 @@ from .methods.method import Method, registers_of, stepper_of
 from .run_keeper import RunKeeper, SavedRun, saved_state, unpacked_registers
 from .solution import Solution, checked_times
 from .stepping.codes import AUTO, DIVERGED, DONE, FIXED_POINT, FULL, NOT_FINITE, UNDERFLOW, WANTED
-from .stepping.run_state import ENDS_KEPT, LAYOUT, NOTHING_KEPT, STAGES_KEPT, Runs, new_run
+from .stepping.run_state import (
+    ENDS_KEPT,
+    LAYOUT,
+    NOT_CANONICAL,
+    NOTHING_KEPT,
+    STAGES_KEPT,
+    Canonical,
+    Runs,
+    new_run,
+)
 from .stepping.state_rows import Quaternions, Y
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]
-Canonical = tuple[int, int]
 
 _FIRST_KNOTS = 128  # initial number of entries in the arrays of step ends
 # Largest size of a solution with stored stage derivatives [bytes].
@@ -45,7 +53,7 @@ def integrate(
     quaternions: Quaternions = (0, 0),
     progress: Progress | None = None,
     tangent: Tangent | None = None,
-    canonical: Canonical = (0, 0),
+    canonical: Canonical = NOT_CANONICAL,
 ) -> Solution:
     """Integrate ẏ = f(y, params) from y0 to t_end.
 
@@ -63,9 +71,7 @@ def integrate(
         progress: Called repeatedly with the finished fraction of the time, 0 to 1.
         tangent: Function that returns the address of the kernel of ∂f/∂y (see call_tangent). It is
             called at most once, when the method needs it.
-        canonical: Used by Variational only. Number of positions in y, which are followed by as many
-            momenta; and number of parameters that are components of the constant spatial momentum
-            J, which enters the equations as q̄ J q.
+        canonical: Used by Variational only; see Canonical.
     Returns:
         The solution, with states at the report times and dense output.
     Raises:
@@ -98,7 +104,7 @@ class Integration:
         end: float,
         times: Array,
         quaternions: Quaternions = (0, 0),
-        canonical: Canonical = (0, 0),
+        canonical: Canonical = NOT_CANONICAL,
         tangent: Tangent | None = None,
     ) -> None:
         """Prepare the data that all runs share; the arguments are not validated.
@@ -232,7 +238,7 @@ def begun_by(
     Raises:
         InputError: The state contains several quaternions, and the method supports only one.
     """
-    (first, count), (pairs, spin) = quaternions, canonical
+    first, count = quaternions
     if count > 1 and method.one_quaternion:
         raise InputError(
             f"quaternions: expected at most one quaternion for {method.name}, got {count}. Use "
@@ -247,8 +253,7 @@ def begun_by(
         t_end=end,
         quaternions_at=first,
         quaternion_count=count,
-        pairs=pairs,
-        spin=spin,
+        **canonical._asdict(),
         keep=keep,
         **registers,
     )

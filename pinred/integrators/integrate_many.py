@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..common.arrays import Array, FrozenArrays, as_floats, positive, read_only
 from ..common.errors import InputError, ShapeError
 from .integrate import (
-    Canonical,
     Tangent,
     begun_by,
     check_kernel,
@@ -27,7 +26,7 @@ from .integrate import (
 from .methods.method import Method, stepper_of
 from .solution import checked_times
 from .stepping.codes import DIVERGED, DONE, NOT_FINITE, PAUSED, TOO_MANY, UNDERFLOW
-from .stepping.run_state import copied
+from .stepping.run_state import NOT_CANONICAL, Canonical, copied
 from .stepping.state_rows import Quaternions
 from .stepping.step_loop import OUTCOME, Batch
 
@@ -86,7 +85,7 @@ def integrate_many(
     quaternions: Quaternions = (0, 0),
     threads: int | None = None,
     tangent: Tangent | None = None,
-    canonical: Canonical = (0, 0),
+    canonical: Canonical = NOT_CANONICAL,
     progress: Callable[[float], None] | None = None,
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, each as `integrate` does.

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array, read_only
 from ..common.errors import IntegrationError
-from .integrate import Canonical, Progress, Tangent, begun_by, doubled, failure, give_tangent
+from .integrate import Progress, Tangent, begun_by, doubled, failure, give_tangent
 from .methods.method import ErrorControl, stepper_of
 from .solution import Solution
 from .stepping.codes import DONE, FULL, UNDERFLOW, WANTED
-from .stepping.run_state import ENDS_KEPT, LAYOUT, Runs
+from .stepping.run_state import ENDS_KEPT, LAYOUT, NOT_CANONICAL, Canonical, Runs
 from .stepping.state_rows import Quaternions, Y
 
 _NO_TIMES = read_only(np.empty(0))
@@ -72,7 +72,7 @@ def integrate_parts(
     y0: Array,
     lengths: Array,
     quaternions: Quaternions = (0, 0),
-    canonical: Canonical = (0, 0),
+    canonical: Canonical = NOT_CANONICAL,
     tangent: Tangent | None = None,
     progress: Progress | None = None,
     explain: Callable[[IntegrationError, int], IntegrationError] | None = None,

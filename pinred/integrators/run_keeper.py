@@ -29,18 +29,18 @@ class RunKeeper(Protocol):
 def packed_registers(run: Runs) -> bytes:
     """Return the registers of a run without addresses, which differ between processes."""
     registers = np.frombuffer(bytearray(run.tobytes()), LAYOUT)
-    registers["address"] = 0
+    registers["address"] = registers["closing"] = 0
     registers["tangent"] = registers["tangent"] != 0
     return registers.tobytes()
 
 
 def unpacked_registers(data: bytes, first: Runs) -> Runs:
-    """Return saved registers with the kernel address of a run before its first step.
+    """Return saved registers with the kernel addresses of a run before its first step.
 
     The register `tangent` is 1 if the run has used the tangent kernel, else 0.
     """
     run = np.frombuffer(bytearray(data), LAYOUT)
-    run["address"] = first["address"]
+    run["address"], run["closing"] = first["address"], first["closing"]
     return run
 
 

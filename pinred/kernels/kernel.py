@@ -12,6 +12,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..forces.force_model import ForceModel
+from ..integrators.stepping.run_state import Canonical
 from ..reduction.tree.free_bodies import free_numbers
 from ..system.state_fields import FIELDS, axis_lengths
 from ..system.system import System
@@ -113,6 +114,8 @@ class Kernel:
         rate: Machine code (y, parameters) → dy/dt.
         outputs: Machine code ((y, t), (parameters, c0, v0, g)) → all fields of Outputs.
         instructions: Number of arithmetic operations of `rate`.
+        closing: Machine code that closes loops at step ends, for methods with multipliers; the
+            rates are then those of the open tree (see closing_code.py).
     """
 
     system: System
@@ -122,6 +125,13 @@ class Kernel:
     rate: NativeCode
     outputs: NativeCode
     instructions: int
+    closing: NativeCode | None = None
+
+    @property
+    def canonical(self) -> Canonical:
+        """Pairs of positions and momenta, constant angular momenta, and the closing of loops."""
+        closing = 0 if self.closing is None else self.closing.address
+        return Canonical(self.layout.pairs, self.layout.base.spin, closing)
 
     @cached_property
     def _rate(self) -> Callable[..., None]:

@@ -31,7 +31,7 @@ from ..reduction.tree.articulated_sweep import Swept, sweep
 from ..reduction.tree.body_frames import bodies_of, with_rotors
 from ..reduction.tree.free_bodies import total_mass, with_free
 from ..reduction.tree.identical_branches import Lanes
-from ..reduction.tree.loop_constraints import solve_with_loops
+from ..reduction.tree.loop_constraints import LoopTerms, solve_with_loops
 from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import (
     Scalar,
@@ -64,6 +64,7 @@ class ReducedGraph:
         x: Shape, (nx,).
         pi: Canonical momenta, (m,); the impetus if the system has closed loops.
         base: Expressions of the base.
+        loops: Terms of closed loops, or None.
         xi: Body twist relative to the centre of mass, (r,).
         xdot: Shape rate, (m,).
         pidot: Rates of the canonical momenta, (m,).
@@ -133,14 +134,12 @@ class ReducedGraph:
                 system.coupled,
             )  # fmt: skip
 
-        self._canonical_pi, loop_rates = self.pi, [0.0] * m
-        if system.closure is None:
-            result = sweep_from(momenta, True)
-        else:
-            terms = solve_with_loops(
+        self.loops: LoopTerms | None = None
+        if system.closure is not None:
+            self.loops = solve_with_loops(
                 system, self._bodies, self.x, self.pi, sweep_from, prescribed=prescribed
             )
-            result, self._canonical_pi, loop_rates = terms.swept, terms.pi, terms.rates
+        result = sweep_from(momenta, True) if self.loops is None else self.loops.swept
         twist = [*result.root_linear, *result.root_angular]
         self.xi: list[Scalar] = [twist[axis] for axis in group.axes]
         self.xdot: list[Scalar] = result.xdot
@@ -156,7 +155,8 @@ class ReducedGraph:
         self._prescribed_pi = {k: result.pi[k] for k in prescribed}
         torque, wrench = self._forces(mu)
         pidot = [add(p, t) for p, t in zip(shape_rates, torque, strict=True)]
-        pidot = [add(p, t) for p, t in zip(pidot, loop_rates, strict=True)]
+        if self.loops is not None:
+            pidot = [add(p, t) for p, t in zip(pidot, self.loops.rates, strict=True)]
         self.pidot = self._add_shape_loads(pidot, wrench)
         weight = self.base.body_weight()
         self._base_rate = self.base.rates(self.xi, self.com(), wrench, weight)
@@ -278,7 +278,8 @@ class ReducedGraph:
         """
         system, k = self.system, self.system.group.linear
         com, positions = self.com(), [self.x[j] for j in self.layout.prescribed_x]
-        momenta = [self._prescribed_pi.get(j, self._canonical_pi[j]) for j in range(system.m)]
+        canonical = self.pi if self.loops is None else self.loops.pi
+        momenta = [self._prescribed_pi.get(j, canonical[j]) for j in range(system.m)]
         about = self._mu[k:]
         energy = mul(0.5, add(dot(self.xi[k:], about), dot(self.xdot, momenta)))
         energy = add(energy, self._potential(com))
@@ -372,9 +373,8 @@ class ReducedGraph:
 
     def _add_shape_loads(self, pidot: list[Scalar], wrench: list[Scalar]) -> list[Scalar]:
         """Return π̇ plus the generalised forces of gravity and of the base wrench on the shape."""
-        # With F and the centre of mass c in the body frame, gravity contributes ∂(F·c)/∂x, and a
-        # force on the base contributes −∂(F·c)/∂x, because it accelerates the frame of the
-        # centre of mass, in which the shape then feels the opposite force.
+        # With F and the centre of mass c in the body frame, gravity contributes ∂(F·c)/∂x. A force
+        # on the base accelerates the frame of the centre of mass, so it contributes −∂(F·c)/∂x.
         m = self.system.m
         angles = joint_values(self.system, ca.vertsplit(self._angles) if m else [])
         com = centre_of_mass(self._bodies, angles)

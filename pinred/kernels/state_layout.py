@@ -203,11 +203,6 @@ class Layout:
         count = balls + (self.base.attitude == 4)
         return (self.base_at - 4 * balls, count) if count else (0, 0)
 
-    @property
-    def canonical(self) -> tuple[int, int]:
-        """Number of positions with conjugate momenta, and number of constant angular momenta."""
-        return self.pairs, self.base.spin
-
 
 def conjugate_momentum(q: Array, pi: Array) -> Array:
     """Return the momentum p = 2 q ∘ (π, 0), (..., 4), of a unit quaternion q, with q · p = 0."""

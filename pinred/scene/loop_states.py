@@ -12,7 +12,6 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.errors import InputError, LoopWarning
 from ..common.names import listed, quoted
-from ..integrators.methods import Method
 from ..reduction.pointwise_reduction import PointwiseReduction
 from ..system.loops.loop_assembly import CLOSED, assemble, describe_gap, loop_gaps
 from ..system.loops.loop_closure import project_rates
@@ -44,22 +43,6 @@ def held_joints(x0: Any, xdot0: Any) -> tuple[HeldJoints, HeldJoints]:
         tuple(map(str, given)) if isinstance(given, Mapping) else () for given in (x0, xdot0)
     ]
     return HeldJoints(x0 is not None, by_name[0]), HeldJoints(xdot0 is not None, by_name[1])
-
-
-def refuse_in_loops(system: System, method: Method | None) -> None:
-    """Reject methods that do not support closed loops, if the system has any.
-
-    Args:
-        system: The system.
-        method: The requested method; None if it is chosen.
-    Raises:
-        UnsupportedOperationError: The method does not support closed loops.
-    """
-    if method is not None and method.steady_momentum:
-        system.refuse_loops(
-            f"method {method.name}, whose discrete equations contain no multipliers (Gauss "
-            "supports loops)"
-        )
 
 
 def closed_state(

@@ -26,7 +26,7 @@ from . import input_formats
 from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .joint_values import order_by_joint
-from .loop_states import HeldJoints, closed_state, held_joints, refuse_in_loops
+from .loop_states import HeldJoints, closed_state, held_joints
 from .option_checks import (
     check_keyframe,
     check_span,
@@ -129,7 +129,6 @@ class Scene(SceneFields):
         times = compute_report_times(self.times, self.duration, self.system)
         self._keep("_times", read_only(times))
         self._check_forces()
-        refuse_in_loops(self.system, self.integrator)
         checked = vars(self).items()
         return Shared({name: v for name, v in checked if v is not unchecked.get(name, unchecked)})
 

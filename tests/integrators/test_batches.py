@@ -38,7 +38,7 @@ def test_reused_work_rows_do_not_affect_next_member(robot: str, method: Method) 
     params = np.tile(flow.parameters, (MEMBERS, 1))
     y0[list(BROKEN)] *= 1e200  # the squares of such momenta are beyond all numbers
     kernel_arguments = (method, flow.address(method))
-    more: dict[str, Any] = {"tangent": flow.tangent, "canonical": layout.canonical}
+    more: dict[str, Any] = {"tangent": flow.tangent, "canonical": flow.kernel.canonical}
     batch = integrate_many(*kernel_arguments, params, y0, 0.3, TIMES, layout.quaternions, 1, **more)
     assert np.flatnonzero(~batch.ok).tolist() == [*BROKEN]
     for k in set(range(MEMBERS)) - set(BROKEN):

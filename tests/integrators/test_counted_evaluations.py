@@ -11,6 +11,7 @@ from stiff_kernels import kernels
 from pinred import AdaptiveGauss, Gauss, Radau, Variational
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.methods import Method
+from pinred.integrators.stepping.run_state import Canonical
 
 
 def _wide(lanes: int) -> tuple[int, Any]:
@@ -59,7 +60,7 @@ def test_evaluation_counts_equal_kernel_calls(method: Method) -> None:
         )
         many = integrate_many(
             method, address, params, [[0.8, 0.9]] * 5, 1.0, times,
-            threads=1, tangent=tangent, canonical=(1, 0),
+            threads=1, tangent=tangent, canonical=Canonical(1),
         )  # fmt: skip
         assert many.evaluations.tolist() == (stages * params[:, 0] + params[:, 1]).tolist()
         assert many.ok[0]

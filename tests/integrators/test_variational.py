@@ -10,13 +10,13 @@ import casadi
 import numpy as np
 import pinocchio as pin
 import pytest
+from discrete_action import REST, STIFFNESS, Action, points_of
 from orders import errors_at_the_end, fit_order
 from scipy.spatial.transform import Rotation
 from stiff_kernels import kernels
 
 import pinred
 from pinred import Gauss, Variational
-from pinred.common.arrays import Array
 from pinred.common.errors import InputError, NoConvergence, NonFiniteState
 from pinred.forces import Damper, Torque, Wrench
 from pinred.integrators import integrate as drive
@@ -24,77 +24,14 @@ from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_state
+from pinred.integrators.stepping.run_state import Canonical
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.system.system import System
 
 ROOT = Path(__file__).parents[2]
-STIFFNESS, REST = 3.0, 0.2
-
-
-class Action:
-    """The discrete action of points (x, R) at equal times, from Pinocchio's mass matrix.
-
-    In the frame of the centre of mass: the translation is eliminated from the mass matrix.
-    """
-
-    def __init__(self, system: System, h: float) -> None:
-        """Steps of a length."""
-        self._system, self._h, self._data = system, h, system.model.createData()
-
-    def metric(self, x: Array) -> Array:
-        """Mass matrix of (ω, ẋ)."""
-        system, k = self._system, self._system.group.linear
-        H = pin.crba(system.model, self._data, system.q(system.group.identity(), x))
-        H = np.triu(H) + np.triu(H, 1).T
-        return np.asarray(H[k:, k:] - H[k:, :k] @ np.linalg.solve(H[:k, :k], H[:k, k:]))
-
-    def term(self, a: tuple[Array, Any], b: tuple[Array, Any]) -> float:
-        """L_d: the harmonic mean of the metrics at both ends, with the mean velocity."""
-        (x0, g0), (x1, g1), h = a, b, self._h
-        if isinstance(g0, Rotation):
-            turn = (g0.inv() * g1).as_quat()
-            u = 2.0 * turn[:3] / turn[3]
-        else:
-            u = g1 - g0
-        v = np.append(u, x1 - x0) / h
-        both = np.linalg.inv(self.metric(x0)) + np.linalg.inv(self.metric(x1))
-        potential = 0.5 * STIFFNESS * sum(float(((x - REST) ** 2).sum()) for x in (x0, x1))
-        return h * float(v @ np.linalg.solve(both, v)) - 0.5 * h * potential
-
-    def slope(self, points: list[tuple[Array, Any]], k: int, along: Array, eps: float) -> float:
-        """Derivative of the action as one inner point moves along a direction."""
-        x, g = points[k]
-
-        def at(s: float) -> float:
-            turn = s * along[: len(along) - len(x)]
-            turned = g * Rotation.from_rotvec(turn) if isinstance(g, Rotation) else g + turn
-            moved = (x + s * along[len(along) - len(x) :], turned)
-            return self.term(points[k - 1], moved) + self.term(moved, points[k + 1])
-
-        return (8.0 * (at(eps) - at(-eps)) - (at(2 * eps) - at(-2 * eps))) / (12.0 * eps)
-
-
-def points_of(
-    system: System, method: Variational | Gauss, count: int, **start: Any
-) -> list[tuple[Array, Any]]:
-    """Return shape and attitude at the step ends."""
-    end = count * method.step
-    traj = pinred.simulate(
-        system,
-        times=np.linspace(0.0, end, count + 1),
-        springs=dict.fromkeys(system.shape_names, (STIFFNESS, REST)),
-        method=method,
-        **start,
-    )
-    assert traj.run.steps == count
-    g = traj.pose[:, system.group.linear :]
-    return [
-        (x, Rotation.from_quat(q) if len(q) == 4 else q) for x, q in zip(traj.x, g, strict=True)
-    ]
 
 
 @pytest.mark.parametrize(
@@ -193,12 +130,12 @@ def test_pauses_reports_and_storage_do_not_change_results(monkeypatch: pytest.Mo
         plan_of(pinred.Scene(system=system, seed=1, method=Variational(0.02)))
     )
     layout = flow.kernel.layout
-    assert layout.canonical == (system.m, 3)
+    assert flow.kernel.canonical == (system.m, 3, 0)
 
     def run(times: Any) -> Solution:
         return integrate(
             Variational(0.02), flow.kernel.rate.address, flow.parameters, flow.y0, 2.0, times,
-            layout.quaternions, canonical=layout.canonical,
+            layout.quaternions, canonical=flow.kernel.canonical,
         )  # fmt: skip
 
     uninterrupted = run([0.0, 0.3, 2.0])
@@ -234,7 +171,7 @@ def _no_slope(y: Any, p: Any, v: Any, d: Any) -> None:
 def test_unsolved_report_raises() -> None:
     """The step crosses an interval of non-finite rates, and a report time lies in it."""
     address, _ = kernels(_gap, _no_slope)
-    options: dict[str, Any] = {"canonical": (1, 0)}
+    options: dict[str, Any] = {"canonical": Canonical(1)}
     start, method = [1.0, 0.0, 0.0], Variational(0.1)
     over = integrate(method, address, [], start, 0.3, [0.0, 0.1, 0.25, 0.3], **options)
     assert np.isfinite(over.y).all()

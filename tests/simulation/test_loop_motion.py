@@ -292,7 +292,6 @@ REFUSED: dict[str, Callable[[pinred.System], object]] = {
     "branches": lambda s: pinred.branches(s, momentum=[0.0, 1.0]),
     "reorient": lambda s: pinred.reorient(s, 1.0),
     "casadi": pinred.casadi_functions,
-    "variational": lambda s: pinred.Scene(system=s, seed=1, method=pinred.Variational(0.01)),
 }
 
 

@@ -20,6 +20,7 @@ from ..integrate import begun_by
 from ..integrate_many import Solutions, checked_batch, over_threads, solutions
 from ..methods.method import Explicit
 from ..stepping.compiling import compiled
+from ..stepping.run_state import NOT_CANONICAL
 from ..stepping.state_rows import Quaternions
 from . import members_in_lanes
 from .members_in_lanes import READY_REGISTERS, READY_ROWS, REGISTERS, Workspace
@@ -70,7 +71,7 @@ def integrate_in_lanes(
     batch = asked.batch
     (size, n), parameters = batch.y0.shape, batch.params.shape[1]
     loop = _lane_loop(type(method).__name__, method.order, method.tableau(), width)
-    initial_run = begun_by(method, address, n, asked.end, quaternions, (0, 0))
+    initial_run = begun_by(method, address, n, asked.end, quaternions, NOT_CANONICAL)
     queue = np.zeros(1, dtype=np.int64)
     most = min(width, max(1, ceil(size / asked.threads)))
 

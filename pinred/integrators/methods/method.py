@@ -46,6 +46,8 @@ class Method(ABC):
         steady_momentum: Whether the method requires an angular momentum that is constant in space.
         needs_smooth: Whether kinks of the vector field cause errors that no estimate shows.
         one_quaternion: Whether the state must not contain more than one quaternion.
+        multipliers: Whether multipliers close loops at step ends; the rates are then those of the
+            open tree.
     """
 
     about: ClassVar[str]
@@ -54,6 +56,7 @@ class Method(ABC):
     steady_momentum: ClassVar[bool] = False
     needs_smooth: ClassVar[bool] = False
     one_quaternion: ClassVar[bool] = False
+    multipliers: ClassVar[bool] = False
 
     @property
     def name(self) -> str:

@@ -43,6 +43,14 @@ def call_adjoint(typing: Any, address: Any, y: Any, params: Any, covector: Any, 
     return _calling(y, params, covector, out)
 
 
+@make_intrinsic
+def call_closing(
+    typing: Any, address: Any, y: Any, params: Any, end: Any, pull: Any, out: Any
+) -> Any:
+    """Write the gap of closed loops at `end`, and the pull that closes it, to `out`."""
+    return _calling(y, params, end, pull, out)
+
+
 def _calling(*arrays: Any) -> Any:
     """Return signature and code generator of a kernel call with the data pointers of arrays."""
     check_contiguous(*arrays)

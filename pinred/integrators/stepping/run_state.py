@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import sqrt
 from struct import Struct
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,7 @@ class Run:
 
     address: int  # address of the kernel
     tangent: int  # address of the tangent kernel, or 0
+    closing: int  # address of the kernel that closes loops at step ends, or 0
     n: int  # number of entries of the state
     quaternions_at: int  # index of the first entry of the first quaternion
     quaternion_count: int  # number of consecutive quaternions
@@ -72,6 +73,25 @@ class Run:
     fresh: int  # whether the Jacobian belongs to the current state
     remaining: int  # number of Newton steps before fixed-point iteration is tried again
     member: int  # index of the member in a batch, or −1
+
+
+class Canonical(NamedTuple):
+    """Properties of a kernel in canonical form that only Variational uses.
+
+    Attributes:
+        pairs: Number of positions in y, which are followed by as many momenta.
+        spin: Number of parameters that are components of the constant spatial momentum J, which
+            enters the equations as q̄ J q.
+        closing: Address of the kernel that closes loops at step ends, or 0 (see
+            variational/lagrange_poincare.py).
+    """
+
+    pairs: int = 0
+    spin: int = 0
+    closing: int = 0
+
+
+NOT_CANONICAL = Canonical()
 
 
 Runs: TypeAlias = NDArray[np.void]  # (1,) of LAYOUT

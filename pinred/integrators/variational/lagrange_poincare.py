@@ -17,6 +17,18 @@ Störmer and Verlet. J. E. Marsden, S. Pekarsky, S. Shkoller, Discrete Euler–P
 equations, Nonlinearity 12 (1999) 1647–1662; N. Bou-Rabee, J. E. Marsden, Hamilton–Pontryagin
 integrators on Lie groups I, Found. Comput. Math. 9 (2009) 197–219.
 
+With closed loops φ(x) = 0, the points of the discrete action are closed shapes. Its equations are
+those of the open tree with multipliers λ of the constraints at step ends,
+
+    p = π₀ − h/2 ∂H/∂x(x₀) + J(x₀)ᵀ λ,   φ(x₁) = 0,
+
+so that φ = 0 holds at step ends to round-off. This is RATTLE for Hamiltonians that are not
+separable; its projection of π₁ on J v = 0 changes π₁ by Jᵀν only, which the next λ absorbs, so the
+outputs project instead. Each iteration changes λ by a Newton step with the matrix J H⁻¹ Jᵀ at x₀.
+L. Jay, Symplectic partitioned Runge–Kutta methods for constrained Hamiltonian systems, SIAM J.
+Numer. Anal. 33 (1996) 368–387; S. Reich, Symplectic integration of constrained Hamiltonian systems
+by composition methods, SIAM J. Numer. Anal. 33 (1996) 475–491.
+
 Forces without a potential act in both stages, by the principle of Lagrange and d'Alembert. A state
 inside a step is the end of a shorter step.
 """
@@ -30,7 +42,7 @@ import numpy as np
 from ...common.arrays import Array
 from ..stepping.codes import DIVERGED, DONE, NOT_FINITE
 from ..stepping.compiling import compiled, inlined
-from ..stepping.kernel_call import call
+from ..stepping.kernel_call import call, call_closing
 from ..stepping.run_state import Run, copy_an_end, keep_state, quaternions_of
 from ..stepping.state_rows import (
     NEW,
@@ -42,12 +54,13 @@ from ..stepping.state_rows import (
 )
 from ..stepping.step_loop import Hooks, Stepper, equal_steps, loops
 
-# Rows of `work` after the state: six rows for the step (MAIN), and six for a shorter step to a
+# Rows of `work` after the state: eight rows for the step (MAIN), and eight for a shorter step to a
 # report time (SUB). They contain the end of the step, its two stages (with p as momenta and m as a
-# quaternion), the rates of both stages, and u followed by h Ω₁ / 2.
-MAIN, SUB = NEW, NEW + 6
-END, BEGIN, STOP, BEGIN_RATE, STOP_RATE, TURN = range(6)
-ROWS, LEAST = SUB + 6, 6  # number of rows; smallest row length, for the six entries of row TURN
+# quaternion), the rates of both stages, u followed by h Ω₁ / 2, and the pull of the loops before
+# and after an iteration: the largest gap, then h Jᵀλ for each momentum, then h λ.
+MAIN, SUB = NEW, NEW + 8
+END, BEGIN, STOP, BEGIN_RATE, STOP_RATE, TURN, PULL, NEXT_PULL = range(8)
+ROWS, LEAST = SUB + 8, 6  # number of rows; smallest row length, for the six entries of row TURN
 
 _MOST = 100  # largest number of fixed-point iterations per step
 # Ratios of successive changes above which the iteration has stalled: near round-off, and elsewhere.
@@ -57,6 +70,7 @@ _STALLED, _SLOWEST = 0.5, 0.95
 _SMALL, _SLACK = 1e-14, 1e-11
 # Negligible size of the predicted next change, relative to the largest absolute value.
 _NOTHING = 1e-17
+_CLOSED = 1e-14  # gap of closed loops that counts as round-off, relative to their size
 
 
 @inlined
@@ -107,6 +121,9 @@ def _begin(run: Run, params: Array, work: Array, first: int, h: float) -> None:
     run.evaluations += 1
     for i in range(n):
         work[first + STOP_RATE, i] = work[first + BEGIN_RATE, i]
+    if run.closing:
+        for i in range(n + 1):
+            work[first + PULL, i] = 0.0
     if run.quaternion_count:
         _body_rate(work[Y], work[first + BEGIN_RATE], run.quaternions_at, h, work[first + TURN])
 
@@ -120,8 +137,13 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
     y, end, u = work[Y], work[first + END], work[first + TURN]
     begin, stop = work[first + BEGIN], work[first + STOP]
     rate, last = work[first + BEGIN_RATE], work[first + STOP_RATE]
+    pull, next_pull = work[first + PULL], work[first + NEXT_PULL]
     for i in range(n):
         begin[i], stop[i] = y[i], y[i]
+    if run.closing:  # the multipliers of the previous step act along J at the start of this one
+        call_closing(run.closing, y, params, y, pull, next_pull)
+        for i in range(n + 1):
+            pull[i] = next_pull[i]
     for i in range(pairs):
         begin[pairs + i] = stop[pairs + i] = y[pairs + i] + half * last[pairs + i]
         stop[i] = y[i] + h * (1.5 * last[i] - 0.5 * rate[i])
@@ -133,6 +155,8 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
         call(address, begin, params, rate)
         for i in range(pairs, 2 * pairs):
             new = y[i] + half * rate[i]
+            if run.closing:
+                new += pull[1 + i - pairs] / h
             size = max(size, abs(new - begin[i]))
             largest = max(largest, abs(new), abs(y[i]))
             begin[i] = stop[i] = new
@@ -148,6 +172,17 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
             size = max(size, abs(new - stop[i]))
             largest = max(largest, abs(new))
             stop[i] = new
+        if run.closing:
+            call_closing(run.closing, y, params, stop, pull, next_pull)
+            if not next_pull[0] <= _CLOSED:
+                for i in range(pairs):
+                    # The next rates of both stages must contain the change, or the gap oscillates.
+                    change = (next_pull[1 + i] - pull[1 + i]) / h
+                    begin[pairs + i] += change
+                    stop[pairs + i] += change
+                    size = max(size, abs(change))
+                for i in range(n + 1):
+                    pull[i] = next_pull[i]
         if has_quaternion:
             _body_rate(begin, rate, quaternion, half, end)
             _body_rate(stop, last, quaternion, half, u[3:])
@@ -239,5 +274,5 @@ STEPPER = Stepper(
         "Variational",
         Hooks(begin_run, equal_steps, attempt_step, accept_step, write_state),
     ),
-    lambda n, tangent: padded_rows(ROWS, max(n, LEAST)),  # noqa: ARG005
+    lambda n, tangent: padded_rows(ROWS, max(n + 1, LEAST)),  # noqa: ARG005
 )

@@ -27,7 +27,7 @@ from ...system.system import System
 from .all_joints import joint_values
 from .articulated_sweep import Swept, step_of
 from .body_frames import Body, bodies_of
-from .scalars import Mat, Scalar, Vec, add, dot, mul, solve_ldl, sub, total
+from .scalars import Mat, Scalar, Vec, add, as_column, dot, mul, solve_ldl, sub, total
 
 GAUGE_RATE = 1.0  # rate at which the impetus approaches the canonical momentum [1/s]
 
@@ -40,11 +40,17 @@ class LoopTerms:
         swept: Velocities and momentum rates of the tree at velocities that keep the loops closed.
         pi: Canonical momenta π = p − Jᵀν, (m,).
         rates: Terms J̇ᵀν of the rates of the impetus, and the term −Jᵀν that keeps ν bounded, (m,).
+        values: φ(x), (k,).
+        jacobian: Derivatives of φ with respect to x, (k, nx).
+        mobility: The matrix J H⁻¹ Jᵀ, (k, k), whose solutions are ν.
     """
 
     swept: Swept
     pi: list[Scalar]
     rates: list[Scalar]
+    values: ca.SX
+    jacobian: ca.SX
+    mobility: list[list[Scalar]]
 
 
 def constraint_values(system: System, bodies: Sequence[Body], x: Sequence[Scalar]) -> list[Scalar]:
@@ -105,13 +111,15 @@ def solve_with_loops(
     driven = bool(prescribed)
     entries = ca.vertsplit(ca.SX.sym("x", system.nx)) if driven else x
     column = ca.vertcat(*entries)
-    phi = ca.vertcat(*constraint_values(system, bodies, entries))
+    phi = as_column(constraint_values(system, bodies, entries))
     frame = rate_map(system, entries)
-    constraints = jacobian = ca.jacobian(phi, column) @ frame
+    by_coordinates = ca.jacobian(phi, column)
+    constraints = jacobian = by_coordinates @ frame
     here = ca.vertcat(*(ca.SX(value) for value in x))
     if driven:
-        (jacobian,) = ca.substitute([constraints], [column], [here])
-    J = [[_scalar(jacobian[i, k]) for k in range(m)] for i in range(phi.numel())]
+        expressions = [phi, by_coordinates, constraints]
+        phi, by_coordinates, jacobian = ca.substitute(expressions, [column], [here])
+    J = [[_scalar(jacobian[i, k]) for k in range(m)] for i in range(jacobian.rows())]
     responses, free = [sweep(list(row), False) for row in J], sweep(list(momentum), True)
     if system.coupled is None:
         mobility = [[_product(a, b) for b in responses] for a in responses]
@@ -133,7 +141,7 @@ def solve_with_loops(
         symbols, values = [*symbols, column], [*values, here]
     (turning,) = ca.substitute([turning], symbols, values)
     rates = [sub(_scalar(turning[k]), mul(GAUGE_RATE, along[k])) for k in range(m)]
-    return LoopTerms(swept, pi, rates)
+    return LoopTerms(swept, pi, rates, phi, by_coordinates, mobility)
 
 
 def _product(a: Swept, b: Swept) -> Scalar:

@@ -14,6 +14,7 @@ from ...forces.force_values import BaseInSpace
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
+from ...kernels.closing_code import with_multipliers
 from ...kernels.derived_code import tangent_of, wide_rate
 from ...kernels.evaluate import evaluate, evaluate_runs
 from ...kernels.initial_conditions import (
@@ -244,7 +245,12 @@ def kernel_of(
     key = once(kind, Kernel, lambda: repr((structure, None if forces is None else forces.key)))
     # Parameters are inputs of a kernel, so robots that differ only in parameters share it.
     owner = nominal(system)
-    return recent(owner, key, lambda: build_kernel(system, structure, forces), MOST_KERNELS, Kernel)
+    kernel = recent(
+        owner, key, lambda: build_kernel(system, structure, forces), MOST_KERNELS, Kernel
+    )
+    if plan.method.multipliers and system.closure is not None:
+        return once(kernel, with_multipliers, lambda: with_multipliers(kernel))
+    return kernel
 
 
 def flows_of(

@@ -80,7 +80,7 @@ def integrator(
             end,
             times,
             layout.quaternions,
-            layout.canonical,
+            flow.kernel.canonical,
             tangent,
         )
 

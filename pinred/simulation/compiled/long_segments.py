@@ -44,7 +44,7 @@ def long_integrator(
     method, scene = plan.method, plan.scene
     if not isinstance(method, EqualSteps) or not stores_few(flow, plan, method):
         return None
-    layout, address, look = flow.kernel.layout, flow.address(method), wild_check(flow, plan)
+    kernel, address, look = flow.kernel, flow.address(method), wild_check(flow, plan)
     divisions = divisions_of(plan)
 
     def run(
@@ -62,8 +62,9 @@ def long_integrator(
             return integrate(start, end, y0, parameters, watch, keeper)
         y0 = y0 if y0.size else np.zeros(1)
         integration = ThinnedIntegration(
-            method, address, len(y0), length, layout.quaternions, layout.canonical, flow.tangent
-        )
+            method, address, len(y0), length, kernel.layout.quaternions, kernel.canonical,
+            flow.tangent,
+        )  # fmt: skip
         times = read_only(np.append((reports - start).clip(0.0, length), length))
         known = np.append(reports, end)
 

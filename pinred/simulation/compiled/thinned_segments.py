@@ -76,7 +76,7 @@ def _integrate(
     progress: Callable[[float], None] | None,
     record: RunRecord | None,
 ) -> ThinnedSegments:
-    scene, layout = plan.scene, flow.kernel.layout
+    scene, kernel = plan.scene, flow.kernel
     y0 = flow.y0 if flow.y0.size else np.zeros(1)
     reported, solutions = np.empty((len(scene.report_times), len(y0))), []
     address, look = flow.address(method), wild_check(flow, plan)
@@ -90,8 +90,9 @@ def _integrate(
                 progress((start + part * length) / scene.end)
 
         integration = ThinnedIntegration(
-            method, address, len(y0), length, layout.quaternions, layout.canonical, flow.tangent
-        )
+            method, address, len(y0), length, kernel.layout.quaternions, kernel.canonical,
+            flow.tangent,
+        )  # fmt: skip
         times = read_only(np.append(span.times.clip(0.0, length), length))
         if record is not None:
             saved = {part.start: part for part in (*record.finished, record.current) if part}

@@ -45,11 +45,11 @@ def through_stops(
         def explain(stop: IntegrationError, k: int) -> IntegrationError:
             return explained(stop, flow, plan.scene, float(starts[k]), params[k])
 
-        layout = flow.kernel.layout
+        kernel = flow.kernel
         parts = integrate_parts(
             method, flow.address(method), params, flow.y0 if flow.y0.size else np.zeros(1),
-            read_only(stops - starts), layout.quaternions, layout.canonical, flow.tangent, progress,
-            explain,
+            read_only(stops - starts), kernel.layout.quaternions, kernel.canonical, flow.tangent,
+            progress, explain,
         )  # fmt: skip
         return PartSegments(parts, starts, stops, divisions_of(plan))
 

@@ -79,7 +79,7 @@ class Propagator:
         kernel, layout = self.kernel, self.kernel.layout
         return Integration(
             self.method, self.field.address, self._n, span.stop - span.start, span.times,
-            layout.quaternions, layout.canonical, lambda: tangent_of(kernel).address,
+            layout.quaternions, kernel.canonical, lambda: tangent_of(kernel).address,
         )  # fmt: skip
 
     def _spans_of(self, flow: CompiledFlow) -> tuple[list[Span], list[Integration]]:

@@ -192,7 +192,7 @@ def _integrate_piece(
         )
     return integrate_many(
         method, flow.address(method), parameters, y0, lengths, times, quaternions, threads,
-        flow.tangent, kernel.layout.canonical, progress,
+        flow.tangent, kernel.canonical, progress,
     )  # fmt: skip
 
 
