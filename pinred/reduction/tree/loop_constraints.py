@@ -29,7 +29,9 @@ from .articulated_sweep import Swept, step_of
 from .body_frames import Body, bodies_of
 from .scalars import Mat, Scalar, Vec, add, as_column, dot, mul, solve_ldl, sub, total
 
-GAUGE_RATE = 1.0  # rate at which the impetus approaches the canonical momentum [1/s]
+# Rate at which the impetus approaches the canonical momentum [1/s].  Under a steady load λ of the
+# loops, ν tends to −λ over this rate; without it, ν grows like λ t, and steps become shorter.
+GAUGE_RATE = 1.0
 
 
 @dataclass(frozen=True)
