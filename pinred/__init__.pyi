@@ -11,7 +11,7 @@ from .analysis.branches.follow import Branches as Branches
 from .analysis.branches.follow import BranchPoint as BranchPoint
 from .analysis.branches.follow import branches as branches
 from .analysis.connections.connection import Connection as Connection
-from .analysis.connections.connection import ConnectionField as ConnectionField
+from .analysis.connections.connection_values import ConnectionField as ConnectionField
 from .analysis.connections.fluid import Ellipse as Ellipse
 from .analysis.connections.fluid import Ellipsoid as Ellipsoid
 from .analysis.connections.fluid import Rod as Rod

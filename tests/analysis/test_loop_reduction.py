@@ -163,6 +163,62 @@ def test_slopes_of_horizontal_motions_equal_differences() -> None:
     np.testing.assert_allclose(terms.curvature, terms.exterior - terms.bracket, atol=1e-15)
 
 
+def test_torques_of_independent_joints_equal_those_of_virtual_work() -> None:
+    """Forces by the reduced metric and its derivatives, and gradients by differences."""
+    connection = pinred.Connection.mechanical(linkage(), independent=INDEPENDENT)
+    red = pinred.LoopReduction(linkage(), independent=INDEPENDENT)
+    motion, along = np.array([[2.0, 1.0], [0.5, -0.7], [0.3, 0.9]]), np.array([0.4, -1.1])
+
+    def force(y: Array) -> Array:
+        u, udot, uddot = y.reshape(3, 1, 2)
+        return connection.code.covariant_forces(u, udot, uddot, along[None])[0][0] @ along
+
+    u, udot, uddot = motion
+    here = red.at(red.shape(u))
+    dM = here.dM
+    expected = here.reduced_metric @ uddot + np.einsum("abc,b,c->a", dM, udot, udot)
+    expected -= 0.5 * np.einsum("bca,b,c->a", dM, udot, udot)
+    values, gradient = connection.code.covariant_forces(*motion[:, None], along[None])
+    np.testing.assert_allclose(values[0], expected, atol=1e-12)
+    slopes = derivative(lambda y: np.array([force(y)]), motion.ravel())[0]
+    np.testing.assert_allclose(gradient[0], slopes, atol=1e-9 * np.abs(slopes).max())
+
+
+def swimming(system: pinred.System, kind: str) -> pinred.Connection:
+    """Return a connection of the five-bar linkage, or of its tree, in a fluid or on wheels."""
+    chosen = INDEPENDENT if system.loops else None
+    names = ("left_crank", "right_coupler")
+    if kind == "viscous":
+        drag = {name: np.diag([1.0, 2.0, 3.0, 0.3, 0.2, 0.1]) for name in names}
+        drag["base"] = np.diag([2.0, 3.0, 1.0, 0.1, 0.1, 0.5])
+        return pinred.Connection.viscous(system, drag, independent=chosen)
+    if kind == "fluid":
+        bodies = {name: pinred.Ellipse(0.4, 0.1) for name in names}
+        return pinred.Connection.fluid(system, 2.0, bodies, independent=chosen)
+    wheels = [pinred.Wheel("base"), pinred.Wheel("left_crank"), pinred.Wheel("right_coupler")]
+    return pinred.Connection.kinematic(system, wheels, independent=chosen)
+
+
+@pytest.mark.parametrize("kind", ["viscous", "fluid", "kinematic"])
+def test_connections_of_fluids_and_wheels_are_pulled_back(kind: str) -> None:
+    """A and M are those of the open tree along G, which differences of closed shapes give."""
+    system = linkage()
+    connection = swimming(system, kind)
+    red, u = pinred.LoopReduction(system, independent=INDEPENDENT), np.array([2.0, 1.0])
+    G, x = derivative(red.shape, u), red.shape(u)
+    tree = swimming(system.open_tree(), kind)
+    np.testing.assert_allclose(connection.local(u), tree.local(x) @ G, atol=1e-10)
+    if kind != "kinematic":
+        np.testing.assert_allclose(connection.metric(u), G.T @ tree.metric(x) @ G, atol=1e-10)
+    dA, A = derivative(connection.local, u), connection.local(u)
+    bracket = np.stack([system.group.ad(column) @ A for column in A.T], axis=1)
+    B = dA.transpose(0, 2, 1) - dA - bracket
+    np.testing.assert_allclose(connection.curvature(u), B, atol=1e-8 * np.abs(B).max())
+    gait = circle(u, 0.3)
+    moved = pinred.phase(connection, gait).pose
+    assert np.abs(moved).max() > 1e-4
+
+
 def test_inspection_reports_loops_rank_and_dimension() -> None:
     """The matrices are those of independent joints."""
     system = linkage()

@@ -54,6 +54,7 @@ def five_bar() -> tuple[pin.Model, list[Loop]]:
     base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
     lever = np.array([0.5, 0.0, 0.0])
     model.appendBodyToJoint(base, _bar(2.0, 1.0), pin.SE3(np.eye(3), lever))
+    model.addJointFrame(base)
     frame_type = pin.FrameType.OP_FRAME
     for side, x in (("left", 0.0), ("right", 1.0)):
         parent, at = base, x
@@ -63,6 +64,7 @@ def five_bar() -> tuple[pin.Model, list[Loop]]:
             model.appendBodyToJoint(
                 parent, _bar(length, length), pin.SE3(np.eye(3), length * lever)
             )
+            model.addJointFrame(parent)
             at = length
         tip = pin.SE3(np.eye(3), np.array([at, 0.0, 0.0]))
         model.addFrame(pin.Frame(f"{side}_tip", parent, 0, tip, frame_type))

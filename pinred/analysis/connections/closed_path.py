@@ -104,6 +104,38 @@ class ClosedPath:
         turned[:, chart.dependent] = -np.linalg.solve(J_D, np.swapaxes(bends, 1, 2))
         return turned
 
+    def accelerations(
+        self, shapes: Array, G: Array, rates: Array, uddot: Array
+    ) -> tuple[Array, Array]:
+        """Return the accelerations ẍ of all joints, and their derivatives.
+
+        They solve J_D ẍ_D = −J_I ü − (∂J/∂x ẋ) ẋ.
+
+        Args:
+            shapes: Closed shapes, (N, nx).
+            G: Maps to all rates, (N, m, d).
+            rates: Rates of all joints ẋ = G u̇, (N, m).
+            uddot: Accelerations of the independent joints ü, (N, d).
+        Returns:
+            ẍ (N, m), and its derivatives with respect to (u, u̇, ü), (N, m, 3d).
+        """
+        chart, (count, m, d) = self.chart, G.shape
+        acceleration = np.einsum("nma,na->nm", G, uddot)
+        J, slopes = self._jacobians(shapes), np.zeros((count, m, 3 * d))
+        bend = np.array(self._bend(shapes.T, rates.T, rates.T)).T
+        J_D = J[:, :, chart.dependent]
+        acceleration[:, chart.dependent] -= np.linalg.solve(J_D, bend[..., None])[..., 0]
+        inputs = (shapes.T, rates.T, acceleration.T)
+        by_shape, by_rate = (
+            np.swapaxes(np.array(block).T.reshape(count, m, -1), 1, 2)
+            for block in self._functions[2].map(count)(*inputs)
+        )
+        turned = self.turned(shapes, G, rates)
+        right = np.concatenate([by_shape @ G + by_rate @ turned, by_rate @ G], axis=-1)
+        slopes[:, chart.dependent, : 2 * d] = -np.linalg.solve(J_D, right)
+        slopes[:, :, 2 * d :] = G
+        return acceleration, slopes
+
     def _along_lines(self, first: Array, u: Array) -> Array | None:
         """Follow lines from a closed shape; None if one passes a singular shape."""
         chart, system = self.chart, self._system
@@ -169,21 +201,27 @@ class ClosedPath:
         return self._functions[1]
 
     @property
-    def _functions(self) -> tuple[ca.Function, ca.Function]:
-        """CasADi functions of φ(x), and of (∂J/∂x a) b along rates a and b."""
+    def _functions(self) -> tuple[ca.Function, ca.Function, ca.Function]:
+        """CasADi functions of φ(x), of (∂J/∂x a) b along rates a and b, and of slopes.
+
+        The slopes are those of J ẍ + (∂J/∂x ẋ) ẋ with respect to x and ẋ.
+        """
         system = self._system
 
-        def make() -> tuple[ca.Function, ca.Function]:
+        def make() -> tuple[ca.Function, ca.Function, ca.Function]:
             x, a, b = (ca.SX.sym(name, size) for name, size in
                        (("x", system.nx), ("a", system.m), ("b", system.m)))  # fmt: skip
             entries = ca.vertsplit(x)
             E = rate_map(system, entries)
             phi = ca.vertcat(*constraint_values(system, bodies_of(system), entries))
             bend = ca.jtimes(ca.jtimes(phi, x, E @ b), x, E @ a)
+            inertial = ca.jtimes(phi, x, E @ b) + ca.jtimes(ca.jtimes(phi, x, E @ a), x, E @ a)
+            slopes = [ca.jacobian(inertial, x) @ E, ca.jacobian(inertial, a)]
             options = {"cse": True}
             return (
                 ca.Function("phi", [x], [ca.densify(phi)], options),
                 ca.Function("bend", [x, a, b], [ca.densify(bend)], options),
+                ca.Function("slopes", [x, a, b], list(map(ca.densify, slopes)), options),
             )
 
         return once(system, ClosedPath, make)

@@ -1,4 +1,4 @@
-"""The mechanical connection of a robot with closed loops, over independent joints.
+"""Connections of robots with closed loops, over independent joints.
 
 Closed shapes x(u) have rates ẋ = G u̇.  Values of the open tree's connection are pulled back along
 this map: A G, Gᵀ M G and Gᵀ B G.
@@ -6,7 +6,7 @@ this map: A G, Gᵀ M G and Gᵀ B G.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,9 +15,8 @@ from ...common.arrays import Array, rows
 from ...common.errors import InputError, UnsupportedOperationError
 from ...kernels.connection.connection_code import ConnectionCode, Curvatures, Locals, Velocities
 from ...system.loops.loop_chart import LoopChart, loop_chart
-from ...system.system import System, checked_system
+from ...system.system import System
 from .closed_path import ClosedPath
-from .mechanical_connection import mechanical_code
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +48,22 @@ class LoopConnectionCode(ConnectionCode):
         return np.concatenate([by_shape, by_rate], axis=-1)
 
     def covariant_forces(
-        self,
-        x: Array,  # noqa: ARG002
-        xdot: Array,  # noqa: ARG002
-        xddot: Array,  # noqa: ARG002
-        along: Array,  # noqa: ARG002
+        self, x: Array, xdot: Array, xddot: Array, along: Array
     ) -> tuple[Array, Array]:
-        """Raise UnsupportedOperationError: torques of gaits are not computed with loops."""
-        self.chart_system.refuse_loops("torques along gaits")
-        raise AssertionError
+        """Compute the forces Gᵀf on the independent joints, and the gradients of λᵀGᵀf."""
+        shapes, G = self._closed(x)
+        rates, weights = (np.einsum("nma,na->nm", G, value) for value in (xdot, along))
+        acceleration, bent = self._path.accelerations(shapes, G, rates, xddot)
+        force, slope = self.tree.covariant_forces(shapes, rates, acceleration, weights)
+        m, d = self.tree.form.m, self.form.m
+        by_shape, by_rate, by_acceleration = (slope[:, k * m : (k + 1) * m] for k in range(3))
+        turned, weighed = (self._path.turned(shapes, G, value) for value in (rates, weights))
+        gradient = np.einsum("nm,nmc->nc", by_acceleration, bent)
+        gradient[:, :d] += np.einsum("nm,nmc->nc", by_shape, G)
+        gradient[:, :d] += np.einsum("nm,nmc->nc", by_rate, turned)
+        gradient[:, :d] += np.einsum("nm,nmc->nc", force, weighed)
+        gradient[:, d : 2 * d] += np.einsum("nm,nmc->nc", by_rate, G)
+        return np.einsum("nma,nm->na", G, force), gradient
 
     def locals(self, x: Array) -> Locals:
         """Compute the matrix of the form, the local connection, and the metric."""
@@ -65,7 +71,9 @@ class LoopConnectionCode(ConnectionCode):
         terms, r, d = self.tree.locals(shapes), self.form.r, self.form.m
         T = np.zeros((len(G), r + self.tree.form.m, r + d))
         T[:, :r, :r], T[:, r:, r:] = np.eye(r), G
-        matrix = np.swapaxes(T, 1, 2) @ terms.matrix @ T
+        matrix = terms.matrix @ T
+        if self.form.symmetric:
+            matrix = np.swapaxes(T, 1, 2) @ matrix
         M = None if terms.M is None else np.swapaxes(G, 1, 2) @ terms.M @ G
         return Locals(matrix, terms.A @ G, terms.health, M)
 
@@ -107,23 +115,30 @@ class LoopConnectionCode(ConnectionCode):
         return np.einsum("nimp,nma,npb->niab", B, G, G), health
 
 
-def code_with_loops(system: System, independent: Sequence[str] | None) -> ConnectionCode:
-    """Return the mechanical connection of a robot, over independent joints if it has loops.
+def code_with_loops(
+    system: System,
+    independent: Sequence[str] | None,
+    code_of: Callable[[System], ConnectionCode],
+) -> ConnectionCode:
+    """Return the values of a connection, over independent joints if a robot has loops.
+
+    The loops act between the links of the robot, so they change neither the momenta nor the drag
+    of the whole robot, and no wheel constraint.
 
     Args:
         system: The system.
         independent: Names of the independent joints; None: chosen at the assembled shape.
+        code_of: Function that returns the connection of a system without loops.
     Returns:
         The values of the connection.
     Raises:
         InputError: The independent joints are not valid, or one is an axis of a ball.
     """
-    system = checked_system(system, "Connection.mechanical", loops=True)
     if not system.loops:
         if independent is not None:
             raise InputError("independent: expected none, because the robot has no loops")
-        return mechanical_code(system)
-    tree, chart = mechanical_code(system.open_tree()), loop_chart(system, independent)
+        return code_of(system)
+    tree, chart = code_of(system.open_tree()), loop_chart(system, independent)
     form = replace(tree.form, space=chart.space(), what=f"{tree.form.what} with closed loops")
     return LoopConnectionCode(form, tree, chart)
 
