@@ -169,18 +169,20 @@ def test_torques_of_independent_joints_equal_those_of_virtual_work() -> None:
     red = pinred.LoopReduction(linkage(), independent=INDEPENDENT)
     motion, along = np.array([[2.0, 1.0], [0.5, -0.7], [0.3, 0.9]]), np.array([0.4, -1.1])
 
-    def force(y: Array) -> Array:
+    def power(y: Array) -> Array:
         u, udot, uddot = y.reshape(3, 1, 2)
-        return connection.code.covariant_forces(u, udot, uddot, along[None])[0][0] @ along
+        forces, _ = connection.code.covariant_forces(u, udot, uddot, along[None])
+        return np.asarray(forces @ along)
 
     u, udot, uddot = motion
     here = red.at(red.shape(u))
     dM = here.dM
     expected = here.reduced_metric @ uddot + np.einsum("abc,b,c->a", dM, udot, udot)
     expected -= 0.5 * np.einsum("bca,b,c->a", dM, udot, udot)
-    values, gradient = connection.code.covariant_forces(*motion[:, None], along[None])
+    states = (u[None], udot[None], uddot[None])
+    values, gradient = connection.code.covariant_forces(*states, along[None])
     np.testing.assert_allclose(values[0], expected, atol=1e-12)
-    slopes = derivative(lambda y: np.array([force(y)]), motion.ravel())[0]
+    slopes = derivative(power, motion.ravel())[0]
     np.testing.assert_allclose(gradient[0], slopes, atol=1e-9 * np.abs(slopes).max())
 
 

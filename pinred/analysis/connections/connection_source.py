@@ -7,6 +7,7 @@ from typing import TypeAlias
 from ...common.errors import InputError
 from ...system.system import System
 from .connection import Connection
+from .loop_connection import LoopConnectionCode
 
 ConnectionSource: TypeAlias = Connection | System
 
@@ -28,6 +29,12 @@ def connection_of(source: ConnectionSource, what: str) -> Connection:
             f"{type(source).__name__}"
         )
     return source
+
+
+def robot_of(connection: Connection) -> System | None:
+    """Return the robot of a connection, with its loops; None if it was built without one."""
+    code = connection.code
+    return code.chart_system if isinstance(code, LoopConnectionCode) else connection.system
 
 
 def system_of(source: ConnectionSource, what: str) -> System:

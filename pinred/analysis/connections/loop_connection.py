@@ -95,6 +95,11 @@ class LoopConnectionCode(ConnectionCode):
         shapes, G = self._closed(x)
         return self.tree.locked_derivatives(shapes, omega) @ G
 
+    def state(self, u: Array, udot: Array) -> tuple[Array, Array]:
+        """Return shape (nx,) and rates (m,) of all joints at coordinates and rates (d,)."""
+        shapes, G = self._closed(u[None])
+        return shapes[0], G[0] @ udot
+
     @property
     def chart_system(self) -> System:
         """The robot."""

@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ...analysis.connections.connection_source import robot_of
+from ...analysis.connections.loop_connection import LoopConnectionCode
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.phase import Phase
 from ...common.argument_kinds import checks_arguments
@@ -100,16 +102,19 @@ class BestGait(Summary, Optimum):
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """One cycle, simulated at zero momentum with all joints prescribed.
+        """One cycle, simulated at zero momentum with all joints of the gait prescribed.
 
-        The trajectory's `driving_torques` are the joint torques that the loop requires.
+        The trajectory's `driving_torques` are the joint torques that the loop requires.  Other
+        joints of a robot with closed loops follow.
 
         Raises:
             InputError: The connection is not mechanical, or the loop has corners.
         """
         system, (x, xdot) = self._system(), self.gait.at(0.0)
-        signals = self.gait.signals(system.shape_names)
-        chart = self.task.connection.chart
+        connection = self.task.connection
+        signals, chart = self.gait.signals(connection.joints), connection.chart
+        if isinstance(connection.code, LoopConnectionCode):
+            x, xdot = connection.code.state(x, xdot)
         if chart is None:
             return simulate(
                 system, x0=x, xdot0=xdot, momentum=0, duration=self.gait.period, prescribed=signals
@@ -149,16 +154,17 @@ class BestGait(Summary, Optimum):
 
     def _system(self) -> System:
         connection = self.task.connection
-        if connection.system is None or not connection.is_mechanical:
+        system = robot_of(connection)
+        if system is None or not connection.is_mechanical:
             raise InputError(
                 f"expected a mechanical connection, got {connection.title()}; motions "
-                "with drag, wheels or independent joints of loops cannot be simulated"
+                "with drag or wheels cannot be simulated"
             )
         if not self.gait.is_smooth:
             raise InputError(
                 "a polygon cannot be simulated, because its corners need infinite torques"
             )
-        return connection.system
+        return system
 
     def title(self) -> str:
         """Return the first line of the text."""
@@ -177,6 +183,8 @@ class BestGait(Summary, Optimum):
         if task.per_cost and isinstance(task.aim, AxisAim):
             root = _ROOTS[DEGREES[task.cost or "time"]]
             rows.append((f"{task.aim.kind} / {root}{task.cost}", f"{self.merit:.10g}"))
+        if isinstance(task.connection.code, LoopConnectionCode):
+            rows.append(("independent joints", ", ".join(task.connection.joints)))
         rows.append(("period [s]", f"{self.gait.period:.10g}"))
         if self.winding is not None:
             rows.append(("winding number", f"{self.winding:g}"))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
+from ...analysis.connections.connection_source import robot_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import fourier_rows
 from ...common.arrays import Array, FrozenArrays, as_floats
@@ -100,11 +101,13 @@ def _file_limits(connection: Connection) -> Array:
     for k, unit in enumerate(connection.form.units):
         if unit == "rad":
             ranges[k] = -WHOLE_TURN, WHOLE_TURN
-    system, chart = connection.system, connection.chart
+    system, chart = robot_of(connection), connection.chart
     if chart is not None:
         ranges[chart.space.ball_v] = -BALL_LIMIT, BALL_LIMIT
     if system is not None:
-        for k, joint in enumerate(system.joints):
+        joints = dict(zip(system.shape_names, system.joints, strict=True))
+        for k, name in enumerate(connection.joints if system.loops else system.shape_names):
+            joint = joints[name]
             at = system.model.idx_qs[joint]
             if system.model.nqs[joint] == 1:
                 low = float(system.model.lowerPositionLimit[at])
