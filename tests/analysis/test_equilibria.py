@@ -103,10 +103,12 @@ def test_double_pendulum_matches_published_counts() -> None:
     (one,) = (e for e in equilibria if e.verdict == "undecided")
     np.testing.assert_allclose(one.frequencies, [0.23173, 7.08424, 10.72249], atol=5e-6)
     np.testing.assert_allclose(np.abs(one.x), [0.355, np.pi / 2, np.pi / 2], atol=1e-3)
-    damped = [f"{name} {one.damped_growth[name]:+.5g}" for name in one.system.shape_names]
-    assert f"{verdicts.index('undecided')}, by damping: grows by {', '.join(damped)}" in str(
-        equilibria
-    )
+    signs = {True: "grows", False: "decays"}
+    damped = [
+        f"at {name} it {signs[growth > 0.0]} by {abs(growth):.5g}"
+        for name, growth in one.damped_growth.items()
+    ]
+    assert f"{verdicts.index('undecided')}, by a damper: {', '.join(damped)}" in str(equilibria)
     assert_steady(equilibria)
 
 

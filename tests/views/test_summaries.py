@@ -62,6 +62,6 @@ def test_rows_have_the_numbers_of_the_result(shown: list[Summary]) -> None:
     pose = [float(word) for word in dict(phase.rows())["pose"].split()[1::2]]
     np.testing.assert_allclose(pose, phase.pose, rtol=1e-11)
     assert {"geometric", "dynamic", "samples"} <= dict(phase.rows()).keys()
-    text = dict(best.rows())["rotation / length"]
+    text = dict(best.rows())["rotation / length [rad/(m √kg)]"]
     assert float(text) == pytest.approx(best.merit, rel=1e-9)
     assert dict(integral.rows())["relative error"].endswith("not trusted: above 0.05")

@@ -240,7 +240,7 @@ class Equilibria(Sequence[RelativeEquilibrium]):
             "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[-1]]).rstrip()
             for row in rows
         ]
-        lines += [f"{k}, by damping: {_damped(e)}" for k, e in enumerate(self) if e.damped_growth]
+        lines += [f"{k}, by a damper: {_damped(e)}" for k, e in enumerate(self) if e.damped_growth]
         return "\n".join([head, *lines])
 
     def _repr_html_(self) -> str:
@@ -274,8 +274,11 @@ def _row(equilibrium: RelativeEquilibrium) -> list[str]:
 
 def _damped(equilibrium: RelativeEquilibrium) -> str:
     """Describe how dampers affect an equilibrium whose undamped stability test is undecided."""
-    growths = [f"{joint} {growth:+.5g}" for joint, growth in equilibrium.damped_growth.items()]
-    return f"grows by {', '.join(growths)} 1/s per N·m·s/rad | N·s/m"
+    effects = [
+        f"at {joint} it {'grows' if growth > 0.0 else 'decays'} by {abs(growth):.5g}"
+        for joint, growth in equilibrium.damped_growth.items()
+    ]
+    return f"{', '.join(effects)} 1/s per N·m·s/rad | N·s/m"
 
 
 def _growth(stability: Stability) -> str:

@@ -43,7 +43,7 @@ class Linearisation(FrozenArrays):
     leaf: Leaf
 
     def __str__(self) -> str:
-        lines = ["growth [1/s]      frequency [rad/s]"]
+        lines = ["growth [1/s]      frequency [rad/s]      (negative growth: decay)"]
         lines += [f"{value.real:+.6e}     {abs(value.imag):.6e}" for value in self.eigenvalues]
         return "\n".join(lines)
 

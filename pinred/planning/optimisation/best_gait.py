@@ -21,7 +21,9 @@ from ...lie.group import PoseError
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
-from .objective import ABOUT, DEGREES, AxisAim, TargetAim
+from .cost_units import cost_unit, merit_name
+from .limits import NOT_CONSIDERED
+from .objective import ABOUT, TargetAim
 from .optimum_distance import OptimumDistance, distance_of
 from .transcription import Task
 
@@ -66,9 +68,6 @@ def group_optima(optima: list[Optimum]) -> tuple[Optimum, ...]:
         else:
             distinct.append(optimum)
     return tuple(distinct)
-
-
-_ROOTS = {1: "", 2: "√", 4: "⁴√"}
 
 
 _SHOWN = 3  # number of local optima in the text
@@ -179,10 +178,11 @@ class BestGait(Summary, Optimum):
         else:
             rows = [(f"{task.aim.kind} a cycle [{task.aim.unit}]", f"{self.value:.10g}")]
         if task.cost is not None:
-            rows.append((task.cost, f"{self.cost:.10g}  {ABOUT[task.cost]}"))
-        if task.per_cost and isinstance(task.aim, AxisAim):
-            root = _ROOTS[DEGREES[task.cost or "time"]]
-            rows.append((f"{task.aim.kind} / {root}{task.cost}", f"{self.merit:.10g}"))
+            unit = cost_unit(task.connection, task.cost)
+            rows.append((f"{task.cost} [{unit}]", f"{self.cost:.10g}  {ABOUT[task.cost]}"))
+        if task.per_cost:
+            name, unit = merit_name(task)
+            rows.append((f"{name} [{unit}]", f"{self.merit:.10g}"))
         if isinstance(task.connection.code, LoopConnectionCode):
             rows.append(("independent joints", ", ".join(task.connection.joints)))
         rows.append(("period [s]", f"{self.gait.period:.10g}"))
@@ -196,6 +196,7 @@ class BestGait(Summary, Optimum):
         if self.margins:
             margins = ", ".join(f"{name} {value:.2e}" for name, value in self.margins.items())
             rows.append(("margins", margins))
+        rows.append(("not considered", NOT_CONSIDERED))
         merits = ", ".join(f"{o.merit:.10g} ({o.found} times)" for o in self.optima[:_SHOWN])
         more = f", and {len(self.optima) - _SHOWN} more" if len(self.optima) > _SHOWN else ""
         rows.append((f"optima of {self.starts} starts", f"merit {merits}{more}"))

@@ -12,6 +12,7 @@ from ...analysis.gaits.gait import Gait
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.errors import InputError, NoOptimum
+from .cost_units import merit_name
 from .extremal_problem import SEGMENTS, Displacement, ExtremalProblem
 from .extremal_start import interpolated, start_of
 from .levenberg_marquardt import levenberg_marquardt
@@ -51,6 +52,7 @@ class Extremal(FrozenArrays):
         residual: Norm of the residual of the boundary value problem, relative to the sizes of loop
             and displacement.
         iterations: Number of Levenberg–Marquardt iterations.
+        merit_name: Name and unit of the merit.
     """
 
     gait: Gait
@@ -63,6 +65,7 @@ class Extremal(FrozenArrays):
     charge: Array
     residual: float
     iterations: int
+    merit_name: str
 
     def __repr__(self) -> str:
         return f"<Extremal: merit {self.merit:.12g}, residual {self.residual:.1e}>"
@@ -71,7 +74,7 @@ class Extremal(FrozenArrays):
         return "\n".join(
             [
                 "extremal of the isoholonomic problem",
-                f"  merit                 {self.merit:.12g}",
+                f"  merit                 {self.merit:.12g}, {self.merit_name}",
                 f"  value                 {self.value:.12g}",
                 f"  length                {self.length:.12g}",
                 f"  charge                {np.array2string(self.charge, precision=6)}",
@@ -172,6 +175,7 @@ def _extremal(
     return Extremal(
         gait=gait, error=error, corner=corner, length=length, pose=pose, value=value,
         merit=task.merit(value, length), charge=charge, residual=residual, iterations=iterations,
+        merit_name="{} [{}]".format(*merit_name(task)),
     )  # fmt: skip
 
 

@@ -22,6 +22,8 @@ from .objective import torque_order, torques
 # and torque are symmetric, so that they accept only r.
 LimitsLike: TypeAlias = float | ArrayLike | Mapping[str, ArrayLike]
 WHOLE_TURN = 2.0 * np.pi  # default limit of rotational joints in either direction [rad]
+# What no plan takes into account, as part of its text.  Speeds and torques have arguments instead.
+NOT_CONSIDERED = "velocity and effort limits of the file, collisions between links"
 # Default limit of each entry of a ball's rotation vector, which is then shorter than 2π [rad].
 BALL_LIMIT = 3.6
 

@@ -100,7 +100,8 @@ def optimise_gait(
     The maximised merit is the objective per cost.  The cost enters with the power that makes the
     merit independent of the size of small loops: length, √torque, ⁴√power, √acceleration or time.
     For a target, the cost is minimised.  Without a cost, the objective per cycle is maximised;
-    this requires two joints and a winding number.
+    this requires two joints and a winding number.  Velocity and effort limits of the robot file,
+    and collisions between links, are not considered.
 
     Args:
         connection: The connection, or a System for its mechanical connection. The loops of balls

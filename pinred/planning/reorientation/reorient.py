@@ -68,7 +68,8 @@ def reorient(
 
     At zero momentum, each of n cycles rotates the base by the n-th root of the target.  With
     momentum the base tumbles during the motion, passes through the target at the end, and keeps
-    the twist `TurnPlan.left`.  Conservation fixes this twist for the final shape.
+    the twist `TurnPlan.left`.  Conservation fixes this twist for the final shape.  Velocity and
+    effort limits of the robot file, and collisions between links, are not considered.
 
     Args:
         system: The system, or its mechanical connection.

@@ -18,6 +18,7 @@ from ...judge.verdict import Report
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
+from ..optimisation.limits import NOT_CONSIDERED
 from ..optimisation.objective import TargetAim
 
 TOLERANCES = (1e-12, 1e-14)  # relative and absolute tolerance of a plan's simulation
@@ -114,7 +115,7 @@ class TurnPlan(FrozenArrays):
         if self.momentum.any():
             lines.append(f"  tumble left [rad/s]     {self.tumble:.6g}, determined by the momentum")
         lines += [f"  margin to {name:<13} {value:.3g}" for name, value in self.margins.items()]
-        return "\n".join(lines)
+        return "\n".join([*lines, f"  not considered          {NOT_CONSIDERED}"])
 
 
 def rest_to_rest(gait: Gait, joints: Sequence[str], cycles: int, duration: float) -> dict[str, str]:

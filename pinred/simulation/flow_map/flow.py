@@ -315,7 +315,8 @@ def flow(
 
     The flow returns the state at the end, or at `times` if the scene has them.  An InputError is
     raised for scenes without derivatives: with Controllers, which are Python functions, or with
-    methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.
+    methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.  A flow detects no events;
+    docs/flow.md shows how to get derivatives at a terminal event.
 
     Args:
         scene: A System, or a Scene whose options apply unless `options` replaces them.

@@ -56,7 +56,10 @@ class Propagator:
                 "a Torque of CasADi expressions, or use simulate"
             )
         if plan.scene.events_given:
-            raise InputError("a flow map does not detect events; use simulate")
+            raise InputError(
+                "events: a flow ends at a fixed time and does not detect events. Use simulate; "
+                "docs/flow.md shows how to get derivatives at a terminal event"
+            )
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
         self._initial = InitialMap(kernel, motion_of(plan.scene))

@@ -21,6 +21,7 @@ from ...common.errors import InputError
 from ...lie.group import Group
 from ...lie.rotations import unwrapped_rotation_vectors
 from ...planning.optimisation.best_gait import BestGait
+from ...planning.optimisation.cost_units import merit_name
 from ...planning.optimisation.objective import AxisAim
 from ...planning.reorientation.turn_plan import TurnPlan
 from .connection_field import component_of
@@ -109,10 +110,10 @@ def _arrows(axes: Axes, places: Array, angles: Array, path: Array) -> None:
 def loop(source: BestGait | TurnPlan) -> Figure:
     """Draw a best gait or a reorientation plan: the loop, its joints, and the base.
 
-    The loop is drawn over the curvature of the two joints that move most, in the component that the
-    objective concerns, with the other joints at their initial values; thin lines are further local
-    optima. The panels over time are the joints, and the rotation of the base [°], or its position
-    if it cannot rotate [m].
+    The title states the motion of the base, and the merit.  The loop is drawn over the curvature of
+    the two joints that move most, in the component that the objective concerns, with the other
+    joints at their initial values; thin lines are further local optima.  The panels over time are
+    the joints, and the rotation of the base [°], or its position if it cannot rotate [m].
 
     Args:
         source: Result of `optimise_gait` or `reorient`.
@@ -127,7 +128,8 @@ def loop(source: BestGait | TurnPlan) -> Figure:
         times = np.linspace(0.0, gait.period, _TIMES)
         shapes = gait.at(times)[0]
         at, poses = source.phase.times, source.phase.path
-        title = f"best of {source.starts} starts: merit {source.merit:.6g}"
+        name, unit = merit_name(source.task)
+        title = f"{_motion_of(source.phase)}, {name} = {source.merit:.5g} {unit}"
     elif isinstance(source, TurnPlan):
         connection, gaits = Connection.mechanical(source.system), [source.gait]
         if source.chart is not None:
@@ -135,7 +137,9 @@ def loop(source: BestGait | TurnPlan) -> Figure:
         gait, traj = source.gait, source.trajectory
         times, at, poses = traj.t, traj.t, traj.pose
         shapes = traj.x if source.chart is None else source.chart.coordinates(traj.x)
-        title = f"{source.cycles} cycles, {source.remaining:.1e} rad remain"
+        angle = np.degrees(np.linalg.norm(source.turned))
+        count = f"{source.cycles} cycle{'s' * (source.cycles > 1)}"
+        title = f"the base turns by {angle:.4g}° in {count}, {source.remaining:.1e} rad remain"
     else:
         raise InputError(
             "loop draws a BestGait or a TurnPlan, as optimise_gait and reorient return, got "
