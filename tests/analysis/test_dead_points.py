@@ -13,6 +13,7 @@ from loop_robots import FOUR_BAR, crank_angles, five_bar, four_bar
 from scipy.integrate import solve_ivp
 
 import pinred
+from pinred.analysis.connections import gaits_of_all_joints
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, IntegrationError, SingularInertiaError
 from pinred.system.coordinates import InitialState
@@ -202,11 +203,24 @@ def test_paths_that_are_open_or_of_other_joints_are_refused_by_name() -> None:
         pinred.phase(some, path)
 
 
+def rounded_turn() -> pinred.Gait:
+    """Return a full turn with few harmonics, so that loops are slightly open."""
+    gait = full_turn()
+    arc = gait.arcs[0]
+    return pinred.Gait((replace(arc, cos=arc.cos[:6], sin=arc.sin[:6]),), gait.turns)  # type: ignore[call-arg,attr-defined]
+
+
+def test_shapes_that_were_not_closed_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's method that does not converge ends with the shape, not with open loops."""
+    connection = by(crank_rocker(), "rocker")
+    monkeypatch.setattr(gaits_of_all_joints, "_ITERATIONS", 1)
+    with pytest.raises(InputError, match=r"no closed shape of 'four_bar' was found near x = \["):
+        pinred.phase(connection, rounded_turn())
+
+
 def test_nearly_closed_paths_are_replaced_by_the_nearest_closed_ones() -> None:
     """The phase of a path with few harmonics is that of a closed path: a full turn in SE(2)."""
-    exact, rough = full_turn(), full_turn()
-    arc = rough.arcs[0]
-    rough = pinred.Gait((replace(arc, cos=arc.cos[:6], sin=arc.sin[:6]),), rough.turns)  # type: ignore[call-arg,attr-defined]
+    exact, rough = full_turn(), rounded_turn()
     gap = np.abs(rough.at(0.0)[0] - exact.at(0.0)[0]).max()
     assert 1e-6 < gap < 1e-3
     connection = by(crank_rocker(), "rocker")

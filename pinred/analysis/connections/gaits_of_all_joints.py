@@ -33,6 +33,8 @@ from .loop_connection import LoopConnectionCode
 _OPEN = 1e-2  # largest gap of a loop along a path, relative to its size
 _ITERATIONS = 20  # largest number of Newton steps
 _CLOSED = 1e-13  # largest change of a joint in the last Newton step [rad | m]
+_SHUT = 1e-10  # largest gap of a loop that counts as closed, relative to its size
+_ROUND_OFF = 1e-11  # largest change that ends the iteration if it does not shrink any more
 _CHUNK = 1024  # number of shapes that are closed at once
 _KNOTS = 65  # number of times between which dependent equations are sought
 
@@ -65,7 +67,8 @@ class AllJointsCode(ConnectionCode):
             x: Shapes, (N, m) [rad | m].
             xdot: Rates, (N, m).
         Raises:
-            InputError: A loop is open; the message names it and its gap.
+            InputError: A loop is open; the message names it and its gap. Or no closed shape is
+                found nearby.
         """
         x, xdot = rows(x, self.form.nx, "x"), rows(xdot, self.form.m, "xdot")
         shapes, rates = np.empty_like(x), np.empty_like(xdot)
@@ -92,9 +95,17 @@ class AllJointsCode(ConnectionCode):
             y, nu, last, size = (
                 y - step[:, :m], nu - step[:, m:], size, np.abs(step[:, :m]).max(initial=0.0),
             )  # fmt: skip
-            if size <= _CLOSED or (size < 1e-11 and size >= last):
+            if size <= _CLOSED or (size < _ROUND_OFF and size >= last):
                 break
-        matrix = self._matrix(weight, *self._terms(y, nu)[1:])
+        phi, J, bends = self._terms(y, nu)
+        worst = int(np.argmax(np.abs(phi).max(axis=1)))
+        if not loop_gaps(self.system, y[worst], closure.length).max() <= _SHUT:
+            raise InputError(
+                f"gait: no closed shape of {quoted(self.system.name)} was found near x = "
+                f"{x[worst]} in {_ITERATIONS} Newton steps. LoopReduction.shape returns closed "
+                "shapes."
+            )
+        matrix = self._matrix(weight, J, bends)
         right = np.concatenate([weight * xdot, np.zeros((count, k))], axis=1)
         return y, np.linalg.solve(matrix, right[..., None])[:, :m, 0]
 
