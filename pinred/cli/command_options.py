@@ -210,6 +210,7 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "V1,V2,…": numbers_in,
     "V1,V2,… or J1=V1,…": shape_in,
     "J1,J2=VALUE,…": lock_in,
+    "J1,J2,…": lambda text, _: text.split(",") if text else [],
     "all or B1,B2,…": lambda text, _: True if text == "all" else text.split(",") if text else [],
     "J=K,REST": lambda entries, _: assigned_in(
         entries, "spring", spring_in, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
@@ -258,16 +259,22 @@ def _method(arguments: argparse.Namespace) -> str:
 
 def add_source(sub: argparse.ArgumentParser) -> None:
     """Add the options that name a connection and a gait."""
-    from ..planning.gait_file import GAIT_FILE
-    from ..scene.load_options import LOAD
-
     text = "gait file (.toml), or robot: a name (see `pinred robots`) or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)
-    add_options(sub, {"group": LOAD.keys["group"], "centre": GAIT_FILE.keys["centre"]})
+    add_options(sub, connection_keys())
     add_parameters(sub)
     add = option_adder(sub)
     add("--gait FILE", "recorded joint data (.csv, .npz) of a robot")
-    add("--circle J1,J2,RADIUS", "gait of a robot: a circle of two joints about zero [rad | m]")
+    add("--circle J1,J2,RADIUS", "gait of a robot: a circle of two joints about rest [rad | m]")
+
+
+def connection_keys() -> dict[str, Key]:
+    """Return the keys of files that a robot's connection takes as options."""
+    from ..planning.gait_file import GAIT_FILE
+    from ..scene.load_options import LOAD
+
+    keys = {name: LOAD.keys[name] for name in ("group", "loops")}
+    return keys | {name: GAIT_FILE.keys[name] for name in ("independent", "centre")}
 
 
 def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
@@ -284,23 +291,25 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
     import numpy as np
 
     from ..analysis.connections.connection import Connection
+    from ..analysis.connections.connection_source import rest_of
     from ..analysis.gaits.gait import Gait
     from ..common.names import joint_index
-    from ..planning.gait_file import GAIT_FILE, GaitFile, load_gait
+    from ..planning.gait_file import GaitFile, load_gait
     from ..system.load import load
 
     if Path(arguments.source).suffix == ".toml":
-        names = ("group", "gait", "circle", "parameter", "centre")
+        names = (*connection_keys(), "gait", "circle", "parameter")
         refuse_of_robots(arguments, arguments.source, *names)
         return load_gait(arguments.source)
     parameters = parameters_in(arguments.parameter)
-    system = load(arguments.source, group=arguments.group, parameters=parameters)
-    stated = options_in(arguments, {"centre": GAIT_FILE.keys["centre"]})
-    connection = Connection.mechanical(system).in_chart(stated.get("centre"))
+    stated = options_in(arguments, connection_keys())
+    independent, centre = stated.pop("independent", None), stated.pop("centre", None)
+    system = load(arguments.source, parameters=parameters, **stated)
+    connection = Connection.mechanical(system, independent=independent).in_chart(centre)
     file, circle = arguments.gait, arguments.circle
     if (file is None) == (circle is None) and (gait or file is not None):
         raise InputError("a robot needs a gait: pass --gait FILE or --circle J1,J2,RADIUS")
-    zero, path = np.zeros((1, system.m)), None
+    zero, path = np.zeros((1, connection.m)), None
     if file is not None:
         path = Gait.read(file)
     elif circle is not None:
@@ -309,7 +318,7 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
             raise InputError(f"--circle takes J1,J2,RADIUS, got {quoted(circle)}")
         (radius,) = numbers_in(words[2], "circle") or [0.0]
         cos, sin = zero.copy(), zero.copy()
-        cos[0, joint_index(words[0], system.shape_names, "--circle")] = radius
-        sin[0, joint_index(words[1], system.shape_names, "--circle")] = radius
-        path = Gait.fourier(zero[0], cos, sin)
+        cos[0, joint_index(words[0], connection.joints, "--circle")] = radius
+        sin[0, joint_index(words[1], connection.joints, "--circle")] = radius
+        path = Gait.fourier(rest_of(connection), cos, sin)
     return GaitFile(system, connection, path, np.zeros(system.r))

@@ -74,6 +74,7 @@ def _compute_grid(
     """
     import numpy as np
 
+    from ..analysis.connections.connection_source import rest_of
     from ..common.arrays import vector
     from ..views.plots.motion_labels import labels_of_connection
 
@@ -82,7 +83,7 @@ def _compute_grid(
     connection = connection.in_chart()
     names = list(connection.joints)
     pair = labels_of_connection(connection).pair(joints, "a field")
-    fixed = np.zeros(connection.m) if at is None else vector(at, connection.m, "--at", names)
+    fixed = rest_of(connection) if at is None else vector(at, connection.m, "--at", names)
     (low, high), _ = limits or [(-np.pi, np.pi)] * 2
     axis = np.linspace(low, high, samples)
     x = np.broadcast_to(fixed, (samples, samples, connection.m)).copy()

@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from .command_options import add_options, add_parameters, option_adder, options_in, source_of
+from .command_options import (
+    add_options,
+    add_parameters,
+    connection_keys,
+    option_adder,
+    options_in,
+    source_of,
+)
 from .output_files import write_plan, write_series
 
 if TYPE_CHECKING:
@@ -18,13 +25,11 @@ _SAMPLES = 400  # number of samples of a cycle in a file
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..planning.gait_file import GAIT_FILE, OPTIMISE
-    from ..scene.load_options import LOAD
+    from ..planning.gait_file import OPTIMISE
 
     text = "gait file (.toml) with connection and objective, or robot: a name or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)
-    keys = {"group": LOAD.keys["group"], "centre": GAIT_FILE.keys["centre"], **OPTIMISE.keys}
-    add_options(sub, keys)
+    add_options(sub, {**connection_keys(), **OPTIMISE.keys})
     add_parameters(sub)
     add = option_adder(sub)
     add("--any-winding", "let the winding number vary")

@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     stated = options_in(arguments, {"momentum": GAIT_FILE.keys["momentum"]})
     momentum = stated.get("momentum", source.momentum)
     result = phase(source.connection, source.path, momentum, tolerance=arguments.tolerance)
-    print(f"{source.connection}: {result}")
+    print(f"{source.connection.title()}: {result}")
     if (n := arguments.cycles) != 1:
         print(f"  {f'after {n} cycles':<18} {result.in_words(result.cycles(n))}")
     if path is not None:

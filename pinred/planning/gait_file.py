@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from ..analysis.connections.connection import Connection
-from ..analysis.connections.fluid import Ellipse, Ellipsoid, Rod
-from ..analysis.connections.wheels import Rolling, Wheel
 from ..analysis.gaits.gait import Gait
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector_or_zero
@@ -35,91 +33,10 @@ from ..scene.toml.schema import (
 )
 from ..scene.toml.signal_tables import NUMBER, NUMBERS, POSITIVE
 from ..system.system import System
+from .connection_tables import CONNECTIONS, connection_in
 from .optimisation.objective import AIMS, COSTS
 
-_POINT = ListOf(NUMBER, 3)
 _ROWS = ListOf(NUMBERS)
-_CENTRE = Key(_POINT, "its centre in the link's frame [m]", default="[0, 0, 0]")
-_AXIS = Key(_POINT, "direction of its long axis", default="[1, 0, 0]")
-_ROD = Table(
-    {
-        "length": Key(POSITIVE, "length [m]", required=True),
-        "across": Key(POSITIVE, "drag across it per length [N s/m²]", required=True),
-        "along": Key(POSITIVE, "drag along it per length [N s/m²]", required=True),
-        "centre": _CENTRE,
-        "axis": _AXIS,
-    },
-    "a rod in a viscous fluid",
-)
-_BODIES = {
-    "ellipsoid": Table(
-        {"semi_axes": Key(_POINT, "a, b, c [m]", required=True), "centre": _CENTRE, "axis": _AXIS},
-        "an ellipsoid",
-    ),
-    "ellipse": Table(
-        {
-            "a": Key(POSITIVE, "semi-axis along its axis [m]", required=True),
-            "b": Key(POSITIVE, "semi-axis across [m]", required=True),
-            "centre": _CENTRE,
-            "axis": _AXIS,
-            "convention": Key(
-                Text(("textbook", "sysplotter")),
-                "convention of the added moment",
-                default="textbook",
-            ),
-        },
-        "an elliptic cylinder across the plane",
-    ),
-}
-_AT = Key(_POINT, "position in the link's frame [m]", default="[0, 0, 0]")
-_LINK = Key(Text((), "the name of a link"), "the link that carries it", required=True)
-_WHEELS = {
-    "wheel": Table(
-        {
-            "link": _LINK,
-            "at": _AT,
-            "axle": Key(_POINT, "direction of its axle", default="[0, 1, 0]"),
-        },
-        "a wheel that does not slip along its axle",
-    ),
-    "rolling": Table(
-        {
-            "joint": Key(
-                Text((), "the name of a joint"), "the joint that rotates the wheel", required=True
-            ),
-            "radius": Key(POSITIVE, "radius [m]", required=True),
-            "link": _LINK,
-            "at": _AT,
-            "heading": Key(_POINT, "direction of motion for positive rates", default="[1, 0, 0]"),
-        },
-        "a wheel that rolls without slipping",
-    ),
-}
-CONNECTIONS = {
-    "mechanical": Table({}, "momenta"),
-    "viscous": Table({"drag": Key(ByName(_ROD), "a rod for each link", required=True)}, "drag"),
-    "fluid": Table(
-        {
-            "density": Key(
-                POSITIVE, "density of the fluid [kg/m³]; for ellipses [kg/m²]", required=True
-            ),
-            "bodies": Key(
-                ByName(Tagged("kind", _BODIES, "a body")), "a body for each link", required=True
-            ),
-        },
-        "a perfect fluid",
-    ),
-    "kinematic": Table(
-        {
-            "wheels": Key(
-                ListOf(Tagged("kind", _WHEELS, "a wheel")),
-                "one wheel for each dimension of the group",
-                required=True,
-            )
-        },
-        "wheels",
-    ),
-}
 _PERIOD = Key(POSITIVE, "time of one cycle [s]", default="1")
 _TURNS = Key(NUMBERS, "complete turns of each joint per cycle", default="none")
 _POINTS = Key(_ROWS, "shapes, each with a number for every joint [rad | m]", required=True)
@@ -257,6 +174,12 @@ GAIT_FILE = Table(
             "connection that moves the body",
             default="mechanical",
         ),
+        "independent": Key(
+            ListOf(Text((), "the name of a joint")),
+            "independent joints of a robot with loops, whose coordinates are the shapes of gaits",
+            default="chosen where the loops were assembled",
+            command="--independent J1,J2,…",
+        ),
         "base": Key(
             Text((), "the name of a link"), "link that serves as the base", default="the root"
         ),
@@ -330,7 +253,8 @@ def load_gait(path: str | Path) -> GaitFile:
     system, others = with_robot_parameters(robot_in(document, folder, place), given, place)
     refuse_others(system, others)
     with naming(place / "connection"):
-        connection = _connection(system, document.get("connection", {"kind": "mechanical"}))
+        table = document.get("connection", {"kind": "mechanical"})
+        connection = connection_in(table, system, document.get("independent"))
     if "base" in document:
         with naming(place / "base"):
             connection = connection.seen_from(document["base"])
@@ -339,7 +263,7 @@ def load_gait(path: str | Path) -> GaitFile:
     gait = None
     if "gait" in document:
         with naming(place / "gait"):
-            gait = _gait(document["gait"], connection, folder)
+            gait = _gait(document["gait"], connection, system, folder)
     stated = document.get("momentum", 0.0)
     with naming(place / "momentum", "momentum "):
         values = stated if stated == 0.0 else np.atleast_1d(stated)
@@ -354,28 +278,7 @@ def load_gait(path: str | Path) -> GaitFile:
     return GaitFile(system, connection, gait, momentum, optimise, turn)
 
 
-def _connection(system: System, table: Mapping[str, Any]) -> Connection:
-    kind = table["kind"]
-    if kind == "viscous":
-        return Connection.viscous(system, {k: Rod(**rod) for k, rod in table["drag"].items()})
-    if kind == "fluid":
-        bodies = {name: _made(body) for name, body in table["bodies"].items()}
-        return Connection.fluid(system, table["density"], bodies)
-    if kind == "kinematic":
-        return Connection.kinematic(system, [_made(wheel) for wheel in table["wheels"]])
-    return Connection.mechanical(system)
-
-
-_CLASSES = {"ellipsoid": Ellipsoid, "ellipse": Ellipse, "wheel": Wheel, "rolling": Rolling}
-
-
-def _made(table: Mapping[str, Any]) -> Any:
-    """Create the body or wheel that a table describes."""
-    options = dict(table)
-    return _CLASSES[options.pop("kind")](**options)
-
-
-def _gait(table: Mapping[str, Any], connection: Connection, folder: Path) -> Gait:
+def _gait(table: Mapping[str, Any], connection: Connection, system: System, folder: Path) -> Gait:
     options = dict(table)
     kind = options.pop("kind")
     if kind == "recorded":
@@ -384,9 +287,9 @@ def _gait(table: Mapping[str, Any], connection: Connection, folder: Path) -> Gai
         gait = Gait.strokes(joints=connection.joints, **options)
     else:
         gait = getattr(Gait, kind)(**options)
-    if gait.m != connection.m:
+    if gait.m not in ({connection.m, system.m} if system.loops else {connection.m}):
         raise InputError(
-            f"the gait moves {gait.m} joints, but the robot has {connection.m}: "
+            f"the gait moves {gait.m} joints, but the connection has {connection.m}: "
             f"{', '.join(connection.joints)}"
         )
     return gait

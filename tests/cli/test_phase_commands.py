@@ -11,7 +11,8 @@ import pytest
 import pinred
 from pinred.cli.main import main
 
-EXAMPLE = str(Path(__file__).parents[2] / "examples/gaits/purcell_circle.toml")
+ROOT = Path(__file__).parents[2]
+EXAMPLE = str(ROOT / "examples/gaits/purcell_circle.toml")
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -34,7 +35,7 @@ def test_phase_of_gait_file_prints_published_displacement(
     out = tmp_path / "way.npz"
     code, text, _ = run(capsys, "phase", EXAMPLE, "--cycles", "3", "--out", str(out))
     assert code == 0
-    assert number(text, "slide N m") == pytest.approx(0.0512808243, abs=5e-11)
+    assert number(text, "slide of N m") == pytest.approx(0.0512808243, abs=5e-11)
     x, y = (number(text, rf"after 3 cycles .*{name} N") for name in "xy")
     assert np.hypot(x, y) == pytest.approx(3 * 0.0512808243, abs=2e-10)
     with np.load(out) as file:
@@ -175,3 +176,51 @@ def test_commands_take_loops_of_balls_about_a_centre(
     code, _, err = run(capsys, "phase", "falling_cat_ball", "--circle", "spine.y,spine.w,1.2")
     assert code != 0
     assert "the joints are spine.x, spine.y, spine.z" in err
+
+
+def test_commands_state_loops_and_independent_joints(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Loops of a URDF are closed; gait files, phase, gait and field use the stated joints."""
+    urdf = str(ROOT / "robots/parallel_biped.urdf")
+    feet = "left_front_foot=left_rear_foot:3d,right_front_foot=right_rear_foot:3d"
+    hips = ["left_front_hip", "left_rear_hip", "right_front_hip", "right_rear_hip"]
+    loaded = (urdf, "--group", "SE3", "--loops", feet, "--independent", ",".join(hips))
+    code, text, err = run(capsys, "phase", *loaded, "--circle", f"{hips[0]},{hips[1]},0.3")
+    assert code == 0, err
+    biped = pinred.load(urdf, group="SE3", loops=feet)
+    connection = pinred.Connection.mechanical(biped, independent=hips)
+    assert biped.closure is not None
+    rest = biped.closure.x[[biped.shape_names.index(name) for name in hips]]
+    circle = pinred.Gait.fourier(rest, 0.3 * np.eye(4)[:1], 0.3 * np.eye(4)[1:2])
+    p = pinred.phase(connection, circle)
+    assert number(text, "turn +N rad") == pytest.approx(p.screw.angle, abs=1e-11)
+    assert abs(p.screw.angle) > 1e-4
+    grid = tmp_path / "grid.npz"
+    words = ("--joints", f"{hips[2]},{hips[0]}", "--limits", "-1.2,-1", "--samples", "3")
+    code, _, err = run(capsys, "field", *loaded, *words, "--out", str(grid))
+    assert code == 0, err
+    with np.load(grid) as file:
+        assert file["joints"].tolist() == hips
+        middle = file["x"][1, 1]
+        np.testing.assert_allclose(middle[[0, 2]], -1.1)
+        np.testing.assert_allclose(middle[[1, 3]], rest[[1, 3]])
+        np.testing.assert_allclose(file["local"][1, 1], connection.local(middle), atol=1e-13)
+    path = tmp_path / "gait.toml"
+    path.write_text(
+        f"robot = {urdf!r}\nindependent = {hips}\n[load]\ngroup = 'SE3'\nloops = {feet!r}\n"
+        f"[gait]\nkind = 'fourier'\nmean = {rest.tolist()}\n"
+        "cos = [[0.3, 0, 0, 0]]\nsin = [[0, 0.3, 0, 0]]\n",
+        "utf-8",
+    )
+    code, text, err = run(capsys, "phase", str(path))
+    assert code == 0, err
+    assert number(text, "turn +N rad") == pytest.approx(p.screw.angle, abs=1e-11)
+    code, _, err = run(capsys, "phase", str(path), "--independent", "left_front_hip")
+    assert (code, "--independent applies to robots only" in err) == (2, True)
+    code, _, err = run(capsys, "gait", urdf, "--group", "SE3", "--loops", feet,
+                       "--independent", "left_front_hip")  # fmt: skip
+    assert (code, "expected 4 joints, each once, got left_front_hip" in err) == (2, True)
+    code, _, err = run(capsys, "phase", "three_rods", "--independent", "alpha1",
+                       "--circle", "alpha1,alpha2,1")  # fmt: skip
+    assert (code, "independent: expected none, because the robot has no loops" in err) == (2, True)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
+import numpy as np
+
+from ...common.arrays import Array
 from ...common.errors import InputError
 from ...system.system import System
 from .connection import Connection
@@ -35,6 +38,16 @@ def robot_of(connection: Connection) -> System | None:
     """Return the robot of a connection, with its loops; None if it was built without one."""
     code = connection.code
     return code.chart_system if isinstance(code, LoopConnectionCode) else connection.system
+
+
+def rest_of(connection: Connection) -> Array:
+    """Return the shape (m,) at rest: zero, or that at which the loops of a robot were assembled."""
+    if not isinstance(connection.code, LoopConnectionCode):
+        return np.zeros(connection.m)
+    chart = connection.code.chart
+    closure = chart.system.closure
+    assert closure is not None
+    return closure.x[chart.system.space.coordinates_of(chart.independent.tolist())]
 
 
 def system_of(source: ConnectionSource, what: str) -> System:

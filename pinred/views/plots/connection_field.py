@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.connections.connection_source import ConnectionSource, connection_of
+from ...analysis.connections.connection_source import ConnectionSource, connection_of, rest_of
 from ...analysis.full_reduction import Reduction
 from ...analysis.gaits.gait import Gait
 from ...common.argument_kinds import checks_arguments
@@ -57,7 +57,8 @@ def field(
         part: "curvature" B, its terms "exterior" ∂_αA_β − ∂_βA_α and "bracket" [A_α, A_β], or
             "connection": the row of −A as a vector field with flow lines over its magnitude.
         limits: (low, high) of each joint [rad | m]; around the gait, or ±π if None.
-        at: Shape of the other joints, (m,) [rad | m]; the start of the gait, or zero if None.
+        at: Shape of the other joints, (m,) [rad | m]; if None, the start of the gait, or else zero,
+            or the assembled shape of a robot with loops.
         gait: Gait to draw. The title gives its signed area, and the integral of the field over
             that area if the gait moves only these two joints.
     Returns:
@@ -72,7 +73,7 @@ def field(
     names = labels_of_connection(source)
     path = None if gait is None else _closed_path(source, gait)
     pair = names.pair(joints, "a field", path)
-    start = np.zeros(source.m) if path is None else path[0]
+    start = rest_of(source) if path is None else path[0]
     frozen = start if at is None else vector(at, source.m, "at", source.joints)
     units = [source.form.units[k] for k in pair]
     if limits is None:
