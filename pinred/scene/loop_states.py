@@ -75,6 +75,7 @@ def closed_shape(
     *,
     report: bool = False,
     driven: Collection[int] = (),
+    nearby: bool = False,
 ) -> Array:
     """Return the shape nearest to x, (nx,), by least squares, that closes all loops.
 
@@ -84,6 +85,7 @@ def closed_shape(
         held: Joints that keep their values if the loops can close by motion of the others.
         report: Whether to report a noticeable change although `held` states no value.
         driven: Indices of the rates of prescribed joints, which keep their values.
+        nearby: Whether joints start from x although `held` states no value.
     Returns:
         The closed shape, (nx,).
     Raises:
@@ -97,7 +99,8 @@ def closed_shape(
     may_move = _may_move(system, driven)
     free = np.logical_and(_free(system, held), may_move)
     start = x
-    if not free.all():  # other joints start from a closed shape instead of zero
+    if held.names or (driven and not (held.stated or nearby)):
+        # The other joints start from a closed shape instead of zero.
         start = x.copy()
         for joint in system.space.joints:
             if free[joint.v].all():

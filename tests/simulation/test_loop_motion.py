@@ -107,13 +107,18 @@ def test_motion_equals_constraint_dynamics_of_pinocchio(robot: str) -> None:
     system = pinred.load(model, loops=loops)
     traj = pinred.simulate(system, seed=1, duration=0.3, rtol=1e-11)
     q, v = reference(system, traj.q[0], traj.v[0], 0.3)
-    np.testing.assert_allclose(traj.q[-1], q, atol=1e-10)
-    np.testing.assert_allclose(traj.v[-1], v, atol=1e-10 * np.abs(v).max())
+    np.testing.assert_allclose(traj.q[-1], q, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(traj.v[-1], v, rtol=0.0, atol=1e-10 * np.abs(v).max())
 
 
 @pytest.mark.by_hand
 def test_cassie_equals_constraint_dynamics_and_does_not_drift() -> None:
-    """The file of example-robot-data with its leg springs, and balls at the rods."""
+    """The file of example-robot-data with its leg springs, and balls at the rods.
+
+    The springs oscillate at about 3000 rad/s, so an error of 1e-12 in a joint is one of 3e-9 in its
+    rate. DOP853 takes steps at its stability limit, which damp these oscillations; AdaptiveGauss
+    follows them.
+    """
     path = cassie_path()
     if path is None:
         pytest.skip("example-robot-data has no Cassie")
@@ -122,10 +127,11 @@ def test_cassie_equals_constraint_dynamics_and_does_not_drift() -> None:
     closure = system.closure
     assert closure is not None
     assert (system.m, closure.equations, closure.rank, system.shape_dim) == (26, 12, 10, 16)
-    traj = pinred.simulate(system, **CASSIE, springs=springs, duration=0.3, rtol=1e-11)  # type: ignore[arg-type]
+    precise = pinred.AdaptiveGauss(1e-13, 1e-15)
+    traj = pinred.simulate(system, **CASSIE, springs=springs, duration=0.3, method=precise)  # type: ignore[arg-type]
     q, v = reference(system, traj.q[0], traj.v[0], 0.3, springs)
-    np.testing.assert_allclose(traj.q[-1], q, atol=1e-10)
-    np.testing.assert_allclose(traj.v[-1], v, atol=1e-9 * np.abs(v).max())
+    np.testing.assert_allclose(traj.q[-1], q, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(traj.v[-1], v, rtol=0.0, atol=1e-10 * np.abs(v).max())
     traj = pinred.simulate(system, **CASSIE, springs=springs, duration=5.0, rtol=1e-10)  # type: ignore[arg-type]
     gaps = [np.abs(loop_values(system, x)[closure.rows]).max() for x in traj.x]
     J = traj.spatial_momentum

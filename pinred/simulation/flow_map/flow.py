@@ -46,7 +46,8 @@ class Flow:
     is differentiated in body coordinates: with respect to η at η = 0 in g exp(η̂).  Likewise, the
     attitude R of a ball joint in a shape is differentiated with respect to w in R exp(ŵ).  With
     closed loops, the shape and its rate are projected to a closed state as in `simulate`, and
-    derivatives contain this projection.
+    derivatives contain this projection.  Where Parameters of prescribed joints move them at time 0,
+    the other joints follow by the loops from the scene's shape.
 
     Attributes:
         scene: The scene.
@@ -328,8 +329,6 @@ def flow(
         The flow.
     """
     resolved = as_scene(scene, options, "flow")
-    if resolved.prescribed:
-        resolved.system.refuse_loops("flow with prescribed joints")
     resolved = with_varied(resolved, wrt)
     over_times = resolved.times is not None
     if not over_times:

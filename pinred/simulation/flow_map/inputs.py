@@ -24,6 +24,7 @@ from ...scene.joint_values import order_by_joint
 from ...scene.scene import Scene
 from ..robot_columns import RobotColumns, with_own
 from .closed_inputs import close_inputs, closing_slopes
+from .planned_start import PlannedStart
 
 _NONE: Mapping[str, Array] = MappingProxyType({})
 
@@ -106,6 +107,9 @@ class Inputs:
         self._spans = _slices(self.sizes)
         curved = ["pose0", *["x0"] * bool(system.space.balls or system.loops)]
         curved += ["xdot0"] * bool(system.loops)
+        # The other joints of a loop follow the planned initial values of prescribed joints.
+        self._planned = PlannedStart(system, model if system.loops else None)
+        curved += [*self._slopes] * bool(self._planned.joints)
         self._curved = [name for name in curved if name in self.sizes]
         vectors = {name for name, value in self._values.items() if isinstance(value, np.ndarray)}
         self._scalars = {
@@ -173,10 +177,12 @@ class Inputs:
         if "x0" in values:
             place = self._places["x0"]
             state[place] = self._system.space.normalized(state[place], "x0", near=False)
-        if not (self._system.loops and {"x0", "xdot0"} & values.keys()):
+        opening = {"x0", "xdot0", *(self._slopes if self._planned.joints else ())}
+        if not (self._system.loops and opening & values.keys()):
             return Given(state, constants, robot)
-        rates = state[self._places["xdot0"]].copy()
-        state[self._shape_at] = close_inputs(self._system, state[self._places["x0"]], rates, values)
+        x, rates = state[self._places["x0"]], state[self._places["xdot0"]].copy()
+        self._planned.put(x, rates, constants[self._numbers_at])
+        state[self._shape_at] = close_inputs(self._system, x, rates, values, self._planned.joints)
         return Given(state, constants, robot, rates)
 
     def _check_names(self, names: Sequence[str], known: Sequence[str]) -> list[str]:
@@ -254,9 +260,9 @@ class Inputs:
         if system.loops:
             self._put_closing(state, at)
         for name in self._curved:
-            place, span = self._places[name], self._spans[name]
             if name != "pose0" and system.loops:
                 continue
+            place, span = self._places[name], self._spans[name]
             if name == "x0":
                 state[place, span] = system.space.rate_map(at.state[place])
                 continue
@@ -266,18 +272,28 @@ class Inputs:
 
     def _put_closing(self, state: Array, at: Given) -> None:
         """Write the directions of shapes and rates that keep loops closed."""
-        names = [name for name in ("x0", "xdot0") if name in self._spans]
+        names = [name for name in self._curved if name != "pose0"]
         if not names:
             return
+        system, planned = self._system, self._planned
         x, xdot = at.state[self._places["x0"]], at.state[self._places["xdot0"]]
         raw = xdot if at.rates is None else at.rates
-        shape, rates, by_rates = closing_slopes(self._system, x, xdot, raw)
-        if "x0" in names:
-            span = self._spans["x0"]
-            state[self._places["x0"], span] = self._system.space.rate_map(x) @ shape
-            state[self._places["xdot0"], span] = rates
-        if "xdot0" in names:
-            state[self._places["xdot0"], self._spans["xdot0"]] = by_rates
+        shape, by_shape, by_rates = closing_slopes(system, x, xdot, raw, planned.joints)
+        by_numbers = planned.slopes(x, at.constants[self._numbers_at])
+        own = np.eye(system.m)
+        own[:, list(planned.joints)] = 0.0  # these entries of x0 and xdot0 are planned
+        changes = {"x0": (own, np.zeros_like(own)), "xdot0": (np.zeros_like(own), own)}
+        for name in names:
+            span = self._spans[name]
+            if name in self._slopes:
+                changes[name] = (
+                    by_numbers[0] @ self._slopes[name],
+                    by_numbers[1] @ self._slopes[name],
+                )
+            displacements, rates = changes[name]
+            directions = system.space.rate_map(x) @ shape @ displacements
+            state[self._places["x0"], span] = directions
+            state[self._places["xdot0"], span] = by_shape @ displacements + by_rates @ rates
 
     def _put_robot(
         self, constants: Array, now: Mapping[str, Array], changed: Collection[str]
