@@ -1,8 +1,9 @@
 """compare(): validate a reduced trajectory with Pinocchio's ABA on the full state.
 
 The full simulation (reference_solution.py) shares no dynamics with the reduced one. It runs at a
-tolerance 100 times tighter, with two methods of order 8 and 5. The difference between the two
-solutions measures the accuracy of the reference.
+tolerance 100 times tighter, by a method of order 8. Its residuals, integrated by another formula,
+bound its error (reference_errors.py). Where this bound is wide, the difference from a solution by
+a method of order 5 is used instead, if it is smaller.
 
 A trajectory passes in three steps, each with a separate line of the report:
 1. Equations: at the states of the trajectory, the route's accelerations equal ABA's up to
@@ -32,8 +33,9 @@ from .audit import audit_trajectory, measurement_error
 from .distances import Distance, FullMotion, Size
 from .equation_errors import equation_errors
 from .loop_errors import loop_errors
+from .reference_errors import reference_errors
 from .reference_solution import FINEST, PERTURBATION, FullState
-from .step_defects import Defects, compute_defects
+from .step_defects import Defects, compute_defects, defect_units
 from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report
 
@@ -48,6 +50,9 @@ DEFECT_BOUND = 3.0  # largest passing defect of a step, in tolerances, as in the
 DENSE_BOUND = 50.0  # largest passing defect of a subinterval; step control ignores dense output
 DRIFT_BOUND = 100.0  # smallest bound of the energy and momentum drift, in tolerances
 REFERENCE_BOUND = 100.0  # largest error of a reliable reference, in tolerances times growth
+# Error of the reference by its residuals, in tolerances times growth, above which a second solution
+# is computed.
+SECOND_BOUND = 10.0
 FIELD_BOUND = 1e-9  # largest passing relative error of fields computed from q and v
 RESOLUTION = 1e-13  # relative accuracy of the reference solution and of its energies
 _STIFF = 0.1  # largest ratio of filtered to plain defects of stiff equations
@@ -91,14 +96,16 @@ def _compare(traj: Trajectory, progress: Progress, budget: TimeBudget) -> Report
     full = FullState(scene, traj.motion.replay, budget)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     stopped: tuple[str, ...] = ()
+    tolerance = max(rtol, RESOLUTION) + atol
     started = time.perf_counter()
     try:
-        solutions = _integrate_with_aba(full, y0, times, (rtol, atol), progress)
+        solutions = _integrate_with_aba(traj, full, y0, times, tolerance, progress)
     except AbaStopped as stop:
         stopped = (f"errors of the motion cannot be judged: {stop}; compare a shorter motion",)
         times = times[:1]
         initial = full.run(y0, times, rtol, atol)
-        solutions = _Solutions(initial, initial, np.ones(1), time.perf_counter() - started)
+        wall = time.perf_counter() - started
+        solutions = _Solutions(initial, np.ones(1), np.zeros(1), wall)
     progress(0.8)
     reference, growth = solutions.reference, solutions.growth
     defects = compute_defects(traj, full)
@@ -107,11 +114,7 @@ def _compare(traj: Trajectory, progress: Progress, budget: TimeBudget) -> Report
     x, q = full.couplings.values(states.x), traj.system.sorted_q(states.q)
     motion = FullMotion(x=x[: len(times)], q=q[: len(times)])
     size, error = full.size(reference), full.distance(reference, motion)
-    reference_difference = full.distance(reference, solutions.second).relative(size)
-    tolerance = max(rtol, RESOLUTION) + atol
-    bounds = compute_error_bounds(
-        traj, times, growth, defects, reference_difference, size, tolerance
-    )
+    bounds = compute_error_bounds(traj, times, growth, defects, solutions.errors, size, tolerance)
     count = count_informative_times(bounds.relative, growth)
     reasons = explain_uninformative_times(times, count, bounds.relative, growth)
     audit = audit_trajectory(traj, states)
@@ -145,7 +148,7 @@ def _compare(traj: Trajectory, progress: Progress, budget: TimeBudget) -> Report
         energy_drift=audit.energy,
         momentum_drift=audit.momentum,
         field_error=max(audit.fields, measurement_error(traj, full)),
-        reference_error=float(reference_difference[:count].max(initial=0.0)),
+        reference_error=float(solutions.errors[:count].max(initial=0.0)),
         equations_bound=EQUATION_BOUND,
         defect_bound=defect_bound,
         drift_bound=max(DRIFT_BOUND * tolerance, 2.0 * bounds.total_defect),
@@ -167,32 +170,44 @@ class _Solutions:
     """Solutions by ABA.
 
     Attributes:
-        reference: Motion by the method of order 8.
-        second: Motion by the method of order 5.
+        reference: The reference motion.
         growth: Factors by which a small perturbation has grown over time, (T,).
+        errors: Errors of the reference over time, relative to the motion, (T,).
         wall: Wall time at the scene's tolerance [s].
     """
 
     reference: FullMotion
-    second: FullMotion
     growth: Array
+    errors: Array
     wall: float
 
 
 def _integrate_with_aba(
-    full: FullState, y0: Array, times: Array, tolerances: tuple[float, float], progress: Progress
+    traj: Trajectory,
+    full: FullState,
+    y0: Array,
+    times: Array,
+    tolerance: float,
+    progress: Progress,
 ) -> _Solutions:
+    rtol, atol = traj.scene.rtol, traj.scene.atol
     began = time.perf_counter()
-    full.run(y0, times[-1:], *tolerances)
+    full.run(y0, times[-1:], rtol, atol)
     wall = time.perf_counter() - began
     progress(0.1)
-    tight = max(tolerances[0] / TIGHTER, FINEST[0]), tolerances[1] / TIGHTER
-    reference = full.run(y0, times, *tight)
+    tight = max(rtol / TIGHTER, FINEST[0]), atol / TIGHTER
+    solution = full.solve(y0, times, *tight)
     progress(0.3)
-    growth = full.growth(y0, reference, times, *tight)
+    growth = full.growth(y0, solution.motion, times, *tight)
     progress(0.5)
-    second = full.run(y0, times, *tight, method="dopri5")
-    return _Solutions(reference, second, growth, wall)
+    _, units = defect_units(traj, full)
+    errors = reference_errors(full, solution, times, growth, units)
+    if not (errors <= SECOND_BOUND * tolerance * growth).all():
+        # Stiff errors decay and do not accumulate, which only a second solution shows.
+        second = full.run(y0, times, *tight, method="dopri5")
+        distance = full.distance(solution.motion, second).relative(full.size(solution.motion))
+        errors = np.minimum(errors, distance)
+    return _Solutions(solution.motion, growth, errors, wall)
 
 
 def count_informative_times(bounds: Array, growth: Array) -> int:
@@ -265,7 +280,7 @@ def compute_error_bounds(
     times: Array,
     growth: Array,
     defects: Defects,
-    reference_difference: Array,
+    errors: Array,
     size: Size,
     tolerance: float,
 ) -> ErrorBounds:
@@ -276,7 +291,7 @@ def compute_error_bounds(
         times: Times of the comparison, (T,) [s].
         growth: Factors by which a small perturbation has grown, (T,).
         defects: Defects of the trajectory.
-        reference_difference: Distance between the two reference solutions, (T,), relative.
+        errors: Errors of the reference, (T,), relative.
         size: Units of errors.
         tolerance: Sum of relative and absolute tolerance.
     Returns:
@@ -299,7 +314,7 @@ def compute_error_bounds(
     kinked = sampled * float((shares * defects.motion_steps[~smooth]).sum())
     local = steps * per_step + np.where(steps > 0, kinked + dense, 0.0) + _ROUND_OFF * (steps + 1)
     local += defects.round_off_rate * times  # round-off of ABA affects the references, too
-    floor = RESOLUTION + np.maximum.accumulate(reference_difference)
+    floor = RESOLUTION + np.maximum.accumulate(errors)
     relative = _SAFETY * (growth * local + floor)
     bounds = Distance(
         joints=relative[:, None] * size.joints,

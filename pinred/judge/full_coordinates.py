@@ -5,8 +5,10 @@ The root joint is described by Pinocchio's motion subspace alone, independent of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, sin, sqrt
+from math import sqrt
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -43,10 +45,11 @@ class RootMotion:
         slides_across = self.plane is not None or (self.turns == 3 and self.linear == 3)
         return self.turns > 0 and not slides_across
 
-    def rate(self, root: list[float], v: list[float]) -> list[float]:
+    def rate(self, root: Sequence[Any], v: Sequence[Any]) -> Sequence[Any]:
         """Compute the time derivative of the root coordinates (size,) at a body twist v (r,).
 
-        Scalar arithmetic is four times as fast as numpy on arrays of three numbers.
+        Scalar arithmetic is four times as fast as numpy on arrays of three numbers. For T states,
+        each entry is an array (T,).
 
         Args:
             root: Root coordinates, (size,).
@@ -57,8 +60,8 @@ class RootMotion:
         if self.turns < 3:
             if self.plane is None:
                 return v
-            rate, (first, second) = v.copy(), self.plane
-            c, s = cos(root[-1]), sin(root[-1])
+            rate, (first, second) = list(v), self.plane
+            c, s = np.cos(root[-1]), np.sin(root[-1])
             rate[first] = c * v[first] - s * v[second]
             rate[second] = s * v[first] + c * v[second]
             return rate
@@ -83,15 +86,22 @@ class RootMotion:
         ]
 
     def q(self, root: Array) -> Array:
-        """Convert root coordinates (size,) to Pinocchio's configuration of the joint."""
+        """Convert root coordinates (..., size) to Pinocchio's configuration of the joint."""
         if self.circle:
-            *slide, angle = root.tolist()
-            return np.array([*slide, cos(angle), sin(angle)])
+            angle = root[..., -1:]
+            return np.concatenate((root[..., :-1], np.cos(angle), np.sin(angle)), axis=-1)
         q = root.copy()
         if self.turns == 3:
-            quaternion = q[-4:]
-            quaternion /= sqrt(quaternion.dot(quaternion))  # `@` takes twice as long
+            _normalise(q[..., -4:])
         return q
+
+
+def _normalise(quaternions: Array) -> None:
+    """Divide quaternions (..., 4) by their norms, in place."""
+    if quaternions.ndim == 1:
+        quaternions /= sqrt(quaternions.dot(quaternions))  # `@` takes twice as long
+    else:
+        quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
 
 
 def root_motion(model: pin.Model) -> RootMotion:
@@ -151,24 +161,23 @@ class Configuration:
         self._circles, self._order = np.array(circles, dtype=np.intp), np.array(order)
 
     def __call__(self, root: Array, joints: Array) -> Array:
-        """Return q (nq,) for root coordinates (size,) and the coordinates of all joints."""
+        """Return q (..., nq) for root coordinates and the coordinates of all joints."""
         root_q = self._root.q(root)
         if self.balls:
             joints = joints.copy()
             for first, _ in self.balls:
-                quaternion = joints[first : first + 4]
-                quaternion /= sqrt(quaternion.dot(quaternion))
+                _normalise(joints[..., first : first + 4])
         if not self._has_circles:
-            return np.concatenate((root_q, joints))
-        angles = joints[self._circles]
+            return np.concatenate((root_q, joints), axis=-1)
+        angles = joints[..., self._circles]
         parts = root_q, joints, np.cos(angles), np.sin(angles)
-        return np.asarray(np.concatenate(parts)[self._order])
+        return np.asarray(np.concatenate(parts, axis=-1)[..., self._order])
 
-    def derivative(self, joints: list[float], v: list[float]) -> list[float]:
-        """Return the time derivative of the coordinates at rates v."""
+    def derivative(self, joints: Sequence[Any], v: Sequence[Any]) -> Sequence[Any]:
+        """Return the time derivative of the coordinates at rates v; see RootMotion.rate."""
         if not self.balls:
             return v
-        derivative: list[float] = []
+        derivative: list[Any] = []
         first_v = 0
         for x, rate in self.balls:
             derivative += v[first_v:rate]
@@ -181,4 +190,4 @@ class Configuration:
                 -0.5 * (i * a + j * b + k * c),
             ]
             first_v = rate + 3
-        return derivative + v[first_v:]
+        return [*derivative, *v[first_v:]]

@@ -6,6 +6,9 @@ Pinocchio) are independent. Only the force expressions are shared.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
@@ -85,17 +88,18 @@ class FullDynamics:
         self._parameters = parameters
 
     def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
-        """Assemble y (n,).
+        """Assemble y (..., n).
 
         Args:
-            pose: Pose of the base, (size,).
-            x: Shape, (nx,) [rad | m | 1].
-            xi: Body twist, (r,) [m/s; rad/s].
-            xdot: Shape rate, (m,) [rad/s | m/s].
+            pose: Pose of the base, (..., size).
+            x: Shape, (..., nx) [rad | m | 1].
+            xi: Body twist, (..., r) [m/s; rad/s].
+            xdot: Shape rate, (..., m) [rad/s | m/s].
         Returns:
-            The full state (n,).
+            The full state (..., n).
         """
-        return np.concatenate([pose, self.couplings.values(x), xi, self.couplings.rates(xdot)])
+        values, rates = self.couplings.values(x), self.couplings.rates(xdot)
+        return np.concatenate([pose, values, xi, rates], axis=-1)
 
     def _apply_couplings(self, y: Array, *, close: bool = True) -> Array:
         """Return y with follower joints set from their leaders, and with closed loops."""
@@ -161,7 +165,7 @@ class FullDynamics:
         if self._forces is None:
             v, q = y[size + m :], self._q_for(self.q(y), axes)
             a = self.couplings.acceleration(q, v, self._no_torque, axes=axes)
-            return self._derivative(y, a)
+            return self._derivative(y.tolist(), a)
         y, t = y.copy(), self._beside_switches(t)
         accelerations = np.empty(0)
         if self._driven:
@@ -182,14 +186,45 @@ class FullDynamics:
             tau += self._loads.generalised(q, loads)
         q = self._q_for(q, axes)
         a = self.couplings.acceleration(q, v, tau, self._driven, accelerations, axes)
-        return self._derivative(y, a)
+        return self._derivative(y.tolist(), a)
 
-    def _derivative(self, y: Array, a: Array) -> Array:
-        """Return dy/dt for the acceleration a (nv,)."""
-        size, m, r, numbers = self._size, self._m, self._r, y.tolist()
-        root, x, v = numbers[:size], numbers[size : size + m], numbers[size + m :]
-        rates = self._configuration.derivative(x, v[r:])
-        return np.array([*self.root.rate(root, v[:r]), *rates, *a.tolist()])
+    def rates(
+        self,
+        t: Array,
+        y: Array,
+        parameters: Sequence[Array],
+        axes: pin.Convention = pin.Convention.LOCAL,
+    ) -> Array:
+        """Compute dy/dt at many times; without forces this is faster than `rate` at each time.
+
+        Args:
+            t: Times, (T,) [s].
+            y: Full states, (T, n).
+            parameters: Parameters (p,) of forces at each time.
+            axes: Frames in which ABA is evaluated.
+        Returns:
+            (T, n) time derivatives of y.
+        """
+        if self._forces is None:
+            q, v = self._q_for(self.q(y), axes), y[:, self._size + self._m :]
+            accelerate, none = self.couplings.acceleration, self._no_torque
+            a = [accelerate(*state, none, axes=axes) for state in zip(q, v, strict=True)]
+            return self._derivative(list(y.T), np.array(a).reshape(v.shape).T).T
+        rates = np.empty_like(y)
+        for k, time in enumerate(t.tolist()):
+            self.set_parameters(parameters[k])
+            rates[k] = self.rate(time, y[k], axes)
+        return rates
+
+    def _derivative(self, y: Sequence[Any], a: Array) -> Array:
+        """Return dy/dt for the acceleration a (nv,).
+
+        y: The entries of the state as numbers, or for T states as arrays (T,); then a is (nv, T).
+        """
+        size, m, r = self._size, self._m, self._r
+        root, x, v = y[:size], y[size : size + m], y[size + m :]
+        rates = [*self.root.rate(root, v[:r]), *self._configuration.derivative(x, v[r:])]
+        return np.concatenate((np.array(rates), a))
 
     def _beside_switches(self, t: float) -> float:
         """Return the time; if it is too close to a switch, move it to the side of `within`.
@@ -214,9 +249,9 @@ class FullDynamics:
         return self._forces.potential(x, self._parameters)
 
     def q(self, y: Array) -> Array:
-        """Return Pinocchio's configuration (nq,) of y."""
+        """Return Pinocchio's configuration (..., nq) of y (..., n)."""
         size = self._size
-        return self._configuration(y[:size], y[size : size + self._m])
+        return self._configuration(y[..., :size], y[..., size : size + self._m])
 
     def _q_for(self, q: Array, axes: pin.Convention) -> Array:
         """Return q for ABA in the given axes.

@@ -55,6 +55,16 @@ class DenseOutput:
     y: Array
     coefficients: Array
 
+    @staticmethod
+    def joined(spans: Sequence[DenseOutput]) -> DenseOutput:
+        """Return the dense output of several consecutive spans."""
+        return DenseOutput(
+            starts=np.concatenate([span.starts for span in spans]),
+            ends=np.concatenate([span.ends for span in spans]),
+            y=np.concatenate([span.y for span in spans]),
+            coefficients=np.concatenate([span.coefficients for span in spans], axis=1),
+        )
+
     def __call__(self, t: Array) -> Array:
         """Return the states (T, n) at times (T,), each of which lies within a step."""
         k = np.minimum(np.searchsorted(self.ends, t), len(self.ends) - 1)

@@ -85,6 +85,11 @@ class Hairer:
         """Time reached [s]."""
         return float(self._solver.t)
 
+    @property
+    def step_ends(self) -> list[float]:
+        """Ends of the steps of the last span [s]."""
+        return self._step_ends[1:]
+
     def integrate(self, t: float, targets: Sequence[float] = ()) -> Array | None:
         """Integrate to time t, and re-raise exceptions of the vector field and KeyboardInterrupt.
 

@@ -5,6 +5,7 @@ The vector field (full_dynamics.py) and the integrators share nothing with the r
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
 from .distances import Distance, FullMotion, Size
 from .full_dynamics import FullDynamics
+from .hairer_dense_output import DenseOutput
 from .hairer_integrators import Hairer
 from .time_budget import AbaStopped, TimeBudget
 
@@ -24,6 +26,23 @@ OFFSET = 1e-5  # least length unit, as a fraction of the distance from the origi
 SPREAD_MARGIN = 10.0  # assumed ratio of round-off to the difference of two evaluations
 _ROUND_OFF = 1e-12  # distance of equal times, relative to the duration
 PERTURBATION = 1e-6  # relative size of the perturbation whose growth is measured
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A solution by Hairer's codes.
+
+    Attributes:
+        motion: The motion at the requested times.
+        steps: The steps of dop853 that contain these times; None without such steps.
+        parameters: Parameters of forces in each of `steps`, (p,) each.
+        step_ends: Ends of all steps of dop853, (N,) [s].
+    """
+
+    motion: FullMotion
+    steps: DenseOutput | None
+    parameters: list[Array]
+    step_ends: Array
 
 
 class FullState(FullDynamics):
@@ -104,8 +123,15 @@ class FullState(FullDynamics):
         Raises:
             AbaStopped: A time cannot be reached at this tolerance, or within the budget.
         """
+        return self.solve(y0, times, rtol, atol, method=method).motion
+
+    def solve(
+        self, y0: Array, times: Array, rtol: float, atol: float, *, method: str = "dop853"
+    ) -> Solution:
+        """Integrate as `run` does, and return the steps as well."""
         end, y, t = float(times[-1]), y0, 0.0
-        states = np.tile(y0, (len(times), 1))
+        states, spans, step_ends = np.tile(y0, (len(times), 1)), [], []
+        parameters: list[Array] = []
         actions = self._replay or Control(self._scene)
         solver = Hairer(self._limited_rate, method, y, t, rtol, atol, self._scene.end)
         while t < end:
@@ -114,38 +140,40 @@ class FullState(FullDynamics):
             if self._switches.size and self._forces is not None:
                 self._parameters[self._forces.within] = time_within(t, stop)
             span = slice(*np.searchsorted(times, [t, stop], side="right"))
-            y, states[span] = self._span(solver, method, y, min(stop, end), times[span])
+            reach = min(stop, end)
+            if reach - solver.t <= _ROUND_OFF * self._scene.end:
+                states[span] = y
+            elif method == "dop853":
+                y = self._integrate(solver, reach, times[span])
+                step_ends += solver.step_ends
+                dense = solver.dense()
+                if dense is not None:
+                    states[span] = dense(times[span])
+                    spans.append(dense)
+                    parameters += len(dense.ends) * [self._parameters.copy()]
+            else:
+                y, states[span] = self._stop_at_times(solver, y, reach, times[span])
             t = stop
-        return FullMotion(
-            x=states[:, self._size : self._size + self._m].copy(),
-            q=np.array([self.q(row) for row in states]),
-        )
+        motion = FullMotion(x=states[:, self._size : self._size + self._m].copy(), q=self.q(states))
+        steps = DenseOutput.joined(spans) if spans else None
+        return Solution(motion, steps, parameters, np.array(step_ends))
 
-    def _span(
-        self, solver: Hairer, method: str, y: Array, end: float, times: Array
+    def _stop_at_times(
+        self, solver: Hairer, y: Array, end: float, times: Array
     ) -> tuple[Array, Array]:
-        """Integrate a span without stops from the state y (n,) to `end`.
+        """Integrate with dopri5, whose dense output is less accurate than its steps.
 
         Args:
             solver: The integrator, which has reached y.
-            method: Its method.
-            y: State at the start of the span, (n,).
-            end: End of the span [s]; a time closer than round-off counts as reached.
+            y: State at the start, (n,).
+            end: End of the span [s]. Times closer than round-off count as reached.
             times: Increasing times in the span, (T,) [s].
         Returns:
             The states at the end, (n,), and at the times, (T, n).
         """
-        round_off = _ROUND_OFF * self._scene.end
-        if method == "dop853":
-            if end - solver.t <= round_off:
-                return y, np.tile(y, (len(times), 1))
-            y = self._integrate(solver, end, times)
-            dense = solver.dense()
-            return y, np.empty((0, len(y))) if dense is None else dense(times)
-        # The dense output of dopri5 is less accurate than its steps, so it stops at all times.
         states = np.empty((len(times), len(y)))
         for target in np.union1d(times, end).tolist():
-            if target - solver.t > round_off:
+            if target - solver.t > _ROUND_OFF * self._scene.end:
                 y = self._integrate(solver, target, times[:0])
             states[times == target] = y
         return y, states

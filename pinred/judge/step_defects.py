@@ -1,7 +1,7 @@
 """The defect of each integration step: its violation of Pinocchio's equations of motion.
 
 The defect of a step from a to b is y(b) − y(a) − ∫ f(t, y(t)) dt. Here y is the full state that the
-trajectory reports and f is Pinocchio's ABA. The integral is Gauss's with 8 nodes on each half. A
+trajectory reports and f is Pinocchio's ABA. Each half is integrated by itself (quadrature.py). A
 trajectory with small defects solves a slightly perturbed system exactly (backward error). An
 integrator can keep defects small even where nearby motions diverge. No reference solution is
 needed.
@@ -10,6 +10,7 @@ needed.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -20,13 +21,16 @@ from ..common.arrays import Array
 from ..simulation.trajectory import Trajectory
 from ..system.coordinates import Indices
 from ..system.system import System
+from .quadrature import (
+    COUNT,
+    SLOPE_STEP,
+    Quadrature,
+    integrate_residuals,
+    propagate_residuals,
+)  # fmt: skip
 from .reference_solution import OFFSET, SPREAD_MARGIN, FullState
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-# Weights of the mean over a subinterval of ∫ f from its start: ½ ∫ (1 − s) f ds.
-_MEAN_WEIGHTS = 0.5 * _WEIGHTS * (1.0 - _NODES)
 _MOST_STEPS = 200  # number of randomly sampled steps that are evaluated for longer trajectories
-_SLOPE_STEP = 1e-6  # step of directional difference quotients, relative to the sizes of states
 # Defects above this multiple of the median defect indicate a kink of a force within the step.
 _KINK = 10.0
 _MOST_GROWTH = 1.0  # largest growth exponent over a step for which defects are filtered
@@ -63,29 +67,6 @@ class Defects:
     def worst(self) -> float:
         """Largest defect of a smooth step; NaN if any such defect is NaN."""
         return float(self.steps[self.smooth].max(initial=0.0))
-
-
-@dataclass(frozen=True)
-class _Quadrature:
-    """Evaluations of ABA on P subintervals with 8 nodes each.
-
-    Attributes:
-        nodes: Times of the nodes, (8 P,) [s].
-        parameters: Force parameters at the nodes.
-        y: Full states at the nodes, (8 P, n).
-        rates: Rates of y by ABA, (8 P, n).
-        defects: Defect over each subinterval, (P, n).
-        mean_defects: Mean over the subinterval of the defect accumulated from its start, (P, n).
-        lengths: Lengths of the subintervals, (P,) [s].
-    """
-
-    nodes: Array
-    parameters: list[Array]
-    y: Array
-    rates: Array
-    defects: Array
-    mean_defects: Array
-    lengths: Array
 
 
 def largest_defect(
@@ -146,27 +127,20 @@ def _defects_of_steps(
     traj: Trajectory, full: FullState, steps: Indices, *, propagate: bool, stiff: bool
 ) -> Defects:
     a, b, first = _subintervals(traj, steps)
-    middle, half = 0.5 * (a + b), 0.5 * (b - a)
-    nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
-    states = full_states(traj, full, np.concatenate([a, b, nodes]))
-    start, end, y = np.split(states, [len(a), 2 * len(a)])
-    parameters = traj.motion.numbers(nodes)
-    rates, spread = np.empty_like(y), np.zeros(y.shape[1])
-    for k, t in enumerate(nodes.tolist()):
-        full.set_parameters(parameters[k])
-        rates[k] = full.rate(t, y[k])
-        if k % len(_NODES) == 0:  # one node per subinterval is enough to measure round-off
-            other = full.rate(t, y[k], pin.Convention.WORLD)
-            spread = np.maximum(spread, np.abs(rates[k] - other))
-    shape = (len(a), len(_NODES), -1)
-    integral = half[:, None] * np.einsum("k,skn->sn", _WEIGHTS, rates.reshape(shape))
-    mean_integral = half[:, None] * np.einsum("k,skn->sn", _MEAN_WEIGHTS, rates.reshape(shape))
-    missed = end - start - integral
-    mean = 0.5 * np.einsum("k,skn->sn", _WEIGHTS, y.reshape(shape)) - start - mean_integral
-    quadrature = _Quadrature(nodes, parameters, y, rates, missed, mean, b - a)
-    sizes, motion_sizes = _sizes(traj, full)
+    quadrature = integrate_residuals(
+        full, a, b, partial(full_states, traj, full), traj.motion.numbers
+    )
+    # One node per subinterval is enough to measure the round-off of ABA.
+    nodes = slice(None, None, COUNT)
+    other = full.rates(
+        quadrature.nodes[nodes], quadrature.y[nodes], quadrature.parameters[nodes],
+        pin.Convention.WORLD,
+    )  # fmt: skip
+    spread = np.abs(quadrature.rates[nodes] - other).max(axis=0)
+    sizes, motion_sizes = defect_units(traj, full)
+    missed = quadrature.defects
     of_steps = np.add.reduceat(missed, first)  # step ends between subintervals cancel
-    propagated = _propagate(full, quadrature, first, sizes) if propagate else of_steps
+    propagated = propagate_residuals(full, quadrature, first, sizes) if propagate else of_steps
     if stiff:
         of_steps = _filter_defects(full, quadrature, first, of_steps, sizes)
     # Round-off of ABA where the mass matrix is almost singular is not a defect.
@@ -186,17 +160,17 @@ def _defects_of_steps(
 
 
 def _filter_defects(
-    full: FullState, quadrature: _Quadrature, first: Indices, defects: Array, sizes: Array
+    full: FullState, quadrature: Quadrature, first: Indices, defects: Array, sizes: Array
 ) -> Array:
     """Return the filtered defects of steps, (S, n), with Jacobians by difference quotients."""
     filtered, lengths = np.empty_like(defects), np.add.reduceat(quadrature.lengths, first)
-    moves = np.diag(_SLOPE_STEP * sizes)
+    moves = np.diag(SLOPE_STEP * sizes)
     for row, defect, interval, h in zip(filtered, defects, first, lengths, strict=True):
-        k = int(interval) * len(_NODES) + len(_NODES) // 2
+        k = int(interval) * COUNT + COUNT // 2
         full.set_parameters(quadrature.parameters[k])
         t, y = float(quadrature.nodes[k]), quadrature.y[k]
         changes = [full.rate(t, y + move) - quadrature.rates[k] for move in moves]
-        row[:] = filter_defect(np.array(changes).T / (_SLOPE_STEP * sizes), float(h), defect)
+        row[:] = filter_defect(np.array(changes).T / (SLOPE_STEP * sizes), float(h), defect)
     return filtered
 
 
@@ -217,40 +191,6 @@ def filter_defect(J: Array, h: float, defect: Array) -> Array:
     if not h * np.linalg.eigvals(J).real.max() < _MOST_GROWTH:
         return defect
     return np.asarray(np.linalg.solve(np.eye(len(J)) - 0.5 * h * J, defect))
-
-
-def _propagate(full: FullState, quadrature: _Quadrature, first: Indices, sizes: Array) -> Array:
-    """Propagate residuals inside steps to the step ends.
-
-    The integral of the residual over a step can vanish although the step end is wrong: for linear
-    equations, the dense-output interpolants have this property. The accumulated defect D(t) is
-    therefore propagated through the linearised ABA dynamics: e = D + z, where z' = J (D + z). The
-    Jacobian J is evaluated at the midpoint of each subinterval.
-
-    Returns:
-        Errors at the step ends, (S, n).
-    """
-    errors = np.zeros_like(quadrature.defects)
-    is_first = np.isin(np.arange(len(errors)), first)
-    for k in range(len(errors)):
-        before = np.zeros_like(errors[k]) if is_first[k] else errors[k - 1]
-        mean = before + quadrature.mean_defects[k]
-        mean += 0.5 * _growth_over(full, quadrature, k, mean, sizes)
-        errors[k] = before + quadrature.defects[k] + _growth_over(full, quadrature, k, mean, sizes)
-    return np.asarray(errors[np.append(first[1:], len(errors)) - 1])
-
-
-def _growth_over(
-    full: FullState, quadrature: _Quadrature, interval: int, error: Array, sizes: Array
-) -> Array:
-    """Return J · error (n,) times the subinterval's length; J · error is a difference quotient."""
-    unit = float(np.abs(error / sizes).max()) / _SLOPE_STEP
-    if not 0.0 < unit < np.inf:
-        return np.zeros_like(error)
-    k = interval * len(_NODES) + len(_NODES) // 2
-    full.set_parameters(quadrature.parameters[k])
-    rate = full.rate(quadrature.nodes[k], quadrature.y[k] + error / unit)
-    return np.asarray(quadrature.lengths[interval] * unit * (rate - quadrature.rates[k]))
 
 
 def _subintervals(traj: Trajectory, steps: Indices) -> tuple[Array, Array, Indices]:
@@ -275,11 +215,10 @@ def _subintervals(traj: Trajectory, steps: Indices) -> tuple[Array, Array, Indic
 def full_states(traj: Trajectory, full: FullState, times: Array) -> Array:
     """Return the states of a trajectory at times (T,) as full states (T, n)."""
     state = traj(times)
-    columns = zip(state.pose, state.x, state.xi, state.xdot, strict=True)
-    return np.array([full.state(*values) for values in columns])
+    return full.state(state.pose, state.x, state.xi, state.xdot)
 
 
-def _sizes(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
+def defect_units(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
     """Return the units of defects, (n,), and the units in which error growth is measured, (n,).
 
     Each unit is the largest number of its kind at the step ends. The unit of angles and quaternions

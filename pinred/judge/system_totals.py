@@ -118,12 +118,12 @@ class SystemTotals:
         return gravity_load_sizes(self._pivot_gravity, self._data, q)[self._linear : self._r]
 
     def at_origin(self, q: Array) -> Array:
-        """Return q with the base moved to the origin.
+        """Return q (..., nq) with the base moved to the origin.
 
         Pinocchio sums momenta in the world frame, with round-off of the distance squared.
         """
         q = q.copy()
-        q[: self._linear] = 0.0
+        q[..., : self._linear] = 0.0
         return q
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import casadi
 import numpy as np
@@ -14,6 +16,7 @@ from tampering import tampered
 import pinred
 from pinred.common.arrays import Array
 from pinred.judge import step_defects as module
+from pinred.judge.quadrature import Quadrature, growth_over
 from pinred.judge.reference_solution import FullState
 from pinred.judge.step_defects import Defects, compute_defects, largest_defect
 from pinred.laboratory.stress.generated_robots import single
@@ -152,11 +155,17 @@ class FullStateWithRoundOff(FullState):
 
     left = 0.0
 
-    def rate(self, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL) -> Array:
+    def rates(
+        self,
+        t: Array,
+        y: Array,
+        parameters: Sequence[Array],
+        axes: pin.Convention = pin.Convention.LOCAL,
+    ) -> Array:
         """Add the artificial error to the last rate."""
-        rate = super().rate(t, y, axes)
-        rate[-1] += self.left * (axes == pin.Convention.WORLD)
-        return rate
+        rates = super().rates(t, y, parameters, axes)
+        rates[:, -1] += self.left * (axes == pin.Convention.WORLD)
+        return rates
 
 
 def test_defect_ignores_round_off_of_aba(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,15 +190,15 @@ def test_defect_ignores_round_off_of_aba(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_round_off_is_measured_once_per_subinterval(monkeypatch: pytest.MonkeyPatch) -> None:
     """More evaluations in world axes would double the cost."""
     times: list[tuple[float, bool]] = []
-    rate = FullState.rate
+    rates = FullState.rates
 
     def counted(
-        self: FullState, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL
+        self: FullState, t: Array, y: Array, parameters: Any, axes: Any = pin.Convention.LOCAL
     ) -> Array:
-        times.append((t, axes == pin.Convention.WORLD))
-        return rate(self, t, y, axes)
+        times.extend((time, axes == pin.Convention.WORLD) for time in t.tolist())
+        return rates(self, t, y, parameters, axes)
 
-    monkeypatch.setattr(FullState, "rate", counted)
+    monkeypatch.setattr(FullState, "rates", counted)
     traj = cat(RTOL)
     stretches = 2 * (len(traj.motion.knots) - 1)
     compute_defects(traj, FullState(traj.scene), propagate=False)
@@ -294,7 +303,7 @@ def test_motion_defect_includes_residuals_that_cancel(method: str, far: float) -
     x, v, step = y[:-1, 1], y[:-1, 3], np.diff(knots)
     c, s = np.cos(omega * step), np.sin(omega * step)
     off = np.column_stack([y[1:, 1] - (c * x + s / omega * v), y[1:, 3] - (c * v - omega * s * x)])
-    unit = module._sizes(traj, full)[1]
+    unit = module.defect_units(traj, full)[1]
     expected = np.abs(np.column_stack([off, share * off]) / unit[[1, 3, 0, 2]])
     assert result.motion_steps == pytest.approx(expected.max(axis=1), rel=far, abs=1e-12)
     if method == "Tsit5":
@@ -316,18 +325,18 @@ def test_growth_over_subinterval_is_linearised_aba() -> None:
     nodes = np.concatenate([np.linspace(s, s + 0.1, 8) for s in t])
     y, none = module.full_states(simulated, full, nodes), np.zeros((2, 21))
     rates = np.array([full.rate(0.0, row) for row in y])
-    course = module._Quadrature(
-        nodes, [np.empty(0)] * 16, y, rates, none, none, np.array([0.3, 0.1])
-    )
-    sizes = module._sizes(simulated, full)[0]
+    course = Quadrature(nodes, [np.empty(0)] * 16, y, rates, none, none, none, np.array([0.3, 0.1]))
+    sizes = module.defect_units(simulated, full)[0]
     off = 1e-9 * sizes * rng.normal(size=21)
     up, down = (full.rate(0.0, y[12] + s * 1e4 * off) for s in (1.0, -1.0))
     expected = 0.1 * (up - down) / 2e4
-    result = module._growth_over(full, course, 1, off, sizes)
+    result = growth_over(full, course, np.array([1, 1]), np.array([off, -off]), sizes)
     scale = np.abs(expected).max()
-    np.testing.assert_allclose(result, expected, rtol=0.0, atol=1e-4 * scale)
+    np.testing.assert_allclose(result, [expected, -expected], rtol=0.0, atol=1e-4 * scale)
     for odd in (0.0, np.nan, np.inf):
-        assert (module._growth_over(full, course, 1, odd * sizes, sizes) == 0.0).all()
+        result = growth_over(full, course, np.array([0, 1]), np.array([odd * sizes, off]), sizes)
+        assert (result[0] == 0.0).all()
+        np.testing.assert_allclose(result[1], expected, rtol=0.0, atol=1e-4 * scale)
 
 
 def test_defects_use_at_most_200_steps() -> None:
