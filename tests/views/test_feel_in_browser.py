@@ -160,10 +160,11 @@ def test_robots_with_loops_stop_at_dead_points(screen: Browser, tmp_path: Path) 
 
 
 @pytest.mark.by_hand
-def test_only_one_card_is_open_in_narrow_cells(screen: Browser, tmp_path: Path) -> None:
+@pytest.mark.parametrize("width", [480, 400, 320])
+def test_only_one_card_is_open_in_narrow_cells(screen: Browser, tmp_path: Path, width: int) -> None:
     """Titles remain visible and do not overlap; opening one card folds the other."""
     pinred.save_html(pinred.load("three_rods"), tmp_path / "page.html", feel=True)
-    show(screen, tmp_path / "page.html", width=400)
+    show(screen, tmp_path / "page.html", width=width)
     is_open = "[...document.querySelectorAll('.card > details')].map((card) => card.open)"
     boxes = (
         "[...document.querySelectorAll('.card')].map((card) => card.getBoundingClientRect())"
@@ -173,11 +174,15 @@ def test_only_one_card_is_open_in_narrow_cells(screen: Browser, tmp_path: Path) 
     for _ in range(2):
         cards = np.array(screen.run(boxes))
         assert (cards[:, :2] >= 0.0).all()
-        assert (cards[:, :2] <= 400.0).all()
+        assert (cards[:, :2] <= width).all()
         for a, b in ((0, 1), (0, 2), (1, 2)):
             apart = (cards[a, 1] <= cards[b, 0], cards[b, 1] <= cards[a, 0])
             above = (cards[a, 3] <= cards[b, 2], cards[b, 3] <= cards[a, 2])
             assert any((*apart, *above))
+        title = "document.querySelector('#side summary')"
+        height = screen.run(f"{title}.getBoundingClientRect().height")
+        font = screen.run(f"parseFloat(getComputedStyle({title}).fontSize)")
+        assert height < 2.0 * font  # one line
         screen.run("document.querySelector('#side summary').click()")
         screen.wait_for(f"!({is_open})[1]")
     assert complaints(screen) == []

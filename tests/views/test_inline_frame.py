@@ -38,6 +38,23 @@ def test_notebooks_are_recognised(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.browser
+def test_frame_fills_its_cell_behind_elements_of_the_notebook(
+    screen: Browser, tmp_path: Path
+) -> None:
+    """Notebooks of marimo wrap each iframe in an element without height."""
+    frame = inline_frame(b"<p>page</p>")
+    wrapped = frame.replace("<iframe", "<div><iframe").replace("</iframe>", "</iframe></div>")
+    assert wrapped != frame
+    cell = tmp_path / "cell.html"
+    for html in (frame, wrapped):
+        cell.write_text(f"<!DOCTYPE html><body>{html}</body>", encoding="utf-8")
+        screen.open(cell.as_uri(), width=640, height=560)
+        box = "document.querySelector('iframe').getBoundingClientRect()"
+        assert screen.run(f"{box}.height") > 500.0
+        assert screen.run(f"{box}.width") > 600.0
+
+
+@pytest.mark.browser
 def test_page_is_drawn_in_a_cell(screen: Browser, tmp_path: Path) -> None:
     """The page of `feel` is drawn inside the iframe, in a narrow cell."""
     with pinred.feel(pinred.load("three_rods"), show=False, wait=False) as player:

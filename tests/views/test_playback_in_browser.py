@@ -158,6 +158,7 @@ def test_gravity_arrow_points_along_acceleration(screen: Browser, tmp_path: Path
     x, y, z = acceleration / np.linalg.norm(acceleration)
     np.testing.assert_allclose(along / np.linalg.norm(along), [x, z, -y], atol=1e-5)
     label = screen.run("document.getElementsByName('Gravity')[0].parentNode.textContent")
+    assert screen.run(f"{arrow}.children[2].isSprite")  # the letter g
     assert label.strip() == f"gravity: {np.linalg.norm(acceleration):.4g} m/s²"
     switch(screen, Gravity=False)
     assert count_different(shown, picture_at(screen, 0.5)) > 200

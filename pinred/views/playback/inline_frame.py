@@ -18,10 +18,12 @@ def inline_frame(content: bytes) -> str:
     """
     page = escape(content.decode("utf-8"), quote=True)
     return (
-        f'<div style="resize:vertical;overflow:hidden;height:{_HEIGHT}px;min-height:240px;'
-        'padding-bottom:8px;box-sizing:border-box">'
+        f'<div style="position:relative;resize:vertical;overflow:hidden;height:{_HEIGHT}px;'
+        'min-height:240px">'
         f'<iframe sandbox="allow-scripts" title="pinred" srcdoc="{page}" '
-        'style="width:100%;height:100%;border:0"></iframe></div>'
+        # marimo puts an element of its own between these two, so a height of 100 % has no effect.
+        'style="position:absolute;top:0;left:0;width:100%;height:calc(100% - 8px);border:0">'
+        "</iframe></div>"
     )
 
 

@@ -43,14 +43,26 @@ function overlays(THREE, radius) {
     globe.scale.setScalar(1.25 * radius);
     return globe;
   }
-  function pointer(vector, length, color) { // an arrow of fixed direction, about its middle
+  function letter(text, size, color) { // always faces the viewer
+    const canvas = document.createElement("canvas"), side = canvas.width = canvas.height = 64;
+    const context = canvas.getContext("2d");
+    Object.assign(context, { font: `italic ${0.75 * side}px serif`, textAlign: "center",
+      textBaseline: "middle", fillStyle: `#${color.toString(16).padStart(6, "0")}` });
+    context.fillText(text, side / 2, side / 2);
+    const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(canvas) }));
+    sprite.scale.setScalar(size);
+    return sprite;
+  }
+  function pointer(vector, length, color, text) { // an arrow of fixed direction, about its middle
     const thin = 0.012 * radius, head = 0.3 * length, arrow = new THREE.Group();
     const shaft = new THREE.Mesh(rod(thin), flat(color));
     const tip = new THREE.Mesh(new THREE.ConeGeometry(4 * thin, head, 24), flat(color));
     shaft.position.y = -0.5 * length;
     shaft.scale.y = length - head;
     tip.position.y = 0.5 * (length - head);
-    arrow.add(shaft, tip);
+    const label = letter(text, 0.45 * length, color);
+    label.position.y = -0.65 * length; // behind the tail
+    arrow.add(shaft, tip, label);
     arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), vector.clone().normalize());
     return arrow;
   }

@@ -28,7 +28,7 @@
   if (sphere) put(sphere, "Momentum sphere");
 
   const gravity = new THREE.Vector3(...head.gravity), heavy = gravity.length() > 0;
-  const weight = heavy && draws.pointer(gravity, 0.5 * head.radius, 0x8c510a);
+  const weight = heavy && draws.pointer(gravity, 0.5 * head.radius, 0x8c510a, "g");
   if (heavy) put(at.seenThrough(weight, 3), "Gravity");
 
   const trail = new THREE.Group(), track = new THREE.BufferGeometry();
