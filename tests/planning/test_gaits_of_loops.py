@@ -44,3 +44,37 @@ def test_file_limits_of_independent_joints_are_the_default() -> None:
     connection = pinred.Connection.mechanical(system, independent=CRANKS[::-1])
     ranges = limits_of(connection, None, None, None)
     np.testing.assert_array_equal(ranges.shape, [[-1.5, 2.0], [-2.0, 2.5]])
+
+
+def linkage() -> pinred.Connection:
+    """Return the connection of the five-bar linkage over its cranks."""
+    model, loops = five_bar()
+    return pinred.Connection.mechanical(pinred.load(model, loops=loops), independent=CRANKS)
+
+
+@pytest.mark.slow
+def test_reorientation_of_a_five_bar_reaches_its_target_in_the_simulation() -> None:
+    """The cranks move from rest to rest, and the figure names them."""
+    plan = pinred.reorient(linkage(), 0.01, limits=LIMITS)
+    assert plan.connection.joints == CRANKS
+    assert plan.remaining < 1e-12
+    assert plan.missed < 1e-9
+    assert plan.report.passed, str(plan.report)
+    assert plan.trajectory.driving_torques.shape == (len(plan.trajectory.t), 2)
+    figure = pinred.plot(plan, "loop")
+    labels = [axes.get_legend_handles_labels()[1] for axes in figure.axes]
+    assert any({*CRANKS} <= {*names} for names in labels)
+
+
+@pytest.mark.slow
+def test_tumbling_five_bar_reaches_its_target_from_a_stated_shape() -> None:
+    """x0 states independent joints, by name or in order; others are refused."""
+    x0 = {"left_crank": 2.0, "right_crank": 1.1}
+    momentum = [0.0, 0.0, 0.02]
+    plan = pinred.reorient(linkage(), 0.05, limits=LIMITS, momentum=momentum, x0=x0)
+    assert plan.missed < 1e-8
+    system = plan.system
+    start = plan.trajectory.x[0, [system.shape_names.index(name) for name in CRANKS]]
+    np.testing.assert_allclose(start, [2.0, 1.1], atol=1e-12)
+    with pytest.raises(pinred.InputError, match="left_coupler"):
+        pinred.reorient(linkage(), 0.05, limits=LIMITS, x0={"left_coupler": 0.1})

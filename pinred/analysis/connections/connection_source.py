@@ -61,9 +61,10 @@ def system_of(source: ConnectionSource, what: str) -> System:
     """
     if not isinstance(source, Connection):
         return source
-    if source.system is None or not source.is_mechanical:
+    system = robot_of(source)
+    if system is None or not source.is_mechanical:
         raise InputError(
             f"{what} simulates a robot by its mechanical connection, got {source.title()}; pass "
             "the System"
         )
-    return source.system
+    return system

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.connections.connection_source import ConnectionSource, system_of
+from ...analysis.connections.connection_source import ConnectionSource, rest_of, system_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import phase
@@ -33,6 +33,7 @@ from ...common.errors import (
     ShapeError,
     SingularInertiaError,
 )
+from ...common.names import joint_index
 from ...lie.rotations import quaternion_log
 from ...scene.joint_values import order_by_joint
 from ...system.system import System, checked_system
@@ -72,7 +73,8 @@ def reorient(
     effort limits of the robot file, and collisions between links, are not considered.
 
     Args:
-        system: The system, or its mechanical connection.
+        system: The system, or its mechanical connection. With closed loops, the independent joints
+            of the connection move the robot; those of a System are chosen.
         target: Rotation vector (3,) or angle [rad] in the initial frame of the base, or a pose,
             of which only the attitude is used: the position follows from the centre of mass.
             With nonzero momentum, full turns of an angle are ignored.
@@ -81,7 +83,8 @@ def reorient(
         speeds: Largest speeds, in the same formats; for balls, in the axes of the child.
         torques: Largest torques, in the same formats; for balls, in the axes of the child.
         x0: Initial and final shape; by default at rest, or the middle of the limits if they
-            exclude zero.
+            exclude zero. With loops, values of the independent joints; by default the assembled
+            shape.
         momentum: 0, or the initial body momentum, (r,).
         cycles: Number of equal loops; by default as few as possible.
         duration: Total duration [s]; by default 2 s per cycle, or as long as speeds and torques
@@ -93,15 +96,19 @@ def reorient(
         SymmetryError: Gravity rotates the base.
         NoOptimum: No loop within the limits was found.
     """
-    system = checked_system(system_of(system, "reorient"), "reorient")
-    centre, group = _centre(system, x0), system.group
-    connection = Connection.mechanical(system).in_chart(centre)
+    given, system = system, checked_system(system_of(system, "reorient"), "reorient", loops=True)
+    group = system.group
+    if isinstance(given, Connection) and system.loops:
+        connection = given
+    else:
+        connection = Connection.mechanical(system)
+        connection = connection if system.loops else connection.in_chart(_centre(system, x0))
     if not group.turns:
         raise InputError(f"the group {group.name} has no rotation")
     connection.refuse_gravity()
-    require_two_joints(system.m)
+    require_two_joints(connection.m)
     bounds = limits_of(connection, limits, speeds, torques)
-    start = _initial_shape(system, bounds, x0)
+    start = _initial_shape(system, connection, bounds, x0)
     turn = _target_rotation(system, target)
     mu = vector_or_zero(momentum, system.r, "momentum", group.twist_names)
     if mu.any() and np.isfinite(bounds.torque).any():
@@ -180,17 +187,35 @@ def _centre(system: System, x0: ArrayLike | Mapping[str, ArrayLike] | None) -> A
 
 
 def _initial_shape(
-    system: System, bounds: Limits, x0: ArrayLike | Mapping[str, ArrayLike] | None
+    system: System,
+    connection: Connection,
+    bounds: Limits,
+    x0: ArrayLike | Mapping[str, ArrayLike] | None,
 ) -> Array:
     """Return the initial coordinates, (m,).  Raises InputError if they are outside the limits."""
+    start = rest_of(connection)
     if x0 is None:
-        zero = np.zeros(system.m)
-        inside = (bounds.shape[:, 0] < 0.0) & (bounds.shape[:, 1] > 0.0)
-        return np.where(inside, zero, bounds.middle)
-    space, start = system.space, np.zeros(system.m)
-    start[space.scalar_v] = _shape(system, x0)[space.scalar_x]
+        inside = (bounds.shape[:, 0] < start) & (bounds.shape[:, 1] > start)
+        return np.where(inside, start, bounds.middle)
+    if system.loops:
+        start = _independent_values(connection, start, x0)
+    else:
+        space = system.space
+        start[space.scalar_v] = _shape(system, x0)[space.scalar_x]
     if ((start <= bounds.shape[:, 0]) | (start >= bounds.shape[:, 1])).any():
         raise InputError(f"x0 must lie within the limits {bounds.shape.tolist()}, got {start}")
+    return start
+
+
+def _independent_values(
+    connection: Connection, rest: Array, x0: ArrayLike | Mapping[str, ArrayLike]
+) -> Array:
+    """Return coordinates (d,) of independent joints; those that are not named are at rest."""
+    if not isinstance(x0, Mapping):
+        return vector(x0, connection.m, "x0", connection.joints)
+    start, names = rest.copy(), list(connection.joints)
+    for name, value in x0.items():
+        start[joint_index(name, names, "x0")] = float(as_floats(value, f"x0[{name!r}]"))
     return start
 
 
@@ -241,7 +266,7 @@ def _plan_with_momentum(request: _Request, n: int, *, quick: bool) -> TurnPlan:
             f"speeds need {shortest:.3g} s for {n} cycles, but the duration is {seconds:g} s; give "
             "another duration, which also determines how far the base drifts"
         )
-    path = fine_path(system.m, start, passage, finer=2)
+    path = fine_path(request.connection.m, start, passage, finer=2)
     end = path_lift(request.connection, path.basis, gait.series.coefficients(), passage.drift).pose
     return _create_plan(request, gait, n, aim, end, seconds, peaks)
 
@@ -275,7 +300,7 @@ def _create_plan(
         system=request.system, aim=aim, gait=gait.lasting(seconds / n), cycles=n, duration=seconds,
         pose=end, remaining=remaining, momentum=request.momentum,
         left=final_twist(request.connection, request.momentum, request.start, end),
-        chart=chart,
+        connection=request.connection,
         margins=shape_margins | peaks.margins(request.bounds, seconds),
     )  # fmt: skip
 

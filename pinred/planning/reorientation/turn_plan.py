@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
+from ...analysis.connections.loop_connection import LoopConnectionCode
 from ...analysis.connections.rotation_chart import RotationChart
 from ...analysis.gaits.gait import Gait
 from ...common.argument_kinds import checks_arguments
@@ -40,7 +42,8 @@ class TurnPlan(FrozenArrays):
         momentum: Initial body momentum, (r,).
         left: Final body twist of the base, (r,); zero at zero momentum.
         margins: Smallest distance to the limits of joints, speeds and torques.
-        chart: Rotation vectors of balls; None without balls.
+        connection: The mechanical connection, over rotation vectors of balls, or over independent
+            joints of a robot with closed loops.
     """
 
     system: System
@@ -53,7 +56,12 @@ class TurnPlan(FrozenArrays):
     momentum: Array
     left: Array
     margins: Mapping[str, float]
-    chart: RotationChart | None = field(default=None, repr=False)
+    connection: Connection = field(repr=False)
+
+    @property
+    def chart(self) -> RotationChart | None:
+        """Rotation vectors of balls; None without balls."""
+        return self.connection.chart
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -62,8 +70,10 @@ class TurnPlan(FrozenArrays):
         The trajectory's `driving_torques` are the joint torques that the plan requires.
         """
         rtol, atol = TOLERANCES
-        start = self.gait.at(0.0)[0]
-        formulas = rest_to_rest(self.gait, self.system.shape_names, self.cycles, self.duration)
+        start, xdot = self.gait.at(0.0)
+        formulas = rest_to_rest(self.gait, self.connection.joints, self.cycles, self.duration)
+        if isinstance(self.connection.code, LoopConnectionCode):
+            start, _ = self.connection.code.state(start, xdot)
         prescribed: dict[str, str | Attitude] = dict(formulas)
         if self.chart is not None:
             start = self.chart.shapes(start)

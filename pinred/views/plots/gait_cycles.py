@@ -17,7 +17,7 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.phase import Phase
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.errors import InputError
+from ...common.errors import InputError, SingularInertiaError
 from ...lie.group import Group
 from ...lie.rotations import unwrapped_rotation_vectors
 from ...planning.optimisation.best_gait import BestGait
@@ -26,7 +26,7 @@ from ...planning.optimisation.objective import AxisAim
 from ...planning.reorientation.turn_plan import TurnPlan
 from .connection_field import component_of
 from .motion_labels import labels_of_connection
-from .shape_plane import around, draw_field, plane
+from .shape_plane import around, draw_field, draw_path, plane
 from .style import BLACK, RED, figure, legend, line, styled
 
 _MOST = 1000
@@ -131,12 +131,13 @@ def loop(source: BestGait | TurnPlan) -> Figure:
         name, unit = merit_name(source.task)
         title = f"{_motion_of(source.phase)}, {name} = {source.merit:.5g} {unit}"
     elif isinstance(source, TurnPlan):
-        connection, gaits = Connection.mechanical(source.system), [source.gait]
-        if source.chart is not None:
-            connection = connection.in_chart(source.chart.centre)
+        connection, gaits = source.connection, [source.gait]
         gait, traj = source.gait, source.trajectory
         times, at, poses = traj.t, traj.t, traj.pose
+        names = source.system.x_names
         shapes = traj.x if source.chart is None else source.chart.coordinates(traj.x)
+        if source.system.loops:
+            shapes = shapes[:, [names.index(name) for name in connection.joints]]
         angle = np.degrees(np.linalg.norm(source.turned))
         count = f"{source.cycles} cycle{'s' * (source.cycles > 1)}"
         title = f"the base turns by {angle:.4g}° in {count}, {source.remaining:.1e} rad remain"
@@ -186,11 +187,16 @@ def _on_curvature(
     units = [connection.form.units[k] for k in pair]
     limits = around(np.concatenate(paths)[:, pair], units)
     shapes = plane(pair, limits, paths[0][0])
-    curvature = connection.grid(shapes.shapes).curvature[..., pair[0], pair[1]]
-    index = component_of(connection.group, component, curvature)
     names = [labels_of_connection(connection).with_unit(k) for k in pair]
-    what = f"B, component {connection.group.twist_names[index]}"
-    draw_field(axes, shapes, curvature[..., index], names, what, path=paths[0])
+    try:
+        curvature = connection.grid(shapes.shapes).curvature[..., pair[0], pair[1]]
+    except SingularInertiaError:  # closed loops do not close at all shapes of the plane
+        draw_path(axes, *paths[0][:, pair].T)
+        axes.set(xlabel=names[0], ylabel=names[1], title="no curvature: the loops do not close")
+    else:
+        index = component_of(connection.group, component, curvature)
+        what = f"B, component {connection.group.twist_names[index]}"
+        draw_field(axes, shapes, curvature[..., index], names, what, path=paths[0])
     for path in paths[1:]:
         axes.plot(path[:, pair[0]], path[:, pair[1]], color=BLACK, linewidth=0.6, zorder=3)
 
