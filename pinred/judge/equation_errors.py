@@ -25,7 +25,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.ndimage import maximum_filter1d
 
 from ..common.arrays import Array
 from ..common.errors import InputError
@@ -67,7 +66,9 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     states, r = route.states, full.system.r
     driven = [r + k for k in traj.plan.acting.driven]
     # Two differences of a plan may agree by chance at one time, but not at five in sequence.
-    spread = maximum_filter1d(route.spread, _WINDOW, axis=0, mode="nearest")
+    half = _WINDOW // 2
+    padded = np.pad(route.spread, ((half, half), (0, 0)), mode="edge")
+    spread = np.lib.stride_tricks.sliding_window_view(padded, _WINDOW, axis=0).max(axis=-1)
     errors, units, aba_spread = (np.zeros_like(route.v) for _ in range(3))
     for k, t in enumerate(times.tolist()):
         full.set_parameters(parameters[k])

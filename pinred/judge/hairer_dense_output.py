@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import DOP853
 
 from ..common.arrays import Array
+from .scipy_files import A_EXTRA, C_EXTRA, D
 
 _STAGES = 13  # the 12 stages of a step, and the rate at its end
 _POWERS = 7  # number of coefficients of the polynomial, besides the initial value
@@ -86,10 +86,10 @@ def dense_output(steps: Sequence[Step], rate: Callable[[float, Array], Array]) -
     """
     starts, ends = np.array([step.t for step in steps]), np.array([step.end for step in steps])
     y, y_end = np.array([step.y for step in steps]), np.array([step.y_end for step in steps])
-    h, further = (ends - starts)[:, None], len(DOP853.C_EXTRA)
+    h, further = (ends - starts)[:, None], len(C_EXTRA)
     K = np.empty((_STAGES + further, *y.shape))
     K[:_STAGES] = np.array([step.rates for step in steps]).transpose(1, 0, 2)
-    for stage, (a, c) in enumerate(zip(DOP853.A_EXTRA, DOP853.C_EXTRA, strict=True), _STAGES):
+    for stage, (a, c) in enumerate(zip(A_EXTRA, C_EXTRA, strict=True), _STAGES):
         states = y + h * np.tensordot(a[:stage], K[:stage], 1)
         times = starts + c * h[:, 0]
         K[stage] = [rate(t, state) for t, state in zip(times.tolist(), states, strict=True)]
@@ -98,5 +98,5 @@ def dense_output(steps: Sequence[Step], rate: Callable[[float, Array], Array]) -
     coefficients[0] = change
     coefficients[1] = first - change
     coefficients[2] = 2.0 * change - first - h * K[_STAGES - 1]
-    coefficients[3:] = h * np.tensordot(DOP853.D, K, 1)
+    coefficients[3:] = h * np.tensordot(D, K, 1)
     return DenseOutput(starts, ends, y, coefficients)

@@ -17,11 +17,11 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.integrate import ode
 
 from ..common.arrays import Array
 from ..common.interrupts import held_interrupt
 from .hairer_dense_output import DenseOutput, Step, dense_output
+from .scipy_files import ode
 
 _CONTINUE, _STOP = 1, -1  # return values of the callback after each step
 _MOST_STEPS = 10_000_000

@@ -19,7 +19,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dposv
 
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
@@ -34,7 +33,10 @@ class CanonicalForm:
     """Velocities and shape forces of one system in canonical variables.  Not thread-safe."""
 
     def __init__(self, system: System, potential: Potential) -> None:
-        """Prepare Pinocchio's work space."""
+        """Prepare Pinocchio's work space, and import LAPACK."""
+        from scipy.linalg.lapack import dposv
+
+        self._dposv = dposv
         self._system = system
         self._model = system.model
         # `com` reads the results of the last CRBA, so this work space must not be shared.
@@ -160,7 +162,7 @@ class CanonicalForm:
         return force if self._gradient is None else force - self._gradient(x)
 
     def _solve(self, H: Array, momentum: Array, x: Array) -> Array:
-        factor, v, info = dposv(H, momentum)
+        factor, v, info = self._dposv(H, momentum)
         # If the matrix may become singular, its pivots must exceed round-off.
         if info or (self._least and not factor.diagonal().min() ** 2 > self._least):
             raise SingularInertiaError(

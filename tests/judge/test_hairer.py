@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import scipy.integrate
+from commands import python
 from scipy.integrate import ode
 
 from pinred.common.arrays import Array
+from pinred.judge import scipy_files
 from pinred.judge.hairer_integrators import Hairer
 
 
@@ -116,3 +121,32 @@ def test_smallest_rates_count_as_zero(method: str, time: float, begin: float) ->
         y = solver.integrate(end)
         assert y is not None
         assert y[0] == pytest.approx(rate * time if moves else 0.0, rel=1e-9, abs=0.0)
+
+
+def test_hairers_integrators_are_loaded_without_scipy_integrate() -> None:
+    """Importing scipy.integrate takes longer than a comparison; the class is the same file's."""
+    code = (
+        "import sys\n"
+        "from pinred.judge.scipy_files import ode\n"
+        "print('scipy.integrate' in sys.modules)\n"
+        "import inspect, scipy.integrate\n"
+        "print(inspect.getsource(ode) == inspect.getsource(scipy.integrate.ode))"
+    )
+    assert python(code).split() == ["False", "True"]
+
+
+def test_coefficients_of_dense_output_are_those_of_scipy() -> None:
+    """The file defines them for the class DOP853."""
+    expected = scipy.integrate.DOP853
+    assert np.array_equal(scipy_files.A_EXTRA, expected.A_EXTRA)
+    assert np.array_equal(scipy_files.C_EXTRA, expected.C_EXTRA)
+    assert np.array_equal(scipy_files.D, expected.D)
+
+
+def test_ode_of_other_scipy_versions_is_imported_from_its_package(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where the file has another name, the package is imported."""
+    monkeypatch.setattr(scipy_files, "_PACKAGE", "pinred_without_files")
+    monkeypatch.setattr(scipy_files, "_FOLDER", Path("/proc/nothing"))
+    assert scipy_files._load_ode() is scipy.integrate.ode

@@ -12,7 +12,6 @@ F = (1 − hJ/γ)⁻¹, which decreases as 1/(hλ), for ẏ, and its square for 
 from __future__ import annotations
 
 import numpy as np
-from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
 from ..stepping.codes import DENSE, DONE
@@ -21,10 +20,11 @@ from ..stepping.kernel_call import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, jacobian, solve
 from ..stepping.run_state import Run, copy_an_end, quaternions_of
 from ..stepping.state_rows import NEW, Y, unit, unit_alone
+from . import radau_coefficients as tableau
 from .radau_rows import ALONG, CORRECTION, END_RATE, FREE, MATRIX, PIVOTS, RATE, SLOPES, Z
 
-GAMMA = float(tableau.MU_REAL)
-_C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
+GAMMA = tableau.GAMMA
+_C1, _C2 = tableau.C1, tableau.C2
 # End derivatives of the Lagrange polynomials of the stages, which vanish at 0.
 _POWERS = np.linalg.inv(np.vander([_C1, _C2, 1.0], 4, increasing=True)[:, 1:])
 _SLOPE, _BEND, _LAST_BEND = _POWERS[0], 2.0 * _POWERS[1], 2.0 * _POWERS[1] + 6.0 * _POWERS[2]

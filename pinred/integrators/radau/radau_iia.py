@@ -1,9 +1,9 @@
 """Radau IIA of order 5 over a kernel and its derivative, for hard springs and strong dampers.
 
 E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer 1996,
-section IV.8, and Hairer's code radau5.f, with its step control and constants. The coefficients are
-copied from SciPy. Evaluating the exact Jacobian is cheap compared with factorising the systems, so
-the Jacobian is recomputed before every factorisation.
+section IV.8, and Hairer's code radau5.f, with its step control and constants. Evaluating the
+exact Jacobian is cheap compared with factorising the systems, so the Jacobian is recomputed before
+every factorisation.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
 from ..stepping.codes import DONE, NOT_FINITE
@@ -21,6 +20,7 @@ from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, s
 from ..stepping.run_state import Run, first_step_by_rate, quaternions_of, reject_step
 from ..stepping.state_rows import NEW, Y, entry_size, first_not_finite, unit
 from ..stepping.step_loop import Hooks, Stepper, loops
+from . import radau_coefficients as tableau
 from .dense import GAMMA, load_step, stage_polynomial, store_end, write_state
 from .radau_rows import ALONG, END_RATE, KEPT, MATRIX, PIVOTS, RATE, SLOPES, Z
 
@@ -29,10 +29,10 @@ from .radau_rows import ALONG, END_RATE, KEPT, MATRIX, PIVOTS, RATE, SLOPES, Z
 # previous step, relative to its initial state. MISS: error estimate.
 SCALE, STAGE, W, F, OLD, MISS = 3, END_RATE, 8, 11, 14, 17
 
-_C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
-_T, _TI = tableau.T, tableau.TI
-_E1, _E2, _E3 = (float(e) for e in tableau.E)
-_ALPHA, _BETA = float(tableau.MU_COMPLEX.real), float(tableau.MU_COMPLEX.imag)
+_C1, _C2 = tableau.C1, tableau.C2
+_T, _TI = tableau.T, tableau.T_INVERSE
+_E1, _E2, _E3 = tableau.E1, tableau.E2, tableau.E3
+_ALPHA, _BETA = tableau.ALPHA, tableau.BETA
 _EPS = float(np.finfo(float).eps)
 
 _MOST = 7  # largest number of Newton iterations per stage solve

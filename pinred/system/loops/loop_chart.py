@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from ...common.arrays import Array
 from ...common.errors import InputError, SingularInertiaError
@@ -257,6 +256,8 @@ def loop_chart(system: LoopedSystem, independent: Sequence[str] | None = None) -
 
 def _pivoted(system: LoopedSystem, x: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return independent (d,) and dependent (k,) rates by a pivoted QR factorisation at x."""
+    from scipy.linalg import qr
+
     closure = system.closure
     assert closure is not None
     J = scaled_jacobian(system, x, closure.length)[closure.rows]

@@ -8,7 +8,6 @@ with pivoting chooses independent equations.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import qr
 
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
@@ -142,6 +141,8 @@ def _check_loop(system: LoopedSystem, loop: Loop) -> None:
 
 def _independent_rows(system: LoopedSystem, x: Array, length: float) -> tuple[Array, float]:
     """Return independent equations of the largest rank at closed shapes near x."""
+    from scipy.linalg import qr
+
     rng, units = np.random.default_rng(0), rate_units(system, length)
     best: tuple[int, float, Array] = (-1, 0.0, np.empty(0, dtype=int))
     for k in range(_SHAPES + 1):
