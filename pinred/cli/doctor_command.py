@@ -150,7 +150,8 @@ def _check_machine_code() -> str:
     """Compile and load a function.  Returns a description; raises as the compiler does."""
     import casadi
 
-    from ..kernels.machine.native import compile_object, load_object
+    from ..common.machine_code import load_object
+    from ..kernels.machine.native import compile_object
 
     x = casadi.SX.sym("x", 2)
     code = compile_object(casadi.Function("doctor", [x], [casadi.sin(x)]), "doctor")

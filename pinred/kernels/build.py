@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
+from ..common.machine_code import load_objects
 from ..common.object_cache import ObjectCache, cache_key
 from ..forces.force_model import ForceModel
 from ..reduction.tree.free_bodies import NOTHING, Freed
@@ -19,7 +20,7 @@ from ..system.loops.loop import Loop
 from ..system.system import System
 from ..system.variants import nominal
 from .kernel import Kernel
-from .machine.native import compile_object, load_objects
+from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
 from .reference_state import perturb_parameters
 from .state_layout import Structure, layout_of

@@ -18,13 +18,14 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from ..common.machine_code import NativeCode
 from ..lie.rotations import conjugate, quaternion_product
 from ..reduction.tree.scalars import as_column, as_scalars, solve_ldl
 from ..system.loops.looped_system import loop_jacobian, loop_kinematics, loop_values
 from .build import build_kernel
 from .derived_code import derived_code
 from .kernel import Kernel
-from .machine.native import NativeCode, compile_object
+from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
 from .reference_state import ReferenceState, random_state
 from .validation import require_agreement

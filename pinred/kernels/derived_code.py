@@ -24,6 +24,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.differences import central_differences
 from ..common.errors import InputError, KernelMismatch
+from ..common.machine_code import NativeCode, load_object
 from ..common.memo import once
 from ..common.object_cache import ObjectCache, cache_key
 from ..integrators.stepping import linear_systems
@@ -31,7 +32,7 @@ from ..integrators.stepping.kernel_call import SEEDS
 from .build import model_bytes
 from .evaluate import evaluate
 from .kernel import Kernel
-from .machine.native import NativeCode, compile_object, load_object
+from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
 from .validation import ROUND_OFF, require_agreement
 

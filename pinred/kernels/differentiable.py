@@ -18,6 +18,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.differences import central_differences
 from ..common.errors import InputError, KernelMismatch
+from ..common.machine_code import NativeCode
 from ..integrators.stepping.compiling import compiled
 from ..integrators.stepping.kernel_call import (
     SEEDS,
@@ -31,7 +32,7 @@ from ..reduction.tree.identical_branches import Lanes, Mark
 from .adjoint_lanes import adjoint_in_lanes
 from .derived_code import derived_code
 from .kernel import Kernel
-from .machine.native import NativeCode, compile_object
+from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
 from .tangent_lanes import tangent_in_lanes
 from .validation import require_agreement

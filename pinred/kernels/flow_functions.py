@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from ..common.arrays import Array
+from ..common.machine_code import NativeCode
 from ..common.memo import once
 from ..reduction.base_parts import into_body
 from ..reduction.tree.scalars import quaternion_rate
@@ -27,7 +28,6 @@ from .base_graph import rotated
 from .differentiable import Differentiable, call_value
 from .initial_conditions import TwistOrMomentum, initial_conditions_graph, initial_conditions_kernel
 from .kernel import Kernel, outputs_of
-from .machine.native import NativeCode
 from .reduced_graph import ReducedGraph
 from .state_layout import Layout
 from .validation import require_agreement

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
+from ..common.machine_code import NativeCode, load_object
 from ..common.memo import once
 from ..common.object_cache import ObjectCache, cache_key
 from ..reduction.base_parts import BaseParts
@@ -32,7 +33,7 @@ from ..system.variants import nominal
 from .base_graph import BaseGraph
 from .build import model_bytes
 from .evaluate import evaluate
-from .machine.native import NativeCode, compile_object, load_object
+from .machine.native import compile_object
 from .reference_state import perturb_parameters
 from .validation import explain_ill_scaling, require_agreement
 

@@ -11,12 +11,12 @@ from itertools import accumulate, pairwise, starmap
 import numpy as np
 
 from ..common.arrays import Array
+from ..common.machine_code import NativeCode
 from ..forces.force_model import ForceModel
 from ..integrators.stepping.run_state import Canonical
 from ..reduction.tree.free_bodies import free_numbers
 from ..system.state_fields import FIELDS, axis_lengths
 from ..system.system import System
-from .machine.native import NativeCode
 from .state_layout import Layout, Structure
 
 

@@ -7,11 +7,12 @@ from functools import partial
 import numpy as np
 
 from ..common.arrays import Array
+from ..common.machine_code import NativeCode
 from .derived_code import derived_code, jacobian_by_columns, tangent_of, validate_jacobian
 from .differentiable import call_value
 from .jacobian_graph import has_recursion, jacobian_graph
 from .kernel import Kernel
-from .machine.native import NativeCode, compile_object
+from .machine.native import compile_object
 
 
 def jacobian_of(kernel: Kernel, y: Array, parameters: Array) -> Array:

@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 
 from pinred.common.arrays import Array
-from pinred.kernels.machine.native import NativeCode, compile_object, load_object
+from pinred.common.machine_code import NativeCode, load_object
+from pinred.kernels.machine.native import compile_object
 
 POINTER = ctypes.POINTER(ctypes.c_double)
 

@@ -18,6 +18,7 @@ import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss
 from pinred.common.arrays import Array
 from pinred.common.errors import NoConvergence, NonFiniteState, TooManySteps
+from pinred.common.machine_code import NativeCode, load_object
 from pinred.integrators.gauss import fixed_step as gauss
 from pinred.integrators.gauss.tables import tables
 from pinred.integrators.integrate import integrate
@@ -29,7 +30,7 @@ from pinred.judge.reference_solution import FullState
 from pinred.kernels import derived_code
 from pinred.kernels.derived_code import tangent_of, wide_rate
 from pinred.kernels.kernel import Kernel
-from pinred.kernels.machine.native import NativeCode, compile_object, load_object
+from pinred.kernels.machine.native import compile_object
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 

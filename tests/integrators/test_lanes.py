@@ -13,13 +13,14 @@ import pytest
 
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError
+from pinred.common.machine_code import NativeCode, load_object
 from pinred.integrators.explicit.tableau import Tableau
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, Solutions, integrate_many
 from pinred.integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from pinred.integrators.methods import DOP853, Tsit5
 from pinred.integrators.methods.method import Explicit
-from pinred.kernels.machine.native import NativeCode, compile_object, load_object
+from pinred.kernels.machine.native import compile_object
 
 END, TIMES = 2.0, [0.0, 0.3, 0.3, 1.1, 2.0]
 METHODS: tuple[Explicit, ...] = (DOP853(1e-9, 1e-11), Tsit5(1e-7, 1e-9))

@@ -14,6 +14,7 @@ from numpy.polynomial import legendre
 
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, NoConvergence
+from pinred.common.machine_code import NativeCode, load_object
 from pinred.integrators.integrate import Integration, integrate
 from pinred.integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss
 from pinred.integrators.methods.method import Explicit
@@ -25,7 +26,7 @@ from pinred.integrators.run_derivatives import (
 )
 from pinred.integrators.solution import Solution
 from pinred.integrators.stepping.kernel_call import SEEDS
-from pinred.kernels.machine.native import NativeCode, compile_object, load_object
+from pinred.kernels.machine.native import compile_object
 
 N, P = 7, 3  # entries of the state, and parameters
 QUATERNIONS = (1, 1)  # index of the first entry, and number

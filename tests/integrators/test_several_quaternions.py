@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pinred.common.arrays import Array, read_only
 from pinred.common.errors import InputError
+from pinred.common.machine_code import NativeCode, load_object
 from pinred.integrators.integrate import Integration, integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.integrate_parts import integrate_parts
@@ -41,7 +42,7 @@ from pinred.integrators.stepping.state_rows import (
     unit_alone,
 )
 from pinred.integrators.stepping.step_loop import Stepper
-from pinred.kernels.machine.native import NativeCode, compile_object, load_object
+from pinred.kernels.machine.native import compile_object
 
 # A state contains an oscillator and a clock (3,), the body momenta of B tops (3 B,), and their
 # quaternions (4 B,). The rows of three tops have no padding. Parameters of a top: inertias (3,),

@@ -14,9 +14,9 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.common.machine_code import NativeCode
 from pinred.common.object_cache import ObjectCache
 from pinred.kernels.build import build_kernel
-from pinred.kernels.machine.native import NativeCode
 from pinred.kernels.state_layout import Structure
 from pinred.kernels.validation import validate_kernel
 from pinred.lie import GROUPS

@@ -16,8 +16,9 @@ from trees import limbed_model, mirrored_model
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.common.machine_code import load_object
 from pinred.kernels.adjoint_lanes import adjoint_in_lanes
-from pinred.kernels.machine.native import compile_object, load_object
+from pinred.kernels.machine.native import compile_object
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.kernels.state_layout import Structure
 from pinred.kernels.tangent_lanes import tangent_in_lanes

@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
+from ...common.machine_code import NativeCode
 from ...common.memo import once
 from ...kernels.connection.connection_code import ConnectionCode, cached_code
 from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...kernels.evaluate import evaluate
-from ...kernels.machine.native import NativeCode
 from ...kernels.validation import require_agreement
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.all_joints import joint_values

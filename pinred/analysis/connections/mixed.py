@@ -24,13 +24,14 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector
 from ...common.errors import InputError
+from ...common.machine_code import NativeCode, load_object
 from ...kernels.connection.connection_form import (
     along_frame,
     coordinate_rates,
     form_of,
     health,
 )
-from ...kernels.machine.native import NativeCode, compile_object, load_object
+from ...kernels.machine.native import compile_object
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.momenta import bracket, momenta
 from ...system.system import System, checked_system

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array, rows
 from ...common.errors import ShapeError
+from ...common.machine_code import NativeCode, load_object
 from ...common.memo import once
 from ...common.object_cache import ObjectCache, cache_key
 from ...integrators.stepping.compiling import compiled
 from ..evaluate import WIDTH, columns_at, evaluate
-from ..machine.native import NativeCode, compile_object, load_object
+from ..machine.native import compile_object
 from .connection_form import (
     ConnectionForm,
     column_derivative_graph,

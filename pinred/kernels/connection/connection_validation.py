@@ -8,8 +8,8 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.differences import central_differences
+from ...common.machine_code import NativeCode
 from ..evaluate import columns_at, evaluate
-from ..machine.native import NativeCode
 from ..validation import require_agreement
 from .connection_form import ConnectionForm
 

@@ -6,47 +6,20 @@ subexpressions; LLVM's default pipeline takes a third longer, and its code is no
 
 from __future__ import annotations
 
-import ctypes.util
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
-from threading import Lock
-from typing import Any, NoReturn
+from collections.abc import Sequence
 
 import casadi as ca
 import llvmlite.binding as llvm
 
 from ...common.cpu_target import cpu_target
-from ...common.errors import InputError, NotCopyable
+from ...common.errors import InputError
+from ...common.machine_code import LLVM_LOCK, create_machine
 from ...reduction.tree.identical_branches import Mark
 from .lowering import lower
 from .operations import RESERVED
 
-_IDENTITY = 16  # number of bytes that encode format, word size and byte order
-
-_LOCK = Lock()
-
-
-@dataclass(frozen=True, eq=False)
-class NativeCode:
-    """A function in memory, callable as long as this object exists.
-
-    Attributes:
-        name: Name of the function.
-        address: Address of `void name(const double *in0, …, double *out)`.
-    """
-
-    name: str
-    address: int
-    _engine: Any = field(repr=False)
-
-    def __reduce__(self) -> NoReturn:
-        # Copies of llvmlite objects are incomplete and print errors when they are deleted.
-        raise NotCopyable(
-            f"the machine code '{self.name}' lives in this process and can be neither copied nor "
-            "pickled; create it in the other process by load(…) or simulate(…), or pass results by "
-            "traj.save(…) and read_recording(…)"
-        )
+# Code generation at level 1 emits code of the same results and speed in a tenth less time than 2.
+_LEVEL = 1
 
 
 def compile_object(
@@ -77,95 +50,16 @@ def compile_object(
     """
     _check(function, name, outputs=1 if marks is None else 2)
     text = lower(function, name, marks, fma=cpu_target().fma, wide=wide, wide_inputs=wide_inputs)
-    with _LOCK:
+    with LLVM_LOCK:
         context = llvm.create_context()
         module = llvm.parse_assembly(text, context)
-        machine = _create_machine()
+        machine = create_machine(_LEVEL)
         passes = llvm.create_new_module_pass_manager()
         passes.add_always_inliner_pass()
         passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
         code: bytes = machine.emit_object(module)
         module.close()  # before its context is deleted
     return code
-
-
-def load_object(code: bytes, name: str) -> NativeCode:
-    """Load object code created by `compile_object` into memory.
-
-    The same code may be loaded repeatedly, by any thread.  The code runs with all rights of the
-    process, so load only code that was compiled here or read from an ObjectCache.
-
-    Args:
-        code: The object code.
-        name: Name of the function.
-    Returns:
-        The function.
-    Raises:
-        InputError: The bytes are not object code for this machine, or the function is missing.
-    """
-    return load_objects({name: code})[0]
-
-
-def load_objects(codes: Mapping[str, bytes]) -> tuple[NativeCode, ...]:
-    """Load object codes into memory that they share; see `load_object`.
-
-    Args:
-        codes: Object code by the name of its function.
-    Returns:
-        The functions, in order.
-    Raises:
-        InputError: As for `load_object`.
-    """
-    for name, code in codes.items():
-        if code[:_IDENTITY] != _identity():
-            raise InputError(
-                f"the {len(code)} bytes for '{name}' are not object code for this machine"
-            )
-    with _LOCK:
-        machine = _create_machine()
-        # Use the global context, because a private one would have to outlive the engine.
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        for code in codes.values():
-            engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-        engine.finalize_object()
-        addresses = {name: engine.get_function_address(name) for name in codes}
-    for name, address in addresses.items():
-        if not address:
-            raise InputError(f"the object code has no function '{name}'")
-    return tuple(NativeCode(name, address, engine) for name, address in addresses.items())
-
-
-@cache
-def _target() -> llvm.Target:
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    if not llvm.address_of_symbol("remainder"):
-        llvm.load_library_permanently(ctypes.util.find_library("m") or "libm.so.6")
-    return llvm.Target.from_default_triple()
-
-
-def _create_machine() -> llvm.TargetMachine:
-    """Create a target machine for the CPU of `cpu_target`.
-
-    The code model permits code at addresses far from its constants and from libm.
-
-    Returns:
-        The machine; MCJIT takes ownership, so each call creates a new one.
-    """
-    cpu = cpu_target()
-    return _target().create_target_machine(
-        cpu=cpu.name,
-        features=cpu.features,
-        opt=1,  # emits code of the same results and speed in a tenth less time than 2
-        jit=True,
-    )
-
-
-@cache
-def _identity() -> bytes:
-    """Return the first bytes of all object files of this machine; others would crash LLVM."""
-    header: bytes = _create_machine().emit_object(llvm.parse_assembly(""))
-    return header[:_IDENTITY]
 
 
 def _check(function: ca.Function, name: str, outputs: int) -> None:
