@@ -44,6 +44,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("scaling", "one kernel evaluation for chains of 5 to 100 joints")
     add("floquet", "Floquet multipliers by three routes against a closed form")
     add("compare", "time of comparisons, and of one integration by ABA", "scenes", "all installed")
+    add("first", "first calls with empty caches: shipped code, and compilation", "calls", "all")
     add("films", "time of a film's frame, compared with a screenshot", "robots", "four")
     add("loops", "gaps of closed loops in MuJoCo, whose constraints are soft, and in pinred")
     text = "trajectories per second of a batch, also with other tools"
@@ -68,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _run_films(arguments, folder)
     from ..laboratory.bench.measurements import MEASUREMENTS
 
-    names = ("robots", "robot", "scenes", "members", "held")
+    names = ("robots", "robot", "scenes", "calls", "members", "held")
     options = {name: value for name, value in vars(arguments).items() if name in names}
     text, tables = MEASUREMENTS[arguments.measurement](**options)
     print(text)

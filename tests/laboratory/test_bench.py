@@ -15,6 +15,7 @@ from commands import python
 import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError
+from pinred.integrators.stepping import shipped_code
 from pinred.laboratory.bench import (
     DerivativeTiming,
     Scaling,
@@ -25,6 +26,7 @@ from pinred.laboratory.bench import (
     bench_threads,
     compare_timing,
     derivative_timing,
+    first_calls,
     method_choice,
     timing,
 )
@@ -50,6 +52,38 @@ def test_compare_timing_counts_integrations(monkeypatch: pytest.MonkeyPatch) -> 
     assert f"{result.seconds:.3f}" in str(result)
     with pytest.raises(InputError, match=r"no scene 'moon'; the scenes are falling_cat"):
         compare_timing.bench_compare(["moon"])
+
+
+def test_first_calls_run_in_fresh_processes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A process reports its time, and whether it loads numba; without shipped code it has none."""
+    folders = []
+    monkeypatch.setattr(shipped_code, "FOLDER", shipped_code.FOLDER)
+    call = {"note": lambda _: folders.append(shipped_code.FOLDER.is_dir())}
+    monkeypatch.setattr(first_calls, "CALLS", call)
+    for shipped in (True, False):
+        first_calls.print_time("note", shipped=shipped)
+    assert folders == [True, False]
+    seconds = [float(line.split()[0]) for line in capsys.readouterr().out.splitlines()]
+    assert len(seconds) == 2
+    assert min(seconds) >= 0.0
+
+    def measure(call: str, *, shipped: bool) -> tuple[float, bool]:
+        assert call == "note"
+        return (0.5, False) if shipped else (4.0, True)
+
+    monkeypatch.setattr(first_calls, "_in_fresh_process", measure)
+    (result,) = first_calls.bench_first_calls()
+    assert str(result).split() == ["note", "0.50", "4.00", "8.0", "not", "loaded"]
+    with pytest.raises(InputError, match="no call 'moon'; the calls are note"):
+        first_calls.bench_first_calls(["moon"])
+
+
+def test_first_call_is_timed_in_another_process() -> None:
+    """The process has a cache of its own; the call takes longer than later calls."""
+    seconds, _ = first_calls._in_fresh_process("simulate", shipped=True)
+    assert 0.02 < seconds < 1e3
 
 
 def test_importing_bench_is_lazy() -> None:

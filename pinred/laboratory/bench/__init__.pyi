@@ -11,6 +11,8 @@ from .derivative_timing import DerivativeTiming as DerivativeTiming
 from .derivative_timing import bench_derivatives as bench_derivatives
 from .evaluations import Evaluations as Evaluations
 from .evaluations import bench_evaluations as bench_evaluations
+from .first_calls import FirstCall as FirstCall
+from .first_calls import bench_first_calls as bench_first_calls
 from .floquet_timing import FloquetTiming as FloquetTiming
 from .floquet_timing import bench_floquet as bench_floquet
 from .flow_timing import FlowTiming as FlowTiming

@@ -53,6 +53,14 @@ def _compare(scenes: Sequence[str]) -> Result:
     return _table(CompareTiming.header(), timings), {"compare": records}
 
 
+def _first(calls: Sequence[str]) -> Result:
+    from .first_calls import FirstCall, bench_first_calls
+
+    timings = bench_first_calls(calls, progress=True)
+    records = [dict(vars(timing)) for timing in timings]
+    return _table(FirstCall.header(), timings), {"first_calls": records}
+
+
 def _evaluations(scenes: Sequence[str]) -> Result:
     from .evaluations import ERRORS, FEW_SCENES, bench_evaluations
 
@@ -167,6 +175,7 @@ MEASUREMENTS: dict[str, Callable[..., Result]] = {
     "kernels": _kernels,
     "forces": _forces,
     "compare": _compare,
+    "first": _first,
     "evaluations": _evaluations,
     "flow": _flow,
     "derivatives": _derivatives,

@@ -1,0 +1,146 @@
+"""Time of first calls with empty caches, with shipped machine code and by compilation."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from ...common.argument_kinds import checks_arguments
+from ...common.errors import InputError
+from ...common.progress import Progress, one_by_one
+
+_ROUNDS = 3  # number of processes with shipped code; compilations are measured once
+_DURATION = 0.5  # of the motions [s]
+_ROBOT = "falling_cat"
+_PROGRAM = "from {module} import print_time; print_time({call!r}, shipped={shipped})"
+
+
+def _simulate(system: Any, method: str = "auto") -> Any:
+    from ...simulation.simulate import simulate
+
+    return simulate(system, seed=1, duration=_DURATION, method=method)
+
+
+def _simulate_many(system: Any) -> Any:
+    from ...simulation.simulate_many import simulate_many
+
+    return simulate_many(system, seeds=range(8), times=[_DURATION])
+
+
+def _flow(system: Any) -> Any:
+    from ...simulation.flow_map.flow import flow
+
+    return flow(system, wrt=["x0"], seed=1, duration=_DURATION)
+
+
+def _compare(system: Any) -> Any:
+    from ...judge.compare import compare
+
+    return compare(_simulate(system))
+
+
+CALLS: dict[str, Callable[[Any], Any]] = {
+    "simulate": _simulate,
+    "simulate, Radau": lambda system: _simulate(system, "Radau"),
+    "simulate, Gauss": lambda system: _simulate(system, "Gauss(0.01)"),
+    "simulate_many": _simulate_many,
+    "flow.jacobian": lambda system: _flow(system).jacobian(),
+    "flow.vjp": lambda system: _flow(system).vjp({"pose": np.ones(system.group.dim)}),
+    "simulate, compare": _compare,
+}
+
+
+@checks_arguments
+@dataclass(frozen=True)
+class FirstCall:
+    """Time of the first call in a process with an empty cache, after the robot was loaded.
+
+    Attributes:
+        call: The call.
+        shipped: Median time with the machine code that the package ships [s].
+        compiled: Time without it, when numba compiles the integrators [s].
+        loads_numba: Whether the call with shipped code loads numba.
+    """
+
+    call: str
+    shipped: float
+    compiled: float
+    loads_numba: bool
+
+    @staticmethod
+    def header() -> str:
+        """Return the header of the table."""
+        return f"{'first call':<20} {'shipped [s]':>12} {'compiled [s]':>13} {'ratio':>7}  numba"
+
+    def __str__(self) -> str:
+        numba = "loaded" if self.loads_numba else "not loaded"
+        ratio = self.compiled / self.shipped
+        return (
+            f"{self.call:<20} {self.shipped:>12.2f} {self.compiled:>13.2f} {ratio:>7.1f}  {numba}"
+        )
+
+
+@checks_arguments
+def bench_first_calls(
+    calls: Sequence[str] = (), *, progress: Progress | bool | None = None
+) -> list[FirstCall]:
+    """Measure first calls in fresh processes with empty caches.
+
+    Args:
+        calls: Names of CALLS; by default all.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each call.
+    Raises:
+        InputError: A call is unknown.
+    """
+    names = list(calls) or list(CALLS)
+    if unknown := [name for name in names if name not in CALLS]:
+        raise InputError(f"no call '{unknown[0]}'; the calls are {', '.join(CALLS)}")
+
+    def measure(name: str) -> FirstCall:
+        results = [_in_fresh_process(name, shipped=True) for _ in range(_ROUNDS)]
+        compiled, _ = _in_fresh_process(name, shipped=False)
+        seconds, loaded = zip(*results, strict=True)
+        return FirstCall(name, float(np.median(seconds)), compiled, any(loaded))
+
+    return one_by_one(names, measure, progress, "calls")
+
+
+def _in_fresh_process(call: str, *, shipped: bool) -> tuple[float, bool]:
+    """Return the time of a call in a process with an empty cache, and whether it loaded numba."""
+    program = _PROGRAM.format(module=__name__, call=call, shipped=shipped)
+    with TemporaryDirectory() as cache:
+        done = subprocess.run(
+            [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=True,
+            env={**os.environ, "PINRED_CACHE_DIR": cache},
+        )  # fmt: skip
+    seconds, loaded = done.stdout.split()
+    return float(seconds), loaded == "True"
+
+
+def print_time(call: str, *, shipped: bool) -> None:
+    """Print the time of a call in this process, and whether numba is loaded afterwards.
+
+    Args:
+        call: Name of the call, one of CALLS.
+        shipped: Whether to use the shipped machine code.
+    """
+    from ...integrators.stepping import shipped_code
+    from ...system.load import load
+
+    if not shipped:
+        shipped_code.FOLDER = Path(os.devnull)
+    system = load(_ROBOT)
+    began = time.perf_counter()
+    CALLS[call](system)
+    print(time.perf_counter() - began, "numba" in sys.modules)
