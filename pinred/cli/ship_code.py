@@ -21,7 +21,11 @@ from typing import Any
 import numpy as np
 from numba.core import event as events
 
+from ..analysis.gaits.gait import Gait
+from ..analysis.phases.phase import phase
 from ..common.errors import InputError
+from ..forces.kinds import Torque
+from ..forces.signals.tabulated import Hold
 from ..integrators.methods import METHODS
 from ..integrators.stepping import shipped_code
 from ..integrators.stepping.code_cache import CodeCache
@@ -136,10 +140,23 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
         yield partial(simulate_many, system, seeds=range(8), times=[_DURATION], method=method)
         yield partial(_derivatives, system, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
+    yield partial(_uncommon, system)
 
 
 def _between(system: System, method: str) -> Any:
     return simulate(system, seed=1, duration=_DURATION, method=method)(np.array([0.7 * _DURATION]))
+
+
+def _uncommon(system: System) -> Any:
+    """Read a batch, prescribe a joint, hold a torque piecewise, and integrate along a gait."""
+    joint, *others = system.space.names
+    torque = Torque({others[0]: Hold([0.0, 0.5 * _DURATION], [1.0, 0.0])})
+    simulate(system, duration=_DURATION, prescribed={joint: "0.1*sin(t)"}, forces=[torque])
+    corners = 0.1 * np.eye(3, system.m)
+    return (
+        simulate_many(system, seeds=range(8), times=[_DURATION]).x,
+        phase(system, Gait.waypoints(corners)),
+    )
 
 
 def _derivatives(system: System, method: str) -> Any:

@@ -9,7 +9,7 @@ from numba import njit
 
 from pinred.common import compile_notice, progress
 from pinred.common.compile_notice import notice_of_compiling
-from pinred.integrators.stepping import compiling, numba_notice
+from pinred.integrators.stepping import numba_functions, numba_notice
 
 
 @pytest.fixture
@@ -65,4 +65,4 @@ def test_compilations_of_numba_are_announced_for_functions_of_pinred(
     called = njit(inner)
     assert njit(outer)(1.0) == 4.0
     assert capsys.readouterr().err.count("pinred compiles an integrator") == count
-    assert compiling.__name__.startswith(f"{numba_notice._PACKAGE}.")
+    assert numba_functions.__name__.startswith(f"{numba_notice._PACKAGE}.")

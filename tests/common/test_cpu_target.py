@@ -79,7 +79,7 @@ def test_unknown_or_unsupported_level_is_refused(monkeypatch: pytest.MonkeyPatch
 def test_numba_compiles_for_the_same_cpu() -> None:
     """The integrators are compiled for PINRED_CPU."""
     code = (
-        "import pinred.integrators.stepping.compiling\n"
+        "import pinred.integrators.stepping.numba_functions\n"
         "from numba.core.registry import cpu_target\n"
         "_, name, features = cpu_target.target_context.codegen().magic_tuple()\n"
         "print(name, features, '', sep='|')"

@@ -254,9 +254,11 @@ def _compile_again(path: str) -> None:
     Args:
         path: Path of the source file.
     """
-    from pinred.integrators.stepping.code_cache import CodeCache  # the copy with the mutants
+    from pinred.integrators.stepping import compiled_function  # the copy with the mutants
+    from pinred.integrators.stepping.code_cache import CodeCache
 
     load, save = CodeCache.load_overload, CodeCache.save_overload
+    load_shipped = compiled_function.load_shipped
 
     def load_unless(self: CodeCache, sig: Any, target_context: Any) -> Any:
         return None if _depends(self.function, path) else load(self, sig, target_context)
@@ -265,6 +267,10 @@ def _compile_again(path: str) -> None:
         if not _depends(self.function, path):
             save(self, sig, data)
 
+    def load_shipped_unless(function: Any, *details: Any) -> Any:
+        return None if _depends(function, path) else load_shipped(function, *details)
+
+    compiled_function.load_shipped = load_shipped_unless  # type: ignore[assignment]
     CodeCache.load_overload = load_unless  # type: ignore[method-assign]
     CodeCache.save_overload = save_unless  # type: ignore[method-assign]
 
@@ -274,7 +280,7 @@ def _depends(value: object, path: str) -> bool:
     pending, seen = [value], set[int]()
     while pending:
         value = pending.pop()
-        value = getattr(value, "py_func", None) or getattr(value, "_defn", value)
+        value = getattr(value, "py_func", None) or getattr(value, "generator", value)
         if id(value) in seen:
             continue
         seen.add(id(value))

@@ -77,8 +77,9 @@ def test_each_loop_has_its_own_cache_key() -> None:
     """The bytecode of the loops is equal, so only their names distinguish the keys."""
     loops = [loop for method in CASES.values() for loop in loops_of(method)]
     codes = {loop.py_func.__code__.co_code for loop in loops}
-    codegen = loops[0].targetctx.codegen()
-    keys = {loop._cache.compute_key((float64,), codegen) for loop in loops}
+    dispatchers = [loop.dispatcher for loop in loops]
+    codegen = dispatchers[0].targetctx.codegen()
+    keys = {loop._cache.compute_key((float64,), codegen) for loop in dispatchers}
     assert len(codes) == 4
     assert len(keys) == len(loops) == 4 * len(METHODS)
 
@@ -138,7 +139,8 @@ def test_cache_stamp_depends_on_all_sources() -> None:
     """A change in one file makes the machine code of all others stale."""
     for method in CASES.values():
         for compiled_loop in loops_of(method):
-            assert compiled_loop._cache.stamp == SOURCES
+            assert compiled_loop.stamp == SOURCES
+            assert compiled_loop.dispatcher._cache.stamp == SOURCES
 
 
 @pytest.mark.parametrize(
@@ -187,7 +189,7 @@ def test_changed_constant_of_module_elsewhere_is_compiled_again(tmp_path: Path) 
 
 def test_modules_with_compiled_functions_have_stamps_of_their_own() -> None:
     """Machine code outside of the integrators is stale when its file changes."""
-    found = lift._lift._cache.stamp  # type: ignore[attr-defined]
+    found = lift._lift.stamp  # type: ignore[attr-defined]
     assert found == stamp_of(PACKAGE / "analysis/phases/lift.py")
     assert found.startswith(SOURCES)
     assert found != SOURCES

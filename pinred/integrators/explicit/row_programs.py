@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from llvmlite import ir
-from numba.core import cgutils, types
 
 from ...common.arrays import Array
+from ..stepping import numba_core
 from ..stepping.compiling import make_intrinsic
 from ..stepping.kernel_call import check_contiguous, emit_call
 from ..stepping.state_rows import WIDTH
@@ -63,6 +63,8 @@ def row_sum(out: int, base: int | None, terms: Terms) -> Callable[[Array, float]
 
     @make_intrinsic
     def combine(typing: Any, work: Any, h: Any) -> Any:
+        types: Any = numba_core.types
+
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows = VectorRows(context, builder, signature.args[0], arguments[0], WIDTH)
             _emit_sum(builder, rows, Sum(out, base, terms), rows.splat(arguments[1]))
@@ -76,7 +78,7 @@ def row_sum(out: int, base: int | None, terms: Terms) -> Callable[[Array, float]
 def row_program(
     steps: Sequence[Sum | Rate],
     width: int = WIDTH,
-    lane_steps: types.Type | None = None,
+    lane_steps: Callable[[], Any] | None = None,
     flags: tuple[str, ...] = (),
 ) -> Callable[[int, Array, Array, Any], int]:
     """Return the compiled function run(address, params, work, h) of a list of steps.
@@ -86,7 +88,8 @@ def row_program(
     Args:
         steps: Linear combinations and kernel calls, in order.
         width: Number of floats in a vector.
-        lane_steps: Type of h, if h is a vector with a step length per SIMD lane.
+        lane_steps: Function that returns numba's type of h, if h is a vector with a step length
+            per SIMD lane.
         flags: LLVM fast-math flags of the floating-point instructions.
     Returns:
         The function.
@@ -96,6 +99,8 @@ def row_program(
     @make_intrinsic
     def run(typing: Any, address: Any, params: Any, work: Any, h: Any) -> Any:
         check_contiguous(params, work)
+        types: Any = numba_core.types
+        step_type = types.float64 if lane_steps is None else lane_steps()
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             address, params, work, h = arguments
@@ -109,7 +114,7 @@ def row_program(
                     _emit_sum(builder, rows, step, scale, flags)
             return ir.Constant(ir.IntType(64), calls)
 
-        return types.int64(types.int64, params, work, lane_steps or types.float64), generate
+        return types.int64(types.int64, params, work, step_type), generate
 
     return run
 
@@ -128,6 +133,8 @@ def pullback_program(
         typing: Any, adjoint: Any, params: Any, work: Any, both: Any, by_params: Any, h: Any
     ) -> Any:
         check_contiguous(params, work, both, by_params)
+        types: Any = numba_core.types
+        cgutils: Any = numba_core.cgutils
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             adjoint, params, work, both, by_params, h = arguments
@@ -164,6 +171,7 @@ def _emit_sum(
     builder: Any, rows: VectorRows, step: Sum, scale: Any, flags: tuple[str, ...] = ()
 ) -> None:
     """Emit the instructions of a linear combination; `scale` is h as a vector."""
+    cgutils: Any = numba_core.cgutils
     stride, width = rows.stride, rows.vector.count
     with cgutils.for_range(builder, builder.udiv(stride, stride.type(width))) as loop:
         index = builder.mul(loop.index, stride.type(width))

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba.core import cgutils, types
 
 from ...common.arrays import Array
+from ..stepping import numba_core
 from ..stepping.compiling import inlined, make_intrinsic
 from ..stepping.vector_rows import VectorRows, add_pairwise
 from .stage_rows import BEST, CHANGE, RATE, SCALE, B
@@ -29,6 +29,9 @@ def product(lanes: int) -> Callable[..., None]:
     def multiply(  # type: ignore[no-untyped-def]
         typing: Any, work: Any, out: Any, base: Any, table: Any, row: Any, n: Any
     ):
+        types: Any = numba_core.types
+        cgutils: Any = numba_core.cgutils
+
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
             out, base, table, row, n = arguments[1:]
@@ -78,6 +81,9 @@ def refreshment(lanes: int) -> Callable[..., float]:
         typing: Any, work: Any, row: Any, rate: Any, last: Any, best: Any, scale: Any,
         weights: Any, n: Any, h: Any,
     ):  # fmt: skip
+        types: Any = numba_core.types
+        cgutils: Any = numba_core.cgutils
+
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
             row, rate, last, best, scale, weights, n, h = arguments[1:]
@@ -122,14 +128,15 @@ def refreshment(lanes: int) -> Callable[..., float]:
 
 def _absolute(builder: Any, T: Any, lanes: int) -> Any:
     """Return LLVM's function for the absolute values of a vector."""
+    cgutils: Any = numba_core.cgutils
     get_function: Callable[..., Any] = cgutils.get_or_insert_function
     return get_function(builder.module, ir.FunctionType(T, [T]), f"llvm.fabs.v{lanes}f64")
 
 
 def _variable(builder: Any, value: Any) -> Any:
     """Allocate a variable with an initial value; return its address."""
-    allocate: Callable[..., Any] = cgutils.alloca_once_value
-    return allocate(builder, value)
+    cgutils: Any = numba_core.cgutils
+    return cgutils.alloca_once_value(builder, value)
 
 
 _multiply4, _multiply8 = product(4), product(8)

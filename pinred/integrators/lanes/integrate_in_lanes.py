@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import ceil
 from typing import Any
 
@@ -22,9 +23,10 @@ from ..methods.method import Explicit
 from ..stepping.compiling import compiled
 from ..stepping.run_state import NOT_CANONICAL
 from ..stepping.state_rows import Quaternions
+from ..stepping.vector_rows import FUSED
 from . import members_in_lanes
 from .members_in_lanes import READY_REGISTERS, READY_ROWS, REGISTERS, Workspace
-from .vectors import FUSED, Vector, functions_of_width
+from .vectors import functions_of_width, vector_type
 
 WIDTHS = (8, 16)  # supported numbers of SIMD lanes
 _CACHE_LINE = 64  # alignment of vectors of eight floats [bytes]
@@ -127,7 +129,13 @@ def _lane_loop(name: str, order: int, tableau: Tableau, width: int) -> LaneLoop:
     }
     prefix = f"{name}_{digest(order, tableau)}_{width}_lanes"
     bindings = bind_formulas(
-        prefix, order, tableau, numbers, width=width, lane_steps=Vector(width), flags=FUSED
+        prefix,
+        order,
+        tableau,
+        numbers,
+        width=width,
+        lane_steps=partial(vector_type, width),
+        flags=FUSED,
     )
     for function in members_in_lanes.INLINED:
         bindings.add(function)

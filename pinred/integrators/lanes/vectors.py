@@ -7,213 +7,55 @@ lane j as number i·width + j. Kernels that evaluate several states at once use 
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable
 from functools import cache, partial
-from math import sqrt
-from typing import Any, ClassVar
+from typing import Any
 
 from llvmlite import ir
-from numba import extending
-from numba.core import cgutils, types
-from numba.core.typing import templates
 
+from ..stepping import numba_core
 from ..stepping.compiling import make_intrinsic
 from ..stepping.vector_rows import VectorRows, splat
-
-# numba has no type hints for these functions.
-signature: Any = templates.signature
-infer_global: Any = templates.infer_global
-lower_builtin: Any = extending.lower_builtin
-register_model: Any = extending.register_model
-insert_function: Any = cgutils.get_or_insert_function
-new_model: Any = extending.models.PrimitiveModel.__init__
 
 _DOUBLE, _INT32 = ir.DoubleType(), ir.IntType(32)
 
 
-class _PerLane(types.Type):
-    """Numba type with one entry per SIMD lane.
+def _vector_types() -> Any:
+    """Import the module of numba's types; numba must know the operators before it compiles."""
+    from . import vector_types
 
-    Attributes:
-        width: Number of lanes.
-        entry: LLVM type of an entry.
-    """
-
-    entry: ClassVar[Any]
-
-    def __init__(self, width: int) -> None:
-        """Create the type for a number of lanes."""
-        self.width = width
-        super().__init__(name=f"pinred_{type(self).__name__.lower()}{width}")
+    return vector_types
 
 
-class Vector(_PerLane):
-    """Numba type with one float64 per SIMD lane."""
-
-    entry = _DOUBLE
-
-
-class Mask(_PerLane):
-    """Numba type with one truth value per SIMD lane."""
-
-    entry = ir.IntType(1)
+def vector_type(width: int) -> Any:
+    """Return numba's type of vectors with a number of lanes."""
+    return _vector_types().Vector(width)
 
 
-@register_model(Vector)
-@register_model(Mask)
-class _LaneModel(extending.models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: _PerLane) -> None:
-        new_model(self, manager, kind, ir.VectorType(kind.entry, kind.width))
-
-
-# --- operators -----------------------------------------------------------------------------
-
-
-def _in_lanes(builder: Any, operand_types: Any, values: Any) -> list[Any]:
-    """Return the operands as vectors; numbers are copied to all lanes."""
-    (width,) = {
-        operand_type.width for operand_type in operand_types if isinstance(operand_type, Vector)
-    }
-    return [
-        value if isinstance(operand_type, Vector) else splat(builder, value, width)
-        for operand_type, value in zip(operand_types, values, strict=True)
-    ]
-
-
-def _operands(args: Any) -> int:
-    """Return the number of lanes of two operands if one of them is a vector, else 0."""
-    widths = {operand_type.width for operand_type in args if isinstance(operand_type, Vector)}
-    all_numeric = all(
-        isinstance(operand_type, Vector) or operand_type == types.float64 for operand_type in args
-    )
-    return widths.pop() if len(args) == 2 and all_numeric and len(widths) == 1 else 0
-
-
-def _binary(function: Any, result: type, emit: Callable[[Any, Any, Any], Any]) -> None:
-    """Register an operator on two vectors, or on a vector and a number.
-
-    Args:
-        function: The operator.
-        result: Vector or Mask.
-        emit: Function of the LLVM builder and two vectors that emits the instruction.
-    """
-
-    class Typed(templates.AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            width = _operands(args)
-            return signature(result(width), *args) if width else None
-
-    infer_global(function)(Typed)
-
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return emit(builder, *_in_lanes(builder, sig.args, args))
-
-    for operand_types in ((Vector, Vector), (Vector, types.Float), (types.Float, Vector)):
-        lower_builtin(function, *operand_types)(lowered)
-
-
-def _arithmetic(builder: Any, x: Any, y: Any, name: str) -> Any:
-    return getattr(builder, name)(x, y, flags=FUSED)
-
-
-def _comparison(builder: Any, x: Any, y: Any, sign: str) -> Any:
-    return builder.fcmp_ordered(sign, x, y)
-
-
-FUSED = ("contract",)  # LLVM flag that lets a multiplication and an addition become one instruction
-
-for _function, _name in (
-    (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"),
-    (operator.truediv, "fdiv"),
-):  # fmt: skip
-    _binary(
-        _function,
-        Vector,
-        partial(_arithmetic, name=_name),
-    )
-for _function, _sign in (
-    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="),
-    (operator.eq, "=="),
-):  # fmt: skip
-    # Comparisons with NaN are false.
-    _binary(_function, Mask, partial(_comparison, sign=_sign))
-
-
-def _logical(function: Any, count: int, emit: Callable[..., Any]) -> None:
-    """Register an operator on masks.
-
-    Args:
-        function: The operator.
-        count: Number of operands.
-        emit: Function of the LLVM builder and the masks that emits the instruction.
-    """
-
-    class Typed(templates.AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            fits = len(args) == count and all(isinstance(a, Mask) for a in args)
-            return signature(args[0], *args) if fits else None
-
-    infer_global(function)(Typed)
-
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return emit(builder, *args)
-
-    lower_builtin(function, *[Mask] * count)(lowered)
-
-
-_logical(operator.and_, 2, lambda b, x, y: b.and_(x, y))
-_logical(operator.or_, 2, lambda b, x, y: b.or_(x, y))
-_logical(operator.invert, 1, lambda b, x: b.not_(x))
-
-
-def _unary(function: Any, name: str) -> None:
-    """Register a function of one vector as an LLVM intrinsic."""
-
-    class Typed(templates.AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            fits = len(args) == 1 and isinstance(args[0], Vector)
-            return signature(args[0], args[0]) if fits else None
-
-    infer_global(function)(Typed)
-
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        vector_type = args[0].type
-        full_name = f"{name}.v{vector_type.count}f64"
-        callee = insert_function(
-            builder.module, ir.FunctionType(vector_type, [vector_type]), full_name
-        )
-        return builder.call(callee, args)
-
-    lower_builtin(function, Vector)(lowered)
-
-
-_unary(sqrt, "llvm.sqrt")
-_unary(abs, "llvm.fabs")
+_in_lanes: Callable[..., Any] = partial(make_intrinsic, prepare=_vector_types)
 
 
 # --- functions -----------------------------------------------------------------------------
 
 
-@make_intrinsic
+@_in_lanes
 def choose(typing: Any, mask: Any, yes: Any, no: Any) -> Any:
     """Return `yes` in the lanes where the mask is true, else `no`; both are numbers or vectors."""
-    number, width = types.float64, mask.width
-    branch_types = [
-        types.float64 if branch_type == number else Vector(width) for branch_type in (yes, no)
-    ]
+    number, vector = numba_core.types.float64, vector_type(mask.width)
+    width = mask.width
+    branch_types = [number if branch_type == number else vector for branch_type in (yes, no)]
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         branches = [
-            value if isinstance(branch_type, Vector) else splat(builder, value, width)
+            value if branch_type == vector else splat(builder, value, width)
             for branch_type, value in zip(sig.args[1:], args[1:], strict=True)
         ]
         return builder.select(args[0], *branches)
 
-    return Vector(width)(mask, *branch_types), generate
+    return vector(mask, *branch_types), generate
 
 
-@make_intrinsic
+@_in_lanes
 def bits(typing: Any, mask: Any) -> Any:
     """Return the mask as an integer with lane 0 in its lowest bit."""
 
@@ -221,10 +63,10 @@ def bits(typing: Any, mask: Any) -> Any:
         packed = builder.bitcast(args[0], ir.IntType(mask.width))
         return builder.zext(packed, ir.IntType(64))
 
-    return types.int64(mask), generate
+    return numba_core.types.int64(mask), generate
 
 
-@make_intrinsic
+@_in_lanes
 def power(typing: Any, base: Any, exponent: Any) -> Any:
     """Return base to the power `exponent`, for each lane."""
 
@@ -237,10 +79,10 @@ def power(typing: Any, base: Any, exponent: Any) -> Any:
             result = builder.insert_element(result, value, position)
         return result
 
-    return base(base, types.float64), generate
+    return base(base, numba_core.types.float64), generate
 
 
-@make_intrinsic
+@_in_lanes
 def fetch_and_add(typing: Any, counter: Any, count: Any) -> Any:
     """Add `count` atomically to the int64 in `counter`, (1,), and return the previous value."""
 
@@ -248,6 +90,7 @@ def fetch_and_add(typing: Any, counter: Any, count: Any) -> Any:
         array = context.make_array(sig.args[0])(context, builder, args[0])
         return builder.atomic_rmw("add", array.data, args[1], "monotonic")
 
+    types: Any = numba_core.types
     return types.int64(counter, types.int64), generate
 
 
@@ -257,30 +100,31 @@ def functions_of_width(width: int) -> dict[str, Any]:
 
     They are same(number), get(rows, row, i) and put(rows, row, i, vector), for rows (R, n width).
     """
-    vector = Vector(width)
 
-    @make_intrinsic
+    @_in_lanes
     def same(typing: Any, number: Any) -> Any:
         def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             return splat(builder, args[0], width)
 
-        return vector(types.float64), generate
+        return vector_type(width)(numba_core.types.float64), generate
 
-    @make_intrinsic
+    @_in_lanes
     def get(typing: Any, rows: Any, row: Any, i: Any) -> Any:
         def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             work = VectorRows(context, builder, sig.args[0], args[0], width)
             return work.load(args[1], builder.mul(args[2], args[2].type(width)))
 
-        return vector(rows, types.int64, types.int64), generate
+        types: Any = numba_core.types
+        return vector_type(width)(rows, types.int64, types.int64), generate
 
-    @make_intrinsic
+    @_in_lanes
     def put(typing: Any, rows: Any, row: Any, i: Any, value: Any) -> Any:
         def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             work = VectorRows(context, builder, sig.args[0], args[0], width)
             work.store(args[3], args[1], builder.mul(args[2], args[2].type(width)))
             return context.get_dummy_value()
 
-        return types.void(rows, types.int64, types.int64, vector), generate
+        types: Any = numba_core.types
+        return types.void(rows, types.int64, types.int64, vector_type(width)), generate
 
     return {"same": same, "get": get, "put": put, "choose": choose, "power": power}

@@ -20,9 +20,8 @@ from numba.core.caching import CompileResultCacheImpl
 from numba.core.serialize import dumps
 
 from ...common.compile_notice import notice_of_compiling
-from ...common.object_cache import ObjectCache
 from ...common.version import __version__
-from . import shipped_code
+from . import shipped_code, wrapped_code
 from .portable_code import link_bitcode
 
 # numba's functions have no type hints.
@@ -31,10 +30,6 @@ _normalize: Callable[[Any], tuple[tuple[Any, ...], Any]] = sigutils.normalize_si
 # These methods do not use their first argument, an object that needs a folder of its own.
 _reduce: Callable[..., Any] = CompileResultCacheImpl.reduce
 _rebuild: Callable[..., Any] = CompileResultCacheImpl.rebuild
-
-
-# Its folder is chosen once, so that a process never compiles a function for two folders.
-_STORE = ObjectCache()
 
 
 @cache
@@ -55,20 +50,20 @@ class CodeCache:
         stamp: Digest of all sources that the machine code depends on.
     """
 
-    def __init__(self, dispatcher: Any, stamp: str) -> None:
+    def __init__(self, dispatcher: Any, function: Callable[..., Any], stamp: str) -> None:
         """Set the function without accessing the disk.
 
         Args:
             dispatcher: numba's dispatcher of the function.
+            function: The Python function, whose globals contain no objects of numba.
             stamp: Digest of all sources that the machine code depends on.
         """
-        self.dispatcher, self.stamp = dispatcher, stamp
-        self.function: Callable[..., Any] = dispatcher.py_func
+        self.dispatcher, self.function, self.stamp = dispatcher, function, stamp
 
     @property
     def cache_path(self) -> str:
         """The folder of the object cache."""
-        return str(_STORE.folder)
+        return str(wrapped_code.STORE.folder)
 
     def compute_key(self, signature: Any, codegen: Any) -> str:
         """Compute the key of the machine code for one signature.
@@ -109,7 +104,7 @@ class CodeCache:
             The compile result, or None if there is neither a trusted object nor bitcode.
         """
         target_context.refresh()
-        code = _STORE.get(self.compute_key(sig, target_context.codegen()))
+        code = wrapped_code.STORE.get(self.compute_key(sig, target_context.codegen()))
         if code is not None:
             # The object cache has verified the user's signature, so the pickle is the user's own.
             return _rebuild(None, target_context, pickle.loads(code))
@@ -130,7 +125,7 @@ class CodeCache:
             data: The compile result.
         """
         if not data.library.has_dynamic_globals:
-            _STORE.put(self.compute_key(sig, data.codegen), _dumps(_reduce(None, data)))
+            wrapped_code.STORE.put(self.compute_key(sig, data.codegen), _dumps(_reduce(None, data)))
 
     def flush(self) -> None:
         """Do nothing: `pinred cache --clear` removes all objects."""

@@ -1,4 +1,4 @@
-"""Compilation of functions with numba, and cache stamps that depend on all sources."""
+"""Decorators of compiled functions, and cache stamps that depend on all sources."""
 
 from __future__ import annotations
 
@@ -9,17 +9,9 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar
 
-import numba
-from numba.extending import intrinsic
-
-from ...common.cpu_target import pin_numba
-from .code_cache import CodeCache
-from .numba_notice import announce_compilations
-from .portable_code import PortableCompiler
+from .compiled_function import CompiledFunction, Intrinsic
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-pin_numba(numba.config)  # before the first function is compiled
-announce_compilations()
 
 
 def stamp(folder: Path) -> str:
@@ -35,13 +27,6 @@ def _sources(folder: Path) -> list[Path]:
 
 _FOLDER = Path(__file__).parent.parent
 SOURCES = stamp(_FOLDER)
-# Without fast-math, results do not depend on where a function is inlined. Compiled functions
-# never allocate arrays, so reference counting (_nrt) is off and views of rows cost nothing.
-# Compiled functions are called from Python and from each other, never through C.
-_OPTIONS: Any = {
-    "nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True,
-    "pipeline_class": PortableCompiler,
-}  # fmt: skip
 _names: set[str] = set()
 
 
@@ -54,27 +39,33 @@ def stamp_of(path: Path) -> str:
 
 
 def compiled(function: _Function) -> _Function:
-    """Compile a function at its first call, without the GIL, and cache it on disk."""
-    dispatcher: Any = numba.njit(**_OPTIONS)(function)
-    # Machine code contains code inlined from other files. The stamp makes it stale when any source
-    # of compiled integrators or the file of the function changes; functions elsewhere call no
-    # compiled functions of further files. numba offers no public way to set the cache.
-    found = stamp_of(Path(function.__code__.co_filename))
-    vars(dispatcher)["_cache"] = CodeCache(dispatcher, found)
-    typed: _Function = dispatcher
+    """Execute a function as machine code, without the GIL; the first call loads or compiles it.
+
+    Machine code contains code inlined from other files. Its stamp makes it stale when any source of
+    compiled integrators or the file of the function changes; functions elsewhere call no compiled
+    functions of further files.
+
+    Args:
+        function: The function.
+    Returns:
+        A CompiledFunction.
+    """
+    machine_code: Any = CompiledFunction(function, stamp_of(Path(function.__code__.co_filename)))
+    typed: _Function = machine_code
     return typed
 
 
 def inlined(function: _Function) -> _Function:
     """Mark a function to be compiled only inline, in the functions that call it."""
-    typed: _Function = numba.njit(inline="always", **_OPTIONS)(function)
+    machine_code: Any = CompiledFunction(function, SOURCES, inline=True)
+    typed: _Function = machine_code
     return typed
 
 
 def bind_globals(function: _Function, name: str, **values: Any) -> _Function:
     """Return an uncompiled copy of a function with other values of some global names.
 
-    numba identifies cached machine code by the name and the bytecode of a function. Copies share
+    Cached machine code is identified by the name and the bytecode of a function. Copies share
     their bytecode, so each needs a unique name; otherwise one would load another's machine code.
 
     Args:
@@ -86,18 +77,17 @@ def bind_globals(function: _Function, name: str, **values: Any) -> _Function:
     Raises:
         RuntimeError: Another copy has this name.
     """
-    if isinstance(function, numba.core.dispatcher.Dispatcher):
-        function = function.py_func
     if name in _names:
         raise RuntimeError(
             f"two compiled functions have the name '{name}', so one would run "
             "the machine code of the other. Give them distinct names"
         )
     _names.add(name)
+    python: Any = getattr(function, "py_func", function)
     copy: Any = FunctionType(
-        function.__code__, {**function.__globals__, **values}, name, function.__defaults__
+        python.__code__, {**python.__globals__, **values}, name, python.__defaults__
     )
-    copy.__qualname__, copy.__module__ = name, function.__module__
+    copy.__qualname__, copy.__module__ = name, python.__module__
     typed: _Function = copy
     return typed
 
@@ -140,7 +130,16 @@ class Bindings:
         return copy
 
 
-def make_intrinsic(generator: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function for compiled code whose LLVM instructions `generator` emits."""
-    function: Callable[..., Any] = intrinsic(generator)
-    return function
+def make_intrinsic(
+    generator: Callable[..., Any], prepare: Callable[[], Any] = lambda: None
+) -> Callable[..., Any]:
+    """Return a function for compiled code whose LLVM instructions `generator` emits.
+
+    Args:
+        generator: Function of numba's typing context and the types of the arguments, which may use
+            `numba_core`.
+        prepare: Function to call before numba compiles the first caller.
+    Returns:
+        The function.
+    """
+    return Intrinsic(generator, prepare)

@@ -8,12 +8,11 @@ that Python calls; the wrapper is compiled for each version of Python.
 
 from __future__ import annotations
 
-import platform
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import llvmlite.binding as llvm
 from numba.core import compiler, types
@@ -23,27 +22,14 @@ from numba.core.funcdesc import PythonFunctionDescriptor
 from numba.core.targetconfig import ConfigStack
 from numba.core.typing.templates import signature
 
-# The CPU whose costs decide how code is optimised. Its instructions are not assumed: machine code
-# is generated for the CPU that runs it. Other architectures optimise for the machine at hand.
-OPTIMISED_FOR = {"x86_64": "x86-64-v3"}.get(platform.machine(), "")
+from .call_wrapper import COMPILED
+from .reshape_code import RESHAPE, RESHAPE_CODE
+from .shipped_code import OPTIMISED_FOR, Bitcode
 
 _LEVEL = 3  # of LLVM's optimisation, as in numba
-_NAME = "compiled"  # the function in a module of bitcode
 _RESULTS = {str(kind): kind for kind in (types.none, types.int64, types.float64, types.boolean)}
 # Symbols of Python and of numba's runtime, and instructions of certain CPUs.
-_BOUND = re.compile(r"_?Py|NRT_|_ZN|\.?numba\.|llvm\.(x86|aarch64)\.")
-
-
-class Bitcode(NamedTuple):
-    """Optimised code of a function.
-
-    Attributes:
-        result: Name of the type of the result.
-        module: LLVM bitcode.
-    """
-
-    result: str
-    module: bytes
+_BOUND = re.compile(r"_?Py|NRT_|_ZN|\.?numba[._]|llvm\.(x86|aarch64)\.")
 
 
 class PortableCompiler(compiler.Compiler):
@@ -87,11 +73,14 @@ def extract_bitcode(compiled: Any) -> Bitcode | None:
     """
     library, name = compiled.library, compiled.fndesc.llvm_func_name
     module = llvm.parse_bitcode(library._final_module.as_bitcode())  # noqa: SLF001
+    # Code that runs without numba has no function of numba to call.
+    if any(value.name == RESHAPE for value in module.functions):
+        module.link_in(llvm.parse_assembly(RESHAPE_CODE))
     for value in (*module.functions, *module.global_variables):
         if not value.is_declaration and value.name != name:
             value.linkage = "internal"
     # Symbols and the name of the module contain a count of the functions that were compiled before.
-    module.get_function(name).name = _NAME
+    module.get_function(name).name = COMPILED
     module.name = ""
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
@@ -105,7 +94,7 @@ def extract_bitcode(compiled: Any) -> Bitcode | None:
 
 
 def _is_portable(module: Any) -> bool:
-    """Return whether a module needs only functions of the C library, of numba and of LLVM."""
+    """Return whether a module needs only functions of the C library and of LLVM."""
     values = (*module.functions, *module.global_variables)
     foreign = [value.name for value in values if value.is_declaration]
     return not any(map(_BOUND.match, foreign)) and "target-cpu" not in str(module)
@@ -135,7 +124,7 @@ def link_bitcode(dispatcher: Any, arguments: tuple[Any, ...], bitcode: Bitcode) 
     library = context.codegen().create_library(function.func_qualname)
     library.enable_object_caching()
     module = llvm.parse_bitcode(bitcode.module)
-    module.get_function(_NAME).name = description.llvm_func_name
+    module.get_function(COMPILED).name = description.llvm_func_name
     module.name = library._final_module.name  # noqa: SLF001
     library._final_module = module  # noqa: SLF001
     with ConfigStack().enter(flags.copy()):

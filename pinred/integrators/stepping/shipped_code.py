@@ -7,20 +7,33 @@ sources, functions are compiled: the results are equal, but the first call waits
 from __future__ import annotations
 
 import lzma
+import platform
 from collections.abc import Callable, Iterator
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 import numpy as np
-from numba.core.dispatcher import Dispatcher
-
-from .portable_code import OPTIMISED_FOR, Bitcode
 
 FOLDER = Path(__file__).parent.parent / "shipped"  # with a folder for each `environment`
+# The CPU whose costs decide how code is optimised. Its instructions are not assumed: machine code
+# is generated for the CPU that runs it. Other architectures optimise for the machine at hand.
+OPTIMISED_FOR = {"x86_64": "x86-64-v3"}.get(platform.machine(), "")
+
+
+class Bitcode(NamedTuple):
+    """Optimised code of a function.
+
+    Attributes:
+        result: Name of the type of the result.
+        module: LLVM bitcode.
+    """
+
+    result: str
+    module: bytes
 
 
 @cache
@@ -36,7 +49,7 @@ def shipped_name(function: Callable[..., Any], arguments: tuple[Any, ...], stamp
 
     Args:
         function: The Python function.
-        arguments: numba's types of its arguments.
+        arguments: Types of its arguments, numba's or those of `argument_type`.
         stamp: Digest of its sources.
     Returns:
         Name of the function and key of the bitcode.
@@ -54,13 +67,19 @@ def _constants(function: Callable[..., Any], seen: set[int]) -> Iterator[tuple[s
     """
     for name in function.__code__.co_names:
         value = function.__globals__.get(name)
-        if isinstance(value, Dispatcher) and id(value) not in seen:
+        called = getattr(value, "py_func", None)
+        if called is not None and id(value) not in seen:
             seen.add(id(value))
-            yield from _constants(value.py_func, seen)
+            yield from _constants(called, seen)
         elif isinstance(value, (np.ndarray, np.generic)):
             yield name, value.tolist()
         elif isinstance(value, (int, float)):
             yield name, value
+
+
+def is_shipped(name: str) -> bool:
+    """Return whether the package ships the file with the bitcode of a function."""
+    return (FOLDER / environment() / name).is_file()
 
 
 def find_shipped(name: str) -> Bitcode | None:
@@ -71,10 +90,12 @@ def find_shipped(name: str) -> Bitcode | None:
     Returns:
         The bitcode, or None if it is not shipped.
     """
-    try:
-        data = (FOLDER / environment() / name).read_bytes()
-    except FileNotFoundError:
-        return None
+    return read_shipped(name) if is_shipped(name) else None
+
+
+def read_shipped(name: str) -> Bitcode:
+    """Return the bitcode of a function that is shipped, from the file with a name."""
+    data = (FOLDER / environment() / name).read_bytes()
     result, _, module = lzma.decompress(data).partition(b"\n")
     return Bitcode(result.decode(), module)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from llvmlite import ir
 
+FUSED = ("contract",)  # LLVM flag that lets a multiplication and an addition become one instruction
 _INT32 = ir.IntType(32)
 
 

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba.core import types
 
 from ...common.arrays import Array
 from ...common.memo import once_for_all
+from ...integrators.stepping import numba_core
 from ...integrators.stepping.compiling import compiled, make_intrinsic
 
 TARGET = "pinred_function"
@@ -34,15 +34,16 @@ FLOAT, DOUBLE = 11, 12
 SCALAR_VALUE = 1
 
 
-def _memory(kind: Any, pointed: Any) -> tuple[Any, Any]:
-    """Return load(address) and store(address, value) for one numeric type."""
+def _memory(kind: str, pointed: Any) -> tuple[Any, Any]:
+    """Return load(address) and store(address, value) for one numeric type of numba."""
 
     @make_intrinsic
     def load(typing: Any, address: Any) -> Any:  # noqa: ARG001
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
             return builder.load(builder.inttoptr(arguments[0], pointed.as_pointer()))
 
-        return kind(types.int64), generate
+        types: Any = numba_core.types
+        return getattr(types, kind)(types.int64), generate
 
     @make_intrinsic
     def store(typing: Any, address: Any, value: Any) -> Any:  # noqa: ARG001
@@ -50,14 +51,15 @@ def _memory(kind: Any, pointed: Any) -> tuple[Any, Any]:
             builder.store(arguments[1], builder.inttoptr(arguments[0], pointed.as_pointer()))
             return context.get_dummy_value()
 
-        return types.void(types.int64, kind), generate
+        types: Any = numba_core.types
+        return types.void(types.int64, getattr(types, kind)), generate
 
     return load, store
 
 
-_word, _ = _memory(types.int64, ir.IntType(64))
-_double, _set_double = _memory(types.float64, ir.DoubleType())
-_float, _set_float = _memory(types.float32, ir.FloatType())
+_word, _ = _memory("int64", ir.IntType(64))
+_double, _set_double = _memory("float64", ir.DoubleType())
+_float, _set_float = _memory("float32", ir.FloatType())
 
 
 @compiled
