@@ -326,7 +326,11 @@ def test_optimal_gait_of_a_five_bar_turns_further_than_random_ellipses() -> None
     """Within limits and a path length, no ellipse of 40 turns the base further."""
     connection = pinred.Connection.mechanical(linkage(), independent=INDEPENDENT)
     limits = {"left_crank": (1.5, 2.5), "right_crank": (0.6, 1.5)}
-    best = pinred.optimise_gait(connection, most=0.6, harmonics=1, starts=1, limits=limits)
+    parts: list[float] = []
+    best = pinred.optimise_gait(
+        connection, most=0.6, harmonics=1, starts=1, limits=limits, progress=parts.append
+    )
+    assert parts[-1] == 1.0
     turn = abs(float(pinred.phase(connection, best.gait).pose[2]))
     rng, others = np.random.default_rng(0), []
     for _ in range(40):
