@@ -141,8 +141,8 @@ def test_cassie_equals_constraint_dynamics_and_does_not_drift() -> None:
 
 
 @pytest.mark.by_hand
-def test_loops_of_cassie_cost_less_than_two_more_trees() -> None:
-    """The equations of ten constraints come from inward passes only."""
+def test_loops_of_cassie_cost_less_than_one_and_a_half_more_trees() -> None:
+    """Ten constraints take inward passes only, and relative velocities along the loops."""
     path = cassie_path()
     if path is None:
         pytest.skip("example-robot-data has no Cassie")
@@ -154,7 +154,7 @@ def test_loops_of_cassie_cost_less_than_two_more_trees() -> None:
         ).instructions
         for robot in (system, system.open_tree())
     )
-    assert closed < 3.0 * tree
+    assert closed < 2.4 * tree
 
 
 def test_both_engines_agree() -> None:

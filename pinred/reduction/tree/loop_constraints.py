@@ -5,9 +5,10 @@ constraints φ(x) = 0, J = ∂φ/∂x and an impetus p in place of the canonical
 
     [H Jᵀ; J 0] [v; ν] = [(μ, p); 0],   ẋ = v_s,   ṗ = π̇ + J̇ᵀν,
 
-where π̇ are the rates of the open tree at this velocity.  φ is an invariant of these equations, so
-nothing drifts but round-off.  The canonical momenta are π = p − Jᵀν.  A change of p by Jᵀ times
-any function changes neither v nor π (gauge), and the force of the loops is Jᵀλ with λ = −ν̇.
+where π̇ are the rates of the open tree at this velocity, and loop_rows.py computes J and J̇ᵀν.  φ is
+an invariant of these equations, so nothing drifts but round-off.  The canonical momenta are
+π = p − Jᵀν.  A change of p by Jᵀ times any function changes neither v nor π (gauge), and the force
+of the loops is Jᵀλ with λ = −ν̇.
 Source: J. H. Maddocks and R. L. Pego, "An unconstrained Hamiltonian formulation for incompressible
 fluid flow", 1995; O. Gonzalez, J. H. Maddocks and R. L. Pego, 1999.
 """
@@ -24,9 +25,10 @@ from ...common.memo import once
 from ...system.loops.kinematics import LoopEnd, loop_ends, rotation_axes
 from ...system.loops.loop import JointPolynomial, Loop
 from ...system.system import System
-from .all_joints import joint_values
+from .all_joints import joint_rates, joint_values, on_shape
 from .articulated_sweep import Swept, step_of
 from .body_frames import Body, bodies_of
+from .loop_rows import LoopRows, PolynomialRow, chain_to_root
 from .scalars import Mat, Scalar, Vec, add, as_column, dot, mul, solve_ldl, sub, total
 
 # Rate at which the impetus approaches the canonical momentum [1/s].  Under a steady load λ of the
@@ -114,14 +116,12 @@ def solve_with_loops(
     entries = ca.vertsplit(ca.SX.sym("x", system.nx)) if driven else x
     column = ca.vertcat(*entries)
     phi = as_column(constraint_values(system, bodies, entries))
-    frame = rate_map(system, entries)
     by_coordinates = ca.jacobian(phi, column)
-    constraints = jacobian = by_coordinates @ frame
-    here = ca.vertcat(*(ca.SX(value) for value in x))
     if driven:
-        expressions = [phi, by_coordinates, constraints]
-        phi, by_coordinates, jacobian = ca.substitute(expressions, [column], [here])
-    J = [[_scalar(jacobian[i, k]) for k in range(m)] for i in range(jacobian.rows())]
+        here = ca.vertcat(*(ca.SX(value) for value in x))
+        phi, by_coordinates = ca.substitute([phi, by_coordinates], [column], [here])
+    rows = _rows_of(system, bodies, joint_values(system, x))
+    J = [on_shape(system, _spread(system, loop.row(n))) for loop, n in rows]
     responses, free = [sweep(list(row), False) for row in J], sweep(list(momentum), True)
     if system.coupled is None:
         mobility = [[_product(a, b) for b in responses] for a in responses]
@@ -135,20 +135,52 @@ def solve_with_loops(
     along = [total([mul(row[k], n) for row, n in zip(J, nu, strict=True)]) for k in range(m)]
     pi = [sub(p, a) for p, a in zip(momentum, along, strict=True)]
     swept = sweep(pi, True)
-    symbol, rate = ca.SX.sym("nu", len(nu)), ca.SX.sym("rate", m)
-    turning = ca.jtimes(constraints.T @ symbol, column, frame @ rate)
-    values = [ca.vertcat(*(ca.SX(n) for n in numbers)) for numbers in (nu, swept.xdot)]
-    symbols = [symbol, rate]
-    if driven:
-        symbols, values = [*symbols, column], [*values, here]
-    (turning,) = ca.substitute([turning], symbols, values)
-    rates = [sub(_scalar(turning[k]), mul(GAUGE_RATE, along[k])) for k in range(m)]
+    turned = _turning(system, rows, nu, joint_rates(system, swept.xdot))
+    rates = [sub(t, mul(GAUGE_RATE, a)) for t, a in zip(turned, along, strict=True)]
     return LoopTerms(swept, pi, rates, phi, by_coordinates, mobility)
 
 
 def _product(a: Swept, b: Swept) -> Scalar:
     """Return (μ, π)·H⁻¹(μ, π)' from the factors of two sweeps."""
     return total([mul(u, w) for (u, _), (_, w) in zip(a.factors, b.factors, strict=True)])
+
+
+Row = tuple[LoopRows | PolynomialRow, int]
+
+
+def _rows_of(system: System, bodies: Sequence[Body], joints: Sequence[Scalar]) -> list[Row]:
+    """Return the loop of each independent equation, and the number of the equation in it."""
+    assert system.closure is not None
+    rows: list[Row] = []
+    for loop in system.loops:
+        if isinstance(loop, Loop):
+            chain = LoopRows.at(system.model, bodies, loop, joints)
+            rows += [(chain, n) for n in range(loop.equations)]
+        else:
+            rows.append((PolynomialRow(system.tree, loop, joints), 0))
+    return [rows[k] for k in system.closure.rows.tolist()]
+
+
+def _turning(
+    system: System, rows: Sequence[Row], nu: Sequence[Scalar], rates: Sequence[Scalar]
+) -> list[Scalar]:
+    """Return J̇ᵀν along the shape, (m,), at rates of all joints."""
+    multipliers: dict[int, tuple[LoopRows | PolynomialRow, dict[int, Scalar]]] = {}
+    for (loop, n), value in zip(rows, nu, strict=True):
+        multipliers.setdefault(id(loop), (loop, {}))[1][n] = value
+    turned: list[Scalar] = [0.0] * system.tree.m
+    for loop, values in multipliers.values():
+        for k, entry in loop.turning(values, rates).items():
+            turned[k] = add(turned[k], entry)
+    return on_shape(system, turned)
+
+
+def _spread(system: System, entries: Mapping[int, Scalar]) -> list[Scalar]:
+    """Return entries {tree rate: value} as a list for all joints."""
+    row: list[Scalar] = [0.0] * system.tree.m
+    for k, entry in entries.items():
+        row[k] = entry
+    return row
 
 
 def rate_map(system: System, x: Sequence[ca.SX]) -> ca.SX:
@@ -173,7 +205,7 @@ def _values(
 ) -> list[Scalar]:
     """Return all equations of a loop; see system/loops/kinematics.py."""
     a, b = loop_ends(model, loop)
-    chains = [_chain(bodies, end) for end in (a, b)]
+    chains = [chain_to_root(bodies, end) for end in (a, b)]
     common = set(chains[0]) & set(chains[1])
     (R_a, p_a), (R_b, p_b) = (
         _placement(bodies, end, [i for i in chain if i not in common], joints)
@@ -198,14 +230,6 @@ def _polynomial(law: JointPolynomial, joints: Mapping[str, Scalar]) -> Scalar:
     for c in reversed(law.coefficients):
         value = add(mul(value, leader), c)
     return sub(sub(joints[law.follower], law.follower_zero), value)
-
-
-def _chain(bodies: Sequence[Body], end: LoopEnd) -> list[int]:
-    """Return the bodies from the body of a frame to the root."""
-    chain = [end.joint - 1]
-    while chain[-1]:
-        chain.append(bodies[chain[-1]].parent)
-    return chain
 
 
 def _placement(
