@@ -293,10 +293,7 @@ def test_playback_draws_the_path_without_a_curvature_field(tmp_path: Path) -> No
 
 REFUSED: dict[str, Callable[[pinred.System], object]] = {
     "Reduction": pinred.Reduction,
-    "viscous": lambda s: pinred.Connection.viscous(s, {}),
-    "kinematic": lambda s: pinred.Connection.kinematic(s, []),
     "branches": lambda s: pinred.branches(s, momentum=[0.0, 1.0]),
-    "reorient": lambda s: pinred.reorient(s, 1.0),
     "casadi": pinred.casadi_functions,
 }
 
