@@ -13,48 +13,64 @@ function closedShapes(head, size, loops) {
   let w = head.start.slice();
   // Limits that the first shape violates do not hold.
   const bounded = dependent.map((j, i) => w[j] >= low[i] && w[j] <= high[i]);
-  function factor(w) { // equations, Jacobian, and the LU factors of the columns of dependent joints
+  const LU = new Float64Array(k * k), order = new Int32Array(k), x = new Float64Array(k);
+  const scale = Float64Array.from(dependent, (j) => units[j]), m = independent.length;
+  // Evaluates the equations and their Jacobian in `out`, and factors the columns of dependent joints.
+  // Returns the sign of their determinant.
+  function factor(w) {
     loops(w, out);
-    const rows = Array.from({ length: k }, (_, i) => dependent.map((j) => out[k + j * k + i] * units[j]));
-    const largest = Math.max(...rows.flat().map(Math.abs), 0), order = rows.map((_, i) => i);
-    let side = 1, least = Infinity;
+    let side = 1, largest = 0;
+    for (let j = 0; j < k; j++) for (let i = 0, at = k + dependent[j] * k; i < k; i++) {
+      const value = LU[i * k + j] = out[at + i] * scale[j];
+      if (Math.abs(value) > largest) largest = Math.abs(value);
+    }
+    for (let i = 0; i < k; i++) order[i] = i;
     for (let c = 0; c < k; c++) {
       let best = c;
-      for (let i = c; i < k; i++) if (Math.abs(rows[i][c]) > Math.abs(rows[best][c])) best = i;
-      if (best !== c) { [rows[c], rows[best]] = [rows[best], rows[c]]; [order[c], order[best]] = [order[best], order[c]]; side = -side; }
-      const pivot = rows[c][c];
-      least = Math.min(least, Math.abs(pivot));
+      for (let i = c + 1; i < k; i++) if (Math.abs(LU[i * k + c]) > Math.abs(LU[best * k + c])) best = i;
+      if (best !== c) {
+        for (let j = 0; j < k; j++) {
+          const kept = LU[c * k + j]; LU[c * k + j] = LU[best * k + j]; LU[best * k + j] = kept;
+        }
+        const kept = order[c]; order[c] = order[best]; order[best] = kept; side = -side;
+      }
+      const pivot = LU[c * k + c];
       if (!(Math.abs(pivot) > SINGULAR * largest)) throw new OutOfReach("the loops have a dead point here");
-      side *= Math.sign(pivot);
+      if (pivot < 0) side = -side;
       for (let i = c + 1; i < k; i++) {
-        const by = rows[i][c] /= pivot;
-        for (let j = c + 1; j < k; j++) rows[i][j] -= by * rows[c][j];
+        const by = LU[i * k + c] /= pivot;
+        if (by) for (let j = c + 1; j < k; j++) LU[i * k + j] -= by * LU[c * k + j];
       }
     }
-    function solve(right) { // −J_D⁻¹ right, for the dependent joints
-      const x = order.map((i) => -right[i]);
-      for (let i = 0; i < k; i++) for (let j = 0; j < i; j++) x[i] -= rows[i][j] * x[j];
-      for (let i = k - 1; i >= 0; i--) {
-        for (let j = i + 1; j < k; j++) x[i] -= rows[i][j] * x[j];
-        x[i] /= rows[i][i];
-      }
-      return x.map((v, i) => v * units[dependent[i]]);
+    return side;
+  }
+  function solve(right) { // −J_D⁻¹ right, for the dependent joints, with the last factors
+    for (let i = 0; i < k; i++) {
+      x[i] = -right[order[i]];
+      for (let j = 0; j < i; j++) x[i] -= LU[i * k + j] * x[j];
     }
-    const along = (rate) => Array.from({ length: k }, (_, i) => // J_I u̇
-      independent.reduce((sum, j, a) => sum + out[k + j * k + i] * rate[a], 0));
-    return { side, solve, along, residual: Array.from(out.subarray(0, k)) };
+    for (let i = k - 1; i >= 0; i--) {
+      for (let j = i + 1; j < k; j++) x[i] -= LU[i * k + j] * x[j];
+      x[i] /= LU[i * k + i];
+    }
+    return x.map((v, i) => v * scale[i]);
+  }
+  function along(rate) { // J_I u̇
+    const sums = new Float64Array(k);
+    for (let a = 0; a < m; a++) for (let i = 0, at = k + independent[a] * k; i < k; i++)
+      sums[i] += out[at + i] * rate[a];
+    return sums;
   }
   function follow(step) { // moves the independent joints by a short step
-    let at = factor(w), last = Infinity;
-    const side = at.side, next = w.slice();
-    let change = at.solve(at.along(step));
+    const side = factor(w), next = w.slice();
+    let last = Infinity, now = side, change = solve(along(step));
     independent.forEach((j, a) => { next[j] += step[a]; });
     for (let count = 0; count < 20; count++) {
       dependent.forEach((j, i) => { next[j] += change[i]; });
-      const most = Math.max(...change.map((v, i) => Math.abs(v) / units[dependent[i]]));
+      const most = change.reduce((most, v, i) => Math.max(most, Math.abs(v) / scale[i]), 0);
       if (!(most < 1)) break;
       if (count > 0 && (most <= 1e-14 || (most < 1e-10 && most >= last))) {
-        if (at.side !== side) break; // the step has passed a dead point
+        if (now !== side) break; // the step has passed a dead point
         dependent.forEach((j, i) => {
           if (bounded[i] && (next[j] < low[i] - 1e-9 || next[j] > high[i] + 1e-9))
             throw new OutOfReach(`${names[i]} is at its limit`);
@@ -62,8 +78,8 @@ function closedShapes(head, size, loops) {
         return next;
       }
       if (count > 0) last = most;
-      at = factor(next);
-      change = at.solve(at.residual);
+      now = factor(next);
+      change = solve(out);
     }
     throw new OutOfReach("the loops do not close beyond this shape");
   }
@@ -80,7 +96,9 @@ function closedShapes(head, size, loops) {
     return w;
   }
   function rates(u, udot) { // [w, ẇ]
-    const here = shape(u), at = factor(here), by = at.solve(at.along(udot)), wdot = new Array(size).fill(0);
+    const here = shape(u), wdot = new Array(size).fill(0);
+    factor(here);
+    const by = solve(along(udot));
     independent.forEach((j, a) => { wdot[j] = udot[a]; });
     dependent.forEach((j, i) => { wdot[j] = by[i]; });
     return [here, wdot];
