@@ -29,6 +29,10 @@ from .full_reduction import Reduction
 
 Axes = Literal["local", "world"]
 _FRAMES = {"local": pin.LOCAL, "world": pin.LOCAL_WORLD_ALIGNED}
+_WITH_LOOPS = (
+    "At a closed shape x, the generalised Jacobian of independent joints is that of "
+    "system.open_tree() times LoopReduction(system).at(x).G."
+)
 _NO_REACTION = 1e-10  # singular values of A below this fraction of the largest are zero
 _ROOT_SAMPLES = 721  # number of samples of a path that bracket the roots
 
@@ -83,7 +87,7 @@ class FloatingArm:
     _id: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        system = checked_system(self.system, "FloatingArm")
+        system = checked_system(self.system, "FloatingArm", remedy=_WITH_LOOPS)
         if not isinstance(self.frame, str) or not system.model.existFrame(self.frame):
             names = [frame.name for frame in system.model.frames if frame.parentJoint]
             raise InputError(

@@ -17,6 +17,7 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, vector
 from ..common.errors import InputError
 from ..common.names import quoted
+from ..reduction.inertia_split import InertiaSplit
 from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape
 from ..reduction.potential import Springs
 from ..system.loops.loop_assembly import CLOSED, describe_gap, loop_gaps
@@ -145,15 +146,8 @@ class LoopReduction:
             InputError: A loop is open at x; the message names it and its gap.
             SingularInertiaError: The equations of the loops are dependent at x.
         """
-        system, closure = self.system, self.system.closure
-        assert closure is not None
         tree = self._tree.at(x)
-        gaps = loop_gaps(system, tree.x, closure.length)
-        if gaps.max() > 1e3 * CLOSED:
-            raise InputError(
-                f"x: expected a closed shape of {quoted(system.name)}, but "
-                f"{describe_gap(system, gaps, closure.length)}. LoopReduction.shape returns one."
-            )
+        self._refuse_open(tree.x)
         chart = self._chart.regular_at(tree.x)
         G = chart.tangent(tree.x)
         dG = np.stack([chart.tangent_rate(tree.x, column, G) for column in G.T], axis=-1)
@@ -175,3 +169,40 @@ class LoopReduction:
             dM=dM + turned + turned.transpose(1, 0, 2),
             tree=tree,
         )
+
+    def split(self, x: ArrayLike) -> InertiaSplit:
+        """Compute I, A G, GᵀMG, the mass matrix and the centre of mass at one closed shape.
+
+        Args:
+            x: Closed shape, (nx,) [rad | m | 1].
+        Returns:
+            The quantities without derivatives, in the rates of `independent`.
+        Raises:
+            InputError: A loop is open at x; the message names it and its gap.
+            SingularInertiaError: The independent joints do not determine the others at x.
+        """
+        tree = self._tree.split(x)
+        self._refuse_open(tree.x)
+        G = self._chart.tangent(tree.x)
+        (m, d), r = G.shape, tree.r
+        T = np.zeros((r + m, r + d))
+        T[:r, :r], T[r:, r:] = np.eye(r), G
+        return InertiaSplit(
+            x=tree.x,
+            mass_matrix=T.T @ tree.mass_matrix @ T,
+            locked_inertia=tree.locked_inertia,
+            local_connection=tree.local_connection @ G,
+            reduced_metric=G.T @ tree.reduced_metric @ G,
+            com=tree.com,
+        )
+
+    def _refuse_open(self, x: Array) -> None:
+        """Raise InputError if a loop is open at shape x (nx,)."""
+        system, closure = self.system, self.system.closure
+        assert closure is not None
+        gaps = loop_gaps(system, x, closure.length)
+        if gaps.max() > 1e3 * CLOSED:
+            raise InputError(
+                f"x: expected a closed shape of {quoted(system.name)}, but "
+                f"{describe_gap(system, gaps, closure.length)}. LoopReduction.shape returns one."
+            )

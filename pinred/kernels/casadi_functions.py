@@ -55,7 +55,10 @@ def casadi_functions(system: System) -> CasadiFunctions:
     Raises:
         UnsupportedOperationError: The system has closed loops.
     """
-    system.refuse_loops("casadi_functions")
+    system.refuse_loops(
+        "casadi_functions",
+        "Use flow, or the functions of system.open_tree() with the Jacobian of the loops.",
+    )
     terms = casadi_reduction(system)
     graph = ReducedGraph(system, Structure(zero_momentum=False))
     field = graph.rate()

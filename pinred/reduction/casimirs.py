@@ -93,7 +93,7 @@ def casimirs(system: System) -> tuple[Casimir, ...]:
     Returns:
         The Casimirs.
     """
-    system = checked_system(system, "casimirs")
+    system = checked_system(system, "casimirs", loops=True)  # functions of μ alone
     heavy = bool(pivot_weight(system).any())
     return system.workspace((casimirs, heavy), lambda: _solve(system.group, heavy=heavy))
 

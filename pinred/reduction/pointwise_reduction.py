@@ -109,7 +109,7 @@ class PointwiseReduction:
             springs: Springs that are added to V(x), {joint: (stiffness [N·m/rad | N/m],
                 rest [rad | m])}.
         """
-        self.system = checked_system(system, "Reduction (LoopReduction supports loops)")
+        self.system = checked_system(system, "Reduction", remedy="Use LoopReduction.")
         self.frames: tuple[MovedFrame, ...] = ()
         self._model = system.model.copy()
         self._model.gravity.setZero()

@@ -166,7 +166,8 @@ def phase_space(system: System, *, form: Form = "connection") -> PhaseSpace:
     Returns:
         The phase space; the same object at every call.
     """
-    system = checked_system(system, "phase_space")
+    remedy = "The brackets of its tree are those of system.open_tree()."
+    system = checked_system(system, "phase_space", remedy=remedy)
     return once(system, (phase_space, _form(form)), lambda: _space(system, form))
 
 

@@ -40,11 +40,12 @@ class FromFile:
         """Constraints that close kinematic loops."""
         return self.contents.loops
 
-    def refuse_loops(self, what: str) -> None:
+    def refuse_loops(self, what: str, remedy: str = "") -> None:
         """Reject closed loops where only trees are supported.
 
         Args:
             what: Beginning of the error message.
+            remedy: Sentence that says what to do instead; empty: remove the loops.
         Raises:
             UnsupportedOperationError: The robot has closed loops.
         """
@@ -52,7 +53,7 @@ class FromFile:
             names = listed([loop.name for loop in self.loops], 6)
             raise UnsupportedOperationError(
                 f"{what}: closed loops are not supported here, and '{self.name}' has the loops "
-                f"{names}; remove them, or lock the joints between them"
+                f"{names}. {remedy or 'Remove them, or lock the joints between them.'}"
             )
 
     def refuse_follower(self, name: str, what: str) -> None:

@@ -366,13 +366,14 @@ class System(FromFile):
         return np.broadcast_to(a, (*lead, sizes[0])), np.broadcast_to(b, (*lead, sizes[1]))
 
 
-def checked_system(value: object, what: str, *, loops: bool = False) -> System:
+def checked_system(value: object, what: str, *, loops: bool = False, remedy: str = "") -> System:
     """Return `value` if it is a System; otherwise raise InputError, which explains `load`.
 
     Args:
         value: The system.
         what: Name of the caller in messages.
         loops: Whether the caller supports closed loops.
+        remedy: Sentence for robots with closed loops that says what to do instead.
     Returns:
         The system.
     Raises:
@@ -381,7 +382,7 @@ def checked_system(value: object, what: str, *, loops: bool = False) -> System:
     """
     if isinstance(value, System):
         if not loops:
-            value.refuse_loops(what)
+            value.refuse_loops(what, remedy)
         return value
     shown = repr(value) if isinstance(value, str) else type(value).__name__
     raise InputError(f"{what} takes a System, got {shown}; pinred.load(…) returns one")

@@ -21,7 +21,6 @@ from pinred.common.errors import (
     InputError,
     IntegrationError,
     KernelMismatch,
-    UnsupportedOperationError,
 )
 from pinred.kernels import validation
 from pinred.simulation.compiled.compiled_flow import kernel_of
@@ -289,19 +288,3 @@ def test_playback_draws_the_path_without_a_curvature_field(tmp_path: Path) -> No
     assert not panel.field.size
     pinred.save_html(traj, tmp_path / "motion.html")
     assert (tmp_path / "motion.html").stat().st_size > 0
-
-
-REFUSED: dict[str, Callable[[pinred.System], object]] = {
-    "Reduction": pinred.Reduction,
-    "branches": lambda s: pinred.branches(s, momentum=[0.0, 1.0]),
-    "casadi": pinred.casadi_functions,
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_features_without_loops_refuse_them_by_name(name: str) -> None:
-    """No feature leaves a constraint out."""
-    with pytest.raises(
-        UnsupportedOperationError, match=r"closed loops are not supported here.*tips"
-    ):
-        REFUSED[name](linkage())

@@ -176,8 +176,10 @@ def branches(
         SymmetryError: Gravity breaks the symmetry.
     """
     problem = problem_of(
-        checked_system(system, "branches"), cyclic=cyclic, springs=springs, forces=forces,
-        prescribed=prescribed, passive=passive,
+        checked_system(
+            system, "branches", remedy="Search at single momenta with relative_equilibria."
+        ),
+        cyclic=cyclic, springs=springs, forces=forces, prescribed=prescribed, passive=passive,
     )  # fmt: skip
     low, high = _momentum_range(problem, momentum)
     if not problem.unknowns:

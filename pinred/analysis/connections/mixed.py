@@ -211,7 +211,8 @@ def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> Mixed
         InputError: There are no wheels, or at least as many as the group has dimensions (see
             Connection.kinematic).
     """
-    system = checked_system(system, "Connection.mixed")
+    remedy = "Use as many wheels as the group has dimensions (Connection.kinematic)."
+    system = checked_system(system, "mixed_connection", remedy=remedy)
     slips = tuple(slips_of(system, list(wheels)))
     r, k = system.r, len(slips)
     if not 0 < k < r:

@@ -64,7 +64,8 @@ def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
         InputError: The system has joints or another group, omega is zero, or there is no period:
             on the separatrix of the middle axis, or for a body with equal moments.
     """
-    system = checked_system(system, "rigid_body_phase")
+    remedy = "Lock its joints at a closed shape (lock=)."
+    system = checked_system(system, "rigid_body_phase", remedy=remedy)
     group = system.group
     if group.turns != 3 or group.linear not in (0, 3):
         raise InputError(f"system: expected a body of SO3 or SE3, got {group.name}")

@@ -209,7 +209,10 @@ def curvature(
 def _system(source: Source) -> System:
     if isinstance(source, (Trajectory, Recording, Reduction)):
         return source.system
-    return checked_system(source, "a plot of the curvature (a Reduction or a motion does, too)")
+    return checked_system(
+        source, "a plot of the curvature (a Reduction or a motion does, too)",
+        remedy="Plot the field of their Connection.mechanical over independent joints.",
+    )  # fmt: skip
 
 
 def component_of(group: Group, component: str | int | None, B: Array) -> int:
