@@ -40,12 +40,13 @@ class Numeric:
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
         """Evaluate the Function; return a new array (rows, columns) for each output."""
-        if not hasattr(self._local, "run"):
+        work = self._local
+        if not hasattr(work, "run"):
             self._prepare()
-        for array, argument in zip(self._local.inputs, arguments, strict=True):
+        for array, argument in zip(work.inputs, arguments, strict=True):
             array[:] = argument
-        self._local.run()
-        return [array.copy() for array in self._local.outputs]
+        work.run()
+        return [array.copy() for array in work.outputs]
 
     def _prepare(self) -> None:
         """Allocate this thread's work arrays, which CasADi reads and writes in place."""
@@ -251,7 +252,7 @@ class ForceModel:
         torque, wrench = self._acting(*self._arguments(at))
         return Acting(torque[:, 0], wrench[:, 0])
 
-    def acting_apart(self, at: ForceInputs) -> tuple[Acting, Array]:
+    def acting_apart(self, at: ForceInputs) -> tuple[Array, Array, Array]:
         """Return torque and wrench without loads on links, and these loads, (9, L).
 
         Conditions on time are evaluated at the time itself, not at `within`.
@@ -261,13 +262,13 @@ class ForceModel:
         Args:
             at: State and numbers.
         Returns:
-            Torque and wrench, and a column for each load: six entries, and the point at which it
-            acts, (3,) [m].
+            Torque (m,) and wrench (r,), and a column for each load: six entries, and the point at
+            which it acts, (3,) [m].
         Raises:
             InputError: The forces depend on the base, and at.base is None.
         """
         torque, wrench, loads = self._apart(*self._arguments(at))
-        return Acting(torque[:, 0], wrench[:, 0]), loads
+        return torque[:, 0], wrench[:, 0], loads
 
     def required(self, at: ForceInputs) -> list[tuple[Array, Array]]:
         """Return accelerations (m,) that forces request, with the torques from inverse dynamics.
@@ -310,9 +311,19 @@ class ForceModel:
         """Return the motion of the prescribed joints at a time."""
         return Prescribed(*(value[:, 0] for value in self._prescribed(t, numbers)))
 
-    def planned(self, t: float, numbers: Array) -> Prescribed:
-        """Return the motion of the prescribed joints as written; see `acting_apart`."""
-        return Prescribed(*(value[:, 0] for value in self._planned(t, numbers)))
+    def planned(self, t: float, numbers: Array) -> tuple[Array, Array, Array]:
+        """Return the motion of the prescribed joints as written; see `acting_apart`.
+
+        An integrator calls this at each evaluation, so the result is a plain tuple.
+
+        Args:
+            t: Time [s].
+            numbers: Force parameters, (p,).
+        Returns:
+            Positions, rates and accelerations, (k,) each.
+        """
+        x, xdot, xddot = self._planned(t, numbers)
+        return x[:, 0], xdot[:, 0], xddot[:, 0]
 
     @cached_property
     def has_kinks(self) -> bool:

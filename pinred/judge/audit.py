@@ -151,6 +151,8 @@ def _potential_unit(full: FullState, q: Array, x: Array, units: Array) -> float:
     move = full.system.space.integrate
     slopes = full.totals.gravity_slopes(q)
     unit = float(slopes[r:] @ units + slopes[full.root.linear : r].sum())
+    if not full.has_force_potential:
+        return unit
     for step in _SLOPE_STEP * np.diag(shape_units):
         difference = full.force_potential(move(x, step)) - full.force_potential(move(x, -step))
         unit += abs(difference) / (2.0 * _SLOPE_STEP)

@@ -50,6 +50,7 @@ DEFECT_BOUND = 3.0  # largest passing defect of a step, in tolerances, as in the
 DENSE_BOUND = 50.0  # largest passing defect of a subinterval; step control ignores dense output
 DRIFT_BOUND = 100.0  # smallest bound of the energy and momentum drift, in tolerances
 REFERENCE_BOUND = 100.0  # largest error of a reliable reference, in tolerances times growth
+GROWTH_TOLERANCE = 1e-10  # least relative tolerance at which the growth is measured
 # Error of the reference by its residuals, in tolerances times growth, above which a second solution
 # is computed.
 SECOND_BOUND = 10.0
@@ -198,7 +199,9 @@ def _integrate_with_aba(
     tight = max(rtol / TIGHTER, FINEST[0]), atol / TIGHTER
     solution = full.solve(y0, times, *tight)
     progress(0.3)
-    growth = full.growth(y0, solution.motion, times, *tight)
+    # The perturbation far exceeds the errors of a run at this tolerance.
+    fine = max(tight[0], GROWTH_TOLERANCE), max(tight[1], 1e-2 * GROWTH_TOLERANCE)
+    growth = full.growth(y0, solution.motion, times, *fine)
     progress(0.5)
     _, units = defect_units(traj, full)
     errors = reference_errors(full, solution, times, growth, units)

@@ -7,8 +7,9 @@ all joints move. Multipliers keep each follower coupled to its leaders, a_f − 
 
 Closed loops are further constraints, J(q) a + J̇ v = 0. Their rows may be redundant, so least
 squares give the multipliers. One linear system for accelerations and multipliers is solved instead
-if the mass matrix of the uncoupled tree is singular, or if accelerations are prescribed. Without
-couplings and loops ABA is used alone.
+if the mass matrix of the uncoupled tree is singular, or if accelerations are prescribed as well.
+Without couplings and loops ABA is used alone, or the rows of Pinocchio's mass matrix without those
+of the joints with prescribed accelerations.
 Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8.
 """
 
@@ -18,12 +19,34 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dposv
 
 from ..common.arrays import Array
 from ..system.loops.kinematics import LoopKinematics
 from ..system.singular_mass_matrix import SingularShapes, singular_shapes
 from ..system.system import System
 from .loop_errors import RANK
+
+
+class _FreeRows:
+    """Indices of the rows of the mass matrix H of which no acceleration is prescribed.
+
+    CRBA computes the upper triangle of H only.
+
+    Attributes:
+        driven: Velocity indices of the prescribed accelerations, (k,).
+        free: The others, (f,).
+        block: Index of the block of H of the free rows, (f, f).
+        mixed: Index of the block of H in free rows and prescribed columns, (f, k).
+    """
+
+    def __init__(self, nv: int, driven: list[int]) -> None:
+        """Collect the indices of a model with nv velocities."""
+        self.driven = np.array(driven)
+        self.free = np.setdiff1d(np.arange(nv), driven)
+        self.block = np.ix_(self.free, self.free)
+        rows, columns = np.meshgrid(self.free, self.driven, indexing="ij")
+        self.mixed = np.minimum(rows, columns), np.maximum(rows, columns)
 
 
 class CouplingConstraints:
@@ -64,6 +87,10 @@ class CouplingConstraints:
         self._borders: dict[tuple[int, ...], Array] = {}
         self._uses_aba = not self._couplings or singular_shapes(model) == SingularShapes()
         self._loops = LoopKinematics(model, system.loops) if system.loops else None
+        self._is_constrained = bool(self._couplings or system.loops)
+        self._all_lead = np.array_equal(self.leads, np.arange(len(at)))
+        self._all_lead_x = np.array_equal(self.leads_x, np.arange(len(at_x)))
+        self._free_rows: dict[tuple[int, ...], _FreeRows] = {}
 
     def values(self, x: Array) -> Array:
         """Return the coordinates of all joints at shape x (..., nx)."""
@@ -86,14 +113,16 @@ class CouplingConstraints:
 
     def shape(self, joints: Array) -> Array:
         """Select the shape (..., nx) from the coordinates of all joints."""
-        return joints[..., self.leads_x]
+        return joints if self._all_lead_x else joints[..., self.leads_x]
 
     def shape_rate(self, rates: Array) -> Array:
         """Select the shape rate (..., m) from the rates of all joints."""
-        return rates[..., self.leads]
+        return rates if self._all_lead else rates[..., self.leads]
 
     def joint_torques(self, torque: Array) -> Array:
         """Expand torques on the shape (m,) to all joints; followers get zero."""
+        if self._all_lead:
+            return torque
         torques = np.zeros(self._count)
         torques[self.leads] = torque
         return torques
@@ -119,6 +148,8 @@ class CouplingConstraints:
         Returns:
             (nv,) acceleration.
         """
+        if len(driven) and not self._is_constrained:
+            return self._solve_free_rows(q, v, tau, tuple(driven), prescribed)
         if len(driven) or not (self._uses_aba or self._loops):
             return self._solve_with_multipliers(q, v, tau, tuple(driven), prescribed)
         model, data = self._model, self._data
@@ -138,6 +169,30 @@ class CouplingConstraints:
         else:
             multipliers = np.linalg.lstsq(J @ responses.T, J @ free + bias, rcond=RANK**2)[0]
         return np.asarray(free - multipliers @ responses)
+
+    def _solve_free_rows(
+        self,
+        q: Array,
+        v: Array,
+        tau: Array,
+        driven: tuple[int, ...],
+        prescribed: Array | Sequence[float],
+    ) -> Array:
+        """Return the acceleration (nv,) of `acceleration` without couplings and loops."""
+        rows = self._free_rows.get(driven)
+        if rows is None:
+            rows = self._free_rows[driven] = _FreeRows(
+                len(v), [len(v) - self._count + k for k in driven]
+            )
+        H = pin.crba(self._model, self._data, q)
+        a, force = np.empty(len(v)), tau - pin.nonLinearEffects(self._model, self._data, q, v)
+        a[rows.driven] = prescribed
+        right = force[rows.free] - H[rows.mixed] @ a[rows.driven]
+        _, solution, failure = dposv(H[rows.block], right, overwrite_a=True, overwrite_b=True)
+        if failure:  # Cholesky's method needs a matrix that is positive despite round-off
+            return self._solve_with_multipliers(q, v, tau, driven, prescribed)
+        a[rows.free] = solution
+        return a
 
     def _solve_with_multipliers(
         self,

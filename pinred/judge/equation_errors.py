@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..common.errors import InputError
@@ -70,6 +71,9 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     padded = np.pad(route.spread, ((half, half), (0, 0)), mode="edge")
     spread = np.lib.stride_tricks.sliding_window_view(padded, _WINDOW, axis=0).max(axis=-1)
     errors, units, aba_spread = (np.zeros_like(route.v) for _ in range(3))
+    # The masses that joints move do not depend on the configuration.
+    q0 = traj.system.sorted_q(traj.q[0])
+    moved = moved_masses(full.system.model, full.system.data, q0)
     for k, t in enumerate(times.tolist()):
         full.set_parameters(parameters[k])
         y = full.state(states.pose[k], states.x[k], states.xi[k], states.xdot[k])
@@ -77,7 +81,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
         H, loads = _mass_matrix_and_loads(full.system, full.q(y))
         changes = np.abs(a) + route.pace[k] * np.abs(route.v[k])
         units[k] = np.abs(H) @ changes + loads
-        units[k] += _CANCELLED * _inertial_forces(full.system, full.q(y), changes, size)
+        units[k] += _CANCELLED * _inertial_forces(full.system, moved, changes, size)
         # Differences below the spread of the engine's own derivatives cannot be resolved.
         difference = np.abs(route.a[k] - a)
         errors[k] = np.abs(H @ (route.a[k] - a)) - SPREAD_MARGIN * np.abs(H) @ route.spread[k]
@@ -106,12 +110,15 @@ def _mass_matrix_and_loads(system: System, q: Array) -> tuple[Array, Array]:
     return H, system.sizes_on_shape(gravity_load_sizes(model, data, q))
 
 
-def _inertial_forces(system: System, q: Array, changes: Array, size: float) -> Array:
+def _inertial_forces(
+    system: System, moved: tuple[NDArray[np.bool_], Array], changes: Array, size: float
+) -> Array:
     """Return the largest possible inertial forces on the bodies that each joint moves, (n,).
 
-    changes: Accelerations, (n,).  size: Size of the robot [m], used as lever arm of moments.
+    moved: See `moved_masses`.  changes: Accelerations, (n,).  size: Size of the robot [m], used as
+    lever arm of moments.
     """
-    angular, mass = moved_masses(system.model, system.data, q)
+    angular, mass = moved
     rotates = (
         angular
         if system.coupled is None

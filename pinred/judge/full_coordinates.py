@@ -175,8 +175,6 @@ class Configuration:
 
     def derivative(self, joints: Sequence[Any], v: Sequence[Any]) -> Sequence[Any]:
         """Return the time derivative of the coordinates at rates v; see RootMotion.rate."""
-        if not self.balls:
-            return v
         derivative: list[Any] = []
         first_v = 0
         for x, rate in self.balls:

@@ -6,7 +6,7 @@ Pinocchio) are independent. Only the force expressions are shared.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from .system_totals import SystemTotals
 # Smallest distance from a switch at which a condition on time is evaluated, relative to the
 # duration.
 _ASIDE = 1e-11
+_NONE = np.empty(0)  # accelerations of no prescribed joints
 
 
 class FullDynamics:
@@ -55,6 +56,7 @@ class FullDynamics:
             self._stops = self._switches = np.union1d(self._stops, written)
         self._model = system.model
         self._r = system.r
+        self._sees_base = self._forces is not None and self._forces.sees_base
         unused = np.full(system.r, np.nan)  # NaN would reveal a force that depends on it
         self._unused = unused, unused
         self._no_torque = np.zeros(system.model.nv)
@@ -161,32 +163,30 @@ class FullDynamics:
         Returns:
             (n,) time derivative of y.
         """
-        size, m, r = self._size, self._m, self._r
-        if self._forces is None:
+        size, m, r, forces = self._size, self._m, self._r, self._forces
+        if forces is None:
             v, q = y[size + m :], self._q_for(self.q(y), axes)
             a = self.couplings.acceleration(q, v, self._no_torque, axes=axes)
-            return self._derivative(y.tolist(), a)
-        y, t = y.copy(), self._beside_switches(t)
-        accelerations = np.empty(0)
+            return self._derivative(y, a)
+        y, t, accelerations = y.copy(), self._beside_switches(t), _NONE
         if self._driven:
-            plan = self._forces.planned(t, self._parameters)
-            accelerations = plan.xddot
-            y[self._driven_x], y[self._driven_v] = plan.x, plan.xdot
+            x, rates, accelerations = forces.planned(t, self._parameters)
+            y[self._driven_x], y[self._driven_v] = x, rates
             y = self._apply_couplings(y, close=False)
-        x, v, q = y[size : size + m], y[size + m :], self.q(y)
-        xi, mu = self.totals.about_com(q, v) if self._forces.sees_momentum else self._unused
-        base, shape_rate = None, self.couplings.shape_rate(v[r:])
-        if self._forces.sees_base:
-            base = self.base_in_space(q, y[:size], v, momenta=self._forces.sees_base_momenta)
-        acting, loads = self._forces.acting_apart(
+        x, v, q, base = y[size : size + m], y[size + m :], self.q(y), None
+        xi, mu = self.totals.about_com(q, v) if forces.sees_momentum else self._unused
+        if self._sees_base:
+            base = self.base_in_space(q, y[:size], v, momenta=forces.sees_base_momenta)
+        shape_rate = self.couplings.shape_rate(v[r:])
+        torque, wrench, loads = forces.acting_apart(
             ForceInputs(t, self._shape(x), shape_rate, xi, mu, self._parameters, base)
         )
-        tau = np.append(acting.wrench, self.couplings.joint_torques(acting.torque))
+        tau = np.concatenate((wrench, self.couplings.joint_torques(torque)))
         if self._loads is not None:
             tau += self._loads.generalised(q, loads)
         q = self._q_for(q, axes)
         a = self.couplings.acceleration(q, v, tau, self._driven, accelerations, axes)
-        return self._derivative(y.tolist(), a)
+        return self._derivative(y, a)
 
     def rates(
         self,
@@ -209,22 +209,30 @@ class FullDynamics:
             q, v = self._q_for(self.q(y), axes), y[:, self._size + self._m :]
             accelerate, none = self.couplings.acceleration, self._no_torque
             a = [accelerate(*state, none, axes=axes) for state in zip(q, v, strict=True)]
-            return self._derivative(list(y.T), np.array(a).reshape(v.shape).T).T
+            return self._derivative(y.T, np.array(a).reshape(v.shape).T, list).T
         rates = np.empty_like(y)
         for k, time in enumerate(t.tolist()):
             self.set_parameters(parameters[k])
             rates[k] = self.rate(time, y[k], axes)
         return rates
 
-    def _derivative(self, y: Sequence[Any], a: Array) -> Array:
-        """Return dy/dt for the acceleration a (nv,).
+    def _derivative(
+        self, y: Array, a: Array, entries: Callable[[Array], list[Any]] = np.ndarray.tolist
+    ) -> Array:
+        """Return dy/dt for the acceleration a (nv,), or for T states y (n, T) and a (nv, T).
 
-        y: The entries of the state as numbers, or for T states as arrays (T,); then a is (nv, T).
+        entries: Function that returns the entries as numbers, or for T states as arrays (T,).
         """
-        size, m, r = self._size, self._m, self._r
-        root, x, v = y[:size], y[size : size + m], y[size + m :]
-        rates = [*self.root.rate(root, v[:r]), *self._configuration.derivative(x, v[r:])]
-        return np.concatenate((np.array(rates), a))
+        size, first, r = self._size, self._size + self._m, self._r
+        derivative, x, v = np.empty(y.shape), y[size:first], y[first:]
+        derivative[:size] = self.root.rate(entries(y[:size]), entries(v[:r]))
+        derivative[size:first] = (
+            self._configuration.derivative(entries(x), entries(v[r:]))
+            if self._configuration.balls
+            else v[r:]
+        )
+        derivative[first:] = a
+        return derivative
 
     def _beside_switches(self, t: float) -> float:
         """Return the time; if it is too close to a switch, move it to the side of `within`.
@@ -241,6 +249,11 @@ class FullDynamics:
             return t
         within = float(self._parameters[self._forces.within][0])
         return t + float(np.clip(within - t, -2.0 * aside, 2.0 * aside))
+
+    @property
+    def has_force_potential(self) -> bool:
+        """Whether any force has a potential."""
+        return self._forces is not None and self._forces.has_potential
 
     def force_potential(self, x: Array) -> float:
         """Return the potential energy of the forces at shape x (nx,) [J]; 0 if they have none."""

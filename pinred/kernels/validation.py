@@ -295,14 +295,14 @@ def _forces_at(kernel: Kernel, at: ReferenceState, v: Array) -> tuple[Array, Arr
     system, forces = kernel.system, kernel.forces
     if forces is None:
         return np.zeros(system.m), np.zeros(system.r)
-    acting, loads = forces.acting_apart(force_inputs(at, v))
+    torque, wrench, loads = forces.acting_apart(force_inputs(at, v))
     if not forces.loads:
-        return acting.torque, acting.wrench
+        return torque, wrench
     root = axes_of(system.model.joints[1])
     on_links = system.on_shape(
         LoadsByPinocchio(system, root, forces.loads).generalised(at.q, loads)
     )
-    return acting.torque + on_links[system.r :], acting.wrench + on_links[: system.r]
+    return torque + on_links[system.r :], wrench + on_links[: system.r]
 
 
 def force_inputs(at: ReferenceState, v: Array) -> ForceInputs:

@@ -217,6 +217,7 @@ def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -
     data, identity, r = system.data, system.group.identity(), system.r
     driven = r + np.array(plan.acting.driven)
     free = np.setdiff1d(np.arange(system.n), driven)
+    free_rows, mixed_rows = np.ix_(free, free), np.ix_(free, driven)
     torques = np.empty((len(t), len(driven)))
     for k, (time, (s, numbers)) in enumerate(zip(t, samples, strict=True)):
         acting = forces.acting(s.force_inputs(time, numbers))
@@ -230,11 +231,11 @@ def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -
         force = np.concatenate([wrench, torque]) - bias
         a = np.empty(system.n)
         a[driven] = forces.prescribed(float(time), numbers).xddot
-        free_force = force[free] - H[np.ix_(free, driven)] @ a[driven]
+        free_force = force[free] - H[mixed_rows] @ a[driven]
         loads = np.zeros(system.n)
         if system.closure is not None:
             loads = _loop_loads(system, s, H, a, driven, free, free_force)
-        a[free] = np.linalg.solve(H[np.ix_(free, free)], free_force + loads[free])
+        a[free] = np.linalg.solve(H[free_rows], free_force + loads[free])
         torques[k] = H[driven] @ a - force[driven] - loads[driven]
     return read_only(torques)
 

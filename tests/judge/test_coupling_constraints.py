@@ -11,8 +11,10 @@ import pytest
 from coupled_trees import CoupledCase, coupled_cases, make_case, multipliers
 from hypothesis import given, settings
 from robot_texts import joint, link, robot, write
+from trees import random_model
 
 import pinred
+from pinred.judge import coupling_constraints as module
 from pinred.judge.coupling_constraints import CouplingConstraints
 from pinred.judge.reference_solution import FullState
 
@@ -90,6 +92,37 @@ def test_acceleration_with_driven_joints(driven: list[int], seed: int) -> None:
         q, v, tau, constraints.leads[driven].tolist(), values[: len(driven)]
     )
     np.testing.assert_allclose(result, G @ a, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize(("driven", "seed"), [([0], 0), ([2, 0], 1), ([0, 1, 2, 3, 4], 2)])
+@pytest.mark.parametrize("fails", [False, True])
+def test_acceleration_with_driven_joints_without_couplings(
+    driven: list[int], seed: int, fails: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cholesky's method and, where it fails, multipliers agree with the rows of the others."""
+    system, rng = pinred.load(random_model("SE3", 5, seed)), np.random.default_rng(seed)
+    constraints, model, data = CouplingConstraints(system), system.model, system.model.createData()
+    q = system.model_q(system.group.exp(rng.normal(size=6)), rng.uniform(-2, 2, 5))
+    v, tau, values = rng.normal(size=11), rng.normal(size=11), rng.normal(size=len(driven))
+    upper = pin.crba(model, data, q)
+    H = np.triu(upper) + np.triu(upper, 1).T
+    held = 6 + np.array(driven)
+    free, a = np.setdiff1d(np.arange(11), held), np.zeros(11)
+    a[held] = values
+    right = tau - pin.nonLinearEffects(model, data, q, v) - H @ a
+    a[free] = np.linalg.solve(H[np.ix_(free, free)], right[free])
+    calls = []
+    solve = CouplingConstraints._solve_with_multipliers
+    monkeypatch.setattr(
+        CouplingConstraints,
+        "_solve_with_multipliers",
+        lambda *given: calls.append(1) or solve(*given),  # type: ignore[func-returns-value]
+    )
+    if fails:
+        monkeypatch.setattr(module, "dposv", lambda _, b, **__: (None, np.nan * b, 1))
+    result = constraints.acceleration(q, v, tau, driven, values)
+    np.testing.assert_allclose(result, a, rtol=1e-8, atol=1e-8)
+    assert len(calls) == fails
 
 
 def test_acceleration_of_tree_that_is_singular_without_couplings(tmp_path: Path) -> None:

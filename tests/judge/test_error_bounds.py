@@ -89,6 +89,15 @@ def test_reference_and_perturbed_run_use_tighter_tolerance(monkeypatch: pytest.M
         assert (rtol, atol) == pytest.approx((RTOL / 100.0, ATOL / 100.0))
 
 
+def test_growth_is_measured_at_1e_10_or_looser(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ten-thousandth of the perturbation is accurate enough, and the atol a hundredth of it."""
+    traj = pinred.simulate(cat().system, duration=0.2, rtol=1e-11, atol=1e-11)
+    spy = Spy(monkeypatch)
+    assert pinred.compare(traj).passed
+    assert spy.runs[1][1:] == pytest.approx((1e-13, 1e-13))
+    assert spy.runs[2] == ("dop853", 1e-10, 1e-12)
+
+
 @pytest.mark.parametrize(("part", "count"), [(0.99, 0), (1.01, 1), (np.nan, 1)])
 def test_wide_residuals_need_second_solution(
     monkeypatch: pytest.MonkeyPatch, part: float, count: int
