@@ -8,6 +8,7 @@ import pytest
 from loop_robots import four_bar, random_loops
 
 import pinred
+from pinred.integrators.methods import Method
 from pinred.kernels import reduced_graph
 from pinred.kernels.machine.lowering import lower
 from pinred.kernels.reduced_graph import ReducedGraph
@@ -16,7 +17,7 @@ from pinred.reduction.tree.identical_branches import Lanes
 from pinred.simulation.plan import plan_of
 
 
-def code(system: pinred.System, method: pinred.integrators.methods.Method) -> list[str]:
+def code(system: pinred.System, method: Method) -> list[str]:
     """Return the LLVM code of rates and outputs, in lanes over limbs, for a random state."""
     scene = pinred.Scene(system=system, seed=1, duration=1.0, method=method)
     kind, lanes = plan_of(scene).kind(zero_momentum=False), Lanes()
@@ -28,7 +29,7 @@ def code(system: pinred.System, method: pinred.integrators.methods.Method) -> li
 @pytest.mark.parametrize("method", [pinred.DOP853(), pinred.Gauss(0.01), pinred.Variational(0.01)])
 @pytest.mark.parametrize("robot", ["planar_chain5", "satellite_two_arms"])
 def test_code_of_robots_without_loops_is_built_without_the_code_for_loops(
-    robot: str, method: pinred.integrators.methods.Method, monkeypatch: pytest.MonkeyPatch
+    robot: str, method: Method, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The text is the same if no function for loops can be called."""
     expected = code(pinred.load(robot), method)
