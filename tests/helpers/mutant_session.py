@@ -258,7 +258,8 @@ def _compile_again(path: str) -> None:
     from pinred.integrators.stepping.code_cache import CodeCache
 
     load, save = CodeCache.load_overload, CodeCache.save_overload
-    load_shipped = compiled_function.load_shipped
+    module = vars(compiled_function)
+    load_shipped = module["load_shipped"]
 
     def load_unless(self: CodeCache, sig: Any, target_context: Any) -> Any:
         return None if _depends(self.function, path) else load(self, sig, target_context)
@@ -270,7 +271,7 @@ def _compile_again(path: str) -> None:
     def load_shipped_unless(function: Any, *details: Any) -> Any:
         return None if _depends(function, path) else load_shipped(function, *details)
 
-    compiled_function.load_shipped = load_shipped_unless  # type: ignore[assignment]
+    module["load_shipped"] = load_shipped_unless
     CodeCache.load_overload = load_unless  # type: ignore[method-assign]
     CodeCache.save_overload = save_unless  # type: ignore[method-assign]
 

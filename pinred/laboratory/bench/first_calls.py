@@ -120,9 +120,11 @@ def _in_fresh_process(call: str, *, shipped: bool) -> tuple[float, bool]:
     """Return the time of a call in a process with an empty cache, and whether it loaded numba."""
     program = _PROGRAM.format(module=__name__, call=call, shipped=shipped)
     with TemporaryDirectory() as cache:
+        # Installed packages contain bytecode, so the processes write and read it.
+        settings = {"PINRED_CACHE_DIR": cache, "PYTHONDONTWRITEBYTECODE": ""}
         done = subprocess.run(
             [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=True,
-            env={**os.environ, "PINRED_CACHE_DIR": cache},
+            env={**os.environ, **settings},
         )  # fmt: skip
     seconds, loaded = done.stdout.split()
     return float(seconds), loaded == "True"
