@@ -40,6 +40,8 @@ from .time_budget import AbaStopped, TimeBudget, default_budget
 from .verdict import Report
 
 TIGHTER = 100.0  # ratio of the scene's tolerance to the tolerance of the reference solution
+# Loosest rtol and atol of the reference solution: dense output of longer steps is less accurate.
+COARSEST = (1e-8, 1e-10)
 SAMPLES = 101  # number of evenly spaced times of the comparison, in addition to the report times
 
 INFORMATIVE = 0.1  # largest informative error bound [rad, or fraction of the motion's size]
@@ -196,7 +198,7 @@ def _integrate_with_aba(
     full.run(y0, times[-1:], rtol, atol)
     wall = time.perf_counter() - began
     progress(0.1)
-    tight = max(rtol / TIGHTER, FINEST[0]), atol / TIGHTER
+    tight = max(min(rtol / TIGHTER, COARSEST[0]), FINEST[0]), min(atol / TIGHTER, COARSEST[1])
     solution = full.solve(y0, times, *tight)
     progress(0.3)
     # The perturbation far exceeds the errors of a run at this tolerance.
