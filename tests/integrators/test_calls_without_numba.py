@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import pinred
+from pinred.integrators.methods import METHODS
 from pinred.integrators.stepping import shipped_code
 
 ROOT = Path(pinred.__file__).parent.parent
@@ -27,7 +28,8 @@ times, between = [0.0, 0.05, 0.1], np.array([0.03, 0.07])
 
 def bits():
     arrays = []
-    for name, kind in METHODS.items():
+    for name in sys.argv[1:]:
+        kind = METHODS[name]
         method = name if kind.adaptive else f"{name}(0.01)"
         one = pinred.simulate(cat, seed=1, times=times, method=method)
         many = pinred.simulate_many(cat, seeds=range(3), times=times, method=method)
@@ -50,15 +52,22 @@ print(shipped == bits(), "numba" in sys.modules)
 """
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(
     not (shipped_code.FOLDER / shipped_code.environment()).is_dir(),
     reason=f"no code is shipped for {shipped_code.environment()}",
 )
-def test_calls_with_shipped_code_do_not_import_numba(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "methods",
+    [
+        pytest.param(["DOP853", "Radau"], id="DOP853 and Radau"),
+        pytest.param(list(METHODS), id="all", marks=[pytest.mark.by_hand, pytest.mark.slow]),
+    ],
+)
+def test_calls_with_shipped_code_do_not_import_numba(methods: list[str], tmp_path: Path) -> None:
     """With an empty cache, numba is not imported; with numba, all bits are equal."""
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM], cwd=ROOT, capture_output=True, text=True, check=False,
+        [sys.executable, "-c", PROGRAM, *methods],
+        cwd=ROOT, capture_output=True, text=True, check=False,
         env={**os.environ, "PINRED_CACHE_DIR": str(tmp_path)},
     )  # fmt: skip
     assert done.returncode == 0, f"run `python -m pinred.cli.ship_code`\n{done.stderr}"

@@ -66,7 +66,7 @@ def test_reorientation_of_a_five_bar_reaches_its_target_in_the_simulation() -> N
     assert any({*CRANKS} <= {*names} for names in labels)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_tumbling_five_bar_reaches_its_target_from_a_stated_shape() -> None:
     """x0 states independent joints, by name or in order; others are refused."""
     x0 = {"left_crank": 2.0, "right_crank": 1.1}
