@@ -52,6 +52,7 @@ TESTS: dict[str, list[str]] = {
         "judge/test_bounds_of_compare.py", "judge/test_error_bounds.py",
         "judge/test_coupling_constraints.py", "judge/test_step_defects.py",
         "judge/test_distances.py", "judge/test_equation_errors.py",
+        "judge/test_reference_errors.py", "judge/test_hairer_dense_output.py",
         "judge/test_gravity_loads.py", "simulation/test_balances.py",
         "views/test_notebook_cards.py",
     ],
