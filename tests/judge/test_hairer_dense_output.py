@@ -14,7 +14,7 @@ END = 20.0
 
 
 class Oscillator:
-    """An oscillator of 1 rad/s that records the times of its evaluations."""
+    """An oscillator of 1 rad/s, a tenth of whose rates depends on time; it records the times."""
 
     def __init__(self) -> None:
         """Start recording."""
@@ -23,7 +23,7 @@ class Oscillator:
     def __call__(self, t: float, y: Array) -> Array:
         """Return the rate of (x, ẋ)."""
         self.times.append(t)
-        return np.array([y[1], -y[0]])
+        return np.array([y[1], -y[0]]) + 0.1 * np.array([-np.sin(t) - y[1], y[0] - np.cos(t)])
 
 
 def solver(rate: Oscillator, rtol: float) -> Hairer:
