@@ -28,6 +28,7 @@ _LEAST_STEPS = 64
 def long_integrator(
     flow: CompiledFlow,
     plan: Plan,
+    method: EqualSteps,
     integrate: Integrate,
     progress: Callable[[float], None] | None,
 ) -> Integrate | None:
@@ -36,13 +37,14 @@ def long_integrator(
     Args:
         flow: The flow of the plan.
         plan: The plan.
+        method: The method of the plan.
         integrate: The function that stores all step ends, for short segments.
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
     Returns:
-        The function; None if all step ends take little memory, and for methods with step control.
+        The function; None if all step ends take little memory.
     """
-    method, scene = plan.method, plan.scene
-    if not isinstance(method, EqualSteps) or not stores_few(flow, plan, method):
+    scene = plan.scene
+    if not stores_few(flow, plan, method):
         return None
     kernel, address, look = flow.kernel, flow.address(method), wild_check(flow, plan)
     divisions = divisions_of(plan)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from ...common.progress import Progress
 from ...integrators.methods import EqualSteps
 from ..checkpoint import Checkpoint
 from ..integrate_plan import Again, integrate_plan
 from ..plan import Plan
-from ..reduced_flow import Segments
 from ..trajectory import Trajectory
 from .compiled_flow import CompiledFlow
 from .integrator import integrator
@@ -35,19 +32,25 @@ def run_compiled(
     """
     flow = CompiledFlow.of_plan(plan)
     record = None if checkpoint is None else checkpoint.run(flow, plan)
-    equal_steps = isinstance(plan.method, EqualSteps)
-    through: Callable[[], Segments] | None = None
-    if equal_steps:
-        through = thinned(flow, plan, progress, record)
+    method, through, long = plan.method, None, None
+    if isinstance(method, EqualSteps):
+        through = thinned(flow, plan, method, progress, record)
     if through is None and plan.passes_stops and record is None:
         through = through_stops(flow, plan, progress)
     integrate = integrator(flow, plan, progress)
-    long = None
-    if equal_steps and through is None:
-        long = long_integrator(flow, plan, integrate, progress)
-    name, integrate = plan.method.name, long or integrate
+    if isinstance(method, EqualSteps) and through is None:
+        long = long_integrator(flow, plan, method, integrate, progress)
+    integrate = long or integrate
     trajectory = integrate_plan(
-        plan, flow, integrate, "compiled", name, again, through, record, thinned=long is not None
+        plan,
+        flow,
+        integrate,
+        "compiled",
+        method.name,
+        again,
+        through,
+        record,
+        thinned=long is not None,
     )
     if checkpoint is not None and record is not None:
         checkpoint.close(record, flow, plan, cut=trajectory.ended_by is not None)

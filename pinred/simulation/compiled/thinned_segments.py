@@ -26,6 +26,7 @@ FEW = 4  # Step ends are stored if there are fewer of them per report time.
 def thinned(
     flow: CompiledFlow,
     plan: Plan,
+    method: EqualSteps,
     progress: Callable[[float], None] | None,
     record: RunRecord | None = None,
 ) -> Callable[[], Segments] | None:
@@ -34,17 +35,14 @@ def thinned(
     Args:
         flow: The flow of the plan.
         plan: The plan.
+        method: The method of the plan.
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
         record: Record of the run in a checkpoint, from which it continues; or None.
     Returns:
-        The function; None for methods with step control, short runs, runs with many report times,
-        and runs with events or controllers, see long_segments.py.
+        The function; None for short runs, runs with many report times, and runs with events or
+        controllers, see long_segments.py.
     """
-    method, scene = plan.method, plan.scene
-    has_controllers = plan.forces is not None and bool(plan.forces.held)
-    if not isinstance(method, EqualSteps) or has_controllers or scene.events_given:
-        return None
-    if not stores_few(flow, plan, method):
+    if plan.is_observed or not stores_few(flow, plan, method):
         return None
     return lambda: _integrate(flow, plan, method, progress, record)
 
