@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,10 +14,14 @@ from loop_robots import FOUR_BAR, crank_angles, five_bar, four_bar
 from scipy.integrate import solve_ivp
 
 import pinred
-from pinred.analysis.connections import gaits_of_all_joints
+from pinred.analysis.connections import dead_points, gaits_of_all_joints
+from pinred.analysis.connections.dead_points import along_joints
+from pinred.analysis.connections.gaits_of_all_joints import AllJointsCode
+from pinred.analysis.connections.loop_connection import LoopConnectionCode
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, IntegrationError, SingularInertiaError
 from pinred.system.coordinates import InitialState
+from pinred.system.loops.loop_assembly import loop_gaps
 from pinred.system.robot_file_contents import Contents
 from pinred.system.system import System
 
@@ -216,6 +221,97 @@ def test_shapes_that_were_not_closed_are_refused(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(gaits_of_all_joints, "_ITERATIONS", 1)
     with pytest.raises(InputError, match=r"no closed shape of 'four_bar' was found near x = \["):
         pinred.phase(connection, rounded_turn())
+
+
+def along_all_joints(connection: pinred.Connection) -> AllJointsCode:
+    """Return the code of a connection along paths of all joints."""
+    joined, _ = along_joints(connection, full_turn())
+    assert isinstance(joined.code, AllJointsCode)
+    return joined.code
+
+
+def opened(gap: float) -> Array:
+    """Return a shape (1, 3) of the crank-rocker whose loop has a gap relative to its size."""
+    closure = crank_rocker().closure
+    assert closure is not None
+    x, move = closed_form(np.array([0.7])), np.array([0.0, 1.0, 0.0])
+    slope = loop_gaps(crank_rocker(), x[0] + 1e-6 * move, closure.length).max() / 1e-6
+    return np.asarray(x + gap / slope * move)
+
+
+def test_open_paths_are_refused() -> None:
+    """A gap of 2 % of the loop's size is an error; one of 0.5 % is closed."""
+    code = along_all_joints(by(crank_rocker(), "rocker"))
+    x, _ = code.closed(opened(5e-3), np.zeros((1, 3)))
+    closure = crank_rocker().closure
+    assert closure is not None
+    assert loop_gaps(crank_rocker(), x[0], closure.length).max() < 1e-14
+    with pytest.raises(InputError, match="expected a path of closed shapes"):
+        code.closed(opened(2e-2), np.zeros((1, 3)))
+
+
+def test_gap_that_remains_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After one Newton step, the gap is quadratic in the first one; 4e-10 is an error."""
+    code, still = along_all_joints(by(crank_rocker(), "rocker")), np.zeros((1, 3))
+    closure = crank_rocker().closure
+    assert closure is not None
+    monkeypatch.setattr(gaits_of_all_joints, "_ITERATIONS", 1)
+    monkeypatch.setattr(gaits_of_all_joints, "_SHUT", 1.0)
+    left = loop_gaps(crank_rocker(), code.closed(opened(1e-4), still)[0][0], closure.length).max()
+    monkeypatch.undo()
+    monkeypatch.setattr(gaits_of_all_joints, "_ITERATIONS", 1)
+    for gap, is_refused in ((4e-10, True), (4e-11, False)):
+        x = opened(1e-4 * float(np.sqrt(gap / left)))
+        if not is_refused:
+            code.closed(x, still)
+            continue
+        with pytest.raises(InputError, match="no closed shape of 'four_bar' was found near x"):
+            code.closed(x, still)
+
+
+def test_tracked_path_that_misses_its_start_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Differences of 5e-8 rad exceed errors of the interpolation, which are below 1e-8 rad."""
+    connection, gait = by(crank_rocker(), "rocker"), of_joints(full_turn(0.7), [2])
+    code, tracked = connection.code, dead_points._tracked
+    assert isinstance(code, LoopConnectionCode)
+    assert dead_points.through_dead_points(code, gait) is not None
+
+    def drifting(*arguments: Any) -> Any:
+        result: Any = tracked(*arguments)
+        result[0][-1] += 5e-8
+        return result
+
+    with monkeypatch.context() as patch:
+        patch.setattr(dead_points, "_tracked", drifting)
+        with pytest.raises(SingularInertiaError, match="the other joints do not return"):
+            dead_points.through_dead_points(code, gait)
+
+
+def test_path_that_misses_the_independent_joints_is_not_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A closed shape that is shifted along the path has an angle that differs by 5e-8 rad."""
+    code, filled = by(crank_rocker(), "rocker").code, dead_points._filled
+    assert isinstance(code, LoopConnectionCode)
+
+    def shifted(*arguments: Any) -> Any:
+        x: Any = filled(*arguments)
+        step = x[4] - x[3]
+        x[3] += 5e-8 / step[2] * step
+        return x
+
+    monkeypatch.setattr(dead_points, "_filled", shifted)
+    assert dead_points.through_dead_points(code, of_joints(full_turn(0.7), [2])) is None
+
+
+@pytest.mark.parametrize(("size", "is_resolved"), [(3e-9, False), (3e-10, True)])
+def test_path_with_unresolved_harmonics_is_not_used(size: float, is_resolved: bool) -> None:
+    """A Fourier series keeps a quarter of the samples as harmonics; the others must be small."""
+    s = np.arange(256) / 256
+    x = np.column_stack([np.cos(TAU * s) + 2.0 * size * np.cos(100.0 * TAU * s)])
+    assert (dead_points._as_gait(x, np.zeros(1), 1.0, 0.0) is not None) == is_resolved
 
 
 def test_nearly_closed_paths_are_replaced_by_the_nearest_closed_ones() -> None:

@@ -132,3 +132,17 @@ def test_accumulated_defect_is_that_of_the_polynomial() -> None:
     np.testing.assert_allclose(result.defects, -np.outer(length, rate), atol=1e-14)
     np.testing.assert_allclose(result.mean_defects, -0.5 * np.outer(length, rate), atol=1e-14)
     np.testing.assert_allclose(result.largest_defects, np.outer(last, np.abs(rate)), atol=1e-14)
+
+
+@pytest.mark.parametrize("x0", [1e-2, 1e-4])
+def test_reference_of_a_loose_motion_is_accurate(x0: float) -> None:
+    """Neither a loose rtol (large motion) nor a loose atol (small motion) loosens the reference."""
+    system = pinred.load("elroys_beanie")
+    traj = pinred.simulate(
+        system, x0=[x0], xdot0=[0.0], momentum=0, springs={"beanie": (1.0, 0.0)}, duration=5.0,
+        rtol=1e-3, atol=1e-5,
+    )  # fmt: skip
+    report = pinred.compare(traj)
+    assert report.reference_error < 1e-7
+    errors = np.abs(traj(report.t).x[:, 0] - x0 * np.cos(np.sqrt(1.5) * report.t))
+    np.testing.assert_allclose(report.shape_errors[:, 0], errors, rtol=0.0, atol=1e-9)
