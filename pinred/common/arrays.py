@@ -191,6 +191,23 @@ def read_only(array: Array) -> Array:
     return array
 
 
+def copied(value: Any) -> Any:
+    """Copy an array or list, or a mapping with all arrays and lists in it.
+
+    Args:
+        value: Any value.
+    Returns:
+        A read-only array, a list or a dict; other values unchanged.
+    """
+    if isinstance(value, np.ndarray):
+        return read_only(value.copy())
+    if isinstance(value, list):
+        return value.copy()
+    if isinstance(value, Mapping):
+        return {name: copied(entry) for name, entry in value.items()}
+    return value
+
+
 def freeze(value: Any) -> None:
     """Mark all array fields of a dataclass instance as read-only."""
     for entry in fields(value):

@@ -44,6 +44,24 @@ def test_members_agree_with_simulate() -> None:
             np.testing.assert_allclose(getattr(many[i], field), getattr(one, field), **NEAR)
 
 
+def test_caller_may_change_options_afterwards() -> None:
+    """Scenes of members have the values of the call: arrays, lists and tables of them."""
+    system = pinred.load("planar_chain5", lock=("joint3", "joint4", "joint5"))
+    x0, xi0, times = np.full((3, 2), 0.1), np.full((3, 3), 0.3), np.array([0.0, 0.1])
+    shared, springs = [0.2, 0.2], {"joint1": (2.0, 0.0)}
+    many = pinred.simulate_many(
+        system, x0=x0, xdot0=shared, springs=springs, times=times, members={"xi0": xi0}
+    )
+    for array in (x0, xi0, times):
+        array[...] = 7.0
+    shared[:], springs["joint1"] = [7.0, 7.0], (7.0, 0.0)
+    scene = many[2].scene
+    for values, stated in ((scene.x0, 0.1), (scene.xdot0, 0.2), (scene.xi0, 0.3)):
+        np.testing.assert_array_equal(np.asarray(values), stated)
+    assert scene.springs == {"joint1": (2.0, 0.0)}
+    np.testing.assert_array_equal(many.t, [0.0, 0.1])
+
+
 def test_methods_without_lanes_give_bits_of_simulate() -> None:
     """Members are integrated one after another."""
     system = pinred.load("planar_chain5")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...common.arrays import Array, as_floats, dimensions, vectors
+from ...common.arrays import Array, as_floats, copied, dimensions, vectors
 from ...common.errors import (
     InputError,
     LoopWarning,
@@ -91,9 +91,10 @@ class MemberOptions:
         self.base: System | Scene = system
         if isinstance(base, Scene):
             self.base = replace(base, system=system, parameters={})
-        self.common = dict(options)
+        # Scenes of members are built later, so the caller may change the values in the meantime.
+        self.common = copied(options)
         values = _parameter_values(system, self.common.pop("parameters", None), scene_values)
-        for name, value in _checked_members(members).items():
+        for name, value in copied(_checked_members(members)).items():
             if name in (*self.common, *values):
                 raise InputError(
                     f"'{name}' is given in members and also for all members. Omit one of them."
@@ -223,16 +224,25 @@ class MemberOptions:
         numbers = self._numbers(template)
         varying = [name for name in self.robot if name in self.parameters]
         robot = self._robot_numbers(template) if varying else None
-        # The first scene validates the options that all members share.
-        first_scene = self.scene(0) if self.prepared is None else self.prepared
+        first_scene = self._first_scene(template)
         states = self._given(template, numbers)
         parameters = MemberParameters(numbers, robot)
-        scene_of = partial(self._scene_by, members_plan(first_scene).scene.method)
+        plan = members_plan(first_scene)
+        scene_of = partial(self._scene_by, plan.scene.method)
         if self.gravity is None:
-            groups = [Group(np.arange(self.count), members_plan(template), states, parameters)]
+            shared = plan if first_scene is template else members_plan(template)
+            groups = [Group(np.arange(self.count), shared, states, parameters)]
         else:
             groups = self._by_gravity(template, states, parameters)
         return Members(self.count, groups, scene_of)
+
+    def _first_scene(self, template: Scene) -> Scene:
+        """Return a scene with the options that all members share, and validate these options."""
+        if self.prepared is not None:
+            return self.prepared
+        if self.parameters or self.gravity is not None:
+            return self.scene(0)
+        return template  # It is the scene of the first member.
 
     def _by_gravity(
         self, template: Scene, given: GivenStates, own: MemberParameters

@@ -101,10 +101,6 @@ class Trajectories(OverTime):
             outputs: States of all members, if already computed.
         """
         self._count, self._scene_of = members
-        first_scene = self._scene_of(0)
-        self._system, self._times, self._wanted = (
-            first_scene.system, first_scene.report_times, first_scene.outputs == "all",
-        )  # fmt: skip
         self._batches, self._single, self.failures = tuple(batches), single, tuple(failures)
         self._failed = {failure.member: failure for failure in failures}
         if outputs is not None:  # the constructor of a state makes unpickled arrays read-only
@@ -132,10 +128,20 @@ class Trajectories(OverTime):
             table("members that did not reach their end", ["member", "t [s]", "reason"], rows),
         )
 
+    @cached_property
+    def _first_scene(self) -> Scene:
+        """The scene of the first member."""
+        return self._scene_of(0)
+
+    @property
+    def _wants_all(self) -> bool:
+        """Whether the base motion is an output."""
+        return self._first_scene.outputs == "all"
+
     @property
     def system(self) -> System:
         """The system that moves."""
-        return self._system
+        return self._first_scene.system
 
     @property
     def _name(self) -> str:
@@ -144,7 +150,7 @@ class Trajectories(OverTime):
     @property
     def t(self) -> Array:
         """Report times, (T,) [s]."""
-        return self._times
+        return self._first_scene.report_times
 
     @cached_property
     def y(self) -> Array:
@@ -166,7 +172,7 @@ class Trajectories(OverTime):
     @cached_property
     def outputs(self) -> State | ShapeState:
         """States of all members at the report times, (N, T, …), computed at first access."""
-        kind = State if self._wanted else ShapeState
+        kind = State if self._wants_all else ShapeState
         names = [name for name in kind.__dataclass_fields__ if name != "t"]
         return kind(t=self.t, **self.fields(names))
 
@@ -180,7 +186,7 @@ class Trajectories(OverTime):
         """
         if "outputs" in vars(self):
             return {name: getattr(self.outputs, name) for name in names}
-        missing = arrays_of(_missing_states(self.system, self.t, wanted=self._wanted))
+        missing = arrays_of(_missing_states(self.system, self.t, wanted=self._wants_all))
         fields = {name: np.empty((len(self), *missing[name].shape)) for name in names}
         alone = np.ones(len(self), bool)
         for batch in self._batches:
@@ -267,10 +273,10 @@ class Trajectories(OverTime):
             member_outputs = replace(self.outputs, t=np.broadcast_to(self.t, self.energy.shape))
             return map_arrays(lambda values: values[member], member_outputs)
         if member in self._single:
-            return _up_to(self._single[member], self.t, self.system, wanted=self._wanted)
+            return _up_to(self._single[member], self.t, self.system, wanted=self._wants_all)
         place = self._place(member)
         if place is None:
-            return _missing_states(self.system, self.t, wanted=self._wanted)
+            return _missing_states(self.system, self.t, wanted=self._wants_all)
         batch, k = place
         assert batch.flow is not None
         return batch.flow[k].states(self.t, batch.y[k])
