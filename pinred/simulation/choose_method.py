@@ -57,8 +57,10 @@ _GAUSS_DECAY = 2.6
 # E-folds of the fastest decay in a step of DOP853 at rtol = _DECAY_FITTED: fast modes that are
 # still excited limit its steps by accuracy, below _STABLE.
 _DOP853_DECAY, _DECAY_FITTED = 1.7, 1e-11
-# E-folds of the fastest decay beyond which fast modes are rarely excited until the end.
-_LONG_DECAY = 7e4
+# Fast modes are excited until the end if there are at most this many e-folds of the fastest decay,
+# and at least this many radians of the fastest oscillation.  Without them DOP853 takes steps at its
+# limit of stability, which cost less than the iterations of AdaptiveGauss.
+_LONG_DECAY, _EXCITED = 5e3, 60.0
 
 _STEP = 1e-4  # Step of the difference quotients of forces [rad | m | rad/s | m/s].
 
@@ -119,7 +121,8 @@ def choose(
         finer = max(rtol, DOP853_LEAST) / _DECAY_FITTED
         explicit = _DOP853_STEP / min(_STABLE, _DOP853_DECAY * finer**0.125)
         implicit = _GAUSS_DECAY * cost
-        if folds > _LONG_DECAY or implicit > explicit:
+        settles = folds > _LONG_DECAY or rates.oscillation * scene.end < _EXCITED
+        if settles or implicit > explicit:
             return Choice(dop853, f"forces decay at {rates.decay:.0e}/s, too fast for long steps")
         why = (
             f"forces decay at {rates.decay:.0e}/s: each e-fold costs {implicit:.1f} evaluations, "
