@@ -26,7 +26,7 @@ from ..analysis.phases.phase import phase
 from ..common.errors import InputError
 from ..forces.kinds import Torque
 from ..forces.signals.tabulated import Hold
-from ..integrators.methods import METHODS
+from ..integrators.methods import METHODS, Explicit
 from ..integrators.stepping import shipped_code
 from ..integrators.stepping.code_cache import CodeCache
 from ..integrators.stepping.portable_code import extract_bitcode
@@ -151,7 +151,13 @@ def _uncommon(system: System) -> Any:
     """Read a batch, prescribe a joint, hold a torque piecewise, and integrate along a gait."""
     joint, *others = system.space.names
     torque = Torque({others[0]: Hold([0.0, 0.5 * _DURATION], [1.0, 0.0])})
-    simulate(system, duration=_DURATION, prescribed={joint: "0.1*sin(t)"}, forces=[torque])
+    driven: dict[str, Any] = {"duration": _DURATION, "prescribed": {joint: "0.1*sin(t)"}}
+    simulate(system, **driven, forces=[torque])
+    compare(simulate(system, **driven))
+    # The kernel of a rigid body is small enough for the larger number of lanes.
+    body = load("rigid_body")
+    for method in (name for name, kind in METHODS.items() if issubclass(kind, Explicit)):
+        simulate_many(body, seeds=range(8), times=[_DURATION], method=method)
     corners = 0.1 * np.eye(3, system.m)
     return (
         simulate_many(system, seeds=range(8), times=[_DURATION]).x,

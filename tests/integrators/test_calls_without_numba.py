@@ -23,7 +23,7 @@ import pinred
 from pinred.integrators.methods import METHODS
 from pinred.integrators.stepping.compiled_function import CompiledFunction
 
-cat = pinred.load("falling_cat")
+cat, body = pinred.load("falling_cat"), pinred.load("rigid_body")
 times, between = [0.0, 0.05, 0.1], np.array([0.03, 0.07])
 
 def bits():
@@ -33,13 +33,16 @@ def bits():
         method = name if kind.adaptive else f"{name}(0.01)"
         one = pinred.simulate(cat, seed=1, times=times, method=method)
         many = pinred.simulate_many(cat, seeds=range(3), times=times, method=method)
-        arrays += [one.x, one.xi, one(between).x, many.x]
+        small = pinred.simulate_many(body, seeds=range(3), times=times, method=method)
+        arrays += [one.x, one.xi, one(between).x, many.x, small.xi]
         if name in ("DOP853", "Gauss"):
             end = pinred.flow(cat, wrt=["x0"], seed=1, duration=0.1, method=method)
             backward = end.vjp({"pose": np.ones(6)})
             arrays += [*end.jacobian().values(), backward["x0"]]
-    report = pinred.compare(pinred.simulate(cat, seed=1, times=times))
-    assert report.verdict == "PASSED", report
+    driven = pinred.simulate(cat, duration=0.1, prescribed={cat.shape_names[0]: "0.1*sin(t)"})
+    for traj in (pinred.simulate(cat, seed=1, times=times), driven):
+        report = pinred.compare(traj)
+        assert report.verdict == "PASSED", report
     return np.concatenate(arrays, axis=None).tobytes()
 
 shipped = bits()
