@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from functools import cached_property
-from threading import local
 from typing import Any
 
 import casadi as ca
@@ -24,45 +23,11 @@ from .force import Force
 from .force_expressions import ForceExpressions
 from .force_numbers import ForceNumbers, RobotSymbols, numbers_of, random_numbers
 from .force_values import Acting, ForceInputs, Prescribed
+from .function_buffers import Numeric
 from .prescribed_joints import Plan, signals_of
 from .switch_times import SwitchTimes, time_within
 from .time_functions import TimeFunctions
 from .time_switches import KINKS, separate
-
-
-class Numeric:
-    """A CasADi Function of dense inputs and outputs, callable from any thread."""
-
-    def __init__(self, function: ca.Function) -> None:
-        """Store the Function; work arrays are allocated at the first call of each thread."""
-        self._function = function
-        self._local = local()
-
-    def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Evaluate the Function; return a new array (rows, columns) for each output."""
-        work = self._local
-        if not hasattr(work, "run"):
-            self._prepare()
-        for array, argument in zip(work.inputs, arguments, strict=True):
-            array[:] = argument
-        work.run()
-        return [array.copy() for array in work.outputs]
-
-    def _prepare(self) -> None:
-        """Allocate this thread's work arrays, which CasADi reads and writes in place."""
-        f, work = self._function, self._local
-        buffer: Any
-        buffer, run = f.buffer()
-        work.buffer, work.run = buffer, run
-        work.inputs = [np.zeros(f.nnz_in(k)) for k in range(f.n_in())]
-        work.outputs = [np.zeros(f.size_out(k), order="F") for k in range(f.n_out())]
-        arrays: list[Any] = [*work.inputs, *work.outputs]
-        for k, array in enumerate(arrays):
-            if array.size:
-                view = memoryview(array.ravel(order="K"))
-                is_input = k < f.n_in()
-                set_view = buffer.set_arg if is_input else buffer.set_res
-                set_view(k if is_input else k - f.n_in(), view)
 
 
 class ForceModel:
@@ -95,6 +60,9 @@ class ForceModel:
         acting_function: (t, x, ẋ, ξ, μ, numbers, pose, twist, μ and J of the base in space, robot
             parameters) → (torque, wrench), with conditions on time evaluated at `within`.
         prescribed_function: (t, numbers) → (x, ẋ, ẍ) of the prescribed joints, likewise.
+        apart_function: The same inputs → the results of `acting_apart`.
+        planned_function: As `prescribed_function`, but with conditions on time evaluated at the
+            time itself.
         has_potential: Whether any force has a potential.
         potential_function: (x, numbers) → V, zero without a potential.
         needs_time: Whether any force or motion depends on time or on the base's position.
@@ -145,9 +113,9 @@ class ForceModel:
         self.acting_function = _function("acting", state, [torque, wrench])
         self._acting = Numeric(self.acting_function)
         self._prescribed = Numeric(self.prescribed_function)
-        self._planned = self._prescribed
+        self.planned_function = self.prescribed_function
         if self.switching.conditions is not None:
-            self._planned = Numeric(_function("planned", [s.t, p], [*as_written]))
+            self.planned_function = _function("planned", [s.t, p], [*as_written])
         self._each = Numeric(_function("each", state, [terms.torques, terms.wrenches]))
         pairs = [ca.horzcat(ca.SX(m, 0), *c) for c in zip(*terms.inverse, strict=True)]
         self._required = Numeric(_function("required", state, pairs)) if pairs else None
@@ -157,7 +125,8 @@ class ForceModel:
         # For m = 0 a slice direct[:0] would not be a column, so vertsplit is used.
         columns = ca.vertsplit(direct, [0, m, m + r])
         columns.append(ca.horzcat(ca.SX(9, 0), *map(load_column, terms.loads)))
-        self._apart = Numeric(_function("apart", state, columns))
+        self.apart_function = _function("apart", state, columns)
+        self._apart = Numeric(self.apart_function)
         velocities = ca.vertcat(s.xi, s.mu)
         self.sees_momentum = any(ca.depends_on(column, velocities) for column in columns)
         self.has_potential = not potential.is_zero()
@@ -244,13 +213,13 @@ class ForceModel:
         return self.sees_attitude or self.sees_place or any(c.sees_base for c in controllers)
 
     def acting(self, at: ForceInputs) -> Acting:
-        """Return the total torque and wrench at one state.
+        """Return the total torque and wrench at one state, or at T states.
 
         Raises:
             InputError: The forces depend on the base, and at.base is None.
         """
-        torque, wrench = self._acting(*self._arguments(at))
-        return Acting(torque[:, 0], wrench[:, 0])
+        torque, wrench = self._evaluate(self._acting, at)
+        return Acting(torque[..., 0], wrench[..., 0])
 
     def acting_apart(self, at: ForceInputs) -> tuple[Array, Array, Array]:
         """Return torque and wrench without loads on links, and these loads, (9, L).
@@ -285,15 +254,23 @@ class ForceModel:
         """Return the power of each force that does work.
 
         Args:
-            at: State and numbers.
-            twist: Body twist of the base itself, not relative to the centre of mass, (r,).
+            at: State and numbers, or T of them.
+            twist: Body twist of the base itself, not relative to the centre of mass, (..., r).
         Returns:
-            Powers, (len(labels),) [W].
+            Powers, (..., len(labels)) [W].
         Raises:
             InputError: The forces depend on the base, and at.base is None.
         """
-        torques, wrenches = self._each(*self._arguments(at))
-        return np.asarray(torques.T @ at.xdot + wrenches.T @ twist)
+        torques, wrenches = self._evaluate(self._each, at)
+        of_torques = np.einsum("...mk,...m->...k", torques, at.xdot)
+        return np.asarray(of_torques + np.einsum("...rk,...r->...k", wrenches, twist))
+
+    def _evaluate(self, function: Numeric, at: ForceInputs) -> list[Array]:
+        """Return the results of a compiled function, (..., rows, columns) each."""
+        t, *others = self._arguments(at)
+        if isinstance(t, np.ndarray):
+            return function.at_all(t[:, None], *others)
+        return function(t, *others)
 
     def _arguments(self, at: ForceInputs) -> tuple[Any, ...]:
         """Return the arguments of the compiled functions."""
@@ -307,23 +284,20 @@ class ForceModel:
             base = self._unseen
         return at.t, at.x, at.xdot, at.xi, at.mu, at.numbers, *base, self.robot
 
-    def prescribed(self, t: float, numbers: Array) -> Prescribed:
-        """Return the motion of the prescribed joints at a time."""
-        return Prescribed(*(value[:, 0] for value in self._prescribed(t, numbers)))
-
-    def planned(self, t: float, numbers: Array) -> tuple[Array, Array, Array]:
-        """Return the motion of the prescribed joints as written; see `acting_apart`.
-
-        An integrator calls this at each evaluation, so the result is a plain tuple.
+    def prescribed(self, t: float | Array, numbers: Array) -> Prescribed:
+        """Return the motion of the prescribed joints at a time, or at times (T,).
 
         Args:
-            t: Time [s].
-            numbers: Force parameters, (p,).
+            t: Time, or times (T,) [s].
+            numbers: Force parameters, (p,), or (T, p) at T times.
         Returns:
-            Positions, rates and accelerations, (k,) each.
+            The motion.
         """
-        x, xdot, xddot = self._planned(t, numbers)
-        return x[:, 0], xdot[:, 0], xddot[:, 0]
+        if isinstance(t, np.ndarray):
+            values = self._prescribed.at_all(t[:, None], numbers)
+        else:
+            values = self._prescribed(t, numbers)
+        return Prescribed(*(value[..., 0] for value in values))
 
     @cached_property
     def has_kinks(self) -> bool:
@@ -365,10 +339,11 @@ class ForceModel:
         """Return random force parameters, (p,), for tests of kernels."""
         return random_numbers(self.numbers, self._in_formulas, rng)
 
-    def potential(self, x: Array, numbers: Array) -> float:
-        """Return V(x) of the forces that have a potential [J]."""
-        (value,) = self._potential(x, numbers)
-        return float(value[0, 0])
+    def potential(self, x: Array, numbers: Array) -> Array:
+        """Return V(x) of the forces that have a potential, (...) [J], at x, (nx,) or (T, nx)."""
+        batch = x.ndim == 2
+        (values,) = self._potential.at_all(x, numbers) if batch else self._potential(x, numbers)
+        return values[..., 0, 0]
 
 
 def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:

@@ -30,6 +30,8 @@ class BaseInSpace:
 class ForceInputs:
     """The state that forces depend on, and the numbers in the forces: see Symbols.
 
+    At T times, t has the shape (T,), and all others have a leading axis of length T.
+
     Attributes:
         t: Time [s].
         x: Shape, (m,).
@@ -40,7 +42,7 @@ class ForceInputs:
         base: The base in space; required if forces depend on its pose or motion.
     """
 
-    t: float
+    t: float | Array
     x: Array
     xdot: Array
     xi: Array
@@ -51,7 +53,7 @@ class ForceInputs:
 
 @dataclass(frozen=True)
 class Acting:
-    """The sum of all forces at one state.
+    """The sum of all forces at one state, or at T states with a leading axis.
 
     Attributes:
         torque: Torques on the joints, −∂V/∂x included, (m,).
@@ -64,7 +66,7 @@ class Acting:
 
 @dataclass(frozen=True)
 class Prescribed(FrozenArrays):
-    """Motion of k prescribed joints at one time.
+    """Motion of k prescribed joints at one time, or at T times with a leading axis.
 
     Attributes:
         x: Positions, (k,).

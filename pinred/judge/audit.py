@@ -85,46 +85,38 @@ def audit_states(full: FullState, states: State, work: Array, impulse: Array | N
     """
     totals, system, linear = full.totals, full.system, full.root.linear
     model, is_pivoted = system.model, full.root.is_pivoted
-    kinetic, heights, internal, conserved = [], [], [], []
-    potential_units, pivot_loads = [], []
-    body, spatial = np.empty_like(states.xi), np.empty_like(states.xi)
     qs, vs = system.sorted_q(states.q), system.sorted_v(states.v)
     joints, radius = full.couplings.values(states.x), totals.radius_of_gyration(qs[0])
-    units = full.joint_error_units(joints, radius)
-    for k, (t, q, v) in enumerate(zip(states.t, qs, vs, strict=True)):
-        kinetic.append(totals.kinetic_energy(q, v))
-        heights.append(totals.potential_energy(q) + full.force_potential(states.x[k]))
-        internal.append(kinetic[-1] - totals.com_kinetic_energy(q, v))
-        body[k] = totals.body_momentum(q, v)
-        spatial[k] = totals.momentum(q, v, np.zeros(3), about_pivot=True)
-        fall = totals.mass * model.gravity.linear * t
-        conserved.append(totals.momentum(q, v, fall, about_pivot=is_pivoted))
-        potential_units.append(_potential_unit(full, q, states.x[k], units))
-        if is_pivoted:
-            pivot_loads.append(totals.pivot_load_sizes(q))
+    kinetic = totals.kinetic_energy(qs, vs)
+    heights = totals.potential_energy(qs) + full.force_potential(states.x)
+    internal = kinetic - totals.com_kinetic_energy(qs, vs)
+    body = totals.body_momentum(qs, vs)
+    spatial = totals.momentum(qs, vs, np.zeros(3), about_pivot=True)
+    fall = totals.mass * np.outer(states.t, model.gravity.linear)
+    conserved = totals.momentum(qs, vs, fall, about_pivot=is_pivoted)
+    potential_unit = _potential_unit(full, qs, states.x, full.joint_error_units(joints, radius))
     # A falling rigid body has no internal motion, so its total energy is the unit.
-    most = max(internal) if max(internal) > 1e-9 * max(kinetic) else max(kinetic)
+    fastest = float(kinetic.max())
+    most = float(internal.max()) if internal.max() > 1e-9 * fastest else fastest
     scale = np.full(system.r, np.sqrt(2.0 * totals.mass * most))
     scale[linear:] *= radius
     if is_pivoted:
-        load = np.max(pivot_loads, axis=0)
+        load = totals.pivot_load_sizes(qs).max(axis=0)
         swing = np.minimum(load * np.ptp(states.t), radius * np.sqrt(totals.mass * load))
         scale[linear:] = np.maximum(scale[linear:], swing)
-    energies = np.array(kinetic) + np.array(heights)
+    energies = kinetic + heights
     gained = energies - energies[0] - (work - work[0])
     # During a fast fall, round-off of the total energy exceeds the energy of a slow rotation.
-    round_off = _ENERGY_ROUND_OFF * (2.0 * max(kinetic) + float(np.abs(energies).max()))
+    round_off = _ENERGY_ROUND_OFF * (2.0 * fastest + float(np.abs(energies).max()))
     round_off += _HEIGHT_ROUND_OFF * float(np.abs(heights).max())
     gained[np.abs(gained) <= round_off] = 0.0
     if impulse is not None:
-        conserved = list(spatial - impulse)
+        conserved = spatial - impulse
         scale = np.maximum(scale, np.abs(spatial).max())
     scale[scale == 0.0] = 1.0
     rates = full.couplings.rates(states.xdot)
     momentum_unit = float(scale.max())
-    reconstructed_q = np.array(
-        [full.q(np.concatenate(row)) for row in zip(states.pose, joints, strict=True)]
-    )
+    reconstructed_q = full.q(np.hstack([states.pose, joints]))
     mismatches = [
         relative_difference(reconstructed_q, qs, 1.0),
         relative_difference(np.hstack([states.xi, rates]), vs, 0.0),
@@ -134,10 +126,10 @@ def audit_states(full: FullState, states: State, work: Array, impulse: Array | N
     ]
     # Wrenches do work on the whole system, so their work counts as well.
     done = 0.0 if impulse is None else float(np.abs(work - work[0]).max())
-    unit = max(most, done, *potential_units)
+    unit = max(most, done, potential_unit)
     return Audit(
         energies=gained / unit if unit > _LEAST else gained,
-        momenta=(np.array(conserved) - conserved[0]) / scale,
+        momenta=(conserved - conserved[0]) / scale,
         fields=float(np.max(mismatches)),
     )
 
@@ -145,18 +137,18 @@ def audit_states(full: FullState, states: State, work: Array, impulse: Array | N
 def _potential_unit(full: FullState, q: Array, x: Array, units: Array) -> float:
     """Return the work [J] of moving all joints by their units and the pivot by 1 rad.
 
-    The work is estimated from the first derivatives of the potential energy.
+    The work is estimated from the first derivatives of the potential energy. The result is the
+    largest at states with configurations q, (T, nq), and shapes x, (T, nx).
     """
     r, shape_units = full.system.r, full.couplings.shape_rate(units)
     move = full.system.space.integrate
     slopes = full.totals.gravity_slopes(q)
-    unit = float(slopes[r:] @ units + slopes[full.root.linear : r].sum())
-    if not full.has_force_potential:
-        return unit
-    for step in _SLOPE_STEP * np.diag(shape_units):
-        difference = full.force_potential(move(x, step)) - full.force_potential(move(x, -step))
-        unit += abs(difference) / (2.0 * _SLOPE_STEP)
-    return unit
+    work = slopes[:, r:] @ units + slopes[:, full.root.linear : r].sum(axis=1)
+    if full.has_force_potential:
+        for step in _SLOPE_STEP * np.diag(shape_units):
+            difference = full.force_potential(move(x, step)) - full.force_potential(move(x, -step))
+            work += np.abs(difference) / (2.0 * _SLOPE_STEP)
+    return float(work.max())
 
 
 def relative_difference(a: Array, b: Array, least: float) -> float:

@@ -17,11 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dposv
 
 from ..common.arrays import Array
+from ..forces.function_buffers import FunctionBuffers
 from ..system.loops.kinematics import LoopKinematics
 from ..system.singular_mass_matrix import SingularShapes, singular_shapes
 from ..system.system import System
@@ -29,24 +31,32 @@ from .loop_errors import RANK
 
 
 class _FreeRows:
-    """Indices of the rows of the mass matrix H of which no acceleration is prescribed.
+    """The linear equations of all accelerations when some of them are prescribed.
 
-    CRBA computes the upper triangle of H only.
+    The rows of prescribed accelerations are those of the identity matrix. Compiled code fills the
+    equations, because numpy's selection of rows and columns takes longer than their solution.
 
     Attributes:
-        driven: Velocity indices of the prescribed accelerations, (k,).
-        free: The others, (f,).
-        block: Index of the block of H of the free rows, (f, f).
-        mixed: Index of the block of H in free rows and prescribed columns, (f, k).
+        inputs: Mass matrix H row by row, of which only the upper triangle is read, because CRBA
+            computes no more, (nv²,); forces (nv,); and prescribed accelerations (k,).
+        matrix: Lower triangle of the symmetric matrix, (nv, nv), which `run` computes.
+        right: Right-hand side, (nv,), which `run` computes.
+        run: Function without arguments that computes the equations.
     """
 
     def __init__(self, nv: int, driven: list[int]) -> None:
-        """Collect the indices of a model with nv velocities."""
-        self.driven = np.array(driven)
-        self.free = np.setdiff1d(np.arange(nv), driven)
-        self.block = np.ix_(self.free, self.free)
-        rows, columns = np.meshgrid(self.free, self.driven, indexing="ij")
-        self.mixed = np.minimum(rows, columns), np.maximum(rows, columns)
+        """Compile the equations of a model with nv velocities; `driven`: prescribed velocities."""
+        free = [k for k in range(nv) if k not in driven]
+        columns, force = ca.SX.sym("H", nv, nv), ca.SX.sym("force", nv)  # CasADi reads columns
+        known = ca.SX.sym("known", len(driven))
+        H = ca.tril2symm(ca.tril(columns))
+        matrix, right = ca.SX(nv, nv), ca.SX(nv, 1)
+        matrix[free, free], matrix[driven, driven] = H[free, free], ca.SX.eye(len(driven))
+        right[free], right[driven] = force[free] - H[free, driven] @ known, known
+        outputs = [ca.densify(ca.tril(matrix)), ca.densify(right)]
+        buffers = FunctionBuffers(ca.Function("free", [columns, force, known], outputs))
+        self.inputs, (self.matrix, column) = buffers.inputs, buffers.outputs
+        self.right, self.run = column[:, 0], buffers.run
 
 
 class CouplingConstraints:
@@ -94,7 +104,7 @@ class CouplingConstraints:
 
     def values(self, x: Array) -> Array:
         """Return the coordinates of all joints at shape x (..., nx)."""
-        values, at = np.zeros((*x.shape[:-1], self._count_x)), self._at_x
+        values, at = np.zeros((*x.shape[:-1], self._count_x), dtype=x.dtype), self._at_x
         values[..., self.leads_x] = x
         for follower, ratios, offset in self._couplings:
             values[..., at[follower]] = offset
@@ -104,7 +114,7 @@ class CouplingConstraints:
 
     def rates(self, xdot: Array) -> Array:
         """Return the rates of all joints at shape rate ẋ (..., m)."""
-        rates = np.zeros((*xdot.shape[:-1], self._count))
+        rates = np.zeros((*xdot.shape[:-1], self._count), dtype=xdot.dtype)
         rates[..., self.leads] = xdot
         for follower, ratios, _ in self._couplings:
             for leader, ratio in ratios.items():
@@ -123,7 +133,7 @@ class CouplingConstraints:
         """Expand torques on the shape (m,) to all joints; followers get zero."""
         if self._all_lead:
             return torque
-        torques = np.zeros(self._count)
+        torques = np.zeros(self._count, dtype=torque.dtype)
         torques[self.leads] = torque
         return torques
 
@@ -153,17 +163,15 @@ class CouplingConstraints:
         if len(driven) or not (self._uses_aba or self._loops):
             return self._solve_with_multipliers(q, v, tau, tuple(driven), prescribed)
         model, data = self._model, self._data
-        free: Array = pin.aba(model, data, q, v, tau, axes).copy()
+        free: Array = pin.aba(model, data, q, v, tau, axes)
+        if not self._is_constrained:
+            return free
         J, bias = self.J, np.zeros(len(self.J))
         if self._loops is not None:
             J = np.vstack([J, self._loops.jacobian(q)])
             bias = np.append(bias, self._loops.bias(q, v))
-        if not len(J):
-            return free
         zero = np.zeros(len(v))
-        responses = np.array(
-            [pin.aba(self._weightless, data, q, zero, row, axes).copy() for row in J]
-        )
+        responses = np.array([pin.aba(self._weightless, data, q, zero, row, axes) for row in J])
         if self._loops is None:
             multipliers = np.linalg.solve(J @ responses.T, J @ free)
         else:
@@ -182,17 +190,17 @@ class CouplingConstraints:
         rows = self._free_rows.get(driven)
         if rows is None:
             rows = self._free_rows[driven] = _FreeRows(
-                len(v), [len(v) - self._count + k for k in driven]
+                len(v), [len(v) - self._count + int(k) for k in driven]
             )
-        H = pin.crba(self._model, self._data, q)
-        a, force = np.empty(len(v)), tau - pin.nonLinearEffects(self._model, self._data, q, v)
-        a[rows.driven] = prescribed
-        right = force[rows.free] - H[rows.mixed] @ a[rows.driven]
-        _, solution, failure = dposv(H[rows.block], right, overwrite_a=True, overwrite_b=True)
+        H, force, known = rows.inputs
+        H[:] = pin.crba(self._model, self._data, q).ravel()
+        np.subtract(tau, pin.nonLinearEffects(self._model, self._data, q, v), out=force)
+        known[:] = prescribed
+        rows.run()
+        _, a, failure = dposv(rows.matrix, rows.right, 1, 1)  # lower triangle, overwritten
         if failure:  # Cholesky's method needs a matrix that is positive despite round-off
             return self._solve_with_multipliers(q, v, tau, driven, prescribed)
-        a[rows.free] = solution
-        return a
+        return np.asarray(a)
 
     def _solve_with_multipliers(
         self,

@@ -21,11 +21,11 @@ The acceleration therefore follows from the equations alone, independent of the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..common.errors import InputError
@@ -62,7 +62,8 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     Returns:
         (T, n) relative errors of base and shape rows.
     """
-    size = full.totals.radius_of_gyration(traj.system.sorted_q(traj.q[0]))
+    q0 = traj.system.sorted_q(traj.q[0])
+    size = full.totals.radius_of_gyration(q0)
     route, parameters = accelerations(traj, times, size), traj.motion.numbers(times)
     states, r = route.states, full.system.r
     driven = [r + k for k in traj.plan.acting.driven]
@@ -70,24 +71,18 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     half = _WINDOW // 2
     padded = np.pad(route.spread, ((half, half), (0, 0)), mode="edge")
     spread = np.lib.stride_tricks.sliding_window_view(padded, _WINDOW, axis=0).max(axis=-1)
-    errors, units, aba_spread = (np.zeros_like(route.v) for _ in range(3))
-    # The masses that joints move do not depend on the configuration.
-    q0 = traj.system.sorted_q(traj.q[0])
-    moved = moved_masses(full.system.model, full.system.data, q0)
-    for k, t in enumerate(times.tolist()):
-        full.set_parameters(parameters[k])
-        y = full.state(states.pose[k], states.x[k], states.xi[k], states.xdot[k])
-        a, other = (_acceleration(full, t, y, axes) for axes in (BODIES, WORLD))
-        H, loads = _mass_matrix_and_loads(full.system, full.q(y))
-        changes = np.abs(a) + route.pace[k] * np.abs(route.v[k])
-        units[k] = np.abs(H) @ changes + loads
-        units[k] += _CANCELLED * _inertial_forces(full.system, moved, changes, size)
-        # Differences below the spread of the engine's own derivatives cannot be resolved.
-        difference = np.abs(route.a[k] - a)
-        errors[k] = np.abs(H @ (route.a[k] - a)) - SPREAD_MARGIN * np.abs(H) @ route.spread[k]
-        # A drive applies whatever force its plan needs, so only its acceleration is compared.
-        errors[k, driven] = (np.diag(H) * (difference - SPREAD_MARGIN * spread[k]))[driven]
-        aba_spread[k] = np.abs(H @ (a - other))
+    y = full.state(states.pose, states.x, states.xi, states.xdot)
+    a, other = (_accelerations(full, times, y, parameters, axes) for axes in (BODIES, WORLD))
+    H, loads = _mass_matrices_and_loads(full.system, full.q(y))
+    changes = np.abs(a) + route.pace[:, None] * np.abs(route.v)
+    units = _products(np.abs(H), changes) + loads
+    units += _CANCELLED * _inertial_forces(full.system, q0, changes, size)
+    # Differences below the spread of the engine's own derivatives cannot be resolved.
+    errors = np.abs(_products(H, route.a - a)) - SPREAD_MARGIN * _products(np.abs(H), route.spread)
+    # A drive applies whatever force its plan needs, so only its acceleration is compared.
+    diagonals = np.diagonal(H, axis1=1, axis2=2)
+    errors[:, driven] = (diagonals * (np.abs(route.a - a) - SPREAD_MARGIN * spread))[:, driven]
+    aba_spread = np.abs(_products(H, a - other))
     # At rest, the forces are only round-off, so the unit of force errors has a lower limit.
     least = np.maximum(_AT_REST * units.max(axis=0, initial=0.0), _LEAST)
     units = np.maximum(units, least)
@@ -96,36 +91,50 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     return np.asarray(np.maximum(errors / units - round_off, 0.0))
 
 
-def _acceleration(full: FullState, t: float, y: Array, axes: pin.Convention) -> Array:
-    """Return ABA's acceleration (n,) of base and shape, evaluated in the given axes."""
-    r, nv = full.system.r, full.system.model.nv
-    a = full.rate(t, y, axes)[len(y) - nv :]
-    return np.append(a[:r], full.couplings.shape_rate(a[r:]))
+def _products(matrices: Array, vectors: Array) -> Array:
+    """Return the products of matrices (T, n, n) and vectors (T, n)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
 
 
-def _mass_matrix_and_loads(system: System, q: Array) -> tuple[Array, Array]:
-    """Return Pinocchio's mass matrix (n, n) and the magnitudes of the gravity loads (n,)."""
-    model, data = system.model, system.data
-    H = system.coupled_matrix(symmetric(pin.crba(model, data, q)))
-    return H, system.sizes_on_shape(gravity_load_sizes(model, data, q))
-
-
-def _inertial_forces(
-    system: System, moved: tuple[NDArray[np.bool_], Array], changes: Array, size: float
+def _accelerations(
+    full: FullState, t: Array, y: Array, parameters: Sequence[Array], axes: pin.Convention
 ) -> Array:
-    """Return the largest possible inertial forces on the bodies that each joint moves, (n,).
+    """Return ABA's accelerations (T, n) of base and shape, evaluated in the given axes."""
+    r, nv = full.system.r, full.system.model.nv
+    a = full.rates(t, y, parameters, axes)[:, y.shape[1] - nv :]
+    return np.hstack([a[:, :r], full.couplings.shape_rate(a[:, r:])])
 
-    moved: See `moved_masses`.  changes: Accelerations, (n,).  size: Size of the robot [m], used as
-    lever arm of moments.
+
+def _mass_matrices_and_loads(system: System, q: Array) -> tuple[Array, Array]:
+    """Return Pinocchio's mass matrices (T, n, n) and magnitudes of gravity loads (T, n)."""
+    model, data = system.model, system.data
+    upper = np.array([pin.crba(model, data, q_k) for q_k in q])
+    loads = system.sizes_on_shape(gravity_load_sizes(model, data, q))
+    return system.coupled_matrix(symmetric(upper)), loads
+
+
+def _inertial_forces(system: System, q0: Array, changes: Array, size: float) -> Array:
+    """Return the largest possible inertial forces on the bodies that each joint moves, (T, n).
+
+    The masses that joints move do not depend on the configuration.
+
+    Args:
+        system: The system.
+        q0: A configuration, (nq,).
+        changes: Accelerations, (T, n).
+        size: Size of the robot [m], used as lever arm of moments.
+    Returns:
+        The forces.
     """
-    angular, mass = moved
+    angular, mass = moved_masses(system.model, system.data, q0)
     rotates = (
         angular
         if system.coupled is None
         else np.append(angular[: system.r], angular[system.r :][system.coupled.leads])
     )
-    fastest = size * float(changes[rotates].sum()) + float(changes[~rotates].sum())
-    return system.sizes_on_shape(mass * np.where(angular, size, 1.0)) * fastest
+    fastest = size * changes[:, rotates].sum(axis=1) + changes[:, ~rotates].sum(axis=1)
+    moved = system.sizes_on_shape(mass * np.where(angular, size, 1.0))
+    return np.outer(fastest, moved)
 
 
 @dataclass(frozen=True)
@@ -184,12 +193,11 @@ def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
         pace = np.maximum(pace, _STEP / h)
     changes = motion.changes(t)
 
+    multiples = np.arange(1, len(_WEIGHTS) + 1)[:, None]
+
     def differentiate(h: Array) -> Array:
-        a = np.zeros_like(v)
-        for k, weight in enumerate(_WEIGHTS, start=1):
-            after, before = (motion.beside(t, changes, sign * k * h) for sign in (1.0, -1.0))
-            a += (weight / h)[:, None] * (after - before)
-        return a
+        after, before = (motion.beside(t, changes, sign * multiples * h) for sign in (1.0, -1.0))
+        return np.asarray(np.einsum("k,ktn->tn", _WEIGHTS, after - before) / h[:, None])
 
     a = differentiate(h)
     return Accelerations(states, v, a, np.abs(a - differentiate(_SHORTER * h)), pace)
@@ -199,9 +207,6 @@ def _prescribed_pace(traj: Trajectory, t: Array) -> float:
     """Return the largest ratio of |ẍ| to |ẋ| of the prescribed joints at times t [1/s]."""
     forces, numbers = traj.plan.forces, traj.motion.numbers(t)
     assert forces is not None
-    plans = [
-        forces.prescribed(time, values) for time, values in zip(t.tolist(), numbers, strict=True)
-    ]
-    speeds = np.abs([plan.xdot for plan in plans]).max(axis=0)
-    accelerations = np.abs([plan.xddot for plan in plans]).max(axis=0)
+    plans = forces.prescribed(t, np.array(numbers))
+    speeds, accelerations = (np.abs(rates).max(axis=0) for rates in (plans.xdot, plans.xddot))
     return float(np.divide(accelerations, speeds, out=0.0 * speeds, where=speeds > 0.0).max())

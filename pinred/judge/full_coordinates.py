@@ -1,5 +1,7 @@
 """Coordinates of the full state: the root joint, and Pinocchio's configuration q.
 
+All functions accept arrays of symbols, too, which rate_terms.py compiles.
+
 The root joint is described by Pinocchio's motion subspace alone, independent of pinred's groups.
 """
 
@@ -7,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -45,14 +46,11 @@ class RootMotion:
         slides_across = self.plane is not None or (self.turns == 3 and self.linear == 3)
         return self.turns > 0 and not slides_across
 
-    def rate(self, root: Sequence[Any], v: Sequence[Any]) -> Sequence[Any]:
+    def rate(self, root: Array, v: Array) -> Sequence[Any] | Array:
         """Compute the time derivative of the root coordinates (size,) at a body twist v (r,).
 
-        Scalar arithmetic is four times as fast as numpy on arrays of three numbers. For T states,
-        each entry is an array (T,).
-
         Args:
-            root: Root coordinates, (size,).
+            root: Root coordinates, (size,), numbers or symbols.
             v: Body twist, (r,).
         Returns:
             The time derivative, (size,).
@@ -61,7 +59,7 @@ class RootMotion:
             if self.plane is None:
                 return v
             rate, (first, second) = list(v), self.plane
-            c, s = np.cos(root[-1]), np.sin(root[-1])
+            (c,), (s,) = np.cos(root[-1:]), np.sin(root[-1:])
             rate[first] = c * v[first] - s * v[second]
             rate[second] = s * v[first] + c * v[second]
             return rate
@@ -92,16 +90,13 @@ class RootMotion:
             return np.concatenate((root[..., :-1], np.cos(angle), np.sin(angle)), axis=-1)
         q = root.copy()
         if self.turns == 3:
-            _normalise(q[..., -4:])
+            normalise(q[..., -4:])
         return q
 
 
-def _normalise(quaternions: Array) -> None:
-    """Divide quaternions (..., 4) by their norms, in place."""
-    if quaternions.ndim == 1:
-        quaternions /= sqrt(quaternions.dot(quaternions))  # `@` takes twice as long
-    else:
-        quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
+def normalise(quaternions: Array) -> None:
+    """Divide quaternions (..., 4), of numbers or symbols, by their norms, in place."""
+    quaternions /= np.sqrt((quaternions * quaternions).sum(axis=-1, keepdims=True))
 
 
 def root_motion(model: pin.Model) -> RootMotion:
@@ -162,23 +157,27 @@ class Configuration:
 
     def __call__(self, root: Array, joints: Array) -> Array:
         """Return q (..., nq) for root coordinates and the coordinates of all joints."""
-        root_q = self._root.q(root)
-        if self.balls:
-            joints = joints.copy()
-            for first, _ in self.balls:
-                _normalise(joints[..., first : first + 4])
+        root_q, joints = self._root.q(root), self.normalised(joints)
         if not self._has_circles:
             return np.concatenate((root_q, joints), axis=-1)
         angles = joints[..., self._circles]
         parts = root_q, joints, np.cos(angles), np.sin(angles)
         return np.asarray(np.concatenate(parts, axis=-1)[..., self._order])
 
-    def derivative(self, joints: Sequence[Any], v: Sequence[Any]) -> Sequence[Any]:
+    def normalised(self, joints: Array) -> Array:
+        """Return the coordinates of all joints, (..., size), with quaternions of length one."""
+        if self.balls:
+            joints = joints.copy()
+            for first, _ in self.balls:
+                normalise(joints[..., first : first + 4])
+        return joints
+
+    def derivative(self, joints: Array, v: Array) -> Sequence[Any]:
         """Return the time derivative of the coordinates at rates v; see RootMotion.rate."""
         derivative: list[Any] = []
         first_v = 0
         for x, rate in self.balls:
-            derivative += v[first_v:rate]
+            derivative.extend(v[first_v:rate])
             i, j, k, w = joints[x : x + 4]
             a, b, c = v[rate : rate + 3]
             derivative += [

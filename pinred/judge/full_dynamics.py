@@ -6,14 +6,14 @@ Pinocchio) are independent. Only the force expressions are shared.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from functools import cached_property, partial
 
 import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..forces.force_values import BaseInSpace, ForceInputs
+from ..forces.force_values import BaseInSpace
 from ..kernels.loads_by_pinocchio import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.plan import stops_of
@@ -23,12 +23,12 @@ from .condition_times import condition_times
 from .coupling_constraints import CouplingConstraints
 from .full_coordinates import Configuration, root_motion
 from .loop_errors import closed
+from .rate_terms import ActingForces, FullCoordinates, Kinematics, compile_kinematics
 from .system_totals import SystemTotals
 
 # Smallest distance from a switch at which a condition on time is evaluated, relative to the
 # duration.
 _ASIDE = 1e-11
-_NONE = np.empty(0)  # accelerations of no prescribed joints
 
 
 class FullDynamics:
@@ -56,9 +56,6 @@ class FullDynamics:
             self._stops = self._switches = np.union1d(self._stops, written)
         self._model = system.model
         self._r = system.r
-        self._sees_base = self._forces is not None and self._forces.sees_base
-        unused = np.full(system.r, np.nan)  # NaN would reveal a force that depends on it
-        self._unused = unused, unused
         self._no_torque = np.zeros(system.model.nv)
         self.couplings = CouplingConstraints(system)
         self.root = root_motion(system.model)
@@ -74,6 +71,23 @@ class FullDynamics:
         # Indices in y of the coordinates and rates of the prescribed joints.
         self._driven_x = self._size + driven_x
         self._driven_v = self._size + self._m + self._r + np.array(self._driven, dtype=np.intp)
+        self._full_coordinates = FullCoordinates(
+            self.root, self._configuration, self.couplings, self._driven_x, self._driven_v
+        )
+
+    @cached_property
+    def _kinematics(self) -> Kinematics:
+        compiled = partial(compile_kinematics, self._full_coordinates, self._forces)
+        is_shared = self._forces is None  # all motions without forces have the same kinematics
+        function = self.system.workspace(compile_kinematics, compiled) if is_shared else compiled()
+        return Kinematics(function, self._parameters)
+
+    @cached_property
+    def _acting(self) -> ActingForces | None:
+        if self._forces is None:
+            return None
+        coordinates, at = self._full_coordinates, self._kinematics
+        return ActingForces(coordinates, self._forces, self._parameters, at)
 
     @property
     def system(self) -> System:
@@ -87,7 +101,7 @@ class FullDynamics:
 
     def set_parameters(self, parameters: Array) -> None:
         """Set the parameters (p,) of forces, including the commands of controllers."""
-        self._parameters = parameters
+        self._parameters[:] = parameters
 
     def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
         """Assemble y (..., n).
@@ -103,10 +117,9 @@ class FullDynamics:
         values, rates = self.couplings.values(x), self.couplings.rates(xdot)
         return np.concatenate([pose, values, xi, rates], axis=-1)
 
-    def _apply_couplings(self, y: Array, *, close: bool = True) -> Array:
+    def _apply_couplings(self, y: Array) -> Array:
         """Return y with follower joints set from their leaders, and with closed loops."""
-        size, m, couplings = self._size, self._m, self.couplings
-        close = close and bool(self.system.loops)
+        size, m, couplings, close = self._size, self._m, self.couplings, bool(self.system.loops)
         if not (len(couplings.J) or close):
             return y
         pose, x, xi, xdot = np.split(y, [size, size + m, size + m + self._r])
@@ -130,16 +143,13 @@ class FullDynamics:
         shape = self.couplings.shape(x)
         return self.system.space.normalized(shape, "x", near=False)
 
-    def base_in_space(
-        self, q: Array, root: Array, v: Array, *, momenta: bool = True
-    ) -> BaseInSpace:
+    def base_in_space(self, q: Array, root: Array, v: Array) -> BaseInSpace:
         """Compute pose, twist and momenta of the base with Pinocchio.
 
         Args:
             q: Pinocchio's configuration, (nq,).
             root: Root coordinates, (size,).
             v: Pinocchio's velocity, (nv,).
-            momenta: Whether momenta are needed; otherwise the momenta are NaN.
         Returns:
             The base relative to the root joint's fixed frame.
         """
@@ -147,8 +157,6 @@ class FullDynamics:
         pose = root.copy()
         if self.root.turns == 3:
             pose[k:] /= np.linalg.norm(root[k:])
-        if not momenta:
-            return BaseInSpace(pose, v[:r].copy(), *self._unused)
         mu = self.totals.body_momentum(q, v)
         J = self.totals.momentum(q, v, np.zeros(3), about_pivot=True)
         return BaseInSpace(pose, v[:r].copy(), mu, J)
@@ -163,30 +171,31 @@ class FullDynamics:
         Returns:
             (n,) time derivative of y.
         """
-        size, m, r, forces = self._size, self._m, self._r, self._forces
-        if forces is None:
-            v, q = y[size + m :], self._q_for(self.q(y), axes)
-            a = self.couplings.acceleration(q, v, self._no_torque, axes=axes)
-            return self._derivative(y, a)
-        y, t, accelerations = y.copy(), self._beside_switches(t), _NONE
-        if self._driven:
-            x, rates, accelerations = forces.planned(t, self._parameters)
-            y[self._driven_x], y[self._driven_v] = x, rates
-            y = self._apply_couplings(y, close=False)
-        x, v, q, base = y[size : size + m], y[size + m :], self.q(y), None
-        xi, mu = self.totals.about_com(q, v) if forces.sees_momentum else self._unused
-        if self._sees_base:
-            base = self.base_in_space(q, y[:size], v, momenta=forces.sees_base_momenta)
-        shape_rate = self.couplings.shape_rate(v[r:])
-        torque, wrench, loads = forces.acting_apart(
-            ForceInputs(t, self._shape(x), shape_rate, xi, mu, self._parameters, base)
+        at, tau = self._kinematics, self._no_torque
+        at.compute(self._beside_switches(t), y)
+        if self._acting is not None:
+            tau = self._generalised_forces(self._acting)
+        q = self._q_for(at.q, axes)
+        rate, first = np.empty(len(y)), len(at.coordinate_rates)
+        rate[:first] = at.coordinate_rates
+        rate[first:] = self.couplings.acceleration(
+            q, at.v, tau, self._driven, at.accelerations, axes
         )
-        tau = np.concatenate((wrench, self.couplings.joint_torques(torque)))
-        if self._loads is not None:
-            tau += self._loads.generalised(q, loads)
-        q = self._q_for(q, axes)
-        a = self.couplings.acceleration(q, v, tau, self._driven, accelerations, axes)
-        return self._derivative(y, a)
+        return rate
+
+    def _generalised_forces(self, acting: ActingForces) -> Array:
+        """Return the generalised forces (nv,) at the state of the kinematics."""
+        q, v, forces = self._kinematics.q, self._kinematics.v, self._forces
+        assert forces is not None
+        if forces.sees_momentum:
+            acting.xi[:], acting.mu[:] = self.totals.about_com(q, v)
+        if forces.sees_base_momenta:
+            acting.base_mu[:] = self.totals.body_momentum(q, v)
+            acting.base_J[:] = self.totals.momentum(q, v, np.zeros(3), about_pivot=True)
+        acting.compute()
+        if self._loads is None:
+            return acting.tau
+        return acting.tau + self._loads.generalised(q, acting.loads)
 
     def rates(
         self,
@@ -195,7 +204,7 @@ class FullDynamics:
         parameters: Sequence[Array],
         axes: pin.Convention = pin.Convention.LOCAL,
     ) -> Array:
-        """Compute dy/dt at many times; without forces this is faster than `rate` at each time.
+        """Compute dy/dt at many times.
 
         Args:
             t: Times, (T,) [s].
@@ -205,34 +214,11 @@ class FullDynamics:
         Returns:
             (T, n) time derivatives of y.
         """
-        if self._forces is None:
-            q, v = self._q_for(self.q(y), axes), y[:, self._size + self._m :]
-            accelerate, none = self.couplings.acceleration, self._no_torque
-            a = [accelerate(*state, none, axes=axes) for state in zip(q, v, strict=True)]
-            return self._derivative(y.T, np.array(a).reshape(v.shape).T, list).T
         rates = np.empty_like(y)
         for k, time in enumerate(t.tolist()):
             self.set_parameters(parameters[k])
             rates[k] = self.rate(time, y[k], axes)
         return rates
-
-    def _derivative(
-        self, y: Array, a: Array, entries: Callable[[Array], list[Any]] = np.ndarray.tolist
-    ) -> Array:
-        """Return dy/dt for the acceleration a (nv,), or for T states y (n, T) and a (nv, T).
-
-        entries: Function that returns the entries as numbers, or for T states as arrays (T,).
-        """
-        size, first, r = self._size, self._size + self._m, self._r
-        derivative, x, v = np.empty(y.shape), y[size:first], y[first:]
-        derivative[:size] = self.root.rate(entries(y[:size]), entries(v[:r]))
-        derivative[size:first] = (
-            self._configuration.derivative(entries(x), entries(v[r:]))
-            if self._configuration.balls
-            else v[r:]
-        )
-        derivative[first:] = a
-        return derivative
 
     def _beside_switches(self, t: float) -> float:
         """Return the time; if it is too close to a switch, move it to the side of `within`.
@@ -255,10 +241,10 @@ class FullDynamics:
         """Whether any force has a potential."""
         return self._forces is not None and self._forces.has_potential
 
-    def force_potential(self, x: Array) -> float:
-        """Return the potential energy of the forces at shape x (nx,) [J]; 0 if they have none."""
+    def force_potential(self, x: Array) -> Array:
+        """Return the potential energies of the forces, (T,) [J], at shapes x (T, nx)."""
         if self._forces is None or not self._forces.has_potential:
-            return 0.0
+            return np.zeros(len(x))
         return self._forces.potential(x, self._parameters)
 
     def q(self, y: Array) -> Array:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
@@ -9,9 +13,14 @@ from ..common.arrays import Array
 from ..system.scale import moved_masses
 from .full_coordinates import RootMotion
 
+# Levi-Civita symbol: a × b = Σ ε_ijk a_j b_k.
+_CROSS = np.array([np.cross(axis, np.eye(3)) for axis in np.eye(3)])
+
 
 class SystemTotals:
     """Sums over all bodies of a model, as functions of Pinocchio's q and v.
+
+    Energies and momenta accept one state, or T states with a leading axis.
 
     Attributes:
         mass: Total mass [kg].
@@ -44,46 +53,58 @@ class SystemTotals:
         pin.ccrba(self._model, self._data, q, np.zeros(self._model.nv))
         return float(np.sqrt(np.trace(self._data.Ig.inertia) / self._data.Ig.mass))
 
-    def kinetic_energy(self, q: Array, v: Array) -> float:
-        """Compute the kinetic energy, armature included [J]."""
-        rotors = 0.5 * float(self._model.armature @ v**2)
-        return float(pin.computeKineticEnergy(self._bare, self._data, q, v)) + rotors
+    def kinetic_energy(self, q: Array, v: Array) -> Array:
+        """Compute the kinetic energy, armature included, (...) [J]."""
+        rotors = 0.5 * v**2 @ self._model.armature
+        energy = partial(pin.computeKineticEnergy, self._bare, self._data)
+        return np.asarray(_at_states(energy, q, v) + rotors)
 
-    def potential_energy(self, q: Array) -> float:
-        """Compute the potential energy in the model's gravity [J]."""
-        return float(pin.computePotentialEnergy(self._model, self._data, q))
+    def potential_energy(self, q: Array) -> Array:
+        """Compute the potential energy in the model's gravity, (...) [J]."""
+        return _at_states(partial(pin.computePotentialEnergy, self._model, self._data), q)
 
-    def com_kinetic_energy(self, q: Array, v: Array) -> float:
-        """Compute the kinetic energy of the centre of mass along the group's translations [J]."""
-        data = self._data
-        pin.ccrba(self._model, data, self.at_origin(q), v)
-        momentum = self._root.axes[:3].T @ self._to_root @ data.hg.linear
-        return 0.5 * float(momentum @ momentum) / float(data.Ig.mass)
+    def com_kinetic_energy(self, q: Array, v: Array) -> Array:
+        """Compute the kinetic energy of the centre of mass along translations, (...) [J]."""
+        momentum = self._centroidal(q, v)[..., :3] @ self._axes[: self._linear, :3].T
+        return np.asarray(0.5 * (momentum * momentum).sum(axis=-1) / self.mass)
 
     def body_momentum(self, q: Array, v: Array) -> Array:
-        """Compute the body momentum μ of the base, (r,) [N·s; N·m·s]."""
-        return np.array(pin.rnea(self._weightless, self._data, q, np.zeros(len(v)), v)[: self._r])
+        """Compute the body momentum μ of the base, (..., r) [N·s; N·m·s]."""
+        model, data, zero = self._weightless, self._data, np.zeros(v.shape[-1])
+        return _at_states(lambda q, v: pin.rnea(model, data, q, zero, v)[: self._r], q, v)
 
     def momentum(self, q: Array, v: Array, fall: Array, *, about_pivot: bool) -> Array:
         """Compute the momentum along the group's axes in the root's fixed frame.
 
         Args:
-            q: Pinocchio's configuration, (nq,).
-            v: Pinocchio's velocity, (nv,).
-            fall: Linear momentum gained in free fall, subtracted, (3,) [N·s].
+            q: Pinocchio's configuration, (..., nq).
+            v: Pinocchio's velocity, (..., nv).
+            fall: Linear momentum gained in free fall, subtracted, (..., 3) [N·s].
             about_pivot: Whether angular momentum is taken about the frame's origin; otherwise about
                 the centre of mass.
         Returns:
-            (r,) linear, then angular momentum [N·s; N·m·s].
+            (..., r) linear, then angular momentum [N·s; N·m·s].
         """
-        data = self._data
-        pin.ccrba(self._model, data, self.at_origin(q), v)
-        momentum = data.hg.vector.copy()
+        momentum, com = np.split(self._centroidal(q, v), [6], axis=-1)
         if about_pivot:
-            arm = data.com[0] - self._pivot + self._slides @ q[: self._linear]
-            momentum[3:] += pin.skew(arm) @ momentum[:3]  # np.cross is ten times slower
-        momentum[:3] -= fall
-        return np.asarray(self._axes @ momentum + self._rotors * v[: self._r])
+            arm = com - self._pivot + q[..., : self._linear] @ self._slides.T
+            # np.cross is ten times slower.
+            momentum[..., 3:] += np.einsum("ijk,...j,...k", _CROSS, arm, momentum[..., :3])
+        momentum[..., :3] -= fall
+        return np.asarray(momentum @ self._axes.T + self._rotors * v[..., : self._r])
+
+    def _centroidal(self, q: Array, v: Array) -> Array:
+        """Return the momentum about the centre of mass and its position, (..., 9), at the origin.
+
+        Both have the world's axes.
+        """
+        model, data = self._model, self._data
+
+        def at_state(q: Array, v: Array) -> Array:
+            pin.ccrba(model, data, q, v)
+            return np.concatenate((data.hg.vector, data.com[0]))
+
+        return _at_states(at_state, self.at_origin(q), v)
 
     def about_com(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Compute body twist and body momentum relative to the centre of mass.
@@ -108,14 +129,15 @@ class SystemTotals:
         return xi, mu
 
     def gravity_slopes(self, q: Array) -> Array:
-        """Return the magnitudes of the generalised gravity forces, (nv,), without free fall."""
+        """Return the magnitudes of the gravity forces, (..., nv), without free fall."""
         if not self._pivot_gravity.gravity.linear.any():
-            return np.zeros(self._model.nv)
-        return np.asarray(np.abs(pin.computeGeneralizedGravity(self._pivot_gravity, self._data, q)))
+            return np.zeros((*q.shape[:-1], self._model.nv))
+        gravity = partial(pin.computeGeneralizedGravity, self._pivot_gravity, self._data)
+        return np.abs(_at_states(gravity, q))
 
     def pivot_load_sizes(self, q: Array) -> Array:
-        """Return the magnitudes of gravity's moments about the pivot axes."""
-        return gravity_load_sizes(self._pivot_gravity, self._data, q)[self._linear : self._r]
+        """Return the magnitudes of gravity's moments about the pivot axes, (T, turns)."""
+        return gravity_load_sizes(self._pivot_gravity, self._data, q)[:, self._linear : self._r]
 
     def at_origin(self, q: Array) -> Array:
         """Return q (..., nq) with the base moved to the origin.
@@ -127,30 +149,42 @@ class SystemTotals:
         return q
 
 
+def _at_states(function: Callable[..., Any], *arrays: Array) -> Array:
+    """Return a function's results at one state, or at T states with a leading axis."""
+    if arrays[0].ndim == 1:
+        return np.asarray(function(*arrays))
+    return np.array([function(*rows) for rows in zip(*arrays, strict=True)])
+
+
 def gravity_load_sizes(model: pin.Model, data: pin.Data, q: Array) -> Array:
     """Compute Σ m |g| |c − p| over the bodies that each velocity coordinate moves.
 
     Args:
         model: Model with its gravity.
         data: Work space of the model.
-        q: Pinocchio's configuration, (nq,).
+        q: Pinocchio's configurations, (T, nq).
     Returns:
-        (nv,) [N·m | N]. c is a body's centre of mass and p the position of the joint.
+        (T, nv) [N·m | N]. c is a body's centre of mass and p the position of the joint.
         Prismatic joints have no lever arm; their entry is Σ m |g|.
     """
-    loads = np.zeros(model.nv)
+    loads = np.zeros((len(q), model.nv))
     g = float(np.linalg.norm(model.gravity.linear))
     if not g:
         return loads
-    angular, mass = moved_masses(model, data, q)
-    pin.forwardKinematics(model, data, q)
+    angular, mass = moved_masses(model, data, q[0])
     bodies = range(1, model.njoints)
+    levers = [model.inertias[i].lever for i in bodies]
     force = np.array([g * model.inertias[i].mass for i in bodies])
-    centres = np.array([data.oMi[i].act(model.inertias[i].lever) for i in bodies])
+    origins, centres = np.empty((2, len(q), len(bodies), 3))
+    for k, q_k in enumerate(q):
+        pin.forwardKinematics(model, data, q_k)
+        places = [data.oMi[i] for i in bodies]
+        origins[k] = [place.translation for place in places]
+        centres[k] = [place.act(lever) for place, lever in zip(places, levers, strict=True)]
     for i in bodies:
         joint = model.joints[i]
         columns = slice(joint.idx_v, joint.idx_v + joint.nv)
         subtree = np.array(list(model.subtrees[i])) - 1
-        arms = np.linalg.norm(centres[subtree] - data.oMi[i].translation, axis=1)
-        loads[columns] = np.where(angular[columns], float(force[subtree] @ arms), g * mass[columns])
+        moments = np.linalg.norm(centres[:, subtree] - origins[:, [i - 1]], axis=2) @ force[subtree]
+        loads[:, columns] = np.where(angular[columns], moments[:, None], g * mass[columns])
     return loads

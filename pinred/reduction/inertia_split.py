@@ -236,8 +236,9 @@ def mass_matrix_at(
 
 
 def symmetric(upper: Array) -> Array:
-    """Return the symmetric matrix with the upper triangle of H; CRBA fills only this triangle."""
-    return np.add(np.where(_upper(len(upper)), upper, upper.T), 0.0, order="C")
+    """Return symmetric matrices (..., n, n) with the upper triangles of H, which CRBA computes."""
+    entries = np.where(_upper(upper.shape[-1]), upper, upper.swapaxes(-1, -2))
+    return np.add(entries, 0.0, order="C")
 
 
 @lru_cache(maxsize=64)

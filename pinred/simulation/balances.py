@@ -24,8 +24,8 @@ from numpy.polynomial import legendre
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, FrozenArrays, read_only
-from ..reduction.canonical_form import CanonicalForm
-from ..reduction.inertia_split import symmetric
+from ..forces.force_model import ForceModel
+from ..reduction.inertia_split import com_derivative, symmetric
 from ..reduction.potential import shape_gravity
 from ..system.coordinates import Indices
 from ..system.joints import axes_of
@@ -34,9 +34,10 @@ from ..system.state_fields import State, with_base
 from ..system.system import System
 from .motion import Motion
 from .plan import Plan
-from .sample import Sample
+from .sample import Sample, map_samples
 
 _POINTS = 8  # Number of Gauss points in each step.
+_ENTRIES = 2**18  # Number of entries of mass matrices that are in memory at once.
 _DRIVES = "prescribed joints"  # Label for the work done by the drives of prescribed joints.
 
 
@@ -120,15 +121,14 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
     labels = (*forces.labels, *([_DRIVES] if forces.joints else []))
 
     def compute_powers(t: Array) -> Array:
-        samples, full = motion.samples(t), with_base(motion.states(t), plan.system.name)
-        values = np.empty((len(t), len(labels)))
-        for k, (s, numbers) in enumerate(samples):
-            powers = forces.powers(s.force_inputs(t[k], numbers), full.xi[k])
-            values[k, : len(forces.labels)] = powers
-        if forces.joints:
-            drive = driving_torques(plan, t, samples)
-            values[:, -1] = np.sum(drive * full.xdot[:, list(forces.joints)], axis=1)
-        return values
+        full = with_base(motion.states(t), plan.system.name)
+        samples, numbers = motion.samples(t)
+        powers = forces.powers(samples.force_inputs(t, numbers), full.xi)
+        if not forces.joints:
+            return powers
+        drive = driving_torques(plan, t, samples, numbers)
+        power = np.sum(drive * full.xdot[:, list(forces.joints)], axis=1)
+        return np.column_stack([powers, power])
 
     return EnergyBalance(
         states.t, states.energy, labels, _integral(motion, states.t, compute_powers)
@@ -160,11 +160,9 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
             moment = np.cross(pin.centerOfMass(model, data, q), weight)
             wrenches[k] = axes.T @ (np.array([weight, moment]) @ rotation).ravel()
         if forces is not None and plan.acting.wrench:
-            body = [
-                forces.acting(s.force_inputs(time, numbers)).wrench
-                for time, (s, numbers) in zip(t, motion.samples(t), strict=True)
-            ]
-            wrenches += system.group.spatial_momentum(full.pose, np.array(body))
+            samples, numbers = motion.samples(t)
+            body = forces.acting(samples.force_inputs(t, numbers)).wrench
+            wrenches += system.group.spatial_momentum(full.pose, body)
         return wrenches
 
     impulse = np.zeros((len(states.t), system.r))
@@ -198,51 +196,78 @@ def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> 
     return np.asarray(at_ends[step] + np.einsum("tn,tnk->tk", integrals, series[step]))
 
 
-def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -> Array:
+def driving_torques(plan: Plan, t: Array, samples: Sample, numbers: Array) -> Array:
     """Compute the torques of the prescribed joints.
 
     Args:
         plan: The plan of the scene.
         t: Times, (T,) [s].
-        samples: States that forces depend on, and parameters of the forces, at these times.
+        samples: States that forces depend on at these times.
+        numbers: Parameters of the forces at these times, (T, p).
     Returns:
         (T, k) [N·m | N], in the order of the prescribed joints.
     """
-    system, forces = plan.system, plan.forces
-    if forces is None or not plan.acting.driven:
+    forces, driven = plan.forces, plan.acting.driven
+    if forces is None or not driven:
         return read_only(np.zeros((len(t), 0)))
-    gravity = shape_gravity(system)
-    form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, gravity))
-    weightless = system.workspace("model without gravity", lambda: _weightless(system.model))
-    data, identity, r = system.data, system.group.identity(), system.r
+    torques = np.empty((len(t), len(driven)))
+    count = max(1, _ENTRIES // plan.system.n**2)
+    for first in range(0, len(t), count):
+        rows = slice(first, first + count)
+        chunk = map_samples(lambda field, rows=rows: field[0][rows], [samples])
+        torques[rows] = _driving_torques(plan, forces, t[rows], chunk, numbers[rows])
+    return read_only(torques)
+
+
+def _driving_torques(
+    plan: Plan, forces: ForceModel, t: Array, samples: Sample, numbers: Array
+) -> Array:
+    """Return `driving_torques` at times whose mass matrices fit into memory."""
+    system, r = plan.system, plan.system.r
     driven = r + np.array(plan.acting.driven)
     free = np.setdiff1d(np.arange(system.n), driven)
-    free_rows, mixed_rows = np.ix_(free, free), np.ix_(free, driven)
-    torques = np.empty((len(t), len(driven)))
-    for k, (time, (s, numbers)) in enumerate(zip(t, samples, strict=True)):
-        acting = forces.acting(s.force_inputs(time, numbers))
-        H = symmetric(form.mass_matrix(s.x))
-        torque, wrench = acting.torque - gravity.gradient(s.x), acting.wrench.copy()
-        if s.weight.any():
-            torque = torque + s.weight @ form.com_slope(s.x)
-            wrench += np.cross(form.com(), s.weight)
-        q, v = system.model_q(identity, s.x), system.model_v(s.xi, s.xdot)
-        bias = system.on_shape(pin.nonLinearEffects(weightless, data, q, v))
-        force = np.concatenate([wrench, torque]) - bias
-        a = np.empty(system.n)
-        a[driven] = forces.prescribed(float(time), numbers).xddot
-        free_force = force[free] - H[mixed_rows] @ a[driven]
-        loads = np.zeros(system.n)
-        if system.closure is not None:
-            loads = _loop_loads(system, s, H, a, driven, free, free_force)
-        a[free] = np.linalg.solve(H[free_rows], free_force + loads[free])
-        torques[k] = H[driven] @ a - force[driven] - loads[driven]
-    return read_only(torques)
+    acting = forces.acting(samples.force_inputs(t, numbers))
+    force = np.concatenate([acting.wrench, acting.torque], axis=1)
+    H, terms = _inertial_terms(system, samples)
+    force += terms
+    a, loads = np.empty_like(force), np.zeros_like(force)
+    a[:, driven] = forces.prescribed(t, numbers).xddot
+    free_force = force[:, free] - np.einsum("tij,tj->ti", H[:, free[:, None], driven], a[:, driven])
+    if system.closure is not None:
+        for k, row in enumerate(loads):
+            x, xdot = samples.x[k], samples.xdot[k]
+            row[:] = _loop_loads(system, x, xdot, H[k], a[k], driven, free, free_force[k])
+    right = (free_force + loads[:, free])[..., None]
+    a[:, free] = np.linalg.solve(H[:, free[:, None], free], right)[..., 0]
+    needed = np.einsum("tij,tj->ti", H[:, driven], a)
+    return np.asarray(needed - force[:, driven] - loads[:, driven])
+
+
+def _inertial_terms(system: System, samples: Sample) -> tuple[Array, Array]:
+    """Return mass matrices, (T, n, n), and the sums of gravity and −b, (T, n)."""
+    gravity, data, r = shape_gravity(system), system.data, system.r
+    weightless = system.workspace("model without gravity", lambda: _weightless(system.model))
+    q = system.model_q(system.group.identity(), samples.x)
+    v = system.model_v(samples.xi, samples.xdot)
+    upper, bias = np.empty((*v.shape, v.shape[1])), np.empty_like(v)
+    for k, (q_k, v_k) in enumerate(zip(q, v, strict=True)):
+        upper[k] = pin.crba(system.model, data, q_k)
+        bias[k] = pin.nonLinearEffects(weightless, data, q_k, v_k)
+    terms = -system.on_shape(bias)
+    for k, x in enumerate(samples.x):
+        if not gravity.is_zero:
+            terms[k, r:] -= gravity.gradient(x)
+        if samples.weight[k].any():
+            pin.crba(system.model, data, q[k])
+            terms[k, r:] += samples.weight[k] @ com_derivative(system, x)
+            terms[k, :r] += np.cross(data.Ycrb[1].lever, samples.weight[k])
+    return system.coupled_matrix(symmetric(upper)), terms
 
 
 def _loop_loads(
     system: System,
-    s: Sample,
+    x: Array,
+    xdot: Array,
     H: Array,
     a: Array,
     driven: Indices,
@@ -256,8 +281,8 @@ def _loop_loads(
     assert system.closure is not None
     rows = system.closure.rows
     J = np.zeros((len(rows), system.n))
-    J[:, system.r :] = loop_jacobian(system, s.x)[rows]
-    bias = loop_jacobian_rate(system, s.x, s.xdot)[rows] @ s.xdot + J[:, driven] @ a[driven]
+    J[:, system.r :] = loop_jacobian(system, x)[rows]
+    bias = loop_jacobian_rate(system, x, xdot)[rows] @ xdot + J[:, driven] @ a[driven]
     solved = np.linalg.solve(H[np.ix_(free, free)], np.column_stack([force, J[:, free].T]))
     multipliers = np.linalg.solve(J[:, free] @ solved[:, 1:], -bias - J[:, free] @ solved[:, 0])
     return np.asarray(multipliers @ J)

@@ -20,9 +20,7 @@ from .sample import Sample
 _REDUNDANT = 1e-12  # singular values below this fraction of the largest belong to redundant rows
 
 
-def loop_forces(
-    plan: Plan, states: State, samples: list[tuple[Sample, Array]]
-) -> Mapping[str, Array]:
+def loop_forces(plan: Plan, states: State, samples: Sample, numbers: Array) -> Mapping[str, Array]:
     """Compute the forces in closed loops with Pinocchio.
 
     The multipliers λ follow from H a + bias = τ + Jᵀλ and J a + J̇ v = 0.  Redundant equations share
@@ -31,7 +29,8 @@ def loop_forces(
     Args:
         plan: The plan of the scene.
         states: States at T times.
-        samples: States that forces depend on, and parameters of the forces, at these times.
+        samples: States that forces depend on at these times.
+        numbers: Parameters of the forces at these times, (T, p).
     Returns:
         {loop: wrench (T, 6)}: force [N] and moment [N·m] of frame a on frame b at its origin, in
         the axes of frame a.  A polynomial of joints has the force on its follower, (T, 1)
@@ -42,31 +41,37 @@ def loop_forces(
     wrenches = {
         loop.name: np.zeros((count, 6 if isinstance(loop, Loop) else 1)) for loop in system.loops
     }
-    for k, sample in enumerate(samples if system.loops else ()):
-        multipliers = _multipliers(plan, states, k, *sample)
+    acting, accelerations = None, np.zeros((count, 0))
+    if plan.forces is not None:
+        acting = plan.forces.acting(samples.force_inputs(states.t, numbers))
+        accelerations = plan.forces.prescribed(states.t, numbers).xddot
+    for k in range(count if system.loops else 0):
+        force = None if acting is None else np.append(acting.wrench[k], acting.torque[k])
+        multipliers = _multipliers(plan, states, k, force, accelerations[k])
         for loop, rows in zip(system.loops, loop_kinematics(system).rows, strict=True):
             own = multipliers[rows]
             wrenches[loop.name][k] = _wrench(loop.kind, own) if isinstance(loop, Loop) else own
     return NamedResults("loop", {name: read_only(wrench) for name, wrench in wrenches.items()})
 
 
-def _multipliers(plan: Plan, states: State, k: int, sample: Sample, numbers: Array) -> Array:
-    """Return the multipliers λ of all equations, (c,), at state k."""
-    system, forces = plan.system, plan.forces
-    model, data, r = system.model, system.data, system.r
+def _multipliers(
+    plan: Plan, states: State, k: int, force: Array | None, accelerations: Array
+) -> Array:
+    """Return the multipliers λ of all equations, (c,), at state k.
+
+    force: Forces on base and joints, (n,).  accelerations: Those of the prescribed joints.
+    """
+    system, model, data, r = plan.system, plan.system.model, plan.system.data, plan.system.r
     q, v = system.sorted_q(states.q[k]), system.sorted_v(states.v[k])
     kinematics = loop_kinematics(system)
     J, bias = system.on_shape(kinematics.jacobian(q)), kinematics.bias(q, v)
     H = system.coupled_matrix(symmetric(pin.crba(model, data, q)))
     tau = -system.on_shape(pin.nonLinearEffects(model, data, q, v))
-    if forces is not None:
-        acting = forces.acting(sample.force_inputs(float(states.t[k]), numbers))
-        tau[:r] += acting.wrench
-        tau[r:] += acting.torque
+    if force is not None:
+        tau += force
     moving = np.arange(len(H))
-    if plan.acting.driven and forces is not None:  # drives apply what their accelerations need
+    if plan.acting.driven:  # drives apply the forces that their accelerations need
         driven = r + np.array(plan.acting.driven)
-        accelerations = forces.prescribed(float(states.t[k]), numbers).xddot
         moving = np.setdiff1d(moving, driven)
         tau, bias = tau - H[:, driven] @ accelerations, bias + J[:, driven] @ accelerations
         J = J[:, moving]

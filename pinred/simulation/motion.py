@@ -22,7 +22,7 @@ from .events import Crossing, Watch, cut_at_event
 from .plan import Plan
 from .reduced_flow import Integrate, ReducedFlow, Segment, Segments
 from .run_record import Part, RunRecord
-from .sample import Sample
+from .sample import Sample, map_samples
 
 
 @dataclass(frozen=True)
@@ -114,13 +114,16 @@ class Motion:
             return self.flow.states(t, y, self.segments[-1].parameters)
         return self._states(t, y, self._which(t))
 
-    def samples(self, t: Array) -> list[tuple[Sample, Array]]:
-        """Return the states at times (T,) that forces depend on, with the force parameters."""
-        segments = [self.segments[k] for k in self._which(t)]
-        return [
-            (self.flow.sample(time, row, segment.parameters), self._numbers(segment))
-            for time, row, segment in zip(t.tolist(), self.reduced(t), segments, strict=True)
-        ]
+    def samples(self, t: Array) -> tuple[Sample, Array]:
+        """Return the states at times (T,) that forces depend on, and force parameters, (T, p)."""
+        y, which = self.reduced(t), self._which(t)
+        numbers = np.array([self._numbers(self.segments[k]) for k in which])
+        parts, order = [], []
+        for segment, rows in self._by_segment(which):
+            parts.append(self.flow.samples(t[rows], y[rows], segment.parameters))
+            order.append(np.flatnonzero(rows))
+        inverse_order = np.argsort(np.concatenate(order))
+        return map_samples(lambda columns: np.concatenate(columns)[inverse_order], parts), numbers
 
     def numbers(self, t: Array) -> list[Array]:
         """Return the force parameters (p,) at each of times (T,)."""
@@ -140,14 +143,15 @@ class Motion:
         Args:
             t: Times, (T,) [s].
             changes: Reduced states and their rates at times t.
-            s: Time differences, (T,) [s].
+            s: Rows of time differences, (K, T) [s].
         Returns:
-            Body twist and shape rate at times t + s, (T, n).
+            Body twist and shape rate at times t + s, (K, T, n).
         """
-        y = changes.y + s[:, None] * changes.rates
-        states = self._states(t + s, y, changes.which)
+        y, times = changes.y + s[..., None] * changes.rates, (t + s).ravel()
+        which = np.tile(changes.which, len(s))
+        states = self._states(times, y.reshape(len(times), -1), which)
         assert isinstance(states, State)
-        return np.hstack([states.xi, states.xdot])
+        return np.hstack([states.xi, states.xdot]).reshape(*s.shape, -1)
 
     def _states(self, t: Array, y: Array, which: Indices) -> State | ShapeState:
         """Compute full states from reduced states of several segments."""

@@ -37,6 +37,9 @@ class ReducedFlow(Protocol):
     def sample(self, t: float, y: Array, parameters: Array) -> Sample:
         """Return the state at time t that forces depend on."""
 
+    def samples(self, t: Array, y: Array, parameters: Array) -> Sample:
+        """Return the states at times (T,) that forces depend on, from reduced states (T, k)."""
+
     def states(self, t: Array, y: Array, parameters: Array) -> State | ShapeState:
         """Return the full states at times (T,) from reduced states (T, k)."""
 

@@ -163,7 +163,7 @@ class Trajectory(OverTime):
         """Torques that drive the prescribed joints, in their order, (T, k) [N·m | N]."""
         from .balances import driving_torques
 
-        return driving_torques(self.plan, self.t, self.motion.samples(self.t))
+        return driving_torques(self.plan, self.t, *self.motion.samples(self.t))
 
     @cached_property
     def loop_forces(self) -> Mapping[str, Array]:
@@ -174,7 +174,7 @@ class Trajectory(OverTime):
         """
         from .loop_forces import loop_forces
 
-        return loop_forces(self.plan, self.states, self.motion.samples(self.t))
+        return loop_forces(self.plan, self.states, *self.motion.samples(self.t))
 
     def __len__(self) -> int:
         return len(self.t)

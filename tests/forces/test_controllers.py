@@ -14,7 +14,6 @@ from forced_trees import against_aba, tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, ComputedTorque, Controller, Damper, Limit, Spring, Torque
-from pinred.forces.force_values import ForceInputs
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Expression, Fourier, Signal, Spline
@@ -52,12 +51,8 @@ def test_pd_equals_aba(limit: str | None, engine: Engine) -> None:
     assert against_aba(traj, tau) < 1e-6
     model = traj.scene.force_model
     assert model is not None
-    acting = np.array(
-        [
-            model.acting(ForceInputs(t, s.x, s.xdot, s.xi, s.mu, numbers)).torque
-            for t, (s, numbers) in zip(traj.t, traj.motion.samples(traj.t), strict=True)
-        ]
-    )
+    samples, numbers = traj.motion.samples(traj.t)
+    acting = model.acting(samples.force_inputs(traj.t, numbers)).torque
     expected = [torque(t, x, v) for t, x, v in zip(traj.t, traj.x, traj.xdot, strict=True)]
     np.testing.assert_allclose(acting, expected, atol=1e-7)
     saturated = np.abs(acting) > 0.99 * size

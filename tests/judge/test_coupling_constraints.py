@@ -119,7 +119,7 @@ def test_acceleration_with_driven_joints_without_couplings(
         lambda *given: calls.append(1) or solve(*given),  # type: ignore[func-returns-value]
     )
     if fails:
-        monkeypatch.setattr(module, "dposv", lambda _, b, **__: (None, np.nan * b, 1))
+        monkeypatch.setattr(module, "dposv", lambda _, b, *__: (None, np.nan * b, 1))
     result = constraints.acceleration(q, v, tau, driven, values)
     np.testing.assert_allclose(result, a, rtol=1e-8, atol=1e-8)
     assert len(calls) == fails

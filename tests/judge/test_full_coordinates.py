@@ -14,7 +14,7 @@ from pinred.lie import GROUPS
 
 def rate_of(root: RootMotion, at: Array, v: Array) -> Array:
     """Return the time derivative of root coordinates as an array."""
-    return np.array(root.rate(at.tolist(), v.tolist()))
+    return np.array(root.rate(at, v))
 
 
 @pytest.mark.parametrize("group", GROUPS)

@@ -75,10 +75,10 @@ def test_gravity_loads_do_not_cancel() -> None:
         model.appendBodyToJoint(joint, body, pin.SE3.Identity())
     data, q = model.createData(), pin.neutral(model)
     assert pin.computeGeneralizedGravity(model, data, q)[1] == pytest.approx(0.0, abs=1e-15)
-    result = gravity_load_sizes(model, data, q)
+    (result,) = gravity_load_sizes(model, data, q[None])
     assert result == pytest.approx([10.0 * 5.0, 5.0 * (2.0 * 0.2 + 1.0 * 0.4), 0.0])
     model.gravity.linear = np.zeros(3)
-    assert not gravity_load_sizes(model, data, q).any()
+    assert not gravity_load_sizes(model, data, q[None]).any()
 
 
 def drift_after_work(traj: pinred.Trajectory, work: float) -> float:

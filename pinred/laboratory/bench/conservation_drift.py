@@ -43,6 +43,6 @@ def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
     energy = total + full.totals.potential_energy(q0)
     gained = full.totals.kinetic_energy(q, v) + full.totals.potential_energy(q) - energy
     return Drift(
-        energy=abs(gained) / scale if scale > 0.0 else abs(gained),
+        energy=float(abs(gained) / scale if scale > 0.0 else abs(gained)),
         momentum=float(np.max(np.abs(after - before) / np.where(unit > 0.0, unit, 1.0))),
     )

@@ -129,15 +129,23 @@ class CompiledFlow:
     def sample(self, t: float, y: Array, parameters: Array | None = None) -> Sample:
         """Return the state at time t that forces depend on; see `states`."""
         parameters = self.parameters if parameters is None else parameters
+        return self._sample(self.kernel.evaluate_outputs(t, y, parameters, self.path))
+
+    def samples(self, t: Array, y: Array, parameters: Array) -> Sample:
+        """Return the states at times (T,) that forces depend on, from reduced states (T, k)."""
+        return self._sample(self.outputs(t, y, parameters))
+
+    def _sample(self, outputs: Array) -> Sample:
+        """Extract the state that forces depend on from outputs of the kernel, (…, size)."""
         where = self.kernel.where
-        outputs = self.kernel.evaluate_outputs(t, y, parameters, self.path)
-        weight = outputs[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
-        base = None
+        weight, base = outputs[..., where.weight], None
+        if not weight.shape[-1]:
+            weight = np.zeros((*outputs.shape[:-1], 3))
         if self.kernel.layout.base_requested:
             fields = ("pose", "xi", "body_momentum", "spatial_momentum")
-            base = BaseInSpace(*(outputs[where.fields[name]] for name in fields))
-        x, xdot = outputs[where.fields["x"]], outputs[where.xdot]
-        return Sample(x, xdot, outputs[where.xi], outputs[where.mu], weight, base)
+            base = BaseInSpace(*(outputs[..., where.fields[name]] for name in fields))
+        x, xdot = outputs[..., where.fields["x"]], outputs[..., where.xdot]
+        return Sample(x, xdot, outputs[..., where.xi], outputs[..., where.mu], weight, base)
 
     def outputs(self, t: Array, y: Array, parameters: Array | None = None) -> Array:
         """Return the kernel's outputs, (T, ·), at times (T,) and reduced states (T, k)."""

@@ -19,7 +19,7 @@ from ...reduction.potential import shape_gravity
 from ...system.state_fields import ShapeState, State
 from ..plan import Plan
 from ..reduced_flow import entry_name
-from ..sample import Sample
+from ..sample import Sample, map_samples
 from .base_and_momentum import Base
 
 
@@ -100,6 +100,11 @@ class PinocchioFlow:
         r, b = self._system.r, y[self._base_at :]
         base = self._in_space(t, b, x, v, self._form.com()) if self._wanted else None
         return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b), base)
+
+    def samples(self, t: Array, y: Array, numbers: Array) -> Sample:
+        """Return the states at times (T,) that forces depend on, from reduced states (T, k)."""
+        samples = [self.sample(time, row, numbers) for time, row in zip(t.tolist(), y, strict=True)]
+        return map_samples(np.array, samples)
 
     def _in_space(self, t: float, b: Array, x: Array, v: Array, com: Array) -> BaseInSpace:
         """Return the base in the fixed frame; v, (n,), is relative to the centre of mass."""
