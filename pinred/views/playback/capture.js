@@ -1,6 +1,6 @@
 // Pictures of a page for films: the rendered scene and the cards on one canvas that needs no screenshot.
 "use strict";
-function capture(viewer, draw) {
+function capture(viewer, draw, robot) { // robot: its joints' groups
   const RADIUS = 6, MARGIN = 6; // corners and shadows of cards, as in style.css [px]
   const canvas = viewer.renderer.domElement, gl = viewer.renderer.getContext();
   const sheet = document.createElement("canvas");
@@ -12,16 +12,32 @@ function capture(viewer, draw) {
   const paper = document.querySelector("#panel canvas"), picture = box(paper), words = document.createRange();
   words.selectNodeContents(clock);
   const text = box(words);
-  let pixels = null, image = null;
+  const render = occlusion(viewer, robot), store = gl.createBuffer();
+  let pixels = null, image = null, rendered = null; // time whose scene is in `store`, or will be soon
   function resize() {
     [sheet.width, sheet.height] = [canvas.width, canvas.height];
     pixels = new Uint8Array(4 * canvas.width * canvas.height);
     image = pen.createImageData(canvas.width, canvas.height);
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, store);
+    gl.bufferData(gl.PIXEL_PACK_BUFFER, pixels.length, gl.STREAM_READ);
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
+  }
+  function startScene(t) { // the renderer works in another process
+    draw(t);
+    render();
+    const { width, height } = canvas;
+    if (sheet.width !== width || sheet.height !== height || !image) resize();
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, store);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, 0);
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
+    gl.flush();
+    rendered = t;
   }
   function paintScene() {
-    const { width, height } = canvas, row = 4 * width;
-    if (sheet.width !== width || sheet.height !== height || !image) resize();
-    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    const { width, height } = sheet, row = 4 * width;
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, store);
+    gl.getBufferSubData(gl.PIXEL_PACK_BUFFER, 0, pixels);
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
     for (let k = 0; k < height; k++) // WebGL's first row is the lowest
       image.data.set(pixels.subarray(k * row, (k + 1) * row), (height - 1 - k) * row);
     pen.putImageData(image, 0, 0);
@@ -66,13 +82,14 @@ function capture(viewer, draw) {
     pen.fillText(clock.textContent, left + padding,
       Math.round(middle + (size.fontBoundingBoxAscent - size.fontBoundingBoxDescent) / 2));
   }
-  return (t) => {
+  return (t, next = null) => { // the scene at time `next` is rendered while this picture is encoded and sent
     document.body.hidden = true; // documents on screen are drawn as well, which takes longer
-    draw(t);
-    viewer.render();
+    if (rendered !== t) startScene(t);
     paintScene();
     if (panel.width) paintPanel();
     paintClock();
+    rendered = null;
+    if (next !== null) startScene(next);
     return sheet.toDataURL("image/png");
   };
 }

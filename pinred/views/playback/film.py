@@ -23,7 +23,7 @@ from ...common.files import check_path, write_atomic
 from ...common.optional_packages import install_command
 from ...common.progress import Progress
 from ..motion_source import MotionSource
-from .headless_browser import browser
+from .headless_browser import Browser, browser
 from .page import page
 from .playback import frame_times
 from .view_options import View
@@ -154,10 +154,26 @@ def capture_frames(
         file.write_bytes(content)
         screen.open(f"{file.as_uri()}#bare", width=size[0], height=size[1])
         screen.wait_for("window.pinred !== undefined")
-        for k, t in enumerate(times.tolist(), start=1):
-            # The page draws and encodes the picture; a screenshot would draw it a second time.
-            yield base64.b64decode(screen.run(f"pinred.picture({t!r})").removeprefix(_PNG))
+        for k, shot in enumerate(take_pictures(screen, times.tolist()), start=1):
+            yield shot
             progress(k / len(times))
+
+
+def take_pictures(screen: Browser, times: Sequence[float]) -> Iterator[bytes]:
+    """Yield PNG pictures of an open page at some times.
+
+    The page encodes each picture while its renderer draws the next one. A screenshot would draw
+    each picture a second time.
+
+    Args:
+        screen: The browser with the page.
+        times: Times of the motion [s].
+    Returns:
+        The pictures.
+    """
+    following = [*map(repr, times[1:]), "null"]
+    for t, after in zip(times, following, strict=True):
+        yield base64.b64decode(screen.run(f"pinred.picture({t!r}, {after})").removeprefix(_PNG))
 
 
 def _frame_path(path: Path, k: int) -> Path:

@@ -16,7 +16,7 @@ from ...common.progress import Progress, one_by_one
 from ...simulation.simulate import simulate
 from ...system.catalogue import has_example_robots
 from ...system.load import load
-from .film import SIZE
+from .film import SIZE, take_pictures
 from .headless_browser import Browser, browser
 from .page import page
 from .view_options import FILM_FPS, View
@@ -24,13 +24,14 @@ from .view_options import FILM_FPS, View
 BUNDLED = ("falling_cat", "satellite_two_arms")
 EXAMPLES = ("solo12", "talos")
 _SPAN = 2.0  # duration of the motion [s]
-_FRAMES = 15  # number of frames, each captured both ways
+_FILMS = 3  # number of short films, each followed by screenshots at the same times
+_FRAMES = 6  # number of frames of a short film
 
 
 @checks_arguments
 @dataclass(frozen=True)
 class FilmTiming:
-    """Times of a frame of a robot's film; medians of frames that are captured both ways in turn.
+    """Times of a frame of a robot's film; medians of short films and screenshots, taken in turn.
 
     Attributes:
         robot: Name of the robot.
@@ -73,14 +74,16 @@ def bench_films(
 def _bench_film(name: str) -> FilmTiming:
     traj = simulate(load(name, gravity=(0.0, 0.0, 0.0)), seed=1, duration=_SPAN)
     content = page(traj, View(fps=FILM_FPS))
-    seconds = np.empty((_FRAMES, 2))
+    times = np.linspace(0.0, _SPAN, _FILMS * _FRAMES).reshape(_FILMS, _FRAMES).tolist()
     with ExitStack() as stack:
         # A page that captures its pictures is hidden, so screenshots need a page of their own.
         filmed, shown = (stack.enter_context(_open_page(content)) for _ in range(2))
-        for k in range(-1, _FRAMES):  # the first frame is not counted
-            t = _SPAN * max(k, 0) / _FRAMES
-            seconds[k] = _duration(_take_picture, filmed, t), _duration(_take_screenshot, shown, t)
-    frame, screenshot = np.median(seconds, axis=0).tolist()
+        _film(filmed, times[0])  # the first frames of a page take longer
+        seconds = [
+            (_duration(_film, filmed, film), _duration(_take_screenshots, shown, film))
+            for film in times
+        ]
+    frame, screenshot = (np.median(seconds, axis=0) / _FRAMES).tolist()
     return FilmTiming(name, frame, screenshot)
 
 
@@ -95,16 +98,20 @@ def _open_page(content: bytes) -> Iterator[Browser]:
         yield screen
 
 
-def _take_picture(screen: Browser, t: float) -> None:
-    screen.run(f"pinred.picture({t!r})")
+def _film(screen: Browser, times: Sequence[float]) -> None:
+    for _ in take_pictures(screen, times):
+        pass
 
 
-def _take_screenshot(screen: Browser, t: float) -> None:
-    screen.run(f"pinred.seek({t!r})")
-    screen.screenshot()
+def _take_screenshots(screen: Browser, times: Sequence[float]) -> None:
+    for t in times:
+        screen.run(f"pinred.seek({t!r})")
+        screen.screenshot()
 
 
-def _duration(action: Callable[[Browser, float], None], screen: Browser, t: float) -> float:
+def _duration(
+    action: Callable[[Browser, Sequence[float]], None], screen: Browser, times: Sequence[float]
+) -> float:
     began = time.perf_counter()
-    action(screen, t)
+    action(screen, times)
     return time.perf_counter() - began

@@ -203,7 +203,7 @@
     play: () => setPlaying(true),
     pause: () => setPlaying(false),
     seek: (t) => { show(t); viewer.render(); },
-    picture: bare ? capture(viewer, show) : null, // of a time, as the data URL of a PNG
+    picture: bare ? capture(viewer, show, reduced) : null, // of a time, as the data URL of a PNG
     node, // three.js object at a path of the viewer's scene
     project: at.project,
   };
