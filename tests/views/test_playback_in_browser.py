@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import os
 import signal
@@ -367,30 +366,6 @@ def test_robot_names_cannot_inject_scripts(screen: Browser, tmp_path: Path) -> N
     show(screen, (tmp_path / "page.html").as_uri())
     assert screen.run("window.hit === undefined")
     assert complaints(screen) == []
-
-
-@pytest.mark.parametrize("name", ["falling_cat", *OTHERS])
-def test_pictures_of_films_equal_screenshots(screen: Browser, tmp_path: Path, name: str) -> None:
-    """The scene is equal bit for bit; cards differ in their antialiased corners only."""
-    traj = pinred.simulate(pinred.load(name), **ROBOTS[name])
-    pinred.save_html(traj, tmp_path / "page.html")
-    screen.open(f"{(tmp_path / 'page.html').as_uri()}#bare", **SIZE)
-    screen.wait_for("window.pinred !== undefined")
-    cards = "['panel', 'bar'].map(i => document.getElementById(i).getBoundingClientRect())"
-    boxes = screen.run(f"{cards}.map(b => [b.left, b.top, b.right, b.bottom])")
-    shots = [picture_at(screen, t) for t in (0.31, 0.62)]  # pictures hide the page
-    for t, shot in zip((0.31, 0.62), shots, strict=True):
-        url = screen.run(f"pinred.picture({t})")
-        file = io.BytesIO(base64.b64decode(url.removeprefix("data:image/png;base64,")))
-        film = np.asarray(Image.open(file).convert("RGB"), dtype=np.int16)
-        assert film.shape == shot.shape
-        outside = np.ones(film.shape[:2], dtype=bool)
-        for left, top, right, bottom in np.round(boxes).astype(int).tolist():
-            outside[top - 6 : bottom + 6, left - 6 : right + 6] = False
-            card = (slice(top, bottom), slice(left, right))
-            assert (np.abs(film[card] - shot[card]) > 2).any(axis=2).sum() < 100
-        assert np.array_equal(film[outside], shot[outside])
-    assert count_different(*shots) > 100
 
 
 def test_film_has_exact_number_of_frames(screen: Browser, tmp_path: Path) -> None:

@@ -168,8 +168,6 @@ def take_pictures(screen: Browser, times: Sequence[float]) -> Iterator[bytes]:
     Args:
         screen: The browser with the page.
         times: Times of the motion [s].
-    Returns:
-        The pictures.
     """
     following = [*map(repr, times[1:]), "null"]
     for t, after in zip(times, following, strict=True):

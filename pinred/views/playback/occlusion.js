@@ -5,7 +5,6 @@ function occlusion(viewer, robot) { // robot: groups of meshes; return a functio
   // These numbers are those of SwiftShader; other renderers draw all triangles.
   const GRID = 16; // corners are rounded to a sixteenth of a pixel
   const SAMPLES = [0.375, 0.875, 0.125, 0.625]; // x of the samples of a pixel, whose y is 1/8, 3/8, 5/8, 7/8
-  const MARGIN = 1 / 64; // a triangle may cover samples at this distance [px]
   const NEAR = 1 + 1e-4; // triangles whose distances differ by this ratio do not hide each other
   const MOST = 16; // number of pixels; triangles on more of them are not compared with whole pixels
   const { renderer, scene, camera, controls } = viewer, gl = renderer.getContext();
@@ -71,28 +70,27 @@ function occlusion(viewer, robot) { // robot: groups of meshes; return a functio
     const area = v1 * u0 - u1 * v0;
     if (area === 0) return false;
     if (Number.isNaN(area)) return !stores; // reaches behind the camera
-    const margin = stores ? 0 : MARGIN, turn = area > 0 ? 1 : -1;
-    const left = least(x0, x1, x2) - margin, right = most(x0, x1, x2) + margin;
-    const low = least(y0, y1, y2) - margin, high = most(y0, y1, y2) + margin;
+    const turn = area > 0 ? 1 : -1;
+    const left = least(x0, x1, x2), right = most(x0, x1, x2);
+    const low = least(y0, y1, y2), high = most(y0, y1, y2);
     const first = Math.max(0, Math.ceil(4 * low - 0.5)), end = Math.min(4 * height, Math.ceil(4 * high - 0.5));
     if (first >= end) return false;
     const across = ((d0 - d1) * v0 - (d2 - d0) * v1) / area, up = ((d2 - d0) * u1 + (d1 - d0) * u0) / area;
-    const steep = Math.abs(across), extra = margin * (steep + Math.abs(up));
-    if (!stores && isBehind(left, right, low, high, (most(d0, d1, d2) + steep + extra) * NEAR)) return false;
+    const steep = Math.abs(across);
+    if (!stores && isBehindPixels(left, right, low, high, (most(d0, d1, d2) + steep) * NEAR)) return false;
     const s1 = v1 ? u1 / v1 : 0, s2 = v2 ? u2 / v2 : 0, s0 = v0 ? u0 / v0 : 0;
     const side1 = turn * v1, side2 = turn * v2, side0 = turn * v0; // positive: the right end of a row
-    const m1 = margin * (1 + Math.abs(s1)), m2 = margin * (1 + Math.abs(s2)), m0 = margin * (1 + Math.abs(s0));
     for (let j = first; j < end; j++) {
       const y = (j + 0.5) / 4, shift = SAMPLES[j & 3];
       const e1 = x0 + (y - y0) * s1, e2 = x1 + (y - y1) * s2, e0 = x2 + (y - y2) * s0;
       let l = left, h = right;
-      if (side1 > 0) { if (e1 + m1 < h) h = e1 + m1; } else if (side1 < 0 && e1 - m1 > l) l = e1 - m1;
-      if (side2 > 0) { if (e2 + m2 < h) h = e2 + m2; } else if (side2 < 0 && e2 - m2 > l) l = e2 - m2;
-      if (side0 > 0) { if (e0 + m0 < h) h = e0 + m0; } else if (side0 < 0 && e0 - m0 > l) l = e0 - m0;
+      if (side1 > 0) { if (e1 < h) h = e1; } else if (side1 < 0 && e1 > l) l = e1;
+      if (side2 > 0) { if (e2 < h) h = e2; } else if (side2 < 0 && e2 > l) l = e2;
+      if (side0 > 0) { if (e0 < h) h = e0; } else if (side0 < 0 && e0 > l) l = e0;
       const from = Math.max(0, Math.ceil(l - shift)), to = Math.min(width, Math.ceil(h - shift));
       if (from >= to) continue;
       let d = d0 + across * (from + 0.5 - x0) + up * (y - y0), at = j * width + from;
-      const last = at + to - from, away = steep * Math.abs(shift - 0.5) + extra;
+      const last = at + to - from, away = steep * Math.abs(shift - 0.5);
       if (stores) {
         for (d -= away; at < last; at++, d += across) if (d > depths[at]) depths[at] = d;
       } else {
@@ -101,14 +99,14 @@ function occlusion(viewer, robot) { // robot: groups of meshes; return a functio
     }
     return false;
   }
-  function isBehind(left, right, low, high, nearest) { // the farthest depths of few pixels
+  function isBehindPixels(left, right, low, high, nearest) { // faster than to compare with all samples
     const x = Math.floor(left), y = Math.floor(low), w = Math.floor(right) - x + 1, h = Math.floor(high) - y + 1;
     if (!(x >= 0 && y >= 0 && x + w <= width && y + h <= height && w * h <= MOST)) return false;
     for (let row = y * width + x; row < (y + h) * width; row += width)
       for (let k = row; k < row + w; k++) if (!(nearest < lows[k])) return false;
     return true;
   }
-  function select() { // drop from `seen` what the seen triangles hide
+  function findFarthest() { // the farthest depth of each pixel
     for (let row = box.low; row < box.high; row++)
       for (let k = row * width + box.left, s = k + 3 * row * width, end = row * width + box.right; k < end; k++, s++) {
         const a = depths[s], b = depths[s + width], c = least(depths[s + 2 * width], depths[s + 3 * width], a);
@@ -119,7 +117,7 @@ function occlusion(viewer, robot) { // robot: groups of meshes; return a functio
     for (let j = 4 * box.low; j < 4 * box.high; j++) depths.fill(0, j * width + box.left, j * width + box.right);
     // What the last picture showed hides most of the rest. Hiding less only draws more.
     for (let f = 0; f < triangles; f++) if (seen[f]) visit(f, true);
-    select();
+    findFarthest();
     for (let f = 0; f < triangles; f++) {
       const before = seen[f];
       seen[f] = visit(f, false) ? 1 : 0;
@@ -128,7 +126,7 @@ function occlusion(viewer, robot) { // robot: groups of meshes; return a functio
     for (let f = 0; f < triangles; f++) if (fresh[f]) visit(f, true);
     for (let f = 0; f < triangles; f++) if (seen[f]) seen[f] = visit(f, false) ? 1 : 0;
   }
-  // Render a picture, which has the same pixels as all triangles would give.
+  // Render a picture. Few pixels, if any, differ from a picture with all triangles: visit() computes more precisely.
   return () => {
     if (gl.drawingBufferWidth !== width || gl.drawingBufferHeight !== height) {
       [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];

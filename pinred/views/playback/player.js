@@ -204,6 +204,7 @@
     pause: () => setPlaying(false),
     seek: (t) => { show(t); viewer.render(); },
     picture: bare ? capture(viewer, show, reduced) : null, // of a time, as the data URL of a PNG
+    get triangles() { return viewer.renderer.info.render.triangles; }, // in the last picture
     node, // three.js object at a path of the viewer's scene
     project: at.project,
   };
