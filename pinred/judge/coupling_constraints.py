@@ -20,7 +20,6 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dposv
 
 from ..common.arrays import Array
 from ..forces.function_buffers import FunctionBuffers
@@ -28,6 +27,7 @@ from ..system.loops.kinematics import LoopKinematics
 from ..system.singular_mass_matrix import SingularShapes, singular_shapes
 from ..system.system import System
 from .loop_errors import RANK
+from .scipy_files import dposv
 
 
 class _FreeRows:

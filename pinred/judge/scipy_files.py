@@ -1,6 +1,6 @@
-"""SciPy's class `ode` and the coefficients of DOP853, loaded from their files alone.
+"""Parts of SciPy, loaded from their files alone: `ode`, coefficients of DOP853, LAPACK's dposv.
 
-Importing their package, scipy.integrate, takes longer than most comparisons.
+Importing their packages, scipy.integrate and scipy.linalg, takes longer than most comparisons.
 """
 
 from __future__ import annotations
@@ -14,26 +14,33 @@ from typing import Any
 
 import scipy
 
-_PACKAGE = f"{__name__}_package"  # stands in for scipy.integrate, from which the file imports
-_FOLDER = Path(scipy.__file__).with_name("integrate")
+_FOLDER = Path(scipy.__file__).parent
 
 
-def _load_ode() -> Any:
-    """Return the class from its file, or from its package if other versions of SciPy need that."""
-    package = ModuleType(_PACKAGE)
-    package.__path__ = [str(_FOLDER)]
-    sys.modules[_PACKAGE] = package
+def _load(file: str, name: str, public: str) -> Any:
+    """Return an object from its file, or from its package if other versions of SciPy need that.
+
+    Args:
+        file: The file's module inside SciPy, such as "integrate._ode".
+        name: Name of the object.
+        public: Module of SciPy that documents the object.
+    Returns:
+        The object.
+    """
+    folder, module = file.split(".")
+    package = ModuleType(f"{__name__}_{folder}")  # stands in for the package of the file
+    package.__path__ = [str(_FOLDER / folder)]
+    sys.modules[package.__name__] = package
     try:
-        return import_module(f"{_PACKAGE}._ode").ode
+        return getattr(import_module(f"{package.__name__}.{module}"), name)
     except (ImportError, AttributeError):
-        from scipy.integrate import ode
-
-        return ode
+        return getattr(import_module(public), name)
 
 
-ode = _load_ode()
+ode = _load("integrate._ode", "ode", "scipy.integrate")
+dposv = _load("linalg._flapack", "dposv", "scipy.linalg.lapack")
 # Coefficients of the dense output: A and C of the additional stages, and D.
-_coefficients = run_path(str(_FOLDER / "_ivp" / "dop853_coefficients.py"))
+_coefficients = run_path(str(_FOLDER / "integrate" / "_ivp" / "dop853_coefficients.py"))
 _first = _coefficients["N_STAGES"] + 1
 A_EXTRA, C_EXTRA = _coefficients["A"][_first:], _coefficients["C"][_first:]
 D = _coefficients["D"]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.linalg.lapack
 from commands import python
 from scipy.integrate import ode
 
@@ -123,16 +125,17 @@ def test_smallest_rates_count_as_zero(method: str, time: float, begin: float) ->
         assert y[0] == pytest.approx(rate * time if moves else 0.0, rel=1e-9, abs=0.0)
 
 
-def test_hairers_integrators_are_loaded_without_scipy_integrate() -> None:
-    """Importing scipy.integrate takes longer than a comparison; the class is the same file's."""
+def test_files_of_scipy_are_loaded_without_their_packages() -> None:
+    """Importing the packages takes longer than a comparison; the objects are the same files'."""
     code = (
-        "import sys\n"
-        "from pinred.judge.scipy_files import ode\n"
-        "print('scipy.integrate' in sys.modules)\n"
-        "import inspect, scipy.integrate\n"
-        "print(inspect.getsource(ode) == inspect.getsource(scipy.integrate.ode))"
+        "import sys, numpy as np, pinred.judge.audit\n"
+        "from pinred.judge.scipy_files import dposv, ode\n"
+        "print('scipy.integrate' in sys.modules, 'scipy.linalg' in sys.modules)\n"
+        "import inspect, scipy.integrate, scipy.linalg.lapack\n"
+        "print(inspect.getsource(ode) == inspect.getsource(scipy.integrate.ode))\n"
+        "print(dposv.__doc__ == scipy.linalg.lapack.dposv.__doc__)"
     )
-    assert python(code).split() == ["False", "True"]
+    assert python(code).split() == ["False", "False", "True", "True"]
 
 
 def test_coefficients_of_dense_output_are_those_of_scipy() -> None:
@@ -143,10 +146,16 @@ def test_coefficients_of_dense_output_are_those_of_scipy() -> None:
     assert np.array_equal(scipy_files.D, expected.D)
 
 
-def test_ode_of_other_scipy_versions_is_imported_from_its_package(
+def test_objects_of_other_scipy_versions_are_imported_from_their_packages(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Where the file has another name, the package is imported."""
-    monkeypatch.setattr(scipy_files, "_PACKAGE", "pinred_without_files")
     monkeypatch.setattr(scipy_files, "_FOLDER", Path("/proc/nothing"))
-    assert scipy_files._load_ode() is scipy.integrate.ode
+    for folder in ("integrate", "linalg"):  # the entries of sys.modules are restored afterwards
+        package = f"{scipy_files.__name__}_{folder}"
+        monkeypatch.setitem(sys.modules, package, sys.modules[package])
+        for module in ("_ode", "_flapack"):
+            monkeypatch.delitem(sys.modules, f"{package}.{module}", raising=False)
+    assert scipy_files._load("integrate._ode", "ode", "scipy.integrate") is scipy.integrate.ode
+    result = scipy_files._load("linalg._flapack", "dposv", "scipy.linalg.lapack")
+    assert result is scipy.linalg.lapack.dposv
