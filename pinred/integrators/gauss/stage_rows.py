@@ -14,7 +14,7 @@ from .tables import lanes_of, tables
 # Rows of `work` after the two state rows. L, OLD, SUB: stage increments L_j = h b_j f(Y_j) of this
 # step, of the previous step, and of the shorter step to a report time. CARRY: compensation of the
 # sum over all steps. CHANGE and BEST: see `refreshment`. SCALE: weights of the changes in their
-# norm. INFO: largest change that may be round-off, and the ratio of the last two changes. MU to
+# norm. INFO: largest change that may be round-off, and the contraction of an iteration. MU to
 # BARY: tables of the method.
 CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, CHANGE, BEST, SCALE = range(2, 12)
 MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(12, 20)

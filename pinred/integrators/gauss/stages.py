@@ -7,6 +7,8 @@ E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., secti
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from ...common.arrays import Array
@@ -38,6 +40,7 @@ _PATIENCE = 8  # limit on iterations without improvement, far from round-off
 # Limits on the contraction, and on the change as a fraction of INFO[0]. Below either limit, the
 # iteration stops at the first iteration without improvement.
 _FAST, _NEAR = 0.3, 1e-8
+_FIRST_SQUARE = 0.5  # contraction of two iterations that is assumed before it can be measured
 ROUND_OFF = 0.0  # `limit` with which `iterate` continues until the changes stop decreasing
 NO_SOLUTION = -1  # returned instead of a number of iterations if the iteration did not converge
 
@@ -165,7 +168,7 @@ def iterate(run: Run, params: Array, work: Array, row: int, h: float, limit: flo
     change, best = work[CHANGE], work[BEST]
     for i in range(n * lanes):
         change[i] = best[i] = np.inf
-    previous = expected = np.inf
+    before = previous = expected = np.inf  # sizes of the last two changes, and of the next one
     idle = 0
     for iteration in range(1, (MOST_WITHIN if row == SUB else MOST) + 1):
         run.evaluations += run.stages
@@ -187,12 +190,14 @@ def iterate(run: Run, params: Array, work: Array, row: int, h: float, limit: flo
             patient = size > expected and size > _NEAR * work[INFO, 0]
             if idle >= (_PATIENCE if patient else 1):
                 return iteration
-        if iteration > 1 and size <= previous:
-            ratio = size / previous
-            work[INFO, 1] = ratio
-            if limit > 0.0 and size * ratio <= limit * (1.0 - ratio):
+        # Positions and momenta may change alternately, so a contraction is that of two iterations,
+        # and two changes estimate those that remain.
+        if iteration > 1 and size <= before:
+            square = size / before if iteration > 2 else _FIRST_SQUARE
+            work[INFO, 1] = sqrt(square)
+            if limit > 0.0 and (previous + size) * square <= limit * (1.0 - square):
                 return iteration
-        previous = size
+        before, previous = previous, size
     return NO_SOLUTION
 
 
