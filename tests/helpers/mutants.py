@@ -53,8 +53,8 @@ TESTS: dict[str, list[str]] = {
         "judge/test_coupling_constraints.py", "judge/test_step_defects.py",
         "judge/test_distances.py", "judge/test_equation_errors.py",
         "judge/test_reference_errors.py", "judge/test_hairer_dense_output.py",
-        "judge/test_gravity_loads.py", "simulation/test_balances.py",
-        "views/test_notebook_cards.py",
+        "judge/test_gravity_loads.py", "judge/test_stiff_defects.py", "judge/test_time_budget.py",
+        "simulation/test_balances.py", "views/test_notebook_cards.py",
     ],
     "kernels/validation": [
         "kernels/test_velocity_validation.py", "kernels/test_kernel_validation.py",

@@ -366,11 +366,15 @@ def test_equations_are_compared_over_whole_motion(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(("part", "rests"), [(0.3, True), (3.0, False)])
-@pytest.mark.parametrize("kind", ["place", "far place", "joint", "slide"])
+@pytest.mark.parametrize("kind", ["place", "far place", "joint", "slide", "ball"])
 def test_motion_below_1e_12_counts_as_rest(kind: str, part: float, rests: bool) -> None:
-    """Relative to a metre or the distance travelled, a radian, and the unit of prismatic joints."""
-    x, q = np.zeros((2, 2)), np.zeros((2, 9))
-    x[1] = part * 1e-12 * np.array([kind == "joint", 7.0 * (kind == "slide")])
-    q[1, 0] = part * 1e-12 * {"place": 1.0, "far place": 50.0}.get(kind, 0.0)
-    size = Size(np.array([1.0, 7.0]), position=50.0 if kind == "far place" else 0.2, away=0.0)
+    """Relative to a metre or the distance travelled, a radian, and the unit of prismatic joints.
+
+    With balls, q alone is compared: x has four numbers for three units.
+    """
+    x, q = np.zeros((2, 4 if kind == "ball" else 2)), np.zeros((2, 9))
+    x[1, :2] = part * 1e-12 * np.array([kind == "joint", 7.0 * (kind == "slide")])
+    q[1, 0] = part * 1e-12 * {"place": 1.0, "far place": 50.0, "ball": 1.0}.get(kind, 0.0)
+    units = np.ones(3) if kind == "ball" else np.array([1.0, 7.0])
+    size = Size(units, position=50.0 if kind == "far place" else 0.2, away=0.0)
     assert bool(explain_rest(FullMotion(x=x, q=q), size)) is rests

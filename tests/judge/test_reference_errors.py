@@ -84,6 +84,35 @@ def test_steps_without_times_count() -> None:
     assert 0.7 * errors_of(result)[-1] < errors_of(few, times)[-1] < 1.5 * errors_of(result)[-1]
 
 
+def test_step_without_times_counts_like_the_mean_of_the_others() -> None:
+    """The first step is very short; after k further steps the sum of k counts (k + 1)/k times."""
+    result, _ = solution(1e-8)
+    steps = result.steps
+    assert steps is not None
+    without = replace(result, step_ends=steps.ends)
+    sums, all_sums = (
+        errors_of(each, growth=2.0) - errors_of(each, growth=1.0) for each in (without, result)
+    )
+    k = 1 + np.searchsorted(steps.ends, TIMES[1:])
+    assert (sums[1:] > 0.0).all()
+    np.testing.assert_allclose(all_sums[1:] / sums[1:], (k + 1) / k, rtol=1e-9)
+
+
+def test_errors_are_relative_to_units() -> None:
+    """Both those of steps and those within a step."""
+    result, _ = solution(1e-8)
+    for growth in (1.0, 1e3):
+        errors = reference_errors(beanie(), result, TIMES, np.full(101, growth), np.full(4, 5.0))
+        np.testing.assert_allclose(errors, errors_of(result, growth=growth) / 5.0, rtol=1e-6)
+
+
+def test_time_just_after_the_last_step_has_its_error() -> None:
+    """A stop within round-off of the end may be the end of the last step."""
+    result, _ = solution(1e-8)
+    later = np.append(TIMES, np.nextafter(END, np.inf))
+    assert errors_of(result, later)[-1] == pytest.approx(errors_of(result)[-1], rel=0.1)
+
+
 @pytest.mark.parametrize("where", ["end", "inside"])
 def test_error_of_dense_output_is_detected(where: str) -> None:
     """A change of 1e-6 in one step appears in the bound from that step on."""

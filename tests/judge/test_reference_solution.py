@@ -270,3 +270,15 @@ def test_run_stops_at_jumps_of_forces(method: str) -> None:
     speed = 2.0 * 0.4 * 0.5  # both masses move
     last = 0.5 * 0.8 * 0.5**2 + speed * 0.5 - 0.5 * 0.4 * 0.5**2
     assert result == pytest.approx([0.0, 0.5 * 0.8 * 0.3**2, last])
+
+
+@pytest.mark.parametrize("method", ["dop853", "dopri5"])
+def test_run_continues_behind_a_stop_close_to_its_end(method: str) -> None:
+    """A slide at 3 m/s moves 15 pm after a stop that is 5e-12 of the duration before the end."""
+    system = pinred.load("coupled_planar")
+    push = Torque({system.shape_names[0]: pinred.signals.Hold([0.0, 1.0 - 5e-12], [0.0, 1.0])})
+    scene = pinred.Scene(system=system, xdot0=[3.0], x0=[0.0], forces=push, duration=1.0)
+    full, start = FullState(scene), scene.start
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    x = full.run(y0, np.array([0.0, 1.0]), 1e-10, 1e-12, method=method).x[-1, 0]
+    assert x == pytest.approx(3.0, abs=3e-12)
