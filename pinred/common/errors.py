@@ -69,6 +69,10 @@ class MissingPackageError(PinredError, ImportError):
     """An optional package that this function needs is not installed."""
 
 
+class DeviceError(PinredError, RuntimeError):
+    """No computing device can run the code, or the device reports an error."""
+
+
 class RejectedValuesError(InputError):
     """Values of some members are not physical.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import entries_of, whole
@@ -31,6 +31,7 @@ def simulate_many(
     members: Mapping[str, Any] | None = None,
     seeds: Sequence[int] | None = None,
     threads: int | None = None,
+    device: Literal["cuda"] | None = None,
     progress: Progress | bool | None = None,
     explain: bool = False,
     invalid: Invalid = "record",
@@ -61,6 +62,8 @@ def simulate_many(
             gravity, (N, 3), in the world frame [m/s²].
         seeds: Seeds of random initial states, (N,), one for each member.
         threads: Number of threads; as many as processors if None.
+        device: "cuda" to integrate each member in a thread of a CUDA device, with DOP853; None for
+            the CPU.  This code was checked on the CPU, but never ran on a device.
         progress: As in `simulate`, but called with the completed fraction of the members.
         explain: Whether to print how the members are integrated.
         invalid: "record" to list members with rejected values in `failures`, "raise" to raise the
@@ -71,6 +74,9 @@ def simulate_many(
     Raises:
         InputError: The scenes or options are invalid, or differ in system or report times.
         ShapeError: Arrays have different numbers of members.
+        DeviceError: There is no device that can run the code, or it reports an error.
+        MissingPackageError: `device` needs a package that is not installed.
+        UnsupportedOperationError: Forces need a function that devices do not have.
     """
     rejected: list[Failure] = []
     if not one_of(invalid, INVALID):
@@ -90,11 +96,13 @@ def simulate_many(
         if not scenes:
             raise InputError("simulate_many needs at least one member")
         resolved = of_scenes(scenes)
+    if device is not None:
+        _check_device(device, threads, resolved)
     if explain:
-        print(_explained(resolved))
+        print(_explained(resolved, device))
     name = resolved.groups[0].plan.system.name
     with shown(progress, f"simulating {resolved.count} of {name}") as done:
-        return run_members(resolved, threads, done, rejected)
+        return run_members(resolved, threads, done, rejected, device)
 
 
 def _checked(seeds: Sequence[int] | None) -> list[int] | None:
@@ -106,7 +114,21 @@ def _checked(seeds: Sequence[int] | None) -> list[int] | None:
     return [whole(seed, "seed", 0) for seed in entries]
 
 
-def _explained(resolved: Members) -> str:
+def _check_device(device: str, threads: int | None, resolved: Members) -> None:
+    """Raise InputError for a device that does not exist, and for what no device integrates."""
+    if device != "cuda":
+        raise InputError(f"device: expected None or 'cuda', got {brief(device)}")
+    if threads is not None:
+        raise InputError(f"threads: expected None with a device, got {brief(threads)}. Omit it.")
+    for group in resolved.groups:
+        if group.one_by_one:
+            raise InputError(
+                f"device: expected members that share a kernel, got {len(group.members)} that are "
+                f"simulated one by one: {group.one_by_one}. Omit device."
+            )
+
+
+def _explained(resolved: Members, device: str | None) -> str:
     """Describe how members are integrated, in one line for each group."""
     from .compiled.compiled_flow import flows_of
     from .members.integrate_members import lanes_of
@@ -120,6 +142,7 @@ def _explained(resolved: Members) -> str:
         for members, flow in flows_of(plan, group.given, group.own):
             lanes = lanes_of(plan.method, flow.kernel)
             how = f"{lanes} at once in lanes" if lanes else "one after another"
+            how = how if device is None else f"one per thread of a device ({device})"
             lines.append(
                 f"{len(members)} members {how}, {plan.method.name}, "
                 f"{flow.kernel.layout.size} numbers each"
@@ -132,6 +155,7 @@ def run_members(
     threads: int | None,
     progress: Callable[[float], None] | None,
     rejected: Sequence[Failure] = (),
+    device: str | None = None,
 ) -> Trajectories:
     """Integrate members.
 
@@ -140,6 +164,7 @@ def run_members(
         threads: Number of threads; as many as processors if None.
         progress: Called with the completed fraction of the members.
         rejected: Failures of the members that belong to no group.
+        device: "cuda" to integrate on a CUDA device, None for the CPU.
     Returns:
         The trajectories of all members.
     """
@@ -170,7 +195,7 @@ def run_members(
         for members_of_flow, flow in flows_of(group.plan, group.given, group.own):
             report_part = None if progress is None else partial(report, share=len(members_of_flow))
             batch = integrate_members(
-                flow, group.plan, group.members[members_of_flow], threads, report_part
+                flow, group.plan, group.members[members_of_flow], threads, report_part, device
             )
             batches.append(batch)
             failures += batch.failures

@@ -33,6 +33,7 @@ def integrate_members(
     members: Indices,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
+    device: str | None = None,
 ) -> Batch:
     """Integrate members of a plan from stop to stop with one kernel.
 
@@ -42,6 +43,7 @@ def integrate_members(
         members: Indices of the members, (N,) sorted.
         threads: Number of threads; as many as processors if None.
         progress: Called repeatedly with the completed fraction of the time, 0 to 1.
+        device: "cuda" to integrate on a CUDA device, None for the CPU.
     Returns:
         The solutions of all members.
     """
@@ -59,7 +61,11 @@ def integrate_members(
             # Copy the rows only if some members are left out: they are most of the memory.
             rows = slice(None) if len(runs) == count else runs
             piece, part = _piece(own, k, reports), flow if len(runs) == count else flow[runs]
-            solutions = _integrate_piece(part, plan.method, piece, states[rows], threads, done)
+            initial = states[rows]
+            if device is None:
+                solutions = _integrate_piece(part, plan.method, piece, initial, threads, done)
+            else:
+                solutions = _integrate_on_device(part, plan.method, piece, initial)
             _store(y, runs, piece, solutions)
             status[runs], entry[runs] = solutions.status, solutions.entry
             steps[runs] += solutions.steps
@@ -179,11 +185,7 @@ def _integrate_piece(
     progress: Callable[[float], None] | None,
 ) -> Solutions:
     """Integrate members from y0 (N, k), each over one time span."""
-    kernel, times = flow.kernel, piece.times
-    lengths: Array | float = piece.stop - piece.start
-    if len(times) == 1:
-        lengths, times = float(piece.stop[0] - piece.start[0]), times[0]
-    parameters = flow.parameters_between(piece.start[:, None], piece.stop[:, None])
+    kernel, (parameters, lengths, times) = flow.kernel, _inputs(flow, piece)
     lanes, quaternions = lanes_of(method, kernel), kernel.layout.quaternions
     if lanes and isinstance(method, Explicit):
         address = wide_rate(kernel, lanes, own_parameters=True).address
@@ -194,6 +196,22 @@ def _integrate_piece(
         method, flow.address(method), parameters, y0, lengths, times, quaternions, threads,
         flow.tangent, kernel.canonical, progress,
     )  # fmt: skip
+
+
+def _integrate_on_device(flow: CompiledFlow, method: Method, piece: _Piece, y0: Array) -> Solutions:
+    """Integrate members from y0 (N, k) on a CUDA device, each over one time span."""
+    from ...kernels.device.integrate_on_device import integrate_on_device
+
+    parameters, lengths, times = _inputs(flow, piece)
+    return integrate_on_device(method, flow.kernel, parameters, y0, lengths, times)
+
+
+def _inputs(flow: CompiledFlow, piece: _Piece) -> tuple[Array, Array | float, Array]:
+    """Return the parameters of members, and the length and the report times of a time span."""
+    parameters = flow.parameters_between(piece.start[:, None], piece.stop[:, None])
+    if len(piece.times) == 1:
+        return parameters, float(piece.stop[0] - piece.start[0]), piece.times[0]
+    return parameters, piece.stop - piece.start, piece.times
 
 
 def _scaled(progress: Callable[[float], None], k: int, spans: int) -> Callable[[float], None]:

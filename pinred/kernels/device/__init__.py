@@ -1,0 +1,1 @@
+"""Kernels and step loops on CUDA devices, one thread per member."""

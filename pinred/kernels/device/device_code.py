@@ -1,0 +1,275 @@
+"""LLVM IR and PTX of a batch on a CUDA device: one thread integrates one member.
+
+The step loop is the bitcode that integrates single runs on the CPU (`step_loop.advance`), and the
+vector field is the IR of the kernel.  The entry point only addresses the arrays of a member.  A
+thread copies the registers of its run, and keeps the work rows, in its local memory.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import asdict
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+
+from ...common.arrays import read_only
+from ...common.errors import UnsupportedOperationError
+from ...common.machine_code import LLVM_LOCK
+from ...common.memo import once, once_for_all
+from ...common.object_cache import ObjectCache, cache_key
+from ...integrators.methods.method import Explicit, stepper_of
+from ...integrators.stepping.argument_types import argument_type, plain_value
+from ...integrators.stepping.call_wrapper import COMPILED
+from ...integrators.stepping.run_state import LAYOUT, new_run
+from ...integrators.stepping.shipped_code import find_shipped, shipped_name
+from ..build import model_bytes
+from ..kernel import Kernel
+from ..machine.lowering import lower
+from ..reduced_graph import ReducedGraph
+from .large_angles import large_angles_ir
+
+ENTRY = "integrate_members"  # name of the entry point
+_CPU, _FEATURES = "sm_90", "+ptx80"  # of CAPABILITY, and PTX of CUDA 12.0
+_TRIPLE = "nvptx64-nvidia-cuda"
+_LEVEL = 2  # of code generation
+_SQRT = """\
+declare double @llvm.sqrt.f64(double)
+define double @sqrt(double %x) alwaysinline {
+%root = call double @llvm.sqrt.f64(double %x)
+ret double %root
+}
+"""
+# Intrinsics of LLVM that become instructions of the device.
+_INTRINSICS = re.compile(
+    r"llvm\.(nvvm|mem(cpy|set)|lifetime|experimental\.noalias|assume|vector\.reduce|fma|fmuladd|"
+    r"sqrt|fabs|floor|ceil|copysign|minnum|maxnum|ctlz|[su](min|max)|abs)\."
+)
+
+
+def ptx_of(kernel: Kernel, method: Explicit) -> bytes:
+    """Return the PTX that integrates members with a kernel, from the cache if it is there.
+
+    Args:
+        kernel: The kernel, already validated against Pinocchio.
+        method: Explicit method.
+    Returns:
+        The PTX.
+    Raises:
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    advance = _advance(method)
+    loop = advance.py_func.__name__, advance.stamp
+
+    def load() -> bytes:
+        forces = None if kernel.forces is None else kernel.forces.key
+        settings = asdict(kernel.structure) | {"forces": forces, "ptx": [_CPU, *loop]}
+        key = cache_key(model_bytes(kernel.system, kernel.structure.freed), json.dumps(settings))
+        return ObjectCache().get_or_compile(
+            key, lambda: emit_ptx(device_ir(kernel, method)), f"'{kernel.system.name}' for a device"
+        )
+
+    return once(kernel, (ptx_of, *loop), load)
+
+
+def device_ir(kernel: Kernel, method: Explicit) -> str:
+    """Return the IR of all code on the device: step loop, kernel and entry point.
+
+    Args:
+        kernel: The kernel.
+        method: Explicit method.
+    Returns:
+        The IR, for the device, with no function undefined.
+    Raises:
+        UnsupportedOperationError: The code needs a function that devices do not have.
+    """
+    rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
+    # Without states, one number is integrated instead.
+    n = max(kernel.layout.size, 1)
+    texts = [
+        lower(rate, "rate", fma=True),
+        _entry(n, kernel.layout.parameters, stepper_of(method).work(n).shape),
+        large_angles_ir(),
+        _SQRT,
+    ]
+    with LLVM_LOCK:
+        context = llvm.create_context()
+        module = llvm.parse_bitcode(_bitcode(_advance(method)), context)
+        module = llvm.parse_assembly(_with_direct_calls(str(module)), context)
+        machine = _machine()
+        for text in texts:
+            module.link_in(llvm.parse_assembly(text, context))
+        module.triple, module.data_layout = _TRIPLE, str(machine.target_data)
+        for function in module.functions:
+            if not function.is_declaration and function.name != ENTRY:
+                function.linkage = "internal"
+        module.get_function("rate").add_function_attribute("noinline")
+        passes = llvm.create_new_module_pass_manager()
+        passes.add_always_inliner_pass()
+        passes.add_global_dead_code_eliminate_pass()
+        passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+        names = [function.name for function in module.functions if function.is_declaration]
+        ir = str(module)
+        module.close()  # before its context is deleted
+    missing = sorted(name for name in names if not _INTRINSICS.match(name))
+    if missing:
+        raise UnsupportedOperationError(
+            f"device: {method.name} or the forces on '{kernel.system.name}' need "
+            f"{', '.join(missing)}, for which there is no device code. Use DOP853 and forces "
+            "without these functions, or integrate without device"
+        )
+    return ir
+
+
+def emit_ptx(ir: str) -> bytes:
+    """Generate the PTX of `device_ir`."""
+    with LLVM_LOCK:
+        context = llvm.create_context()
+        module = llvm.parse_assembly(ir, context)
+        text: str = _machine().emit_assembly(module)
+        module.close()  # before its context is deleted
+    return text.encode()
+
+
+def _machine() -> Any:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    target = llvm.Target.from_triple(_TRIPLE)
+    return target.create_target_machine(cpu=_CPU, features=_FEATURES, opt=_LEVEL)
+
+
+# --- step loop ------------------------------------------------------------------------------
+
+
+def _advance(method: Explicit) -> Any:
+    """Return the compiled step loop of single runs."""
+    return stepper_of(method).loops.advance
+
+
+@once_for_all
+def _bitcode(advance: Any) -> bytes:
+    """Return the bitcode of a step loop: what is shipped, or else what numba compiles."""
+    fixed = read_only(np.zeros(2))
+    arguments = (new_run(), fixed, np.zeros((2, 2)), fixed, *map(np.zeros, ((2, 2), 2, (2, 2))))
+    kinds = tuple(argument_type(plain_value(argument)) for argument in arguments)
+    shipped = find_shipped(shipped_name(advance.py_func, kinds, advance.stamp))
+    if shipped is not None:
+        return shipped.module
+    from numba import typeof
+    from numba.core.caching import NullCache
+
+    from ...integrators.stepping.numba_functions import make_dispatcher
+    from ...integrators.stepping.portable_code import extract_bitcode
+
+    dispatcher = make_dispatcher(advance.py_func, advance.stamp, inline=False)
+    vars(dispatcher)["_cache"] = NullCache()  # objects in caches contain no bitcode
+    signature = tuple(map(typeof, arguments))
+    dispatcher.compile(signature)
+    bitcode = extract_bitcode(dispatcher.overloads[signature])
+    assert bitcode is not None, "step loops need no objects of Python"
+    return bitcode.module
+
+
+def _with_direct_calls(ir: str) -> str:
+    """Call the kernel by its name, not by its address: a step loop has no other such calls."""
+    calls = re.sub(r"\bcall void %\d+\(", "call void @rate(", ir)
+    return f"{calls}\ndeclare void @rate(ptr, ptr, ptr)"
+
+
+# --- entry point ----------------------------------------------------------------------------
+
+
+def _array(data: str, itemsize: int, size: str, *shape: str | int) -> str:
+    """Write the arguments that numba's functions take for an array in C order.
+
+    Args:
+        data: Pointer to the entries.
+        itemsize: Size of an entry [bytes].
+        size: Number of entries.
+        shape: Lengths of the axes; all but the first are numbers.
+    Returns:
+        Memory that numba manages, the Python object, size, bytes of an entry, data, and axes.
+    """
+    strides = [itemsize]
+    for length in shape[:0:-1]:
+        strides.insert(0, strides[0] * int(length))
+    numbers = ", ".join(f"i64 {number}" for number in (*shape, *strides))
+    return f"ptr null, ptr null, i64 {size}, i64 {itemsize}, ptr {data}, {numbers}"
+
+
+def _entry(n: int, parameters: int, rows: tuple[int, ...]) -> str:
+    """Generate the entry point, of which each thread integrates one member.
+
+    Its arguments are N, T, and R, the number of rows of report times, 1 or N; then the addresses of
+    runs (N,), parameters (N, p), initial states (N, n), report times (R, T), states (N, T, n), and
+    of the values that `advance` returns (N,).
+
+    Args:
+        n: Number of entries of the state.
+        parameters: Number of parameters.
+        rows: Shape of the work rows.
+    Returns:
+        The LLVM IR.
+    """
+    run, (count, stride) = LAYOUT.itemsize, rows
+    arguments = ", ".join([
+        "ptr %result", "ptr %error",
+        _array("%run", run, "1", "1"),
+        _array("%params", 8, str(parameters), parameters),
+        _array("%work", 8, str(count * stride), count, stride),
+        _array("%times", 8, "%T", "%T"),
+        _array("%y", 8, "%numbers", "%T", n),
+        _array("%nothing", 8, "0", 0),
+        _array("%nothing", 8, "0", 0, n),
+    ])  # fmt: skip
+    kinds = ", ".join(argument.split()[0] for argument in arguments.split(", "))
+    special = ("tid", "ctaid", "ntid")
+    reads = "\n".join(
+        f"%{name}32 = call i32 @llvm.nvvm.read.ptx.sreg.{name}.x()\n"
+        f"%{name} = zext i32 %{name}32 to i64"
+        for name in special
+    )
+    return f"""\
+declare i32 @{COMPILED}({kinds})
+declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
+declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)
+{"".join(f"declare i32 @llvm.nvvm.read.ptx.sreg.{name}.x(){chr(10)}" for name in special)}
+define ptx_kernel void @{ENTRY}(i64 %N, i64 %T, i64 %R, ptr %allruns, ptr %allparams,
+                                ptr %ally0, ptr %alltimes, ptr %ally, ptr %allstatus) {{
+%run = alloca [{run} x i8], align 8
+%work = alloca [{count * stride} x double], align 32
+%result = alloca i64
+%error = alloca i64
+%nothing = alloca i64
+{reads}
+%before = mul i64 %ctaid, %ntid
+%member = add i64 %before, %tid
+%ismember = icmp slt i64 %member, %N
+br i1 %ismember, label %integrate, label %end
+integrate:
+%numbers = mul i64 %T, {n}
+%params.first = mul i64 %member, {parameters}
+%y0.first = mul i64 %member, {n}
+%times.row = urem i64 %member, %R
+%times.first = mul i64 %times.row, %T
+%y.first = mul i64 %member, %numbers
+%own = getelementptr [{run} x i8], ptr %allruns, i64 %member
+%params = getelementptr double, ptr %allparams, i64 %params.first
+%y0 = getelementptr double, ptr %ally0, i64 %y0.first
+%times = getelementptr double, ptr %alltimes, i64 %times.first
+%y = getelementptr double, ptr %ally, i64 %y.first
+%status = getelementptr i64, ptr %allstatus, i64 %member
+call void @llvm.memcpy.p0.p0.i64(ptr %run, ptr %own, i64 {run}, i1 false)
+call void @llvm.memset.p0.i64(ptr %work, i8 0, i64 {8 * count * stride}, i1 false)
+call void @llvm.memcpy.p0.p0.i64(ptr %work, ptr %y0, i64 {8 * n}, i1 false)
+%code = call i32 @{COMPILED}({arguments})
+%value = load i64, ptr %result
+store i64 %value, ptr %status
+call void @llvm.memcpy.p0.p0.i64(ptr %own, ptr %run, i64 {run}, i1 false)
+br label %end
+end:
+ret void
+}}
+"""
