@@ -55,6 +55,7 @@ from .analysis.stability.along_motions import linearise as linearise
 from .analysis.stability.along_motions import lyapunov as lyapunov
 from .analysis.stability.linearisation import Linearisation as Linearisation
 from .common.errors import AccuracyWarning as AccuracyWarning
+from .common.errors import DeviceError as DeviceError
 from .common.errors import InputError as InputError
 from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch

@@ -16,6 +16,7 @@ from ...common.optional_packages import install_command, optional_package
 CAPABILITY = (9, 0)  # lowest compute capability that runs the PTX
 _BLOCK = 64  # threads per block; a thread uses all registers that it can have
 _REMEDY = "Omit device to integrate on the CPU."
+_ATTRIBUTE = "CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY"
 
 
 def run_on_device(
@@ -33,7 +34,7 @@ def run_on_device(
         DeviceError: There is no device that can run the code, or it reports an error.
         MissingPackageError: `cuda.bindings` is not installed.
     """
-    driver, context = _open_device()
+    driver, context = _opened_device()
     with ExitStack() as stack:
         call(driver.cuCtxPushCurrent, context)
         stack.callback(call, driver.cuCtxPopCurrent)
@@ -62,7 +63,6 @@ def run_on_device(
                 call(driver.cuMemcpyDtoH, array.ctypes.data, memory, array.nbytes)
 
 
-@once_for_all
 def _open_device() -> tuple[Any, Any]:
     """Return the module of the driver, and the context of the first device."""
     driver = optional_package(
@@ -90,7 +90,7 @@ def _open_device() -> tuple[Any, Any]:
     return driver, call(driver.cuDevicePrimaryCtxRetain, device)
 
 
-_ATTRIBUTE = "CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY"
+_opened_device = once_for_all(_open_device)
 
 
 def call(function: Callable[..., Any], *arguments: Any) -> Any:

@@ -94,9 +94,10 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
         large_angles_ir(),
         _SQRT,
     ]
+    loop = _bitcode(_advance(method))
     with LLVM_LOCK:
         context = llvm.create_context()
-        module = llvm.parse_bitcode(_bitcode(_advance(method)), context)
+        module = llvm.parse_bitcode(loop, context)
         module = llvm.parse_assembly(_with_direct_calls(str(module)), context)
         machine = _machine()
         for text in texts:
@@ -151,8 +152,9 @@ def _advance(method: Explicit) -> Any:
 @once_for_all
 def _bitcode(advance: Any) -> bytes:
     """Return the bitcode of a step loop: what is shipped, or else what numba compiles."""
+    numbers, rows = np.zeros(2), np.zeros((2, 2))
     fixed = read_only(np.zeros(2))
-    arguments = (new_run(), fixed, np.zeros((2, 2)), fixed, *map(np.zeros, ((2, 2), 2, (2, 2))))
+    arguments = (new_run(), fixed, rows, fixed, rows, numbers, rows)
     kinds = tuple(argument_type(plain_value(argument)) for argument in arguments)
     shipped = find_shipped(shipped_name(advance.py_func, kinds, advance.stamp))
     if shipped is not None:

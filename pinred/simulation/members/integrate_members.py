@@ -66,6 +66,8 @@ def integrate_members(
                 solutions = _integrate_piece(part, plan.method, piece, initial, threads, done)
             else:
                 solutions = _integrate_on_device(part, plan.method, piece, initial)
+                if done is not None:
+                    done(1.0)
             _store(y, runs, piece, solutions)
             status[runs], entry[runs] = solutions.status, solutions.entry
             steps[runs] += solutions.steps

@@ -1,0 +1,182 @@
+"""Code of devices: it has no undefined function, ptxas accepts it, and it integrates as the CPU."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from importlib.metadata import PackageNotFoundError, files
+from pathlib import Path
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+from host_cuda_driver import host_driver
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.common.errors import DeviceError, InputError, UnsupportedOperationError
+from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate_many import Solutions
+from pinred.integrators.methods import DOP853, Gauss, Tsit5
+from pinred.integrators.stepping.call_wrapper import COMPILED
+from pinred.integrators.stepping.codes import DONE, TOO_MANY
+from pinred.integrators.stepping.compiling import compiled
+from pinred.integrators.stepping.run_state import Runs
+from pinred.kernels.build import build_kernel
+from pinred.kernels.device import device_code
+from pinred.kernels.device.integrate_on_device import integrate_on_device
+from pinred.kernels.kernel import Kernel
+from pinred.kernels.state_layout import Structure
+
+_EXTERN = b".extern"  # of functions that another module defines
+
+
+@pytest.fixture(scope="module")
+def kernel() -> Kernel:
+    """Return a kernel with quaternions and sines, without branches in lanes."""
+    return build_kernel(pinred.load("falling_cat"), Structure(zero_momentum=False))
+
+
+@pytest.fixture(scope="module")
+def ptx(kernel: Kernel) -> bytes:
+    """Return the PTX that integrates with the kernel."""
+    return device_code.emit_ptx(device_code.device_ir(kernel, DOP853()))
+
+
+def _batch(kernel: Kernel, count: int) -> tuple[Array, Array]:
+    """Return parameters and initial states of members."""
+    rng = np.random.default_rng(5)
+    params = np.array([kernel.random_parameters(rng) for _ in range(count)])
+    return 0.3 * params, 0.3 * rng.normal(size=(count, kernel.layout.size))
+
+
+# --- PTX ------------------------------------------------------------------------------------
+
+
+def test_ptx_has_one_entry_and_no_undefined_function(ptx: bytes) -> None:
+    """A device has neither libm nor a linker."""
+    assert ptx.count(b".entry") == 1
+    assert f".entry {device_code.ENTRY}(".encode() in ptx
+    assert _EXTERN not in ptx
+    assert b".target sm_90" in ptx
+
+
+def test_ptxas_assembles_the_ptx_with_a_known_stack(ptx: bytes, tmp_path: Path) -> None:
+    """Recursion or calls by pointers would leave the size of the stack unknown."""
+    source, target = tmp_path / "members.ptx", tmp_path / "members.cubin"
+    source.write_bytes(ptx)
+    command = [_ptxas(), "-arch=sm_90", "-O1", "-v", str(source), "-o", str(target)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "warning" not in done.stderr
+    assert "bytes cumulative stack size" in done.stderr
+    assert target.stat().st_size > 0
+
+
+def _ptxas() -> str:
+    if found := shutil.which("ptxas"):
+        return found
+    try:
+        contents = files("nvidia-cuda-nvcc") or []
+    except PackageNotFoundError:
+        pytest.skip("no ptxas: install the extra ptxas")
+    return next(str(file.locate()) for file in contents if file.name == "ptxas")
+
+
+def test_ptx_is_cached_by_kernel_and_method(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A second process finds the PTX on disk."""
+    monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(device_code, "device_ir", lambda kernel, method: method.name)  # noqa: ARG005
+    monkeypatch.setattr(device_code, "emit_ptx", str.encode)
+    monkeypatch.setattr(device_code, "once", lambda owner, key, make: make())  # noqa: ARG005
+    assert device_code.ptx_of(kernel, DOP853()) == b"DOP853"
+    monkeypatch.setattr(device_code, "emit_ptx", lambda ir: ir + " again")
+    assert device_code.ptx_of(kernel, DOP853(rtol=1e-5)) == b"DOP853"
+
+
+@compiled
+def count_times(
+    runs: Runs, params: Array, work: Array, times: Array, out: Array, ends: Array, states: Array
+) -> int:
+    """Return the number of report times: a function with the arguments of a step loop."""
+    return len(times) + len(runs) + len(params) + len(work) + len(out) + len(ends) + len(states)
+
+
+def test_step_loop_without_shipped_bitcode_is_compiled() -> None:
+    """Other versions of numba find no bitcode in the package."""
+    module = llvm.parse_bitcode(device_code._bitcode(count_times), llvm.create_context())
+    result, error, *arguments = module.get_function(COMPILED).arguments
+    assert str(result.type) == str(error.type) == "ptr"
+    shipped = llvm.parse_bitcode(
+        device_code._bitcode(device_code._advance(DOP853())), llvm.create_context()
+    )
+    expected = list(shipped.get_function(COMPILED).arguments)[2:]
+    assert [str(a.type) for a in arguments] == [str(a.type) for a in expected]
+
+
+# --- numbers, with threads of the CPU -------------------------------------------------------
+
+
+def test_members_in_device_threads_equal_single_runs_bit_for_bit(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each thread takes its own parameters, state, end, and times, which may end early."""
+    driver = host_driver(monkeypatch)
+    params, y0 = _batch(kernel, 66)  # more than one block
+    ends = np.linspace(0.002, 0.05, 66)
+    times = ends[:, None] * np.array([0.0, 0.3, 0.7, 1.0])
+    times[::2, 3] = np.inf
+    method = DOP853(rtol=1e-6, max_steps=12)
+    many = integrate_on_device(method, kernel, params, y0, ends, times)
+    assert driver.launched == 1
+    assert set(many.status) == {DONE, TOO_MANY}
+    for k in range(66):
+        _check_member(method, kernel, many, k, params[k], y0[k], float(ends[k]))
+
+
+def _check_member(
+    method: DOP853, kernel: Kernel, many: Solutions, k: int, params: Array, y0: Array, end: float
+) -> None:
+    """Compare a member with a single run."""
+    row = many.times[k][np.isfinite(many.times[k])]
+    quaternions = kernel.layout.quaternions
+    if many.status[k] == TOO_MANY:
+        with pytest.raises(pinred.TooManySteps) as raised:
+            integrate(method, kernel.rate.address, params, y0, end, row, quaternions)
+        assert many.end[k] == raised.value.time < end
+        assert many.steps[k] + many.rejected[k] == method.max_steps
+        assert np.isnan(many.y[k, many.times[k] > raised.value.time]).all()
+        return
+    one = integrate(method, kernel.rate.address, params, y0, end, row, quaternions)
+    assert np.array_equal(many.y[k, : len(row)], one.y)
+    counts = (many.steps[k], many.rejected[k], many.evaluations[k])
+    assert counts == (one.steps, one.rejected, one.evaluations)
+    assert (many.status[k], many.end[k], many.entry[k]) == (DONE, end, -1)
+
+
+# --- what devices do not have ---------------------------------------------------------------
+
+
+def test_method_that_needs_pow_is_refused(kernel: Kernel) -> None:
+    """The order of Tsit5 is no power of two, so its steps need a fifth root."""
+    with pytest.raises(UnsupportedOperationError, match=r"Tsit5 .* need llvm\.pow\.f64"):
+        device_code.device_ir(kernel, Tsit5())
+
+
+def test_implicit_method_is_refused(kernel: Kernel) -> None:
+    """They need derivatives, which no device code computes."""
+    with pytest.raises(InputError, match="method: expected DOP853 on a device, got Gauss"):
+        integrate_on_device(Gauss(0.1), kernel, *_batch(kernel, 1), 1.0, [1.0])
+
+
+def test_errors_of_the_driver_release_its_memory(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error names the function and the status."""
+    driver = host_driver(monkeypatch)
+    driver.limit = 10_000  # the registers of the runs alone are larger
+    with pytest.raises(DeviceError, match="cuMemAlloc failed: CUDA_ERROR_OUT_OF_MEMORY"):
+        integrate_on_device(DOP853(), kernel, *_batch(kernel, 40), 1.0, [1.0])
+    assert (driver.memory, driver.modules, driver.contexts) == ({}, {}, 0)

@@ -1,0 +1,157 @@
+"""simulate_many on a CUDA device, whose threads the CPU executes, and what it refuses."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from host_cuda_driver import host_driver
+
+import pinred
+from pinred.common.errors import (
+    DeviceError,
+    InputError,
+    MissingPackageError,
+    UnsupportedOperationError,
+)
+from pinred.forces.kinds import Torque
+from pinred.forces.signals.tabulated import Hold
+from pinred.integrators.methods import DOP853
+from pinred.kernels.device import cuda_driver
+from pinred.system.system import System
+
+
+@pytest.fixture(scope="module")
+def cat() -> System:
+    """Return the falling cat."""
+    return pinred.load("falling_cat")
+
+
+def _wave(t: ca.SX, *_: object) -> ca.SX:
+    return 1e-2 * ca.sin(30.0 * t)
+
+
+def _options(system: System) -> dict[str, Any]:
+    """Return a batch with forces of time, two spans of time, and an angle beyond 2²⁰ rad."""
+    first, second, *_ = system.space.names
+    x0 = 0.3 * np.random.default_rng(2).normal(size=(10, system.m))
+    x0[3, 0] += 2.0**22
+    return {
+        "members": {"x0": x0},
+        "xdot0": np.full(system.m, 0.5),
+        "xi0": [0.1, 0.0, 0.0, 0.3, -0.2, 0.4],
+        "times": np.linspace(0.0, 0.4, 5),
+        "method": DOP853(rtol=1e-10, atol=1e-10),
+        "forces": [Torque({first: Hold([0.0, 0.2], [1e-2, -1e-2]), second: _wave})],
+    }
+
+
+def test_members_in_device_threads_agree_with_members_in_lanes(
+    cat: System, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only round-off differs; each span of time is a launch."""
+    driver = host_driver(monkeypatch)
+    cpu = pinred.simulate_many(cat, **_options(cat))
+    fractions: list[float] = []
+    device = pinred.simulate_many(
+        cat, device="cuda", explain=True, progress=fractions.append, **_options(cat)
+    )
+    assert "10 members one per thread of a device (cuda), DOP853" in capsys.readouterr().out
+    assert driver.launched == len(fractions) > 1
+    assert fractions[-1] == 1.0
+    assert driver.memory == {}
+    assert not device.failures
+    # The large angle is a multiple of its spacing, and the attitude follows it.
+    bound = np.full(10, 1e-13)
+    bound[3] = 4.0 * np.spacing(2.0**22)
+    for values, expected in ((device.x, cpu.x), (device.pose, cpu.pose)):
+        assert (np.abs(values - expected).max(axis=(1, 2)) <= bound).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"device": "gpu"}, "device: expected None or 'cuda', got 'gpu'"),
+        ({"threads": 2}, "threads: expected None with a device, got 2. Omit it"),
+        ({"method": "Gauss(0.1)"}, "method: expected DOP853 on a device, got Gauss"),
+    ],
+)
+def test_options_that_do_not_fit_a_device_are_refused(
+    cat: System, options: dict[str, Any], message: str
+) -> None:
+    """The CPU would integrate all of them."""
+    options = {"device": "cuda", **options}
+    with pytest.raises(InputError, match=re.escape(message)):
+        pinred.simulate_many(cat, seeds=range(2), times=[0.1], **options)
+
+
+def test_members_that_are_simulated_one_by_one_are_refused(cat: System) -> None:
+    """The reason and the remedy are in the message."""
+    event = pinred.Event(f"x['{cat.space.names[0]}'] - 0.1", "bent")
+    with pytest.raises(InputError, match=r"2 that are simulated one by one: .* Omit device"):
+        pinred.simulate_many(cat, seeds=range(2), times=[0.1], events=[event], device="cuda")
+
+
+def test_forces_with_functions_that_devices_lack_are_refused(cat: System) -> None:
+    """The message names the function."""
+    force = Torque({cat.space.names[0]: lambda t, *_: 1e-3 * ca.exp(-t)})
+    with pytest.raises(UnsupportedOperationError, match="'falling_cat' need exp, "):
+        pinred.simulate_many(cat, seeds=range(2), times=[0.1], forces=[force], device="cuda")
+
+
+# --- machines without a device ---------------------------------------------------------------
+
+
+def test_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package is optional."""
+    monkeypatch.setitem(sys.modules, "cuda.bindings.driver", None)
+    with pytest.raises(MissingPackageError, match=r'cuda-bindings: pip install "pinred\[gpu\]"'):
+        cuda_driver._open_device()
+
+
+def test_missing_device_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The driver may be installed without a device."""
+    host_driver(monkeypatch).capability = None
+    message = r"found none \(.*cuInit failed: CUDA_ERROR_NO_DEVICE\)\. Omit device"
+    with pytest.raises(DeviceError, match=message):
+        cuda_driver._open_device()
+
+
+def test_device_of_a_lower_capability_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Older devices reject the PTX."""
+    host_driver(monkeypatch).capability = (8, 6)
+    with pytest.raises(DeviceError, match=r"capability 9\.0 or higher, got 8\.6"):
+        cuda_driver._open_device()
+
+
+def test_stand_in_has_functions_of_the_driver_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A function of another name would exist on no machine."""
+    real = pytest.importorskip("cuda.bindings.driver", reason="no cuda-bindings: extra gpu")
+    stand_in = host_driver(monkeypatch)
+    names = [name for name in dir(type(stand_in)) if name.startswith("cu")]
+    assert len(names) > 10
+    for name in names:
+        ours = list(inspect.signature(getattr(stand_in, name)).parameters)
+        if "sizes" not in ours:
+            theirs = getattr(real, name).__doc__.partition("(")[2].partition(")")[0]
+            assert len(ours) == len([part for part in theirs.split(",") if part]), name
+    assert real.CUdevice_attribute.CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR == 75
+    assert real.CUdevice_attribute.CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR == 76
+
+
+def test_machine_without_the_driver_is_an_error() -> None:
+    """The package alone finds no driver."""
+    real = pytest.importorskip("cuda.bindings.driver", reason="no cuda-bindings: extra gpu")
+    try:
+        has_device = int(real.cuInit(0)[0]) == 0
+    except RuntimeError:
+        has_device = False
+    if has_device:
+        pytest.skip("this machine has a device")
+    with pytest.raises(DeviceError, match="expected a CUDA device and NVIDIA's driver, found none"):
+        cuda_driver._open_device()
