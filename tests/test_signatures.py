@@ -61,7 +61,7 @@ def test_typed_options_are_the_fields(typed: type, kind: type) -> None:
         (
             pinred.simulate_many,
             pinred.Scene,
-            {"threads", "seeds", "progress", "members", "explain", "invalid"},
+            {"threads", "device", "seeds", "progress", "members", "explain", "invalid"},
         ),
         (pinred.play, View, {"viewer", "port", "show", "wait"}),
         (pinred.save_html, View, {"feel"}),

@@ -32,6 +32,7 @@ class _Status(IntEnum):
     """Some of the statuses of the driver."""
 
     CUDA_SUCCESS = 0
+    CUDA_ERROR_INVALID_VALUE = 1
     CUDA_ERROR_OUT_OF_MEMORY = 2
     CUDA_ERROR_NO_DEVICE = 100
 
@@ -109,6 +110,8 @@ class _HostDriver(ModuleType):
         return _Status.CUDA_SUCCESS, module
 
     def cuMemAlloc(self, size: int) -> tuple[_Status, int]:
+        if size == 0:
+            return _Status.CUDA_ERROR_INVALID_VALUE, 0
         if size > self.limit:
             return _Status.CUDA_ERROR_OUT_OF_MEMORY, 0
         # Numbers that nobody has stored are visible.

@@ -21,7 +21,7 @@ from pinred.integrators.methods import DOP853, Gauss, Tsit5
 from pinred.integrators.stepping.call_wrapper import COMPILED
 from pinred.integrators.stepping.codes import DONE, TOO_MANY
 from pinred.integrators.stepping.compiling import compiled
-from pinred.integrators.stepping.run_state import Runs
+from pinred.integrators.stepping.run_state import EVALUATIONS_BETWEEN_PAUSES, Runs
 from pinred.kernels.build import build_kernel
 from pinred.kernels.device import device_code
 from pinred.kernels.device.integrate_on_device import integrate_on_device
@@ -61,6 +61,14 @@ def test_ptx_has_one_entry_and_no_undefined_function(ptx: bytes) -> None:
     assert b".target sm_90" in ptx
 
 
+def test_step_loop_rounds_each_operation(ptx: bytes) -> None:
+    """Its numbers are those of the CPU; only the kernel and its sines have fused operations."""
+    bodies = ptx.partition(f".func  (.param .b32 func_retval0) {COMPILED}(".encode())[2]
+    loop, *_ = bodies.partition(b".func rate(")
+    assert loop.count(b"mul.rn.f64") > 100
+    assert b"fma." not in loop
+
+
 def test_ptxas_assembles_the_ptx_with_a_known_stack(ptx: bytes, tmp_path: Path) -> None:
     """Recursion or calls by pointers would leave the size of the stack unknown."""
     source, target = tmp_path / "members.ptx", tmp_path / "members.cubin"
@@ -92,8 +100,11 @@ def test_ptx_is_cached_by_kernel_and_method(
     monkeypatch.setattr(device_code, "emit_ptx", str.encode)
     monkeypatch.setattr(device_code, "once", lambda owner, key, make: make())  # noqa: ARG005
     assert device_code.ptx_of(kernel, DOP853()) == b"DOP853"
-    monkeypatch.setattr(device_code, "emit_ptx", lambda ir: ir + " again")
+    monkeypatch.setattr(device_code, "emit_ptx", lambda ir: f"new {ir}".encode())
     assert device_code.ptx_of(kernel, DOP853(rtol=1e-5)) == b"DOP853"
+    assert device_code.ptx_of(kernel, Tsit5()) == b"new Tsit5"
+    other = build_kernel(kernel.system, Structure())
+    assert device_code.ptx_of(other, DOP853()) == b"new DOP853"
 
 
 @compiled
@@ -140,20 +151,30 @@ def _check_member(
     method: DOP853, kernel: Kernel, many: Solutions, k: int, params: Array, y0: Array, end: float
 ) -> None:
     """Compare a member with a single run."""
-    row = many.times[k][np.isfinite(many.times[k])]
+    times = many.times if many.times.ndim == 1 else many.times[k]
+    row = times[np.isfinite(times)]
     quaternions = kernel.layout.quaternions
     if many.status[k] == TOO_MANY:
         with pytest.raises(pinred.TooManySteps) as raised:
             integrate(method, kernel.rate.address, params, y0, end, row, quaternions)
         assert many.end[k] == raised.value.time < end
         assert many.steps[k] + many.rejected[k] == method.max_steps
-        assert np.isnan(many.y[k, many.times[k] > raised.value.time]).all()
+        assert np.isnan(many.y[k, times > raised.value.time]).all()
         return
     one = integrate(method, kernel.rate.address, params, y0, end, row, quaternions)
     assert np.array_equal(many.y[k, : len(row)], one.y)
     counts = (many.steps[k], many.rejected[k], many.evaluations[k])
     assert counts == (one.steps, one.rejected, one.evaluations)
     assert (many.status[k], many.end[k], many.entry[k]) == (DONE, end, -1)
+
+
+def test_long_member_ends_in_one_launch(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Single runs pause after some evaluations, to look for Ctrl-C; members on devices do not."""
+    host_driver(monkeypatch)
+    (params,), (y0,) = _batch(kernel, 1)
+    many = integrate_on_device(DOP853(), kernel, [params], [y0], 1.5, [1.5])
+    assert many.evaluations[0] > EVALUATIONS_BETWEEN_PAUSES
+    _check_member(DOP853(), kernel, many, 0, params, y0, 1.5)
 
 
 # --- what devices do not have ---------------------------------------------------------------

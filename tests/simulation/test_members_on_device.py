@@ -73,6 +73,16 @@ def test_members_in_device_threads_agree_with_members_in_lanes(
         assert (np.abs(values - expected).max(axis=(1, 2)) <= bound).all()
 
 
+def test_body_without_reduced_states_moves_on_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its kernel computes nothing, so the rate of the one number in its place must be zero."""
+    host_driver(monkeypatch)
+    cart = pinred.load("cartpole", lock=["pole_pivot"])
+    options: dict[str, Any] = {"xi0": np.array([[1.0], [2.0]]), "times": [2.0], "method": "DOP853"}
+    device = pinred.simulate_many(cart, device="cuda", **options)
+    assert device.y.tolist() == [[[0.0]], [[0.0]]]
+    np.testing.assert_array_equal(device.pose, pinred.simulate_many(cart, **options).pose)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -106,7 +106,6 @@ def device_ir(kernel: Kernel, method: Explicit) -> str:
         for function in module.functions:
             if not function.is_declaration and function.name != ENTRY:
                 function.linkage = "internal"
-        module.get_function("rate").add_function_attribute("noinline")
         passes = llvm.create_new_module_pass_manager()
         passes.add_always_inliner_pass()
         passes.add_global_dead_code_eliminate_pass()
