@@ -112,7 +112,7 @@ class _HostDriver(ModuleType):
     def cuMemAlloc(self, size: int) -> tuple[_Status, int]:
         if size == 0:
             return _Status.CUDA_ERROR_INVALID_VALUE, 0
-        if size > self.limit:
+        if size + sum(map(len, self.memory.values())) > self.limit:
             return _Status.CUDA_ERROR_OUT_OF_MEMORY, 0
         # Numbers that nobody has stored are visible.
         array = np.full(size, 0xFF, np.uint8)

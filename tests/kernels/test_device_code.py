@@ -168,10 +168,14 @@ def _check_member(
     assert (many.status[k], many.end[k], many.entry[k]) == (DONE, end, -1)
 
 
-def test_long_member_ends_in_one_launch(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_member_without_parameters_ends_in_one_launch(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Single runs pause after some evaluations, to look for Ctrl-C; members on devices do not."""
     host_driver(monkeypatch)
+    kernel = build_kernel(kernel.system, Structure())
     (params,), (y0,) = _batch(kernel, 1)
+    assert len(params) == 0
     many = integrate_on_device(DOP853(), kernel, [params], [y0], 1.5, [1.5])
     assert many.evaluations[0] > EVALUATIONS_BETWEEN_PAUSES
     _check_member(DOP853(), kernel, many, 0, params, y0, 1.5)
@@ -197,7 +201,7 @@ def test_errors_of_the_driver_release_its_memory(
 ) -> None:
     """The error names the function and the status."""
     driver = host_driver(monkeypatch)
-    driver.limit = 10_000  # the registers of the runs alone are larger
+    driver.limit = 15_000  # enough for the registers of the runs and the parameters
     with pytest.raises(DeviceError, match="cuMemAlloc failed: CUDA_ERROR_OUT_OF_MEMORY"):
         integrate_on_device(DOP853(), kernel, *_batch(kernel, 40), 1.0, [1.0])
     assert (driver.memory, driver.modules, driver.contexts) == ({}, {}, 0)
