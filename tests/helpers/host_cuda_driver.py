@@ -172,7 +172,8 @@ def host_driver(monkeypatch: pytest.MonkeyPatch) -> _HostDriver:
     for name in ("cuda", "cuda.bindings"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, driver.__name__, driver)
-    monkeypatch.setattr(cuda_driver, "_opened_device", cuda_driver._open_device)
+    for module in (cuda_driver, integrate_on_device):
+        monkeypatch.setattr(module, "opened_device", cuda_driver._open_device)
     monkeypatch.setattr(integrate_on_device, "ptx_of", _ir_of)
     return driver
 

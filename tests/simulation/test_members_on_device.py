@@ -22,7 +22,7 @@ from pinred.common.errors import (
 from pinred.forces.kinds import Torque
 from pinred.forces.signals.tabulated import Hold
 from pinred.integrators.methods import DOP853
-from pinred.kernels.device import cuda_driver
+from pinred.kernels.device import cuda_driver, integrate_on_device
 from pinred.system.system import System
 
 
@@ -92,9 +92,10 @@ def test_body_without_reduced_states_moves_on_a_device(monkeypatch: pytest.Monke
     ],
 )
 def test_options_that_do_not_fit_a_device_are_refused(
-    cat: System, options: dict[str, Any], message: str
+    cat: System, options: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The CPU would integrate all of them."""
+    host_driver(monkeypatch)
     options = {"device": "cuda", **options}
     with pytest.raises(InputError, match=re.escape(message)):
         pinred.simulate_many(cat, seeds=range(2), times=[0.1], **options)
@@ -107,8 +108,11 @@ def test_members_that_are_simulated_one_by_one_are_refused(cat: System) -> None:
         pinred.simulate_many(cat, seeds=range(2), times=[0.1], events=[event], device="cuda")
 
 
-def test_forces_with_functions_that_devices_lack_are_refused(cat: System) -> None:
+def test_forces_with_functions_that_devices_lack_are_refused(
+    cat: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The message names the function."""
+    host_driver(monkeypatch)
     force = Torque({cat.space.names[0]: lambda t, *_: 1e-3 * ca.exp(-t)})
     with pytest.raises(UnsupportedOperationError, match="'falling_cat' need exp, "):
         pinred.simulate_many(cat, seeds=range(2), times=[0.1], forces=[force], device="cuda")
@@ -117,11 +121,15 @@ def test_forces_with_functions_that_devices_lack_are_refused(cat: System) -> Non
 # --- machines without a device ---------------------------------------------------------------
 
 
-def test_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_names_the_extra_before_code_is_generated(
+    cat: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The package is optional."""
+    host_driver(monkeypatch)
     monkeypatch.setitem(sys.modules, "cuda.bindings.driver", None)
+    monkeypatch.setattr(integrate_on_device, "ptx_of", None)
     with pytest.raises(MissingPackageError, match=r'cuda-bindings: pip install "pinred\[gpu\]"'):
-        cuda_driver._open_device()
+        pinred.simulate_many(cat, seeds=range(2), times=[0.1], method="DOP853", device="cuda")
 
 
 def test_missing_device_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,7 @@ def run_on_device(
         DeviceError: There is no device that can run the code, or it reports an error.
         MissingPackageError: `cuda.bindings` is not installed.
     """
-    driver, context = _opened_device()
+    driver, context = opened_device()
     with ExitStack() as stack:
         call(driver.cuCtxPushCurrent, context)
         stack.callback(call, driver.cuCtxPopCurrent)
@@ -64,7 +64,12 @@ def run_on_device(
 
 
 def _open_device() -> tuple[Any, Any]:
-    """Return the module of the driver, and the context of the first device."""
+    """Return the module of the driver, and the context of the first device.
+
+    Raises:
+        DeviceError: There is no device that can run the code, or it reports an error.
+        MissingPackageError: `cuda.bindings` is not installed.
+    """
     driver = optional_package(
         "cuda.bindings.driver",
         f"device 'cuda' needs the package cuda-bindings: {install_command('gpu')}. {_REMEDY}",
@@ -90,7 +95,7 @@ def _open_device() -> tuple[Any, Any]:
     return driver, call(driver.cuDevicePrimaryCtxRetain, device)
 
 
-_opened_device = once_for_all(_open_device)
+opened_device = once_for_all(_open_device)
 
 
 def call(function: Callable[..., Any], *arguments: Any) -> Any:

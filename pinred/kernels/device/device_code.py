@@ -29,10 +29,11 @@ from ..build import model_bytes
 from ..kernel import Kernel
 from ..machine.lowering import lower
 from ..reduced_graph import ReducedGraph
+from .cuda_driver import CAPABILITY
 from .large_angles import large_angles_ir
 
 ENTRY = "integrate_members"  # name of the entry point
-_CPU, _FEATURES = "sm_90", "+ptx80"  # of CAPABILITY, and PTX of CUDA 12.0
+_CPU, _FEATURES = f"sm_{CAPABILITY[0]}{CAPABILITY[1]}", "+ptx80"  # PTX of CUDA 12.0
 _TRIPLE = "nvptx64-nvidia-cuda"
 _LEVEL = 2  # of code generation
 _SQRT = """\

@@ -12,7 +12,7 @@ from ...integrators.methods.method import Explicit, Method
 from ...integrators.stepping.codes import PAUSED
 from ...integrators.stepping.run_state import NOT_CANONICAL
 from ..kernel import Kernel
-from .cuda_driver import run_on_device
+from .cuda_driver import opened_device, run_on_device
 from .device_code import ENTRY, ptx_of
 
 _NO_PAUSE = 2**62  # number of evaluations before a run pauses
@@ -48,6 +48,7 @@ def integrate_on_device(
     """
     if not isinstance(method, Explicit):
         raise InputError(f"method: expected DOP853 on a device, got {method.name}. Choose DOP853")
+    opened_device()  # report a missing device before its code is generated
     quaternions = kernel.layout.quaternions
     asked = checked_batch(kernel.rate.address, params, y0, t_end, times, quaternions, 1)
     batch = asked.batch
