@@ -12,7 +12,7 @@ function capture(viewer, draw, robot) { // robot: its joints' groups
   const paper = document.querySelector("#panel canvas"), picture = box(paper), words = document.createRange();
   words.selectNodeContents(clock);
   const text = box(words);
-  const render = occlusion(viewer, robot), store = gl.createBuffer();
+  const render = background(viewer, occlusion(viewer, robot)), store = gl.createBuffer();
   let pixels = null, image = null, rendered = null; // time whose scene is in `store`, or will be soon
   function resize() {
     [sheet.width, sheet.height] = [canvas.width, canvas.height];
