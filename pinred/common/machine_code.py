@@ -1,11 +1,15 @@
-"""Machine code in memory: LLVM's target machine, and object code that is loaded from bytes."""
+"""Machine code in memory: LLVM's target machine, and object code that is loaded from bytes.
+
+An object may be an archive of object codes that call each other, in the format of `ar`.
+"""
 
 from __future__ import annotations
 
 import ctypes.util
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
 from threading import Lock
 from typing import Any, NoReturn
 
@@ -15,8 +19,10 @@ from .cpu_target import cpu_target
 from .errors import InputError, NotCopyable
 
 _IDENTITY = 16  # number of bytes that encode format, word size and byte order
+_ARCHIVE = b"!<arch>\n"
+_MEMBER = 60  # length of the header of an archive's member
 
-LLVM_LOCK = Lock()  # LLVM's contexts and engines are used by one thread at a time
+LLVM_LOCK = Lock()  # common contexts and engines of LLVM are used by one thread at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +54,7 @@ def load_object(code: bytes, name: str) -> NativeCode:
     process, so load only code that was compiled here or read from an ObjectCache.
 
     Args:
-        code: The object code.
+        code: The object code, or an archive.
         name: Name of the function.
     Returns:
         The function.
@@ -62,14 +68,15 @@ def load_objects(codes: Mapping[str, bytes]) -> tuple[NativeCode, ...]:
     """Load object codes into memory that they share; see `load_object`.
 
     Args:
-        codes: Object code by the name of its function.
+        codes: Object code, or an archive, by the name of its function.
     Returns:
         The functions, in order.
     Raises:
         InputError: As for `load_object`.
     """
+    parts = {name: list(_parts(code)) for name, code in codes.items()}
     for name, code in codes.items():
-        if code[:_IDENTITY] != _identity():
+        if not all(part[:_IDENTITY] == _identity() for part in parts[name]):
             raise InputError(
                 f"the {len(code)} bytes for '{name}' are not object code for this machine"
             )
@@ -77,14 +84,88 @@ def load_objects(codes: Mapping[str, bytes]) -> tuple[NativeCode, ...]:
         machine = create_machine(1)
         # Use the global context, because a private one would have to outlive the engine.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        for code in codes.values():
-            engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        for part in chain.from_iterable(parts.values()):
+            engine.add_object_file(llvm.ObjectFileRef.from_data(part))
         engine.finalize_object()
         addresses = {name: engine.get_function_address(name) for name in codes}
     for name, address in addresses.items():
         if not address:
             raise InputError(f"the object code has no function '{name}'")
     return tuple(NativeCode(name, address, engine) for name, address in addresses.items())
+
+
+def archive_of(parts: Sequence[bytes]) -> bytes:
+    """Return an archive of object codes.
+
+    Args:
+        parts: The object codes, none of which contains a symbol of another one.
+    Returns:
+        The archive.
+    """
+    members = (
+        f"{f'{k}.o/':<16}{0:<12}{0:<6}{0:<6}{'100600':<8}{len(part):<10}`\n".encode()
+        + part
+        + b"\n" * (len(part) % 2)
+        for k, part in enumerate(parts)
+    )
+    return _ARCHIVE + b"".join(members)
+
+
+def _parts(code: bytes) -> Iterator[bytes]:
+    """Yield the object codes of an archive, or the object code itself."""
+    if not code.startswith(_ARCHIVE):
+        yield code
+        return
+    at = len(_ARCHIVE)
+    while at < len(code):
+        size = int(code[at + 48 : at + 58])
+        yield code[at + _MEMBER : at + _MEMBER + size]
+        at += _MEMBER + size + size % 2
+
+
+def emit_object(machine: llvm.TargetMachine, module: llvm.ModuleRef) -> bytes:
+    """Generate object code, at the same time as other threads.
+
+    llvmlite allows one call of LLVM at a time in all threads. LLVM itself requires this only of
+    calls with the same context.
+
+    Args:
+        machine: The target machine; no other thread may use it.
+        module: The module; no other thread may use its context.
+    Returns:
+        The object code.
+    Raises:
+        RuntimeError: LLVM cannot generate code of the module.
+    """
+    library, message = _unlocked_library(), ctypes.c_char_p()
+    buffer = library.LLVMPY_TargetMachineEmitToMemory(machine, module, 1, ctypes.byref(message))
+    if not buffer:
+        text = (message.value or b"").decode(errors="replace")
+        library.LLVMPY_DisposeString(message)
+        raise RuntimeError(f"LLVM cannot generate machine code: {text}")
+    try:
+        size = library.LLVMPY_GetBufferSize(buffer)
+        return ctypes.string_at(library.LLVMPY_GetBufferStart(buffer), size)
+    finally:
+        library.LLVMPY_DisposeMemoryBuffer(buffer)
+
+
+@cache
+def _unlocked_library() -> ctypes.CDLL:
+    """Return the library of llvmlite, with functions that do not wait for its lock."""
+    library = ctypes.CDLL(llvm.ffi.lib._name)  # noqa: SLF001 - llvmlite's substitute for a CDLL
+    library.LLVMPY_TargetMachineEmitToMemory.argtypes = (
+        ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.POINTER(ctypes.c_char_p),
+    )  # fmt: skip
+    library.LLVMPY_TargetMachineEmitToMemory.restype = ctypes.c_void_p
+    for name in ("GetBufferStart", "GetBufferSize", "DisposeMemoryBuffer"):
+        getattr(library, f"LLVMPY_{name}").argtypes = (ctypes.c_void_p,)
+    library.LLVMPY_GetBufferStart.restype = ctypes.c_void_p
+    library.LLVMPY_GetBufferSize.restype = ctypes.c_size_t
+    library.LLVMPY_DisposeMemoryBuffer.restype = None
+    library.LLVMPY_DisposeString.argtypes = (ctypes.c_char_p,)
+    library.LLVMPY_DisposeString.restype = None
+    return library
 
 
 @cache

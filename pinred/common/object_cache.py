@@ -12,38 +12,34 @@ entry contains a fingerprint of its signing key, so each key has its own entries
 
 from __future__ import annotations
 
-import hmac
 import os
 import re
-import stat
 import struct
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import llvmlite.binding as llvm
 from platformdirs import user_cache_path
 
+from .cache_entry import ENTRY_HEAD, DistrustError, read_entry, write_entry
+from .compile_ahead import ObjectAhead, Part, begin, spare_processors
 from .compile_notice import notice_of_compiling
 from .cpu_target import cpu_target
 from .errors import CacheWarning, InputError
 from .file_trust import find_distrust, find_open_parent
-from .files import sweep, temporary
-from .signing_key import TEMPORARY, fingerprint, signing_key
+from .files import sweep
+from .signing_key import TEMPORARY, fingerprint
 from .version import __version__
 
 LIMIT = 256 * 2**20  # default maximum size of all entries [bytes]
 _WRITERS = 8  # number of processes that may write at once without exceeding the limit
 
-_VERSION = 2
-_MAGIC = b"pinred\x00\n"
-_HEADER = struct.Struct("<8sI64sQ")  # magic, version, key, length of the payload
-_SIGNATURE = 32  # bytes of the HMAC-SHA256 of header and payload, stored between them
 _KEY = re.compile(r"[0-9a-f]{64}")
 # Key of the object, and fingerprint of the signing key; earlier versions wrote no fingerprint.
 _ENTRY = re.compile(r"([0-9a-f]{64})(?:\.[0-9a-f]{16})?\.o")
@@ -51,6 +47,7 @@ _ENTRY = re.compile(r"([0-9a-f]{64})(?:\.[0-9a-f]{16})?\.o")
 _warned: set[tuple[str, str]] = set()  # (folder, kind) of each warning that was already issued
 # Number of bytes that may be written before the folder is listed again, by folder and limit.
 _room: dict[tuple[Path, int], int] = {}
+_ahead: dict[tuple[Path, str], ObjectAhead] = {}  # objects by folder and key, until requested
 
 
 class CacheEntry(NamedTuple):
@@ -67,10 +64,6 @@ class CacheEntry(NamedTuple):
     size: int
     last_use: float
     file: str
-
-
-class _DistrustError(Exception):
-    """A cache entry cannot be trusted and must not be used; the message states the reason."""
 
 
 def cache_key(*parts: bytes | str) -> str:
@@ -120,12 +113,15 @@ class ObjectCache:
         limit: Maximum total size of all entries [bytes].
     """
 
-    def __init__(self, folder: Path | None = None, limit: int = LIMIT) -> None:
+    def __init__(
+        self, folder: Path | None = None, limit: int = LIMIT, *, silent: bool = False
+    ) -> None:
         """Set the folder and the limit without accessing the disk.
 
         Args:
             folder: The folder, or None for the default.
             limit: Maximum total size of all entries [bytes].
+            silent: Whether faults cause no warning.
         Raises:
             InputError: The limit is negative.
         """
@@ -133,10 +129,37 @@ class ObjectCache:
             raise InputError(f"limit must be a number of bytes, zero or more, got {limit}")
         named = os.environ.get("PINRED_CACHE_DIR")
         self.folder = folder or (Path(named) if named else user_cache_path("pinred"))
-        self.limit = limit
+        self.limit, self._silent = limit, silent
+
+    def compile_ahead(
+        self,
+        key: str,
+        divide: Callable[[], Sequence[Part]],
+        join: Callable[[Sequence[bytes]], bytes],
+        what: str,
+    ) -> None:
+        """Let other threads compile a missing object, which the next `get` of this process returns.
+
+        With one processor, nothing is compiled ahead.
+
+        Args:
+            key: Key of the object.
+            divide: Returns functions that each compile one part, the longest first; none if there
+                is no object.
+            join: Returns the object of all parts.
+            what: What the object is, for the notice of a user who waits.
+        """
+        if not spare_processors() or (self.folder, key) in _ahead or self._has_entry(key):
+            return
+        parts = divide()
+        if not parts:
+            return
+        store = ObjectCache(self.folder, self.limit, silent=True).put
+        ahead = _ahead[self.folder, key] = ObjectAhead(parts, join, partial(store, key), what)
+        begin(ahead)
 
     def get(self, key: str) -> bytes | None:
-        """Read an object.
+        """Read an object, or return it if it was compiled ahead.
 
         An entry that cannot be trusted is removed with a CacheWarning.  Entries of other signing
         keys are neither read nor removed.
@@ -147,15 +170,21 @@ class ObjectCache:
             The object, or None if there is no trusted entry.
         """
         _check_key(key)
+        ahead = _ahead.pop((self.folder, key), None)
+        code = None if ahead is None else ahead.result()
+        if ahead is not None and code is not None:
+            if not ahead.is_stored:
+                self.put(key, code)
+            return code
         with self._open(make=False) as folder:
             if folder is None:
                 return None
             name = _file_name(key)
             try:
-                return _read(folder, name, key)
+                return read_entry(folder, name, key)
             except FileNotFoundError:
                 return None
-            except (_DistrustError, OSError) as why:
+            except (DistrustError, OSError) as why:
                 _remove(folder, name)
                 problem = why
         if name.endswith(f"{TEMPORARY}.o"):  # each process has warned that it cannot store its key
@@ -163,7 +192,12 @@ class ObjectCache:
         _warn(f"'{self.folder / name}' is not used and is removed: {problem}")
         return None
 
-    def put(self, key: str, code: bytes) -> None:
+    def _has_entry(self, key: str) -> bool:
+        """Return whether there is an entry, which may be invalid."""
+        with self._open(make=False) as folder:
+            return folder is not None and os.access(_file_name(key), os.F_OK, dir_fd=folder)
+
+    def put(self, key: str, code: bytes) -> bool:
         """Write an object.
 
         Writing is atomic: readers see either the previous entry or the complete new entry.  An
@@ -172,19 +206,22 @@ class ObjectCache:
         Args:
             key: Key of the object.
             code: The object.
+        Returns:
+            Whether it was written.
         """
         _check_key(key)
-        header = _HEADER.pack(_MAGIC, _VERSION, key.encode(), len(code))
-        if len(header) + _SIGNATURE + len(code) > self.limit:
-            return
+        if ENTRY_HEAD + len(code) > self.limit:
+            return False
         try:
             with self._open(make=True) as folder:
-                if folder is not None:
-                    entry = header + _signature(header, code) + code
-                    _write(folder, _file_name(key), entry)
-                    self._trim(folder, len(entry))
+                if folder is None:
+                    return False
+                write_entry(folder, _file_name(key), key, code)
+                self._trim(folder, ENTRY_HEAD + len(code))
         except OSError as error:
             self._warn_once("write", f"compiled code is not stored in '{self.folder}': {error}")
+            return False
+        return True
 
     def get_or_compile(self, key: str, compile_code: Callable[[], bytes], what: str) -> bytes:
         """Read an object; if it is missing, compile and write it.
@@ -271,7 +308,7 @@ class ObjectCache:
 
     def _warn_once(self, kind: str, text: str) -> None:
         about = (str(self.folder), kind)
-        if about not in _warned:
+        if about not in _warned and not self._silent:
             _warned.add(about)
             _warn(text)
 
@@ -289,71 +326,6 @@ def _check_key(key: str) -> None:
 def _file_name(key: str) -> str:
     """Return the name of an entry written with this user's signing key."""
     return f"{key}.{fingerprint()}.o"
-
-
-def _read(folder: int, name: str, key: str) -> bytes:
-    """Read the payload of an entry and update its time of use.
-
-    Args:
-        folder: Descriptor of the folder.
-        name: Name of the entry's file.
-        key: Key of the entry.
-    Returns:
-        The payload.
-    Raises:
-        FileNotFoundError: The entry does not exist.
-        _DistrustError: The entry must not be used.
-    """
-    # Do not follow symbolic links, and do not block on named pipes.
-    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    descriptor = os.open(name, flags, dir_fd=folder)
-    try:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise _DistrustError("it is not a regular file")
-        if why := find_distrust(status):
-            raise _DistrustError(f"it {why}")
-        with os.fdopen(descriptor, "rb", closefd=False) as file:
-            payload = _verify(file, status.st_size, key)
-        with suppress(OSError):
-            os.utime(descriptor)
-    finally:
-        os.close(descriptor)
-    return payload
-
-
-def _verify(file: BinaryIO, size: int, key: str) -> bytes:
-    """Return the payload of an open entry.  Raises _DistrustError unless all checks pass."""
-    head = file.read(_HEADER.size)
-    if len(head) < _HEADER.size:
-        raise _DistrustError("it is truncated")
-    magic, form, stored_key, length = _HEADER.unpack(head)
-    if magic != _MAGIC:
-        raise _DistrustError("it was not written by pinred")
-    if form != _VERSION:
-        raise _DistrustError(f"its format is {form}, not {_VERSION}")
-    if stored_key != key.encode():
-        raise _DistrustError("it contains the object of another key")
-    if length != size - _HEADER.size - _SIGNATURE:
-        raise _DistrustError("its length differs from the length in its header")
-    signature, payload = file.read(_SIGNATURE), file.read(length)
-    if not hmac.compare_digest(signature, _signature(head, payload)):
-        raise _DistrustError("its signature is not this user's, or it is damaged")
-    return payload
-
-
-def _signature(header: bytes, payload: bytes) -> bytes:
-    return hmac.digest(signing_key(), header + payload, "sha256")
-
-
-def _write(folder: int, name: str, data: bytes) -> None:
-    """Write an entry under a temporary name, then rename it once it is complete on disk."""
-    with temporary(folder, 0o600) as file_at:
-        with os.fdopen(file_at.descriptor, "wb", closefd=False) as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file_at.descriptor)
-        file_at.become(name)
 
 
 def _remove(folder: int, name: str) -> bool:

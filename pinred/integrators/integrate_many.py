@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..common.arrays import Array, FrozenArrays, as_floats, positive, read_only
 from ..common.errors import InputError, ShapeError
+from ..common.processors import available_processors
 from .integrate import (
     Tangent,
     begun_by,
@@ -190,7 +191,7 @@ def checked_batch(
         end = max((positive(value, "t_end") for value in ends.tolist()), default=1.0)
     report_times = _rows_of_times(times, ends, end)
     if threads is None:
-        threads = len(os.sched_getaffinity(0))
+        threads = available_processors()
     if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
         raise InputError(f"threads must be a whole number above zero, got {threads!r}")
     outcomes = np.zeros(size, OUTCOME)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextvars import ContextVar
 from dataclasses import asdict
 from functools import partial
 
@@ -22,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 from ..common.arrays import Array
+from ..common.compile_ahead import spare_processors
 from ..common.differences import central_differences
 from ..common.errors import InputError, KernelMismatch
 from ..common.machine_code import NativeCode, load_object
@@ -32,7 +34,7 @@ from ..integrators.stepping.kernel_call import SEEDS
 from .build import model_bytes
 from .evaluate import evaluate
 from .kernel import Kernel
-from .machine.native import compile_object
+from .machine.native import compile_object, generate, lowered
 from .reduced_graph import ReducedGraph
 from .validation import ROUND_OFF, require_agreement
 
@@ -55,6 +57,7 @@ def derived_code(
     Returns:
         The machine code.
     """
+    what = f"derivatives of the equations of '{kernel.system.name}'"
 
     def load() -> NativeCode:
         forces = None if kernel.forces is None else kernel.forces.key
@@ -64,12 +67,42 @@ def derived_code(
         def compile_code() -> bytes:
             return make(ReducedGraph(kernel.system, kernel.structure, kernel.forces))
 
-        what = f"derivatives of the equations of '{kernel.system.name}'"
+        if _is_expecting.get():
+            ObjectCache().compile_ahead(
+                key, lambda: [partial(generate, lowered(compile_code))], b"".join, what
+            )
+            raise _ExpectedError
         native = load_object(ObjectCache().get_or_compile(key, compile_code, what), name)
         judge(native)
         return native
 
     return once(kernel, (derived_code, *kind.items()), load)
+
+
+class _ExpectedError(Exception):
+    """Ends a request of `expect_code`."""
+
+
+_is_expecting: ContextVar[bool] = ContextVar("is expecting", default=False)
+
+
+def expect_code(request: Callable[[], object]) -> None:
+    """Let other threads generate machine code of derivatives before it is needed.
+
+    This thread only writes the LLVM code.  The request ends at the first code that is missing.
+
+    Args:
+        request: Function that needs the machine code.
+    """
+    if not spare_processors():
+        return
+    token = _is_expecting.set(True)
+    try:
+        request()
+    except _ExpectedError:
+        pass
+    finally:
+        _is_expecting.reset(token)
 
 
 _TRIALS, _REQUIRED = 40, 2  # number of random states to try, and of states that must be comparable

@@ -92,7 +92,8 @@ class ReferenceState:
     def free(self) -> Array:
         """Indices of the velocities determined by momenta, (f,)."""
         r = len(self.mu)
-        return np.setdiff1d(np.arange(len(self.v)), [r + k for k in self.prescribed])
+        # np.setdiff1d would load numpy.ma.
+        return np.delete(np.arange(len(self.v)), [r + k for k in self.prescribed])
 
     def in_space(self, v: Array) -> BaseInSpace:
         """Return the base state in the fixed frame for a velocity (n,) about the centre of mass."""

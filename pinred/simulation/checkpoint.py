@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cache
 from hashlib import sha256
@@ -106,19 +106,15 @@ class Checkpoint:
         self._cost = self._last - started
 
 
-def opened(path: str | Path | None) -> AbstractContextManager[Checkpoint | None]:
-    """Return a context that reads a checkpoint and delays Ctrl-C until it is written.
+@contextmanager
+def opened(path: str | Path) -> Iterator[Checkpoint]:
+    """Read a checkpoint, and delay Ctrl-C until it is written.
 
     Args:
-        path: Name of the file, or None.
-    Returns:
-        The context; it yields the checkpoint, or None without a file name.
+        path: Name of the file.
+    Yields:
+        The checkpoint.
     """
-    return nullcontext(None) if path is None else _opened(path)
-
-
-@contextmanager
-def _opened(path: str | Path) -> Iterator[Checkpoint]:
     checked = check_checkpoint_path(path)
     with held_interrupt() as interrupted:
         yield Checkpoint(checked, interrupted)

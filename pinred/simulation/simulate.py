@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import AccuracyWarning, InputError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
+from ..integrators.code_ahead import expect_integration
 from ..scene.repeated_scene import scene_of
 from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
-from .checkpoint import Checkpoint, opened
 from .plan import Plan, plan_of
-from .trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from .checkpoint import Checkpoint
+    from .trajectory import Trajectory
 
 _OPTIONS = Scene.__dataclass_fields__.keys() - {"system"}
 
@@ -81,11 +85,20 @@ def simulate(
             "checkpoint: expected none with engine 'pinocchio', whose integrator is SciPy's. Use "
             "the compiled engine"
         )
-    with opened(checkpoint) as file, shown(progress, "reduced") as done:
+    with _opened(checkpoint) as file, shown(progress, "reduced") as done:
         trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)
     for notice in trajectory.run.notices:
         warnings.warn(notice, AccuracyWarning, stacklevel=3)
     return trajectory
+
+
+def _opened(path: str | Path | None) -> AbstractContextManager[Checkpoint | None]:
+    """Return a context that yields the checkpoint in a file; None without a file name."""
+    if path is None:
+        return nullcontext(None)
+    from .checkpoint import opened
+
+    return opened(path)
 
 
 def _simulated(
@@ -100,6 +113,7 @@ def _simulated(
     again = partial(simulate, plan.scene, engine=engine, check=check)
     run: Callable[[Plan], Trajectory]
     if engine == "compiled":
+        expect_integration(plan.method)  # before the kernels are imported
         from .compiled.run_compiled import run_compiled
 
         run = partial(run_compiled, progress=progress, again=again, checkpoint=checkpoint)

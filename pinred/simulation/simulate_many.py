@@ -12,6 +12,7 @@ from ..common.errors import InputError, IntegrationError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
+from ..integrators.code_ahead import expect_members
 from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
@@ -168,6 +169,9 @@ def run_members(
     Returns:
         The trajectories of all members.
     """
+    for group in members.groups:
+        if not group.one_by_one:
+            expect_members(group.plan.method)
     from .compiled.compiled_flow import flows_of
     from .members.closed_members import reject_singular
     from .members.integrate_members import integrate_members

@@ -6,14 +6,15 @@ subexpressions; LLVM's default pipeline takes a third longer, and its code is no
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 
 import casadi as ca
 import llvmlite.binding as llvm
 
 from ...common.cpu_target import cpu_target
 from ...common.errors import InputError
-from ...common.machine_code import LLVM_LOCK, create_machine
+from ...common.machine_code import create_machine, emit_object
 from ...reduction.tree.identical_branches import Mark
 from .lowering import lower
 from .operations import RESERVED
@@ -47,18 +48,62 @@ def compile_object(
     Raises:
         InputError: The Function or the name is invalid.
         UnsupportedOperationError: The Function contains an operation without machine code.
+        _LoweredError: Only `lowered` needs the LLVM code.
     """
     _check(function, name, outputs=1 if marks is None else 2)
     text = lower(function, name, marks, fma=cpu_target().fma, wide=wide, wide_inputs=wide_inputs)
-    with LLVM_LOCK:
-        context = llvm.create_context()
-        module = llvm.parse_assembly(text, context)
-        machine = create_machine(_LEVEL)
-        passes = llvm.create_new_module_pass_manager()
-        passes.add_always_inliner_pass()
-        passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
-        code: bytes = machine.emit_object(module)
-        module.close()  # before its context is deleted
+    if _only_lowers.get():
+        raise _LoweredError(text)
+    return generate(text)
+
+
+class _LoweredError(Exception):
+    """Carries LLVM code out of `compile_object`."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.text = text
+
+
+_only_lowers: ContextVar[bool] = ContextVar("only lowers", default=False)
+
+
+def lowered(make: Callable[[], bytes]) -> str:
+    """Return the LLVM code for which a function that calls `compile_object` returns object code.
+
+    Args:
+        make: The function.
+    Returns:
+        LLVM assembly, see `generate`.
+    Raises:
+        RuntimeError: The function does not call `compile_object`.
+    """
+    token = _only_lowers.set(True)
+    try:
+        make()
+    except _LoweredError as stop:
+        return stop.text
+    finally:
+        _only_lowers.reset(token)
+    raise RuntimeError("the function does not call compile_object")
+
+
+def generate(text: str) -> bytes:
+    """Generate object code of LLVM assembly; several threads may do so at the same time.
+
+    Args:
+        text: The assembly.
+    Returns:
+        The object code.
+    """
+    context = llvm.create_context()
+    module = llvm.parse_assembly(text, context)
+    machine = create_machine(_LEVEL)
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_always_inliner_pass()
+    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    code = emit_object(machine, module)
+    module.close()  # before its context is deleted
     return code
 
 

@@ -25,8 +25,9 @@ class NoCache(ObjectCache):
     def get(self, key: str) -> None:
         """Return None: nothing is cached."""
 
-    def put(self, key: str, code: bytes) -> None:
-        """Discard the code."""
+    def put(self, key: str, code: bytes) -> bool:  # noqa: ARG002
+        """Discard the code, and return False."""
+        return False
 
 
 def alternating(

@@ -13,9 +13,10 @@ import numpy as np
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
+from ...common.memo import once
 from ...common.names import brief
 from ...common.signatures import shows_fields
-from ...kernels.flow_functions import sizes_of
+from ...integrators.code_ahead import expect_integration
 from ...scene.scene import Scene
 from ...scene.scene_options import SceneOptions
 from ...system.state_fields import FIELDS, Outcome, ShapeState, State
@@ -23,12 +24,11 @@ from ...system.system import System
 from ..plan import plan_of
 from ..simulate import as_scene
 from .inputs import Inputs, motion_of, with_varied
-from .propagator import Propagator
-from .resolved_run import Run, refuse_singular_run
 
 if TYPE_CHECKING:
     from .casadi_adapter import FlowCallback
     from .flow_columns import Columns
+    from .resolved_run import Run
     from .step_map import StepMap
 
 _ROWS: tuple[Outcome, ...] = get_args(Outcome)
@@ -72,6 +72,10 @@ class Flow:
         self.scene = scene
         plan = plan_of(scene)
         self.over_times = over_times
+        expect_integration(plan.method)  # before the kernels are imported
+        from ...kernels.flow_functions import sizes_of
+        from .propagator import Propagator
+
         self.propagator = Propagator(plan, zero_momentum=_stays_zero(scene, wrt))
         self.input_map = Inputs(scene, self.propagator.kernel, plan.acting.gravity, wrt)
         self._rows = _checked_rows(of, wanted=plan.wanted)
@@ -125,6 +129,7 @@ class Flow:
         Returns:
             (rows,), or (T, rows) for a flow over times.
         """
+        self._expect_along(1)
         run = self.run(inputs)
         state, constants = self.input_map.directions(along, run.given)
         return self._shaped(self.propagator.along(run, self._rows, state, constants)[..., 0])
@@ -138,6 +143,7 @@ class Flow:
             (…, rows, size) by input, with times first for a flow over times.  There is no
             last axis for parameters that are one number.
         """
+        self._expect_along(sum(self.inputs.values()))
         run = self.run(inputs)
         slopes = self.propagator.along(run, self._rows, *self.input_map.basis(run.given))
         return {
@@ -154,6 +160,7 @@ class Flow:
         Returns:
             (size,) by input; a number for parameters that are one number.
         """
+        self._expect_back()
         run = self.run(inputs, stages=True)
         by_state, by_constants = self.propagator.back(run, self._rows, self._covectors(covector))
         state, constants = self.input_map.basis(run.given)
@@ -265,6 +272,8 @@ class Flow:
         Returns:
             The run, with a solution between each two stops.
         """
+        from .resolved_run import refuse_singular_run
+
         columns = self.input_map.given(inputs)
         key = columns.state.tobytes() + columns.constants.tobytes()
         last_run = self._last
@@ -272,6 +281,18 @@ class Flow:
             last_run = self._last = (key, self.propagator.run(columns, stages=stages))
             refuse_singular_run(last_run[1])
         return last_run[1]
+
+    def _expect_along(self, count: int) -> None:
+        """Let other threads generate the machine code of derivatives along directions, once."""
+        from .derivatives_ahead import expect_along
+
+        once(self, (expect_along, count), lambda: expect_along(self.propagator, self._rows, count))
+
+    def _expect_back(self) -> None:
+        """Let other threads generate the machine code of derivatives of a covector, once."""
+        from .derivatives_ahead import expect_back
+
+        once(self, expect_back, lambda: expect_back(self.propagator, self._rows))
 
     def _covectors(self, covector: Any) -> Array:
         """Return a covector as (T, rows)."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...kernels.derived_code import expect_code
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
 from ...kernels.flow_functions import initial_conditions_of
@@ -64,6 +65,14 @@ class InitialMap:
         return CompiledFlow(
             self._kernel, *(np.ascontiguousarray(columns.T) for columns in (y, parameters, path))
         )
+
+    def expect_along(self) -> None:
+        """Let other threads generate the machine code of `along`."""
+        expect_code(lambda: self._function.tangent)
+
+    def expect_back(self) -> None:
+        """Let other threads generate the machine code of `back`."""
+        expect_code(lambda: self._function.adjoint)
 
     def along(
         self, given: Given, state: Array, constants: Array, t: float = 0.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from ...common.errors import InputError, ShapeError
 from ...common.names import brief, listed, nearest
 from ...common.parameter import VectorParameter, by_name, refuse_entry
 from ...forces.force_model import ForceModel
-from ...kernels.initial_conditions import TwistOrMomentum
-from ...kernels.kernel import Kernel
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.joint_values import order_by_joint
@@ -25,6 +23,10 @@ from ...scene.scene import Scene
 from ..robot_columns import RobotColumns, with_own
 from .closed_inputs import close_inputs, closing_slopes
 from .planned_start import PlannedStart
+
+if TYPE_CHECKING:
+    from ...kernels.initial_conditions import TwistOrMomentum
+    from ...kernels.kernel import Kernel
 
 _NONE: Mapping[str, Array] = MappingProxyType({})
 

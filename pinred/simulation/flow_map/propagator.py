@@ -44,6 +44,7 @@ class Propagator:
         zero_momentum: Whether the angular momentum is zero for all inputs.
         kernel: Machine code and layout.
         field: Addresses of the vector field and of its derivatives.
+        initial: The map from the inputs to the initial reduced state.
     """
 
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
@@ -62,7 +63,7 @@ class Propagator:
             )
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
-        self._initial = InitialMap(kernel, motion_of(plan.scene))
+        self.initial = InitialMap(kernel, motion_of(plan.scene))
         rate, layout = rate_of(kernel), kernel.layout
         self.field = SmoothField(
             address=rate_address(kernel, self.method),
@@ -106,7 +107,7 @@ class Propagator:
             InputError: The initial momentum or twist overflows.
             IntegrationError: The integrator cannot continue.
         """
-        flow, reports = self._initial(given), self.plan.scene.report_times
+        flow, reports = self.initial(given), self.plan.scene.report_times
         spans, integrations = self._spans_of(flow)
         solutions = self._solve(flow, spans, integrations, stages=stages)
         if not self.plan.has_time_functions:
@@ -164,12 +165,11 @@ class Propagator:
 
     def outputs(self, run: Run) -> Array:
         """Return the kernel's outputs, (T, ·), at the report times."""
-        return _joined(
-            *(
-                run.flow.outputs(span.start + span.times, solution.y, solution.params)
-                for span, solution in self._reported(run)
-            )
+        rows = (
+            run.flow.outputs(span.start + span.times, solution.y, solution.params)
+            for span, solution in self._reported(run)
         )
+        return _joined(*rows)
 
     def outputs_of_many(self, states: Array, constants: Array, threads: int | None) -> Array:
         """Compute the kernel's outputs at many inputs, in SIMD lanes if the method supports lanes.
@@ -186,7 +186,7 @@ class Propagator:
             InputError: An initial momentum or twist overflows.
             IntegrationError: The integration of a member fails.
         """
-        flow, kernel, count = self._initial.of_many(states, constants), self.kernel, len(states)
+        flow, kernel, count = self.initial.of_many(states, constants), self.kernel, len(states)
         plan = self.plan
         batch = integrate_members(flow, plan, np.arange(count), threads)
         if batch.failures:
@@ -235,7 +235,7 @@ class Propagator:
             (T, rows, N).
         """
         layout, size = self.kernel.layout, self._size(rows)
-        y, parameters, path = self._initial.along(run.given, state, constants)
+        y, parameters, path = self.initial.along(run.given, state, constants)
         outcome, derivatives = outcome_of(self.kernel, rows), []
         jumps = jumps_of(self.kernel, self.plan, run.flow.numbers, run.spans, run.solutions)
         numbers = parameters[run.flow.numbers_at]
@@ -289,7 +289,7 @@ class Propagator:
             by_rest[:p] += gradients.by_parameters
             if k in jumps:
                 by_numbers += (covector @ jumps[k].change) * jumps[k].only_slopes()
-        return self._initial.back(run.given, covector, by_rest[:p], by_rest[p:])
+        return self.initial.back(run.given, covector, by_rest[:p], by_rest[p:])
 
     def one_step(
         self,
@@ -318,9 +318,9 @@ class Propagator:
         state, constants = columns or (
             np.zeros((len(a), 0)) for a in (given.state, given.constants)
         )
-        flow = self._initial(given, t)
+        flow = self.initial(given, t)
         self._check_step(t, h, flow.numbers)
-        y_along, parameters_along, path_along = self._initial.along(given, state, constants, t)
+        y_along, parameters_along, path_along = self.initial.along(given, state, constants, t)
         if layout.clock:
             flow.y0[layout.size - 1] = t
         parameters, knots = read_only(flow.parameters_between(t, t + h)), np.array([0.0, h])

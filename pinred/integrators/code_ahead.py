@@ -1,0 +1,187 @@
+"""Machine code of integrators that other threads generate while a robot's kernel is built.
+
+Code is generated from the bitcode that the package ships, and only if the object cache lacks it.
+Each `expect_…` function has the arguments of one kind of run in minimal sizes, because the code
+depends on their types only.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+
+from ..common.arrays import read_only
+from ..common.compile_ahead import Part, spare_processors
+from ..common.machine_code import archive_of, create_machine, emit_object
+from .divided_code import divide
+from .integrate_many import checked_batch
+from .methods.method import Explicit, Method, stepper_of
+from .stepping import shipped_code, wrapped_code
+from .stepping.argument_types import argument_type, plain_value
+from .stepping.call_wrapper import COMPILED, CallWrapper, objects_are_as_expected
+from .stepping.replay import Replay
+from .stepping.run_state import new_run
+
+_LANES = 8  # members of a batch at once, unless the robot is small
+_LEVEL = 3  # of code generation, as in `wrapped_code`
+_requested: set[tuple[str, type[Method], int]] = set()  # kinds of calls, methods and their orders
+
+
+def expect_integration(method: Method) -> None:
+    """Generate the code of `integrate` for a method.
+
+    Args:
+        method: The method.
+    """
+    if not _is_first("integration", method):
+        return
+    stepper = stepper_of(method)
+    none, rows = np.empty(0), np.empty((0, 1))
+    _expect(
+        stepper.loops.advance, new_run(), read_only(none), stepper.work(1), read_only(none),
+        rows, none.copy(), rows,
+    )  # fmt: skip
+
+
+def expect_members(method: Method) -> None:
+    """Generate the code of `integrate_many`, or of `integrate_in_lanes` with eight lanes.
+
+    Args:
+        method: The method.
+    """
+    if not _is_first("members", method):
+        return
+    batch = checked_batch(1, np.empty((1, 0)), np.ones((1, 1)), 1.0, [1.0], (0, 0), 1).batch
+    if isinstance(method, Explicit):
+        from .lanes.integrate_in_lanes import _lane_loop
+
+        loop = _lane_loop(type(method).__name__, method.order, method.tableau(), _LANES)
+        queue = np.zeros(1, dtype=np.int64)
+        _expect(loop.members, batch, new_run(), queue, loop.workspace(1, 0), 1)
+    else:
+        stepper = stepper_of(method)
+        _expect(stepper.loops.members, batch, new_run(), new_run(), stepper.work(1), 0, 1)
+
+
+def expect_tangents(method: Method, count: int) -> None:
+    """Generate the code of `run_along` for a number of directions.
+
+    Args:
+        method: The method.
+        count: Number of directions.
+    """
+    if not _is_first(f"tangents {count == 1}", method):
+        return
+    frozen, replay, row = read_only(np.empty((1, 1))), _replay(), np.empty((1, 1))
+    tangents = (row[0], row, row, row, np.empty((1, 1, 1)))
+    if not isinstance(method, Explicit):
+        from .gauss import stage_sensitivities as gauss
+        from .gauss.fixed_points import sensitivity_rows
+
+        _expect(gauss.forward, replay, 1, 1, frozen, tangents, sensitivity_rows(1, 1))
+        return
+    from .explicit import forward_sensitivities as explicit
+
+    weights = explicit.weights_of(type(method).tableau())
+    if count == 1:
+        pairs = explicit.pairs_of(weights, 1)
+        _expect(explicit.forward_pair, replay, 1, weights, tangents, pairs)
+    else:
+        work = explicit.workspace_of(weights, 1)
+        _expect(explicit.forward, replay, 1, weights, tangents, work)
+
+
+def expect_cotangents(method: Method) -> None:
+    """Generate the code of `run_back`.
+
+    Args:
+        method: The method.
+    """
+    if not _is_first("cotangents", method):
+        return
+    row, frozen = np.empty((1, 1)), read_only(np.empty((1, 1)))
+    back = (frozen, row[0], row, row[0], row[0])
+    if isinstance(method, Explicit):
+        from .explicit.adjoint_sweep import adjoint_sweep_of
+        from .explicit.forward_sensitivities import weights_of
+
+        tableau = type(method).tableau()
+        (_, dense, _), adjoint = weights_of(tableau), adjoint_sweep_of(tableau)
+        _expect(adjoint.sweep, _replay(), 1, dense, back, adjoint.rows(1), row[0])
+    else:
+        from .gauss.adjoint_steps import reverse
+        from .gauss.fixed_points import sensitivity_rows
+
+        _expect(reverse, _replay(), 1, 1, 1, back, sensitivity_rows(1, 1))
+
+
+def expect(function: Any, *arguments: Any) -> None:
+    """Generate the code of a compiled function.
+
+    Args:
+        function: The function.
+        *arguments: Arguments of the types with which it will be called.
+    """
+    if spare_processors():
+        _expect(function, *arguments)
+
+
+def _is_first(call: str, method: Method) -> bool:
+    """Return whether code may be generated ahead that was not requested yet in this process."""
+    key = call, type(method), method.order
+    if key in _requested or not spare_processors():
+        return False
+    _requested.add(key)
+    return True
+
+
+def _replay() -> Replay:
+    row = read_only(np.empty(1))
+    return 1, (0, 0), row, row, row
+
+
+def _expect(function: Any, *arguments: Any) -> None:
+    """Let other threads generate the code of a function for arguments of these types."""
+    types = tuple(map(argument_type, map(plain_value, arguments)))
+    known = tuple(kind for kind in types if kind is not None)
+    if len(known) < len(types) or os.environ.get("NUMBA_CPU_NAME"):
+        return
+    # Code in memory is not generated again, even if no cache could store it.
+    if known in function._by_types:  # noqa: SLF001
+        return
+    python = function.py_func
+    name = shipped_code.shipped_name(python, known, function.stamp)
+    if not (shipped_code.is_shipped(name) and objects_are_as_expected()):
+        return
+    result = ""
+
+    def parts() -> Sequence[Part]:
+        nonlocal result
+        bitcode = shipped_code.read_shipped(name)
+        result, context = bitcode.result, llvm.create_context()
+        wrapper = CallWrapper(python.__name__, known, result)
+        module = llvm.parse_bitcode(bitcode.module, context)
+        parameters = [str(p.type) for p in module.get_function(COMPILED).arguments]
+        texts = [*divide(module), wrapper.text] if parameters == wrapper.parameters else []
+        module.close()  # before its context is deleted
+        return [partial(_generate, text) for text in texts]
+
+    def join(codes: Sequence[bytes]) -> bytes:
+        return result.encode() + b"\n" + archive_of(codes)
+
+    key = wrapped_code._key(name)  # noqa: SLF001 - the object belongs to `wrapped_code`
+    wrapped_code.STORE.compile_ahead(key, parts, join, "an integrator, once for all robots")
+
+
+def _generate(text: str) -> bytes:
+    """Generate object code of LLVM assembly."""
+    context = llvm.create_context()
+    module = llvm.parse_assembly(text, context)
+    code = emit_object(create_machine(_LEVEL), module)
+    module.close()  # before its context is deleted
+    return code
