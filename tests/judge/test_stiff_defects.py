@@ -8,6 +8,7 @@ import numpy as np
 
 import pinred
 from pinred.forces import Damper
+from pinred.judge.compare import DENSE_BOUND
 from pinred.judge.reference_solution import FullState
 from pinred.judge.step_defects import compute_defects, filter_defect
 
@@ -40,14 +41,19 @@ def test_moderate_dampers_are_not_failed() -> None:
 
 
 def test_filter_keeps_defects_of_faults() -> None:
-    """A system with 1e-5 more mass in one body has defects far above the bound."""
+    """Those of the right system pass; 1e-5 more mass in one body gives defects far above."""
     traj = stiff_cat()
     system = traj.system
     model = system.model.copy()
     model.inertias[1].mass *= 1.0 + 1e-5
     full = FullState(replace(traj.scene, system=pinred.System(model, system.name), seed=0))
-    defects = compute_defects(traj, full, max_steps=40, propagate=False, stiff=True)
-    assert defects.worst > 30.0 * 3.0 * (traj.scene.rtol + traj.scene.atol)
+    wrong, right = (
+        compute_defects(traj, each, max_steps=40, propagate=False, stiff=True).worst
+        for each in (full, FullState(traj.scene))
+    )
+    tolerance = traj.scene.rtol + traj.scene.atol
+    assert wrong > 30.0 * 3.0 * tolerance
+    assert right < 0.5 * DENSE_BOUND * tolerance
 
 
 def test_filter_leaves_growing_defects() -> None:

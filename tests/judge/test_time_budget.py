@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from itertools import count
 
@@ -63,7 +64,9 @@ def test_motion_that_aba_cannot_follow_gives_no_verdict(
 ) -> None:
     """A failure of Hairer's codes is a verdict, not an error."""
     monkeypatch.setattr(Hairer, "integrate", lambda *_: None)
+    began = time.perf_counter()
     report = pinred.compare(traj)
+    assert 0.0 < report.wall_full < time.perf_counter() - began
     assert report.verdict is Verdict.CANNOT_TELL
     assert "cannot be integrated to" in report.reasons[-1]
     assert "it reached t = 0 s" in report.reasons[-1]
