@@ -79,3 +79,11 @@ def test_parameters_are_copied() -> None:
     before = full.rate(0.0, y)
     given[:] = 0.7
     np.testing.assert_array_equal(full.rate(0.0, y), before)
+
+
+def test_length_of_the_quaternion_has_no_effect_on_forces() -> None:
+    """The integrator changes the length, but a force observes an attitude."""
+    full, y = case("falling_cat", forces=[Torque(lambda s: ca.vertcat(s.pose[3], 0.0, 0.0))])
+    longer = y.copy()
+    longer[3:7] *= 2.5
+    np.testing.assert_allclose(full.rate(0.0, longer)[10:], full.rate(0.0, y)[10:], rtol=1e-12)
