@@ -21,6 +21,11 @@ from .errors import InputError, NotCopyable
 _IDENTITY = 16  # number of bytes that encode format, word size and byte order
 _ARCHIVE = b"!<arch>\n"
 _MEMBER = 60  # length of the header of an archive's member
+# Functions of llvmlite's library that `emit_object` calls.
+_UNLOCKED = (
+    "TargetMachineEmitToMemory", "GetBufferStart", "GetBufferSize", "DisposeMemoryBuffer",
+    "DisposeString",
+)  # fmt: skip
 
 LLVM_LOCK = Lock()  # common contexts and engines of LLVM are used by one thread at a time
 
@@ -138,6 +143,9 @@ def emit_object(machine: llvm.TargetMachine, module: llvm.ModuleRef) -> bytes:
         RuntimeError: LLVM cannot generate code of the module.
     """
     library, message = _unlocked_library(), ctypes.c_char_p()
+    if library is None:
+        code: bytes = machine.emit_object(module)
+        return code
     buffer = library.LLVMPY_TargetMachineEmitToMemory(machine, module, 1, ctypes.byref(message))
     if not buffer:
         text = (message.value or b"").decode(errors="replace")
@@ -151,9 +159,17 @@ def emit_object(machine: llvm.TargetMachine, module: llvm.ModuleRef) -> bytes:
 
 
 @cache
-def _unlocked_library() -> ctypes.CDLL:
-    """Return the library of llvmlite, with functions that do not wait for its lock."""
-    library = ctypes.CDLL(llvm.ffi.lib._name)  # noqa: SLF001 - llvmlite's substitute for a CDLL
+def _unlocked_library() -> ctypes.CDLL | None:
+    """Return the library of llvmlite, with functions that do not wait for its lock.
+
+    The functions are not part of llvmlite's interface: None if this version has other ones.
+    """
+    try:
+        library = ctypes.CDLL(llvm.ffi.lib._name)  # noqa: SLF001 - llvmlite's substitute for a CDLL
+        for name in _UNLOCKED:
+            getattr(library, f"LLVMPY_{name}")
+    except (AttributeError, OSError, TypeError):
+        return None
     library.LLVMPY_TargetMachineEmitToMemory.argtypes = (
         ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.POINTER(ctypes.c_char_p),
     )  # fmt: skip

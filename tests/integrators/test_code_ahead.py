@@ -14,7 +14,13 @@ import pytest
 import pinred
 from pinred.common import compile_ahead, object_cache
 from pinred.common.errors import InputError
-from pinred.common.machine_code import archive_of, create_machine, emit_object, load_object
+from pinred.common.machine_code import (
+    _unlocked_library,
+    archive_of,
+    create_machine,
+    emit_object,
+    load_object,
+)
 from pinred.common.object_cache import ObjectCache
 from pinred.integrators import code_ahead
 from pinred.integrators.divided_code import divide
@@ -126,6 +132,23 @@ def test_longest_part_is_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_object_code_is_that_of_llvmlite() -> None:
     """Calls without llvmlite's lock generate the same bytes."""
+    first, second = (llvm.parse_assembly(TWO_FUNCTIONS, llvm.create_context()) for _ in range(2))
+    assert emit_object(create_machine(3), first) == create_machine(3).emit_object(second)
+
+
+@pytest.mark.parametrize("error", [AttributeError, OSError])
+def test_other_versions_of_llvmlite_generate_code_with_its_lock(
+    error: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The functions without the lock are not part of llvmlite's interface."""
+
+    def cannot_load(_name: str) -> Any:
+        raise error
+
+    monkeypatch.setattr("pinred.common.machine_code.ctypes.CDLL", cannot_load)
+    monkeypatch.setattr(
+        "pinred.common.machine_code._unlocked_library", _unlocked_library.__wrapped__
+    )
     first, second = (llvm.parse_assembly(TWO_FUNCTIONS, llvm.create_context()) for _ in range(2))
     assert emit_object(create_machine(3), first) == create_machine(3).emit_object(second)
 
