@@ -15,7 +15,7 @@ from ..common.errors import AccuracyWarning, InputError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
-from ..integrators.code_ahead import expect_integration
+from ..integrators.ahead.code_ahead import expect_integration
 from ..scene.repeated_scene import scene_of
 from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions

@@ -12,7 +12,7 @@ from ..common.errors import InputError, IntegrationError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
-from ..integrators.code_ahead import expect_members
+from ..integrators.ahead.code_ahead import expect_members
 from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system

@@ -140,7 +140,7 @@ def test_damping_at_tight_tolerances_gets_adaptive_gauss() -> None:
     choice = plan_of(held).choice
     assert isinstance(choice.method, AdaptiveGauss)
     assert "each e-fold costs" in choice.why
-    assert _evaluations_per_sweep(held) > 6.0
+    assert _evaluations_per_sweep(held) > 4.8
     # Loose tolerances and batches are left to DOP853.
     assert isinstance(plan_of(replace(held, rtol=1e-7)).choice.method, DOP853)
     assert isinstance(members_plan(held).method, DOP853)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...integrators.code_ahead import expect, expect_cotangents, expect_tangents
+from ...integrators.ahead.code_ahead import expect, expect_cotangents, expect_tangents
 from ...integrators.methods import Explicit
 from ...kernels.derived_code import expect_code
 from ...kernels.differentiable import _call_in_batches

@@ -16,7 +16,7 @@ from ...common.errors import InputError, ShapeError
 from ...common.memo import once
 from ...common.names import brief
 from ...common.signatures import shows_fields
-from ...integrators.code_ahead import expect_integration
+from ...integrators.ahead.code_ahead import expect_integration
 from ...scene.scene import Scene
 from ...scene.scene_options import SceneOptions
 from ...system.state_fields import FIELDS, Outcome, ShapeState, State
