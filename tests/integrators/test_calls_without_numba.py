@@ -62,7 +62,7 @@ print(shipped == bits(), "numba" in sys.modules)
 @pytest.mark.parametrize(
     "methods",
     [
-        pytest.param(["DOP853", "Radau"], id="DOP853 and Radau"),
+        pytest.param(["DOP853"], id="DOP853"),
         pytest.param(list(METHODS), id="all", marks=[pytest.mark.by_hand, pytest.mark.slow]),
     ],
 )

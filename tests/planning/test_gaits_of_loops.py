@@ -53,6 +53,7 @@ def linkage() -> pinred.Connection:
 
 
 @pytest.mark.slow
+@pytest.mark.by_hand
 def test_reorientation_of_a_five_bar_reaches_its_target_in_the_simulation() -> None:
     """The cranks move from rest to rest, and the figure names them."""
     plan = pinred.reorient(linkage(), 0.01, limits=LIMITS)
