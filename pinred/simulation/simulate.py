@@ -15,12 +15,12 @@ from ..common.errors import AccuracyWarning, InputError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
-from ..integrators.ahead.code_ahead import expect_integration
 from ..scene.repeated_scene import scene_of
 from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
+from .compiled.code_ahead import expect_integration
 from .plan import Plan, plan_of
 
 if TYPE_CHECKING:

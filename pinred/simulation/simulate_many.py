@@ -12,10 +12,10 @@ from ..common.errors import InputError, IntegrationError
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
-from ..integrators.ahead.code_ahead import expect_members
 from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
+from .compiled.code_ahead import expect_members
 from .members.member_groups import Members, of_scenes
 from .members.member_options import MemberOptions
 from .members.rejected_members import INVALID, Invalid, separate_rejected, warn_of_rejected

@@ -389,6 +389,7 @@ def test_ball_has_one_family_of_dimension_2(moment: float) -> None:
     assert only.amended_potential == pytest.approx(0.5 * moment, rel=1e-14)
 
 
+@pytest.mark.by_hand
 def test_minimum_of_many_joints_is_independent_of_seed() -> None:
     """Searches with different seeds find the same minimum, with residuals of round-off."""
     system = pinred.load("satellite_two_arms")

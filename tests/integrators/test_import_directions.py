@@ -35,7 +35,6 @@ def test_subpackages_have_no_import_cycle() -> None:
     assert order[0] == f"{INTEGRATORS}.stepping"
     assert {by for by in graph if f"{INTEGRATORS}.methods" in graph[by]} == {
         INTEGRATORS,
-        f"{INTEGRATORS}.ahead",
         f"{INTEGRATORS}.lanes",
     }
     assert len(order) > 5

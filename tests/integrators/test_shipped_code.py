@@ -74,9 +74,8 @@ def stepper_of(name: str) -> Stepper:
 
 @needs_code
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[] if n == "RKMK4" else pytest.mark.by_hand) for n in METHODS]
-)
+@pytest.mark.by_hand
+@pytest.mark.parametrize("name", METHODS)
 def test_bits_are_equal_with_and_without_shipped_code(name: str, tmp_path: Path) -> None:
     """With bitcode nothing is compiled; without it, all functions are, with equal results."""
     method = name if METHODS[name].adaptive else f"{name}(0.01)"

@@ -173,6 +173,7 @@ def test_open_and_transparent_shapes_lose_no_pixels(
     assert triangles(screen) == whole
 
 
+@BY_HAND
 def test_other_renderers_draw_all_triangles(
     screen: Browser, bowl_motion: pinred.Trajectory, tmp_path: Path
 ) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...integrators.ahead.code_ahead import expect, expect_cotangents, expect_tangents
 from ...integrators.methods import Explicit
 from ...kernels.derived_code import expect_code
 from ...kernels.differentiable import _call_in_batches
 from ...kernels.flow_functions import Row, outcome_of
+from ..compiled.code_ahead import expect, expect_cotangents, expect_tangents
 from .propagator import Propagator
 
 

@@ -16,11 +16,11 @@ from ...common.errors import InputError, ShapeError
 from ...common.memo import once
 from ...common.names import brief
 from ...common.signatures import shows_fields
-from ...integrators.ahead.code_ahead import expect_integration
 from ...scene.scene import Scene
 from ...scene.scene_options import SceneOptions
 from ...system.state_fields import FIELDS, Outcome, ShapeState, State
 from ...system.system import System
+from ..compiled.code_ahead import expect_integration
 from ..plan import plan_of
 from ..simulate import as_scene
 from .inputs import Inputs, motion_of, with_varied

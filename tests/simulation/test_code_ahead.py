@@ -22,13 +22,13 @@ from pinred.common.machine_code import (
     load_object,
 )
 from pinred.common.object_cache import ObjectCache
-from pinred.integrators.ahead import code_ahead
-from pinred.integrators.ahead.divided_code import divide
 from pinred.integrators.methods import METHODS
 from pinred.integrators.stepping import shipped_code
 from pinred.integrators.stepping.argument_types import argument_type, plain_value
 from pinred.integrators.stepping.compiled_function import CompiledFunction
 from pinred.integrators.stepping.kernel_call import from_lanes
+from pinred.simulation.compiled import code_ahead
+from pinred.simulation.compiled.divided_code import divide
 
 FOLDER = shipped_code.FOLDER / shipped_code.environment()
 needs_code = pytest.mark.skipif(
@@ -112,7 +112,7 @@ def bodies(assembly: str) -> dict[str, list[str]]:
 
 def test_parts_of_a_module_call_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """An archive of object codes is loaded like one object code."""
-    monkeypatch.setattr("pinred.integrators.ahead.divided_code._LENGTH", 1)
+    monkeypatch.setattr("pinred.simulation.compiled.divided_code._LENGTH", 1)
     texts = divide(llvm.parse_assembly(TWO_FUNCTIONS, llvm.create_context()))
     assert len(texts) == 2
     codes = [
@@ -125,7 +125,7 @@ def test_parts_of_a_module_call_each_other(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_longest_part_is_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread that compiles first should not wait for the longest part at the end."""
-    monkeypatch.setattr("pinred.integrators.ahead.divided_code._LENGTH", 1)
+    monkeypatch.setattr("pinred.simulation.compiled.divided_code._LENGTH", 1)
     lengths = [len(t) for t in divide(llvm.parse_assembly(TWO_FUNCTIONS, llvm.create_context()))]
     assert lengths == sorted(lengths, reverse=True)
 
@@ -195,7 +195,7 @@ def test_code_that_calls_cannot_use_is_not_generated(
     begun: list[object] = []
     monkeypatch.setattr("pinred.common.object_cache.begin", begun.append)
     monkeypatch.setattr(ObjectCache, "_has_entry", lambda *_: False)
-    for module in ("common.object_cache", "integrators.ahead.code_ahead"):
+    for module in ("common.object_cache", "simulation.compiled.code_ahead"):
         monkeypatch.setattr(f"pinred.{module}.spare_processors", lambda: 1)
     function = CompiledFunction(vars(from_lanes)["py_func"], vars(from_lanes)["stamp"])
     arguments = np.zeros((1, 8)), np.zeros((1, 2))

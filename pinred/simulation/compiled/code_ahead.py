@@ -18,13 +18,13 @@ import numpy as np
 from ...common.arrays import read_only
 from ...common.compile_ahead import Part, spare_processors
 from ...common.machine_code import archive_of, create_machine, emit_object
-from ..integrate_many import checked_batch
-from ..methods.method import Explicit, Method, stepper_of
-from ..stepping import shipped_code, wrapped_code
-from ..stepping.argument_types import argument_type, plain_value
-from ..stepping.call_wrapper import COMPILED, CallWrapper, objects_are_as_expected
-from ..stepping.replay import Replay
-from ..stepping.run_state import new_run
+from ...integrators.integrate_many import checked_batch
+from ...integrators.methods.method import Explicit, Method, stepper_of
+from ...integrators.stepping import shipped_code, wrapped_code
+from ...integrators.stepping.argument_types import argument_type, plain_value
+from ...integrators.stepping.call_wrapper import COMPILED, CallWrapper, objects_are_as_expected
+from ...integrators.stepping.replay import Replay
+from ...integrators.stepping.run_state import new_run
 from .divided_code import divide
 
 _LANES = 8  # members of a batch at once, unless the robot is small
@@ -58,7 +58,7 @@ def expect_members(method: Method) -> None:
         return
     batch = checked_batch(1, np.empty((1, 0)), np.ones((1, 1)), 1.0, [1.0], (0, 0), 1).batch
     if isinstance(method, Explicit):
-        from ..lanes.integrate_in_lanes import _lane_loop
+        from ...integrators.lanes.integrate_in_lanes import _lane_loop
 
         loop = _lane_loop(type(method).__name__, method.order, method.tableau(), _LANES)
         queue = np.zeros(1, dtype=np.int64)
@@ -80,12 +80,12 @@ def expect_tangents(method: Method, count: int) -> None:
     frozen, replay, row = read_only(np.empty((1, 1))), _replay(), np.empty((1, 1))
     tangents = (row[0], row, row, row, np.empty((1, 1, 1)))
     if not isinstance(method, Explicit):
-        from ..gauss import stage_sensitivities as gauss
-        from ..gauss.fixed_points import sensitivity_rows
+        from ...integrators.gauss import stage_sensitivities as gauss
+        from ...integrators.gauss.fixed_points import sensitivity_rows
 
         _expect(gauss.forward, replay, 1, 1, frozen, tangents, sensitivity_rows(1, 1))
         return
-    from ..explicit import forward_sensitivities as explicit
+    from ...integrators.explicit import forward_sensitivities as explicit
 
     weights = explicit.weights_of(type(method).tableau())
     if count == 1:
@@ -107,15 +107,15 @@ def expect_cotangents(method: Method) -> None:
     row, frozen = np.empty((1, 1)), read_only(np.empty((1, 1)))
     back = (frozen, row[0], row, row[0], row[0])
     if isinstance(method, Explicit):
-        from ..explicit.adjoint_sweep import adjoint_sweep_of
-        from ..explicit.forward_sensitivities import weights_of
+        from ...integrators.explicit.adjoint_sweep import adjoint_sweep_of
+        from ...integrators.explicit.forward_sensitivities import weights_of
 
         tableau = type(method).tableau()
         (_, dense, _), adjoint = weights_of(tableau), adjoint_sweep_of(tableau)
         _expect(adjoint.sweep, _replay(), 1, dense, back, adjoint.rows(1), row[0])
     else:
-        from ..gauss.adjoint_steps import reverse
-        from ..gauss.fixed_points import sensitivity_rows
+        from ...integrators.gauss.adjoint_steps import reverse
+        from ...integrators.gauss.fixed_points import sensitivity_rows
 
         _expect(reverse, _replay(), 1, 1, 1, back, sensitivity_rows(1, 1))
 
