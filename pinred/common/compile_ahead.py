@@ -97,7 +97,7 @@ _workers: list[Thread] = []  # they end when no object is waiting
 
 
 def spare_processors() -> int:
-    """Return the number of processors that this process may use, besides one."""
+    """Return how many processors this process may use in addition to one."""
     return available_processors() - 1
 
 

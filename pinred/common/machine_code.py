@@ -162,7 +162,7 @@ def emit_object(machine: llvm.TargetMachine, module: llvm.ModuleRef) -> bytes:
 def _unlocked_library() -> ctypes.CDLL | None:
     """Return the library of llvmlite, with functions that do not wait for its lock.
 
-    The functions are not part of llvmlite's interface: None if this version has other ones.
+    They are not part of llvmlite's interface. Return None if this version of it lacks them.
     """
     try:
         library = ctypes.CDLL(llvm.ffi.lib._name)  # noqa: SLF001 - llvmlite's substitute for a CDLL

@@ -119,10 +119,10 @@ class FullDynamics:
 
     def _apply_couplings(self, y: Array) -> Array:
         """Return y with follower joints set from their leaders, and with closed loops."""
-        size, m, couplings, close = self._size, self._m, self.couplings, bool(self.system.loops)
+        couplings, close = self.couplings, bool(self.system.loops)
         if not (len(couplings.J) or close):
             return y
-        pose, x, xi, xdot = np.split(y, [size, size + m, size + m + self._r])
+        pose, x, xi, xdot = self._full_coordinates.split(y)
         shape, rates = couplings.shape(x), couplings.shape_rate(xdot)
         if close:
             driven = () if self._forces is None else self._forces.joints

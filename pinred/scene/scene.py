@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, positive, read_only, vector, vector_or_zero, whole
+from ..common.arrays import Array, copied, positive, read_only, vector, vector_or_zero, whole
 from ..common.default_marker import is_given
 from ..common.errors import InputError
 from ..common.memo import recent
@@ -98,11 +98,8 @@ class Scene(SceneFields):
         """
         values = vars(self)
         for name in ARRAYS_OF_STATE:
-            value = values[name]
-            if type(value) is np.ndarray:
-                values[name] = read_only(value.copy())
-            elif type(value) is list:
-                values[name] = value.copy()
+            if values[name] is not None:
+                values[name] = copied(values[name])
         values["_given"] = self._resolve()
 
     def _check_structure(self) -> Shared:

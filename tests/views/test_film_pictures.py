@@ -5,12 +5,12 @@ from __future__ import annotations
 import base64
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
+from played_robots import BY_HAND, OTHERS, ROBOTS
 from robot_texts import joint, robot
 
 import pinred
@@ -25,15 +25,7 @@ SHADOW = 6  # margin of cards [px]
 # touches in double precision.
 MOST_DIFFERENT = 5  # number of pixels of 307 200
 BACKGROUND = 2  # triangles of the background, whose rows films clear instead
-BY_HAND = pytest.mark.by_hand  # it takes long
 TIMES = (0.31, 0.62)
-ROBOTS: dict[str, dict[str, Any]] = {
-    "falling_cat": {"duration": 4.0},
-    "satellite_two_arms": {"duration": 4.0},
-    "solo12": {"seed": 0, "duration": 2.0},
-    "talos": {"seed": 0, "duration": 1.0},
-}
-OTHERS = [pytest.param(name, marks=BY_HAND) for name in ROBOTS if name != "falling_cat"]
 OTHER_RENDERER = """
     const get = WebGL2RenderingContext.prototype.getParameter;
     WebGL2RenderingContext.prototype.getParameter = function (name) {

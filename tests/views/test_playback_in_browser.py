@@ -11,13 +11,13 @@ import tempfile
 import time
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
+from played_robots import BY_HAND, OTHERS, ROBOTS
 
 import pinred
 from pinred.views.playback.film import find_ffmpeg, write_gif
@@ -31,16 +31,6 @@ pytestmark = pytest.mark.browser
 Picture = NDArray[np.int16]
 ROOT = Path(__file__).parents[2]
 SIZE = {"width": 900, "height": 760}
-BY_HAND = pytest.mark.by_hand  # it takes long
-ROBOTS: dict[str, dict[str, Any]] = {
-    "falling_cat": {"duration": 4.0},
-    "satellite_two_arms": {"duration": 4.0},
-    "solo12": {"seed": 0, "duration": 2.0},
-    "talos": {"seed": 0, "duration": 1.0},
-}
-
-
-OTHERS = [pytest.param(name, marks=BY_HAND) for name in ROBOTS if name != "falling_cat"]
 
 
 def show(screen: Browser, url: str) -> None:

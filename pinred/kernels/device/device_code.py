@@ -202,7 +202,7 @@ def _array(data: str, itemsize: int, size: str, *shape: str | int) -> str:
 
 
 def _entry(n: int, parameters: int, rows: tuple[int, ...]) -> str:
-    """Generate the entry point, of which each thread integrates one member.
+    """Generate the entry point. Each thread executes it for one member.
 
     Its arguments are N, T, and R, the number of rows of report times, 1 or N; then the addresses of
     runs (N,), parameters (N, p), initial states (N, n), report times (R, T), states (N, T, n), and

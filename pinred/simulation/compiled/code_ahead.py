@@ -28,7 +28,7 @@ from ...integrators.stepping.run_state import new_run
 from .divided_code import divide
 
 _LANES = 8  # members of a batch at once, unless the robot is small
-_LEVEL = 3  # of code generation, as in `wrapped_code`
+_LEVEL = wrapped_code._LEVEL  # noqa: SLF001 - the objects belong to `wrapped_code`
 _requested: set[tuple[str, type[Method], int]] = set()  # kinds of calls, methods and their orders
 
 

@@ -42,16 +42,9 @@ def run_compiled(
         long = long_integrator(flow, plan, method, integrate, progress)
     integrate = long or integrate
     trajectory = integrate_plan(
-        plan,
-        flow,
-        integrate,
-        "compiled",
-        method.name,
-        again,
-        through,
-        record,
+        plan, flow, integrate, "compiled", method.name, again, through, record,
         thinned=long is not None,
-    )
+    )  # fmt: skip
     if checkpoint is not None and record is not None:
         checkpoint.close(record, flow, plan, cut=trajectory.ended_by is not None)
     return trajectory
