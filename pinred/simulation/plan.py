@@ -7,7 +7,7 @@ plan may differ.  `Plan.kind` returns the equations of either case.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -18,7 +18,7 @@ from ..common.errors import SymmetryError
 from ..common.memo import once
 from ..forces.force_model import ForceModel, touched_by
 from ..forces.switch_times import ROUND_OFF
-from ..integrators.methods import Method
+from ..integrators.methods import EqualSteps, ErrorControl, Method
 from ..kernels.state_layout import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.potential import acting_gravity, pivot_weight
@@ -34,8 +34,12 @@ from ..scene.scene import Scene
 from ..system.model_parameters import ModelParameters
 from ..system.system import System
 from .choose_method import Choice, choose
+from .step_limits import step_limits
 
 _NONE = read_only(np.empty(0))
+# Error of the integrals of functions of time by equal steps that is reported, relative to their
+# ranges.
+_MISSED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,12 +152,14 @@ class Plan:
         acting: Properties of the scene's system and forces.
         stops: Times at which integration stops, with the end of the scene as last, (S,) [s].
         numbers: Initial force parameters, (p,).
+        longest: Longest step of methods with step control [s].
     """
 
     scene: Scene
     acting: Acting
     stops: Array
     numbers: Array
+    longest: float = np.inf
 
     @property
     def system(self) -> System:
@@ -213,10 +219,17 @@ class Plan:
         is_first = self.stops is vars(once(shared, Plan, lambda: self))["stops"]
         return once(shared, Choice, make) if is_first else make()
 
-    @property
+    @cached_property
     def method(self) -> Method:
         """The method of the compiled engine."""
-        return self.choice.method
+        method = self.choice.method
+        if isinstance(method, ErrorControl) and self.longest < method.max_step:
+            return replace(method, max_step=self.longest)
+        return method
+
+    def limited(self, longest: float, stops: Array) -> Plan:
+        """Return a plan with a longest step [s] and further stops, (U,) [s]."""
+        return replace(self, longest=longest, stops=joined_stops(self.stops, stops))
 
     @cached_property
     def is_observed(self) -> bool:
@@ -230,22 +243,43 @@ class Plan:
 
     @cached_property
     def has_time_functions(self) -> bool:
-        """Whether forces contain functions of time, and step control decides where to see them."""
+        """Whether forces contain functions of time."""
         forces = self.forces
-        if forces is None or not (forces.needs_time and forces.time_functions.count):
-            return False
-        return bool(self.scene.integrator is None or self.scene.integrator.adaptive)
+        return forces is not None and forces.needs_time and forces.time_functions.count > 0
 
     @cached_property
     def notices(self) -> tuple[str, ...]:
         """Sentences on errors that the method does not control; empty if there are none."""
         forces, method = self.forces, self.scene.integrator  # "auto" avoids such methods
+        notices = self.notices_of_equal_steps(self.numbers)
         if forces is None or method is None or not (method.needs_smooth and forces.has_kinks):
-            return ()
+            return notices
         return (
             f"method: {method.name} loses its order where a force of '{self.system.name}' has a "
             "kink (abs, sign, limits, conditions on the state), so errors exceed the tolerance "
             "there. Use DOP853, or smooth forces",
+            *notices,
+        )
+
+    def notices_of_equal_steps(self, numbers: Array) -> tuple[str, ...]:
+        """Return sentences on functions of time that steps of equal length miss, if any.
+
+        Args:
+            numbers: Force parameters, (p,).
+        Returns:
+            One sentence, or none.
+        """
+        method, forces = self.scene.integrator, self.forces
+        if not isinstance(method, EqualSteps) or forces is None or not self.has_time_functions:
+            return ()
+        limits = step_limits(forces, self.scene.end, numbers, _MISSED, method.order)
+        error = limits.error_of_equal_steps(method.step, method.order)
+        if error <= _MISSED:
+            return ()
+        return (
+            f"method: steps of {method.step:g} s with {method.name} integrate a function of time "
+            f"of '{self.system.name}' with an error of about {error:.0e} of its range. Use shorter "
+            "steps, or a method with step control",
         )
 
     def kind(
@@ -319,6 +353,15 @@ def spans_between(stops: Array, reports: Array) -> list[Span]:
         spans.append(Span(start, stop, rows, read_only(reports[rows] - start)))
         first, start = last, stop
     return spans
+
+
+def joined_stops(stops: Array, times: Array) -> Array:
+    """Return the union of stops, (S,) with the end as last, and times, (U,); read-only [s]."""
+    if not times.size:
+        return stops
+    union = np.union1d(stops, times)
+    distinct = np.append(np.diff(union) > ROUND_OFF * stops[-1], True)
+    return read_only(union[distinct])
 
 
 def stops_of(scene: Scene) -> Array:

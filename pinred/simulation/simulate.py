@@ -133,7 +133,7 @@ def _simulated(
 def _resolved(plan: Plan, run: Callable[[Plan], Trajectory]) -> Trajectory:
     """Return the trajectory of a plan, with more stops if its steps skip functions of time."""
     trajectory = run(plan)
-    if not plan.has_time_functions:
+    if not (plan.has_time_functions and plan.method.adaptive):
         return trajectory
     from .time_resolution import resolve
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import InputError, IntegrationError
-from ..integrators.methods import DOP853_LEAST, ErrorControl
+from ..integrators.methods import ErrorControl
 from .plan import Plan
 from .reduced_flow import Segment
-from .time_resolution import cost_of_all, differ, with_stops
+from .time_resolution import cost_of_all, differ, tolerance_of
 from .trajectory import Trajectory
 
 _SAMPLES = 1000  # number of spans of a run with one sample each
@@ -67,9 +67,9 @@ def resolve_steps(
             the motion.
     """
     runs = [trajectory]
-    plan = with_stops(plan, trajectory.motion.segments.ends[:-1])
+    plan = plan.limited(np.inf, trajectory.motion.segments.ends[:-1])
     while (worst := find_defects(plan, runs[-1])).times.size and len(runs) <= _RERUNS:
-        plan = with_stops(plan, worst.times)
+        plan = plan.limited(np.inf, worst.times)
         runs.append(run(plan))
     last = runs[-1]
     # A large defect alone may be an error of the dense output, which does not enter the next step.
@@ -100,7 +100,7 @@ def find_defects(plan: Plan, trajectory: Trajectory) -> _Worst:
     Returns:
         One sample for each of these steps, in order of time.
     """
-    motion, tolerance = trajectory.motion, _tolerance(plan, trajectory)
+    motion, tolerance = trajectory.motion, tolerance_of(plan, trajectory.run.engine)
     if not motion.flow.y0.size:
         return _Worst(np.empty(0), np.empty(0))
     samples = _sample_times(trajectory.scene.end)
@@ -119,15 +119,6 @@ def _sample_times(end: float) -> Array:
     """Return a random time in each of equal spans, (_SAMPLES,) sorted [s]."""
     fractions = np.random.default_rng(_SEED).random(_SAMPLES)
     return np.asarray((np.arange(_SAMPLES) + fractions) * (end / _SAMPLES))
-
-
-def _tolerance(plan: Plan, trajectory: Trajectory) -> tuple[float, float]:
-    """Return the relative and absolute tolerance of the steps."""
-    method = plan.method
-    if trajectory.run.engine == "compiled" and isinstance(method, ErrorControl):
-        return method.rtol, method.atol
-    rtol, atol = plan.scene.tolerance
-    return max(rtol, DOP853_LEAST), atol
 
 
 def _worst_of(

@@ -1,45 +1,53 @@
 """Whether the steps of a run resolve the functions of time in its forces.
 
-Step control sees a force at the stages of its steps only, so it can skip a short bump. After a run,
-each function of time is evaluated on a grid, and compared with the polynomial through its values at
-the stages of each step. Where they differ, the run needs another stop. Scenes without functions of
-time cost nothing.
+Steps that are longer than the limits of `step_limits` may miss a part of a function. The dense
+output of these steps is then put into the equations of motion: the difference between the change
+of the state over a step and the integral of its rates, by a quadrature that resolves all functions,
+is the defect of the step. If a defect exceeds the tolerance, the run is repeated with stops between
+which no step is too long. Scenes without functions of time cost nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ..common.arrays import Array, read_only
-from ..forces.force_model import ForceModel
-from ..forces.switch_times import ROUND_OFF, time_within
-from ..integrators.methods import DOP853, Method
+from ..common.arrays import Array
+from ..integrators.methods import DOP853, DOP853_LEAST, ErrorControl
+from ..system.coordinates import Indices
 from .compiled.integrator import divisions_of
-from .motion import Motion
 from .plan import Plan
-from .time_table import (
-    MISSED,
-    SPARSE,
-    TIMES,
-    fit_of,
-    resolved_limit,
-    stops_at,
-    time_table,
-    worst_indices,
-)
+from .step_limits import StepLimits, step_limits
 from .trajectory import Cost, Trajectory
 
 _SHOWN = 5  # largest number of times in a notice
-RERUNS = 2  # largest number of further runs
 # Change of states between two runs that is an error, in tolerances.
 _CHANGED = 100.0
 _COMPARED = 16  # number of times at which two runs are compared
-_COUNTS = 2 ** np.arange(11)  # numbers of equal steps on which functions are compared
-_PER_STEP = 4  # distances of grid times in the shortest of these steps, at least
-_SMOOTH = 0.1  # largest difference of smooth functions, relative to the largest that is resolved
+_DEFECT = 5.0  # largest defect of a step that resolves all functions, in tolerances
+_NODES = 16  # number of nodes of the quadrature over a part of a step
+_MOST_PARTS = 1 << 12  # largest number of these parts of all steps of a run
+_LONGER = 1.0 + 1e-9  # ratio of lengths that round-off explains
+
+
+class Steps(NamedTuple):
+    """Successive steps between two stops of a run.
+
+    Attributes:
+        ends: Ends of the steps, with the start of the first, (K + 1,) [s].
+        at: Dense output: function from times (T,) to reduced states (T, k).
+        parameters: Parameters of the vector field, (p,).
+    """
+
+    ends: Array
+    at: Callable[[Array], Array]
+    parameters: Array
+
+
+Rates = Callable[[Array, Array, Array], Array]
 
 
 def resolve(plan: Plan, trajectory: Trajectory, run: Callable[[Plan], Trajectory]) -> Trajectory:
@@ -50,18 +58,27 @@ def resolve(plan: Plan, trajectory: Trajectory, run: Callable[[Plan], Trajectory
         trajectory: The trajectory.
         run: Function that integrates a plan.
     Returns:
-        The trajectory. If functions are still not resolved after two more runs, and the last run
-        has changed the motion, a notice states it.
+        The trajectory. A notice states functions that are still not resolved.
     """
-    runs = [trajectory]
-    while (missed := _unresolved(plan, runs[-1])).size and len(runs) <= RERUNS:
-        plan = with_stops(plan, missed)
-        runs.append(run(plan))
-    if len(runs) == 1:
+    if plan.forces is None:
         return trajectory
+    engine, runs, motion = trajectory.run.engine, [trajectory], trajectory.motion
+    divisions = divisions_of(plan) if engine == "compiled" else 1
+    tolerance = tolerance_of(plan, engine)
+    arguments = plan.forces, plan.scene.end, plan.numbers, tolerance[0]
+    limits = step_limits(*arguments, order_of(plan) if engine == "compiled" else DOP853.order)
+    steps = [Steps(s.knots[::divisions], s.at, s.parameters) for s in motion.segments]
+    if is_unresolved(limits, steps, motion.flow.rates, tolerance):
+        limited = plan.limited(*limits.cheapest())
+        if engine == "compiled" and limited.method.name != plan.method.name:
+            # The choice of the method takes stops into account.
+            limited = plan.limited(*step_limits(*arguments, order_of(limited)).cheapest())
+        runs.append(run(limited))
     last, notices = runs[-1], runs[-1].run.notices
-    if missed.size and differ(runs[-2], last):
-        notices += (describe_unresolved(plan, missed),)
+    if limits.unresolved.size:
+        notices += (describe_unresolved(plan, limits.unresolved),)
+    elif len(runs) == 1:
+        return trajectory
     last.run = replace(cost_of_all([r.run for r in runs]), notices=notices)
     return last
 
@@ -87,130 +104,85 @@ def cost_of_all(runs: Sequence[Cost]) -> Cost:
     )
 
 
-def _unresolved(plan: Plan, trajectory: Trajectory) -> Array:
-    if trajectory.run.engine == "compiled":
-        return find_unresolved(plan, trajectory.motion, type(plan.method), divisions_of(plan))
-    return find_unresolved(plan, trajectory.motion, DOP853)
-
-
 def differ(first: Trajectory, second: Trajectory) -> bool:
     """Return whether two motions of a scene differ by more than their tolerance explains."""
     end = min(first.scene.end, second.scene.end)
     times = np.linspace(0.0, end, _COMPARED + 1)[1:]
     y, other = first.motion.reduced(times), second.motion.reduced(times)
-    return states_differ(first.plan, y, other)
-
-
-def states_differ(plan: Plan, y: Array, other: Array) -> bool:
-    """Return whether reduced states (T, k) differ by more than the tolerance of a plan explains."""
-    rtol, atol = plan.scene.rtol, plan.scene.atol
-    scale = atol + rtol * np.maximum(1.0, np.abs(y).max(axis=1, initial=0.0))
+    scale = first.plan.scene.atol + first.plan.scene.rtol * np.maximum(
+        1.0, np.abs(y).max(axis=1, initial=0.0)
+    )
     return not (np.abs(y - other).max(axis=1, initial=0.0) <= _CHANGED * scale).all()
 
 
-def find_unresolved(plan: Plan, motion: Motion, method: type[Method], divisions: int = 1) -> Array:
-    """Return the times at which functions of time are not resolved by the steps of a motion.
+def tolerance_of(plan: Plan, engine: str) -> tuple[float, float]:
+    """Return the relative and absolute tolerance of the steps of a run."""
+    method = plan.method
+    if engine == "compiled" and isinstance(method, ErrorControl):
+        return method.rtol, method.atol
+    rtol, atol = plan.scene.tolerance
+    return max(rtol, DOP853_LEAST), atol
+
+
+def order_of(plan: Plan) -> int:
+    """Return the order of the solution whose error controls the steps of a compiled run."""
+    method = plan.method
+    return method.controlled_order if isinstance(method, ErrorControl) else method.order
+
+
+def is_unresolved(
+    limits: StepLimits, steps: Iterable[Steps], rates: Rates, tolerance: tuple[float, float]
+) -> bool:
+    """Return whether a step misses a part of a function of time.
 
     Args:
-        plan: The plan of the scene.
-        motion: The motion.
-        method: Method of the steps.
-        divisions: Number of parts into which `motion.knots` divide each step.
-    Returns:
-        The time of the largest difference in each step with a difference, (U,) [s].
+        limits: Limits of the steps.
+        steps: All steps of the run.
+        rates: Function from times (T,), reduced states (T, k) and parameters to rates, (T, k).
+        tolerance: Relative and absolute tolerance of the steps.
     """
-    if plan.forces is None:
-        return np.empty(0)
-    knots = _step_ends(motion, divisions)
-    return unresolved_times(plan, plan.forces, plan.forces.numbers, knots, method)
+    for each in steps:
+        starts, lengths = each.ends[:-1], np.diff(each.ends)
+        allowed = limits.within(starts, each.ends[1:])
+        long = lengths > _LONGER * allowed
+        if not long.any():
+            continue
+        counts = np.ceil(lengths[long] / allowed[long])
+        if not counts.sum() <= _MOST_PARTS:
+            return True
+        defects = _defects(each, starts[long], lengths[long], counts.astype(int), rates, tolerance)
+        if not (defects <= _DEFECT).all():
+            return True
+    return False
 
 
-def unresolved_times(
-    plan: Plan, forces: ForceModel, numbers: Array, knots: Array, method: type[Method]
+def _defects(
+    steps: Steps,
+    starts: Array,
+    lengths: Array,
+    counts: Indices,
+    rates: Rates,
+    tolerance: tuple[float, float],
 ) -> Array:
-    """Return the times at which functions of time are not resolved by steps.
+    """Return the defects of K steps, in tolerances, (K,).
 
     Args:
-        plan: The plan of the scene.
-        forces: Its forces.
-        numbers: Force parameters of the run, (p,).
-        knots: Ends of the steps, with the start of the run, (K + 1,) [s].
-        method: Method of the steps.
-    Returns:
-        The time of the largest difference in each step with a difference, (U,) [s].
+        steps: The steps of which these are some.
+        starts: Starts of the steps, (K,) [s].
+        lengths: Lengths of the steps, (K,) [s].
+        counts: Numbers of equal parts that resolve all functions of time, (K,).
+        rates: See `is_unresolved`.
+        tolerance: See `is_unresolved`.
     """
-    nodes, fit = fit_of(method)
-    if not nodes.size:
-        return np.empty(0)
-    table = time_table(forces, plan.scene.end, numbers)
-    worst = worst_indices(table, knots, nodes, fit, resolved_limit(plan, nodes))
-    return stops_at(table, worst[worst >= 0], nodes)
-
-
-def stops_for_any_steps(
-    plan: Plan, forces: ForceModel, numbers: Array, method: type[Method]
-) -> Array:
-    """Return stops with which steps of any length see all short changes of functions of time.
-
-    The functions are compared on equal steps of many lengths. Steps of a length can skip a change
-    only if the functions are smooth before it on this length. A stop is placed in each such change.
-
-    Args:
-        plan: The plan of the scene.
-        forces: Its forces.
-        numbers: Force parameters of the run, (p,).
-        method: Method of the steps.
-    Returns:
-        Stops, (U,) sorted [s]. They depend on the functions only, not on the motion.
-    """
-    nodes, fit = fit_of(method)
-    if not nodes.size or _is_smooth(forces, plan.scene.end, numbers):
-        return np.empty(0)
-    table, limit = time_table(forces, plan.scene.end, numbers), resolved_limit(plan, nodes)
-    found = [np.empty(0, dtype=np.int64)]
-    finest = len(table.chosen) and int(np.diff(table.chosen).clip(1).min())
-    for count in _COUNTS[TIMES / (_PER_STEP * max(finest, 1)) >= _COUNTS]:
-        for offset in (0.0, 0.5):  # a change can lie across the end of a step
-            grid = plan.scene.end / count * (np.arange(count) + offset)
-            knots = np.union1d(grid, np.append(table.starts, table.ends))
-            worst = worst_indices(table, knots, nodes, fit, limit)
-            if (worst >= 0).any():
-                smooth = worst_indices(table, knots, nodes, fit, _SMOOTH * limit) < 0
-                # No step precedes the first one, so there the change has to end again.
-                begins = np.append(smooth[1:2], smooth[:-1]) if count > 1 else np.array([True])
-                found.append(worst[(worst >= 0) & begins[: len(worst)]])
-    return stops_at(table, np.unique(np.concatenate(found)), nodes)
-
-
-def _is_smooth(forces: ForceModel, end: float, numbers: Array) -> bool:
-    """Return whether functions of time are almost linear between distant times, (p,) numbers."""
-    if forces.switching.breaks(end, numbers).size:
-        return False
-    times = np.linspace(0.0, end, TIMES + 1)
-    within = float(time_within(0.0, end))
-    values = forces.time_functions(times, numbers, forces.within, within)
-    ends, parts = values[:, ::SPARSE], np.arange(SPARSE) / SPARSE
-    inside = values[:, :-1].reshape(len(values), -1, SPARSE)
-    linear = ends[:, :-1, None] + np.diff(ends)[:, :, None] * parts
-    off = np.abs(inside - linear).max(axis=(1, 2))
-    return bool((off <= MISSED * np.ptp(values, axis=1)).all())
-
-
-def with_stops(plan: Plan, times: Array) -> Plan:
-    """Return a plan that also stops at given times, (U,) [s]."""
-    return replace(plan, stops=joined_stops(plan.stops, times))
-
-
-def joined_stops(stops: Array, times: Array) -> Array:
-    """Return the union of stops, (S,) with the end as last, and times, (U,); read-only [s]."""
-    union = np.union1d(stops, times)
-    distinct = np.append(np.diff(union) > ROUND_OFF * stops[-1], True)
-    return read_only(union[distinct])
-
-
-def _step_ends(motion: Motion, divisions: int) -> Array:
-    """Return the times of the ends of steps, with the start of the run, (K + 1,) [s]."""
-    segments = motion.segments
-    knots = segments[0].knots if len(segments) == 1 else motion.knots
-    ends = np.array(knots[::divisions])
-    return ends if ends[-1] == knots[-1] else np.append(ends, knots[-1])
+    step, first = np.repeat(np.arange(len(counts)), counts), np.cumsum(counts) - counts
+    part = np.arange(len(step)) - first[step]
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    half = 0.5 * (lengths / counts)[step]
+    times = starts[step, None] + half[:, None] * (2 * part[:, None] + 1.0 + nodes)
+    y = steps.at(times.ravel())
+    slopes = rates(times.ravel(), y, steps.parameters).reshape(*times.shape, -1)
+    changes = np.add.reduceat(half[:, None] * np.einsum("n,pnk->pk", weights, slopes), first)
+    before, after = steps.at(starts), steps.at(starts + lengths)
+    rtol, atol = tolerance
+    errors = np.abs(after - before - changes) / (atol + rtol * np.abs(after))
+    return np.asarray(np.where(np.isnan(errors), np.inf, errors).max(axis=1, initial=0.0))

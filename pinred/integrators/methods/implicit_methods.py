@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError
 from ..gauss.tables import MOST_STAGES, lanes_of
@@ -128,12 +126,6 @@ class AdaptiveGauss(ErrorControl):
     order: ClassVar[int] = 2 * MOST_STAGES
     dense_order: ClassVar[int] = 2 * MOST_STAGES
 
-    @classmethod
-    def stage_times(cls) -> tuple[float, ...]:
-        """Return the times of the stages as fractions of a step."""
-        nodes, _ = np.polynomial.legendre.leggauss(cls.stages)
-        return tuple((0.5 * (nodes + 1.0)).tolist())
-
     def _stepper(self) -> Stepper:
         """Return the compiled stepper."""
         from ..gauss.adaptive import adaptive_stepper
@@ -170,11 +162,7 @@ class Radau(ErrorControl):
     about: ClassVar[str] = "Radau IIA of order 5, for hard springs and dampers"
     order: ClassVar[int] = 5
     dense_order: ClassVar[int] = 5
-
-    @classmethod
-    def stage_times(cls) -> tuple[float, ...]:
-        """Return the times of the start and of the stages, as fractions of a step."""
-        return 0.0, 0.4 - 0.1 * 6.0**0.5, 0.4 + 0.1 * 6.0**0.5, 1.0
+    controlled_order: ClassVar[int] = 3
 
     def _stepper(self) -> Stepper:
         """Return the compiled stepper."""

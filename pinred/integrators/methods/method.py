@@ -78,11 +78,6 @@ class Method(ABC):
     def dense_order(self) -> int:
         """Order of the dense output."""
 
-    @classmethod
-    def stage_times(cls) -> tuple[float, ...]:
-        """Return the times of the stages as fractions of a step; none if they are not known."""
-        return ()
-
     @abstractmethod
     def _stepper(self) -> Stepper:
         """Return the compiled stepper; the first call imports and compiles it."""
@@ -164,6 +159,11 @@ class ErrorControl(Method):
         if self.max_steps < 1:
             raise InputError(f"max_steps must be at least 1, got {self.max_steps}")
 
+    @property
+    def controlled_order(self) -> int:
+        """Order of the solution whose error is estimated; lower than `order` for some methods."""
+        return self.order
+
     def _registers(self, t_end: float) -> dict[str, float]:  # noqa: ARG002
         """Return the registers for tolerances and limits, see Method._registers."""
         return {
@@ -223,12 +223,6 @@ class Explicit(ErrorControl):
     @abstractmethod
     def tableau(cls) -> Tableau:
         """Return the coefficients of the method, the same object at every call."""
-
-    @classmethod
-    def stage_times(cls) -> tuple[float, ...]:
-        """Return the times of the stages and of the end, as fractions of a step."""
-        tableau = cls.tableau()
-        return tuple(tableau.A[: tableau.stages + 1].sum(axis=1).tolist())
 
     def _stepper(self) -> Stepper:
         """Return the compiled stepper."""

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ...common.arrays import Array, read_only
-from ...common.errors import InputError, IntegrationError
+from ...common.errors import AccuracyWarning, InputError, IntegrationError
 from ...forces.switch_times import time_within
 from ...integrators.integrate import Integration
+from ...integrators.methods import Method
 from ...integrators.run_derivatives import (
     SmoothField,
     refuse_without_derivatives,
@@ -78,11 +82,11 @@ class Propagator:
         self._backs: dict[tuple[Row, ...], OutcomeAdjoint] = {}
         self._integrations = [self._integration(span) for span in plan.spans]
 
-    def _integration(self, span: Span) -> Integration:
-        """Prepare the integration over one span."""
+    def _integration(self, span: Span, method: Method | None = None) -> Integration:
+        """Prepare the integration over one span, with another longest step if a method is given."""
         kernel, layout = self.kernel, self.kernel.layout
         return Integration(
-            self.method, self.field.address, self._n, span.stop - span.start, span.times,
+            method or self.method, self.field.address, self._n, span.stop - span.start, span.times,
             layout.quaternions, kernel.canonical, lambda: tangent_of(kernel).address,
         )  # fmt: skip
 
@@ -112,13 +116,19 @@ class Propagator:
         solutions = self._solve(flow, spans, integrations, stages=stages)
         if not self.plan.has_time_functions:
             return Run(given, flow, spans, solutions)
+        if not self.method.adaptive:
+            for notice in self.plan.notices_of_equal_steps(flow.numbers):
+                warnings.warn(notice, AccuracyWarning, stacklevel=4)
+            return Run(given, flow, spans, solutions)
 
-        def solve(stops: Array) -> tuple[list[Span], list[Solution]]:
-            spans = spans_between(stops, reports)
-            integrations = [self._integration(span) for span in spans]
+        def solve(plan: Plan) -> tuple[list[Span], list[Solution]]:
+            spans = spans_between(plan.stops, reports)
+            method: Any = self.method
+            method = replace(method, max_step=min(method.max_step, plan.longest))
+            integrations = [self._integration(span, method) for span in spans]
             return spans, self._solve(flow, spans, integrations, stages=stages)
 
-        return Run(given, flow, *resolve_run(self.plan, flow.numbers, spans, solutions, solve))
+        return Run(given, flow, *resolve_run(self.plan, flow, spans, solutions, solve))
 
     def _solve(
         self,

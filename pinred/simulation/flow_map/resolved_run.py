@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...common.arrays import Array
+from ...common.arrays import Array, read_only
 from ...common.errors import AccuracyWarning
 from ...integrators.solution import Solution
 from ..compiled.compiled_flow import CompiledFlow
 from ..plan import Plan, Span
 from ..singular_loops import may_pass_singular_shape, refuse_singular_shapes
+from ..step_limits import step_limits
 from ..time_resolution import (
-    RERUNS,
+    Steps,
     describe_unresolved,
-    joined_stops,
-    states_differ,
-    unresolved_times,
+    is_unresolved,
+    order_of,
+    tolerance_of,
 )
 from .inputs import Given
 
@@ -41,40 +42,50 @@ class Run:
     solutions: list[Solution]
 
 
-Solve = Callable[[Array], tuple[list[Span], list[Solution]]]
+Solve = Callable[[Plan], tuple[list[Span], list[Solution]]]
 
 
 def resolve_run(
-    plan: Plan, numbers: Array, spans: list[Span], solutions: list[Solution], solve: Solve
+    plan: Plan,
+    flow: CompiledFlow,
+    spans: list[Span],
+    solutions: list[Solution],
+    solve: Solve,
 ) -> tuple[list[Span], list[Solution]]:
-    """Return the spans and solutions of a run, with more stops if it skips functions of time.
+    """Return the spans and solutions of a run, with shorter steps if it skips functions of time.
 
     Args:
-        plan: The plan of the scene.
-        numbers: Force parameters of the run, (p,).
+        plan: The plan of the scene, with the stops of the run.
+        flow: The compiled flow of the run.
         spans: Time spans between the stops of the run.
         solutions: Solution over each span.
-        solve: Function from stops, (S,) [s], to the spans and solutions of a run.
+        solve: Function from a plan to the spans and solutions of a run.
     Returns:
-        Spans and solutions. If functions are still not resolved after two more runs, and the last
-        run has changed the final state, an AccuracyWarning is emitted.
+        Spans and solutions. If a function cannot be resolved, an AccuracyWarning is emitted.
     """
-    forces, last = plan.forces, solutions
-    if forces is None:
+    if plan.forces is None:
         return spans, solutions
-    for run in range(RERUNS + 1):
-        knots = _step_ends(spans, solutions)
-        times = unresolved_times(plan, forces, numbers, knots, type(plan.method))
-        if not times.size:
-            break
-        if run == RERUNS:
-            before, after = (each[-1].states[-1:] for each in (last, solutions))
-            if states_differ(plan, before, after):
-                warnings.warn(describe_unresolved(plan, times), AccuracyWarning, stacklevel=5)
-            break
-        stops = joined_stops(np.array([span.stop for span in spans]), times)
-        last, (spans, solutions) = solutions, solve(stops)
+    tolerance = tolerance_of(plan, "compiled")
+    end, order = plan.scene.end, order_of(plan)
+    limits = step_limits(plan.forces, end, flow.numbers, tolerance[0], order)
+    steps = [_steps_of(*pair) for pair in zip(spans, solutions, strict=True)]
+    if is_unresolved(limits, steps, flow.rates, tolerance):
+        stops = read_only(np.array([span.stop for span in spans]))
+        spans, solutions = solve(replace(plan, stops=stops).limited(*limits.cheapest()))
+    if limits.unresolved.size:
+        warnings.warn(describe_unresolved(plan, limits.unresolved), AccuracyWarning, stacklevel=5)
     return spans, solutions
+
+
+def _steps_of(span: Span, solution: Solution) -> Steps:
+    """Return the steps of a solution over a span."""
+    ends = span.start + solution.knots
+    ends[-1] = span.stop  # despite round-off in the sum of step lengths
+
+    def at(t: Array) -> Array:
+        return solution.at(np.clip(t - span.start, 0.0, solution.knots[-1]))
+
+    return Steps(ends, at, solution.params)
 
 
 def refuse_singular_run(run: Run) -> None:
@@ -97,10 +108,3 @@ def refuse_singular_run(run: Run) -> None:
         knots = span.start + solution.knots
         if may_pass_singular_shape(system, shapes_at(knots)):
             refuse_singular_shapes(system, knots, shapes_at)
-
-
-def _step_ends(spans: list[Span], solutions: list[Solution]) -> Array:
-    """Return the times of the ends of steps, with the start of the run, (K + 1,) [s]."""
-    pairs = zip(spans, solutions, strict=True)
-    ends = [span.start + solution.knots[1:] for span, solution in pairs]
-    return np.concatenate([np.zeros(1), *ends])

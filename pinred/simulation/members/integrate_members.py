@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
+from ...common.errors import AccuracyWarning
 from ...integrators.integrate_many import STATUS, Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
-from ...integrators.methods import Explicit, Method
+from ...integrators.methods import ErrorControl, Explicit, Method
 from ...kernels.derived_code import wide_rate
 from ...kernels.kernel import Kernel
 from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import wild_steps
-from ..plan import Plan
-from ..time_resolution import joined_stops, stops_for_any_steps
-from ..time_table import functions_depend_on
+from ..plan import Plan, joined_stops
+from ..step_limits import functions_depend_on, step_limits
 from .trajectories import Batch, Failure
 
 # Largest number of kernel instructions for which the state of sixteen lanes fits in registers.
@@ -48,7 +49,7 @@ def integrate_members(
         The solutions of all members.
     """
     began, reports, count = perf_counter(), plan.scene.report_times, len(members)
-    stops, vary = _stops_of_members(plan, flow.numbers)
+    method, stops, vary = _stops_of_members(plan, flow.numbers)
     # A single body that only translates has no state; integrate one zero instead.
     states = flow.y0.copy() if flow.y0.shape[1] else np.zeros((count, 1))
     y = np.full((count, len(reports), states.shape[1]), np.nan)
@@ -63,9 +64,9 @@ def integrate_members(
             piece, part = _piece(own, k, reports), flow if len(runs) == count else flow[runs]
             initial = states[rows]
             if device is None:
-                solutions = _integrate_piece(part, plan.method, piece, initial, threads, done)
+                solutions = _integrate_piece(part, method, piece, initial, threads, done)
             else:
-                solutions = _integrate_on_device(part, plan.method, piece, initial)
+                solutions = _integrate_on_device(part, method, piece, initial)
                 if done is not None:
                     done(1.0)
             _store(y, runs, piece, solutions)
@@ -141,24 +142,36 @@ def _store(y: Array, runs: Indices, piece: _Piece, solutions: Solutions) -> None
     y[runs[row], piece.first[row] + column] = solutions.y[row, column]
 
 
-def _stops_of_members(plan: Plan, numbers: Array) -> tuple[list[Array], bool]:
-    """Return the stops of each member, and whether they differ.
+def _stops_of_members(plan: Plan, numbers: Array) -> tuple[Method, list[Array], bool]:
+    """Return the method, the stops of each member, and whether they differ.
 
-    Lanes do not record steps, so stops are placed in all short changes of functions of time.
+    Lanes do not record steps, so the steps are limited before the run.
     """
-    stops, vary, forces = plan.stops_of_runs(numbers), plan.stops_vary, plan.forces
+    stops, vary, forces, method = (
+        plan.stops_of_runs(numbers),
+        plan.stops_vary,
+        plan.forces,
+        plan.method,
+    )
     if forces is None or not plan.has_time_functions:
-        return stops, vary
+        return method, stops, vary
     used = numbers[:, functions_depend_on(forces)]
     _, first, which = np.unique(used, axis=0, return_index=True, return_inverse=True)
-    method = type(plan.method)
-    times = [stops_for_any_steps(plan, forces, numbers[k], method) for k in first]
-    if not any(each.size for each in times):
-        return stops, vary
+    if not isinstance(method, ErrorControl):
+        notices = (notice for k in first for notice in plan.notices_of_equal_steps(numbers[k]))
+        if (notice := next(notices, None)) is not None:
+            warnings.warn(notice, AccuracyWarning, stacklevel=6)
+        return method, stops, vary
+    settings = method.rtol, method.controlled_order
+    limits = [step_limits(forces, plan.scene.end, numbers[k], *settings).cheapest() for k in first]
+    longest = min(each.longest for each in limits)
+    method = replace(method, max_step=min(method.max_step, longest))
+    if not any(each.stops.size for each in limits):
+        return method, stops, vary
     if len(first) == 1 and not vary:
-        return [joined_stops(stops[0], times[0])] * len(stops), False
+        return method, [joined_stops(stops[0], limits[0].stops)] * len(stops), False
     members = zip(stops, which.ravel().tolist(), strict=True)
-    return [joined_stops(own, times[k]) for own, k in members], True
+    return method, [joined_stops(own, limits[k].stops) for own, k in members], True
 
 
 def _together(

@@ -1,0 +1,343 @@
+"""The longest steps that resolve the functions of time in the forces of a run.
+
+An integrator sees a function of time at the stages of its steps only. It can miss a bump, or take
+the samples of a fast oscillation for a slow one, and then its error estimate does not hold. The
+functions are known before a run. The time is divided into panels on which the Chebyshev
+coefficients of all functions decay below the tolerance of the run, and steps that are not longer
+than the panels see all of each function.
+
+L. N. Trefethen, Approximation Theory and Approximation Practice, SIAM 2019, chapters 3 and 8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.arrays import Array, read_only
+from ..common.memo import recent
+from ..forces.force_model import ForceModel
+from ..forces.switch_times import time_within
+from ..system.coordinates import Indices
+
+DEGREE = 16  # degree of the polynomials on panels
+_TAIL = 2  # number of the last coefficients that estimate the remainder
+# Error of the integral of a function over a panel, in units of rtol times the range of its integral
+# over the run.
+_ALLOWED = 1.0
+_ROUND_OFF = 8.0 * float(np.finfo(float).eps)
+_FIRST = 64  # number of panels of the first division of a run, at least
+_LOOK, _MOST = 1 << 13, 1 << 18  # numbers of panels at which searches end
+_SHORTEST = 2.0**-30  # length of the shortest panel, as a fraction of the run
+# A panel is bisected if the bounds of a function on it exceed the range of the samples by the
+# first factor, down to panels of a fraction _SEEN of the run; and by the second factor on any
+# panel, if the bounds are wider than a fraction _FAINT of the range over the run.
+_UNSEEN, _HIDDEN, _SEEN, _FAINT = 8.0, 1e3, 1.0 / 512.0, 1e-3
+# Steps of methods of lower order than _HIGH are shorter by the power _LOW of the ratio of orders:
+# their error estimates hold for a smaller part of a period.
+_HIGH, _LOW = 10.0, 2.5
+_RUNS = 16  # number of runs whose limits are cached
+_RESTART = 2.0  # cost of a stop, in steps
+_PER_OCTAVE = 2.0  # number of longest steps per factor of two among which the cheapest is chosen
+
+
+class Limited(NamedTuple):
+    """A longest step for a whole run, with stops where steps have to be shorter.
+
+    Attributes:
+        longest: The longest step [s].
+        stops: The stops, (S,) [s].
+    """
+
+    longest: float
+    stops: Array
+
+
+@dataclass(frozen=True)
+class StepLimits:
+    """Panels of time with the longest steps that resolve all functions of time on them.
+
+    Attributes:
+        ends: End of each panel, (P,) sorted [s].
+        longest: Longest step that touches the panel, (P,) [s].
+        decay: Chebyshev coefficients of the functions on each panel times its length, relative to
+            the range of the function's integral over the run; the largest of all functions,
+            (P, DEGREE + 1).
+        unresolved: Times near which the search ended before a function was resolved, (U,) [s].
+    """
+
+    ends: Array
+    longest: Array
+    decay: Array
+    unresolved: Array
+
+    def within(self, starts: Array, ends: Array) -> Array:
+        """Return the longest step in each of K intervals of time, (K,) [s].
+
+        Args:
+            starts: Starts of the intervals, (K,) [s].
+            ends: Their ends, (K,) [s].
+        Returns:
+            The lengths.
+        """
+        last = len(self.ends) - 1
+        first = np.minimum(np.searchsorted(self.ends, starts, side="right"), last)
+        after = np.minimum(np.searchsorted(self.ends, ends, side="left"), last) + 1
+        pairs = np.column_stack([first, np.maximum(after, first + 1)]).ravel()
+        return np.asarray(np.minimum.reduceat(np.append(self.longest, np.inf), pairs)[::2])
+
+    def stops(self, longest: float) -> Array:
+        """Return stops between which no step is too long, (S,) sorted [s].
+
+        Args:
+            longest: Longest step elsewhere [s]. Panels that resolve it need no stops.
+        Returns:
+            The stops.
+        """
+        lengths = np.diff(self.ends, prepend=0.0)
+        parts = np.where(self.longest < longest, np.ceil(lengths / self.longest), 1.0).astype(int)
+        starts = np.repeat(self.ends - lengths, parts)
+        starts += (np.arange(len(starts)) - np.repeat(np.cumsum(parts) - parts, parts)) * np.repeat(
+            lengths / parts, parts
+        )
+        limits = np.repeat(self.longest, parts)
+        stops: list[float] = []
+        begin, limit, previous = 0.0, np.inf, np.inf
+        for start, end, own in zip(
+            starts.tolist(), [*starts[1:].tolist(), self.ends[-1]], limits.tolist(), strict=True
+        ):
+            if own >= longest:
+                if previous < longest:
+                    stops.append(start)
+            elif previous >= longest or end - begin > min(limit, own):
+                stops.append(start)
+                begin, limit = start, own
+            else:
+                limit = min(limit, own)
+            previous = own
+        return np.array(stops[1:] if stops and stops[0] == 0.0 else stops)
+
+    def cheapest(self) -> Limited:
+        """Return a longest step and stops that resolve all functions, whatever the other steps."""
+        end = float(self.ends[-1])
+        octaves = np.floor(_PER_OCTAVE * np.log2(self.longest)) / _PER_OCTAVE
+        candidates = np.unique([self.longest.min(), *np.exp2(octaves), np.inf])
+        choices = [Limited(longest, self.stops(longest)) for longest in candidates.tolist()]
+        return min(choices, key=lambda each: end / each.longest + _RESTART * len(each.stops))
+
+    def error_of_equal_steps(self, step: float, order: int) -> float:
+        """Estimate the error of integrals of functions by equal steps, relative to their ranges.
+
+        Args:
+            step: Length of the steps [s].
+            order: Order of the method.
+        Returns:
+            The estimate, the sum over all panels.
+        """
+        lengths = np.diff(self.ends, prepend=0.0)
+        ratio = np.minimum(step / lengths, 1.0)[:, None] ** np.arange(DEGREE + 1)
+        degree = min(order, DEGREE - 1)
+        return float((self.decay * ratio)[:, degree:].sum())
+
+
+def step_limits(
+    forces: ForceModel, end: float, numbers: Array, rtol: float, order: int
+) -> StepLimits:
+    """Return the limits of a run with force parameters (p,), cached.
+
+    Args:
+        forces: The forces, which contain functions of time.
+        end: End of the run [s].
+        numbers: Force parameters, (p,).
+        rtol: Relative tolerance of the run.
+        order: Order of the solution whose error controls the steps.
+    Returns:
+        The limits.
+    """
+    key = end, rtol, order, numbers[functions_depend_on(forces)].tobytes()
+
+    def make() -> StepLimits:
+        limits = _Search(forces, end, numbers, rtol).run()
+        return replace(limits, longest=limits.longest * min(1.0, order / _HIGH) ** _LOW)
+
+    return recent(forces.time_functions, key, make, _RUNS, StepLimits)
+
+
+def functions_depend_on(forces: ForceModel) -> list[int]:
+    """Return the indices of the numbers on which functions of time and their breaks depend."""
+    within = range(forces.within.start, forces.within.stop)
+    used = {*forces.time_functions.used, *forces.switching.used}
+    return sorted(used.difference(within))
+
+
+class _Panels(NamedTuple):
+    """P panels of a division by repeated bisection, with F functions on them.
+
+    Attributes:
+        span: Index of the span between breaks, (P,).
+        level: Number of bisections of the span, (P,).
+        place: Index among the panels of this level, (P,).
+        coefficients: Chebyshev coefficients, (P, F, DEGREE + 1).
+        noise: Round-off of the coefficients, (P, F).
+        range: Range of the samples, (P, F).
+        bounds: Width of intervals that contain all values, infinity if they are unknown, (P, F).
+    """
+
+    span: Indices
+    level: Indices
+    place: Indices
+    coefficients: Array
+    noise: Array
+    range: Array
+    bounds: Array
+
+    def at(self, which: Any) -> _Panels:
+        """Return the panels with given indices, or a mask."""
+        return _Panels(*(column[which] for column in self))
+
+
+class _Search:
+    """The search for panels that resolve the functions of time of one run."""
+
+    def __init__(self, forces: ForceModel, end: float, numbers: Array, rtol: float) -> None:
+        """Store the arguments of `step_limits`."""
+        breaks = forces.switching.breaks(end, numbers)
+        self._starts, self._stops = np.append(0.0, breaks), np.append(breaks, end)
+        self._within = time_within(self._starts, self._stops)
+        self._forces, self._end, self._numbers, self._rtol = forces, end, numbers, rtol
+
+    def run(self) -> StepLimits:
+        """Bisect panels until they resolve all functions, and join those that do so together."""
+        lengths = self._stops - self._starts
+        levels = np.ceil(np.log2(np.maximum(_FIRST * lengths / self._end, 1.0))).astype(int)
+        span = np.repeat(np.arange(len(lengths)), 1 << levels)
+        index = np.concatenate([np.arange(1 << level) for level in levels.tolist()])
+        panels = self._panels(span, levels[span], index)
+        while True:
+            scale = self._scales(panels)
+            divided = self._are_divided(panels, scale)
+            if not divided.any() or len(divided) > _MOST:
+                break
+            parents = panels.at(divided)
+            halves = [
+                np.concatenate([parents.span, parents.span]),
+                np.concatenate([parents.level, parents.level]) + 1,
+                np.concatenate([2 * parents.place, 2 * parents.place + 1]),
+            ]
+            panels = _joined(panels.at(~divided), self._panels(halves[0], halves[1], halves[2]))
+        resolved = self._growth(panels, scale) >= 1.0
+        panels, failed = self._join(panels.at(resolved), scale), panels.at(~resolved)
+        panels = _joined(panels, failed)
+        starts, lengths = self._times(panels)
+        order = np.argsort(starts)
+        growth = np.clip(self._growth(panels, scale), 1.0, 2.0)
+        longest = np.where(panels.level == 0, np.inf, lengths * growth)[order]
+        decay = np.abs(panels.coefficients) * lengths[:, None, None] / _positive(scale)[:, None]
+        return StepLimits(
+            read_only((starts + lengths)[order]),
+            read_only(longest),
+            read_only(decay.max(axis=1)[order]),
+            read_only(np.sort(self._times(failed)[0])),
+        )
+
+    def _times(self, panels: _Panels) -> tuple[Array, Array]:
+        """Return starts and lengths, (P,) [s]."""
+        lengths = (self._stops - self._starts)[panels.span] * np.exp2(-panels.level)
+        return self._starts[panels.span] + panels.place * lengths, lengths
+
+    def _panels(self, span: Indices, level: Indices, index: Indices) -> _Panels:
+        """Evaluate the functions on panels."""
+        functions, nodes, transform = self._forces.time_functions, *_chebyshev()
+        bare = _Panels(span, level, index, *[np.empty(0)] * 4)
+        starts, lengths = self._times(bare)
+        times = starts[:, None] + 0.5 * lengths[:, None] * (1.0 + nodes)
+        within = self._within[span]
+        arguments = self._numbers, self._forces.within
+        values = functions(times.ravel(), *arguments, np.repeat(within, DEGREE + 1))
+        values = np.moveaxis(values.reshape(-1, *times.shape), 0, 1)
+        values = np.where(np.isfinite(values), values, 0.0)
+        rates = np.abs(np.diff(values)).max(axis=2) / (np.diff(nodes).min() * 0.5)
+        sizes = np.abs(values).max(axis=2)
+        # A time t is rounded, which changes the function by its rate times the round-off of t.
+        late = ((starts + lengths) / lengths)[:, None]
+        noise = _ROUND_OFF * (sizes + np.minimum(rates * late, np.inf))
+        bounds = functions.widths(starts, starts + lengths, *arguments, within)
+        return _Panels(
+            span, level, index, values @ transform, noise, np.ptp(values, axis=2), bounds.T
+        )
+
+    def _scales(self, panels: _Panels) -> Array:
+        """Return the range of the integral of each function over the run, (F,)."""
+        starts, lengths = self._times(panels)
+        means = panels.coefficients[:, :, ::2] @ _MEANS
+        sums = np.cumsum((lengths[:, None] * means)[np.argsort(starts)], axis=0)
+        inside = (lengths[:, None] * panels.range).max(axis=0) / DEGREE
+        ranges = np.maximum(sums.max(axis=0), 0.0) - np.minimum(sums.min(axis=0), 0.0)
+        return np.asarray(np.maximum(ranges, inside))
+
+    def _growth(self, panels: _Panels, scale: Array) -> Array:
+        """Return the ratio of the longest resolved step to each panel, (P,)."""
+        lengths = self._times(panels)[1][:, None]
+        tails = np.abs(panels.coefficients[:, :, -_TAIL:]).max(axis=2)
+        allowed = _ALLOWED * self._rtol * scale / lengths + panels.noise
+        ratio = np.where(tails <= 0.0, np.inf, allowed / _positive(tails))
+        return np.asarray(ratio.min(axis=1, initial=np.inf) ** (1.0 / (DEGREE - 1)))
+
+    def _are_divided(self, panels: _Panels, scale: Array) -> NDArray[np.bool_]:
+        """Return which panels do not resolve a function, or may hide a part of it."""
+        lengths = self._times(panels)[1] / self._end
+        rough = self._growth(panels, scale) < 1.0
+        wide, widths = panels.bounds > _UNSEEN * panels.range, panels.bounds
+        unseen = wide & (lengths[:, None] > _SEEN)
+        if len(rough) < _LOOK:
+            faint = _FAINT * panels.range.max(axis=0)
+            unseen |= (widths > _HIDDEN * panels.range) & (widths > faint) & np.isfinite(widths)
+        return (rough | unseen.any(axis=1)) & (lengths > _SHORTEST)
+
+    def _join(self, panels: _Panels, scale: Array) -> _Panels:
+        """Replace pairs of panels by the panel that contains both, where it is resolved."""
+        for level in range(int(panels.level.max(initial=0)), 0, -1):
+            here = np.flatnonzero(panels.level == level)
+            order = here[np.lexsort((panels.place[here], panels.span[here]))]
+            span, index = panels.span[order], panels.place[order]
+            pairs = (index[:-1] % 2 == 0) & (np.diff(index) == 1) & (np.diff(span) == 0)
+            first = np.flatnonzero(pairs)
+            if not first.size:
+                continue
+            levels = np.full(first.size, level - 1)
+            whole = self._panels(span[first], levels, index[first] // 2)
+            joins = self._growth(whole, scale) >= 1.0
+            gone = np.concatenate([order[first[joins]], order[first[joins] + 1]])
+            panels = _joined(
+                panels.at(np.setdiff1d(np.arange(len(panels.span)), gone)), whole.at(joins)
+            )
+        return panels
+
+
+def _joined(first: _Panels, second: _Panels) -> _Panels:
+    return _Panels(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+
+
+def _positive(values: Array) -> Array:
+    """Return values without zeros, for division."""
+    return np.maximum(values, np.finfo(float).tiny)
+
+
+@cache
+def _chebyshev() -> tuple[Array, Array]:
+    """Return the Chebyshev points, (d,) from −1 to 1, and the matrix to coefficients, (d, d)."""
+    k = np.arange(DEGREE + 1)
+    nodes: Array = -np.cos(np.pi * k / DEGREE)
+    weights = np.ones(DEGREE + 1)
+    weights[[0, -1]] = 0.5
+    transform: Array = 2.0 / DEGREE * np.cos(np.pi * np.outer(DEGREE - k, k) / DEGREE)
+    transform *= weights[:, None] * weights
+    return read_only(nodes), read_only(transform)
+
+
+# Mean of the Chebyshev polynomials of even degree over a panel.
+_MEANS = np.array([1.0 / (1.0 - k * k) for k in range(0, DEGREE + 1, 2)])

@@ -1,0 +1,130 @@
+"""Random torques that are fast for a short time: bursts, chirps, bumps, and waves in the shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+import pinred
+from pinred import Parameter
+from pinred.common.arrays import Array
+from pinred.forces import Torque
+
+ROBOTS = ("falling_cat", "solo12", "satellite_two_arms", "planar_chain5")
+END = 2.0  # duration of all scenes [s]
+_SIZES = {"falling_cat": 1.0, "solo12": 0.3, "satellite_two_arms": 20.0, "planar_chain5": 1.0}
+_SIZE, _CENTRE = Parameter("size", 1.0), Parameter("centre", 1.0)
+_WIDTH, _RATE, _SWEEP = Parameter("width", 0.1), Parameter("rate", 100.0), Parameter("sweep", 0.0)
+
+
+def _bump(t: ca.SX) -> ca.SX:
+    return ca.exp(-(((t - _CENTRE) / _WIDTH) ** 2))
+
+
+def _packet(t: ca.SX, _: ca.SX) -> ca.SX:
+    return ca.sin(_RATE * t) * _bump(t)
+
+
+def _chirp(t: ca.SX, _: ca.SX) -> ca.SX:
+    return ca.sin((_RATE + _SWEEP * (t - _CENTRE)) * t) * _bump(t)
+
+
+def _gaussian(t: ca.SX, _: ca.SX) -> ca.SX:
+    return _bump(t)
+
+
+def _lorentzian(t: ca.SX, _: ca.SX) -> ca.SX:
+    return 1.0 / (1.0 + ((t - _CENTRE) / _WIDTH) ** 2)
+
+
+def _product(t: ca.SX, x: ca.SX) -> ca.SX:
+    return ca.sin(_RATE * t) * _bump(t) * (1.0 + 0.5 * ca.cos(2.0 * x)) - 0.1 * x
+
+
+def _wave(t: ca.SX, x: ca.SX) -> ca.SX:
+    return ca.sin(_RATE * t - 3.0 * x) * _bump(t)
+
+
+KINDS: dict[str, Callable[[ca.SX, ca.SX], ca.SX]] = {
+    "packet": _packet,
+    "chirp": _chirp,
+    "gaussian": _gaussian,
+    "lorentzian": _lorentzian,
+    "product": _product,
+    "wave": _wave,
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One random torque on one robot.
+
+    Attributes:
+        robot: Name of the robot.
+        kind: Name of the function in KINDS.
+        parameters: Values of its parameters.
+        scene: The scene, without method and tolerances.
+        rate: Largest angular frequency of the torque [rad/s].
+    """
+
+    robot: str
+    kind: str
+    parameters: dict[str, float]
+    scene: pinred.Scene
+    rate: float
+
+
+_scenes: dict[tuple[str, str], pinred.Scene] = {}
+
+
+def scene_of(robot: str, kind: str) -> pinred.Scene:
+    """Return the scene of a robot with a torque of a kind on its first joint."""
+    if (robot, kind) not in _scenes:
+        system = pinred.load(robot)
+        joint = next(k for k, unit in enumerate(system.units) if unit == "rad")
+        name = system.shape_names[joint]
+
+        def torque(s: Any) -> dict[str, Any]:
+            return {name: _SIZE * KINDS[kind](s.t, s.x[joint])}
+
+        start = pinred.simulate(system, seed=2, times=[0.0, 0.01])
+        _scenes[robot, kind] = pinred.Scene(
+            system=system, forces=[Torque(torque)], times=[END],
+            x0=start.x[0], xdot0=start.xdot[0], xi0=start.xi[0],
+        )  # fmt: skip
+    return _scenes[robot, kind]
+
+
+def cases(count: int, seed: int = 0) -> Iterator[Case]:
+    """Yield random torques, with frequencies of 30 to 1000 rad/s."""
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        robot = ROBOTS[k % len(ROBOTS)]
+        kind = list(KINDS)[k // len(ROBOTS) % len(KINDS)]
+        rate, width = np.exp(rng.uniform(np.log([30.0, 3e-3]), np.log([1000.0, 0.3]))).tolist()
+        centre = float(rng.uniform(0.05, END))
+        size = _SIZES[robot] * float(np.exp(rng.uniform(np.log(0.1), np.log(3.0))))
+        if kind in ("gaussian", "lorentzian"):  # limit the impulse
+            size *= min(1.0, 0.03 / width)
+        sweep = float(rng.uniform(-1.0, 1.0)) * rate / END
+        parameters = {
+            "size": size, "centre": centre, "width": width, "rate": rate, "sweep": sweep,
+        }  # fmt: skip
+        scene = scene_of(robot, kind)
+        used = {p.name: parameters[p.name] for p in scene.force_model.parameters}
+        yield Case(robot, kind, used, scene, 4.0 * rate + 10.0 / width)
+
+
+def reference(case: Case) -> tuple[Array, float]:
+    """Return the final shape by short steps, and the growth of changes of the initial shape."""
+    method = pinred.DOP853(max_step=1.0 / case.rate, rtol=1e-13, atol=1e-15)
+    options: dict[str, Any] = {"parameters": case.parameters, "method": method}
+    end = pinred.simulate(case.scene, **options).x[-1]
+    x0 = np.asarray(case.scene.x0)
+    kick = 1e-6 * np.random.default_rng(1).standard_normal(len(x0))
+    other = pinred.simulate(case.scene, x0=x0 + kick, **options).x[-1]
+    return np.asarray(end), float(np.abs(other - end).max() / np.abs(kick).max())
