@@ -25,8 +25,22 @@ from .radau_rows import ALONG, CORRECTION, END_RATE, FREE, MATRIX, PIVOTS, RATE,
 
 GAMMA = tableau.GAMMA
 _C1, _C2 = tableau.C1, tableau.C2
+
+
+def _polynomial(c: float, a: float, b: float) -> tuple[float, float, float]:
+    """Return the coefficients of u, u² and u³ of the polynomial that is 1 at c, and 0 at 0, a, b.
+
+    NumPy's inverse of a Vandermonde matrix would depend on the processor in the last digit, and
+    with it the key of the shipped bitcode.
+    """
+    scale = c * (c - a) * (c - b)
+    return a * b / scale, -(a + b) / scale, 1.0 / scale
+
+
 # End derivatives of the Lagrange polynomials of the stages, which vanish at 0.
-_POWERS = np.linalg.inv(np.vander([_C1, _C2, 1.0], 4, increasing=True)[:, 1:])
+_POWERS = np.array(
+    [_polynomial(_C1, _C2, 1.0), _polynomial(_C2, _C1, 1.0), _polynomial(1.0, _C1, _C2)]
+).T
 _SLOPE, _BEND, _LAST_BEND = _POWERS[0], 2.0 * _POWERS[1], 2.0 * _POWERS[1] + 6.0 * _POWERS[2]
 
 
