@@ -89,7 +89,7 @@ class FloatingArm:
     def __post_init__(self) -> None:
         system = checked_system(self.system, "FloatingArm", remedy=_WITH_LOOPS)
         if not isinstance(self.frame, str) or not system.model.existFrame(self.frame):
-            names = [frame.name for frame in system.model.frames if frame.parentJoint]
+            names = [frame.name for frame in system.sorted_model.frames if frame.parentJoint]
             raise InputError(
                 f"no frame {quoted(str(self.frame))} on '{system.name}'; "
                 f"{nearest(str(self.frame), names)}the frames are {listed(names)}"
@@ -141,8 +141,8 @@ class FloatingArm:
         reduced = self._reduction.at(x)
         A, dA = reduced.local_connection, np.einsum("rab,b->ra", reduced.dA, rates)
         J = self._jacobian(x, g, axes)
-        model, data = system.model, system.data
-        q, v = system.model_q(g, x), system.model_v(-A @ rates, rates)
+        model, data = system.sorted_model, system.sorted_data
+        q, v = system.sorted_q(g, x), system.sorted_v(-A @ rates, rates)
         pin.computeJointJacobiansTimeVariation(model, data, q, v)
         pin.updateFramePlacements(model, data)
         Jdot = pin.getFrameJacobianTimeVariation(model, data, self._id, _FRAMES[axes])
@@ -177,8 +177,8 @@ class FloatingArm:
             The pose.
         """
         x, g = self._at(x, pose)
-        model, data = self.system.model, self.system.data
-        pin.framesForwardKinematics(model, data, self.system.model_q(g, x))
+        model, data = self.system.sorted_model, self.system.sorted_data
+        pin.framesForwardKinematics(model, data, self.system.sorted_q(g, x))
         return pin.SE3(data.oMf[self._id])
 
     def singularity(self, x: ArrayLike) -> Singularity:
@@ -340,11 +340,11 @@ class FloatingArm:
 
     def _radius(self, shapes: Array) -> Array:
         """Return the distances (...,) [m] between hand and centre of mass at shapes (..., nx)."""
-        system, model, data = self.system, self.system.model, self.system.data
+        system, model, data = self.system, self.system.sorted_model, self.system.sorted_data
         flat, g = shapes.reshape(-1, system.nx), system.group.identity()
         distances = np.empty(len(flat))
         for k, x in enumerate(flat):
-            q = system.model_q(g, x)
+            q = system.sorted_q(g, x)
             com = pin.centerOfMass(model, data, q)
             pin.updateFramePlacements(model, data)
             distances[k] = np.linalg.norm(data.oMf[self._id].translation - com)
@@ -352,8 +352,8 @@ class FloatingArm:
 
     def _radius_gradient(self, x: Array) -> Array:
         """Return the gradient (m,) of the hand's distance from the centre of mass, base at rest."""
-        system, model, data = self.system, self.system.model, self.system.data
-        q = system.model_q(system.group.identity(), x)
+        system, model, data = self.system, self.system.sorted_model, self.system.sorted_data
+        q = system.sorted_q(system.group.identity(), x)
         com_jacobian = pin.jacobianCenterOfMass(model, data, q)
         hand_jacobian = pin.computeFrameJacobian(model, data, q, self._id, _FRAMES["world"])[:3]
         pin.updateFramePlacements(model, data)
@@ -391,7 +391,7 @@ class FloatingArm:
         """Return the Jacobian (J_b, J_s) of the hand, (6, n), at a shape x and pose g."""
         if axes not in _FRAMES:
             raise InputError(f"axes must be {' or '.join(_FRAMES)}, got {axes!r}")
-        model, data = self.system.model, self.system.data
-        q = self.system.model_q(g, x)
+        model, data = self.system.sorted_model, self.system.sorted_data
+        q = self.system.sorted_q(g, x)
         J = pin.computeFrameJacobian(model, data, q, self._id, _FRAMES[axes])
         return np.asarray(self.system.on_shape(J))

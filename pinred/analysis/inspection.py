@@ -233,7 +233,7 @@ def _balls(system: System) -> list[str]:
     """Return one line for each three hinges that are, or could be, merged into a ball."""
     merged = [f"{triple} (merged)" for triple in system.contents.merged]
     triples = hinge_triples(
-        system.model, coupled_joints(system.couplings), actions_of(system.passive)
+        system.sorted_model, coupled_joints(system.couplings), actions_of(system.passive)
     )
     for triple in triples:
         if not triple.why_not:

@@ -177,7 +177,7 @@ class RobotSymbols:
         Returns:
             Three axes (3,), and the origin (3,) [m].
         """
-        model_frame = self._system.model.frames[frame]
+        model_frame = self._system.sorted_model.frames[frame]
         numbers: list[Scalar]
         if frame not in self._movable:
             body = self.bodies[model_frame.parentJoint - 1]
@@ -226,7 +226,7 @@ def numbers_in(
     Returns:
         Values, (freed.size,).
     """
-    values, frames = of_bodies(bodies, freed), system.model.frames
+    values, frames = of_bodies(bodies, freed), system.sorted_model.frames
     for frame in freed.links:
         link_values = links.get(frame)
         if link_values is None:

@@ -54,7 +54,7 @@ def link_frame(system: System, name: str, what: str) -> int:
     Raises:
         InputError: No link, or more than one, has this name.
     """
-    model = system.model
+    model = system.sorted_model
     moving = [k for k, f in enumerate(model.frames) if f.parentJoint > 0]
     bodies = [k for k in moving if model.frames[k].type == pin.FrameType.BODY]
     for candidates in (bodies, moving):
@@ -96,7 +96,7 @@ def of_load(
     bodies = robot.bodies
     joints = joint_values(system, ca.vertsplit(s.x) if m else [])
     rates = joint_rates(system, ca.vertsplit(xdot) if m else [])
-    chain, i = [], system.model.frames[index].parentJoint - 1
+    chain, i = [], system.sorted_model.frames[index].parentJoint - 1
     while i > 0:
         chain.append(i)
         i = bodies[i].parent

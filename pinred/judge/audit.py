@@ -84,8 +84,8 @@ def audit_states(full: FullState, states: State, work: Array, impulse: Array | N
         Drifts and inconsistencies.
     """
     totals, system, linear = full.totals, full.system, full.root.linear
-    model, is_pivoted = system.model, full.root.is_pivoted
-    qs, vs = system.sorted_q(states.q), system.sorted_v(states.v)
+    model, is_pivoted = system.sorted_model, full.root.is_pivoted
+    qs, vs = system.sort_q(states.q), system.sort_v(states.v)
     joints, radius = full.couplings.values(states.x), totals.radius_of_gyration(qs[0])
     kinetic = totals.kinetic_energy(qs, vs)
     heights = totals.potential_energy(qs) + full.force_potential(states.x)

@@ -29,21 +29,21 @@ def axial_momentum_drifts(
     """
     if not balls:
         return []
-    model, data, k = system.model, system.data, system.group.linear
+    model, data, k = system.sorted_model, system.sorted_data, system.group.linear
     is_angular = np.array([unit == "rad" for unit in system.units])
     rates = np.hstack([states.xi[:, k:], states.xdot[:, is_angular]])
     fastest = float(np.abs(rates).max(initial=0.0)) or 1.0
     momenta: list[list[Array]] = [[] for _ in balls]
-    for q, v in zip(system.sorted_q(states.q), system.sorted_v(states.v), strict=True):
+    for q, v in zip(system.sort_q(states.q), system.sort_v(states.v), strict=True):
         pin.forwardKinematics(model, data, q, v)
         for ball, rows in zip(balls, momenta, strict=True):
-            i = system.joints[ball.joint.v.start]
+            i = system.sorted_joints[ball.joint.v.start]
             at = slice(model.idx_vs[i], model.idx_vs[i] + 3)
             own = (model.inertias[i] * data.v[i]).angular + model.armature[at] * v[at]
             rows.append(own if ball.axis is None else np.atleast_1d(ball.axis @ own))
     drifts: list[Array] = []
     for ball, rows in zip(balls, momenta, strict=True):
-        i = system.joints[ball.joint.v.start]
+        i = system.sorted_joints[ball.joint.v.start]
         moment = float(np.trace(model.inertias[i].inertia)) + model.armature[model.idx_vs[i]]
         drifts += list((np.array(rows) - rows[0]).T / (moment * fastest))
     return drifts

@@ -114,7 +114,7 @@ def _compare(traj: Trajectory, progress: Progress, budget: TimeBudget) -> Report
     defects = compute_defects(traj, full)
     equations = equation_errors(traj, full, evenly)
     progress(0.9)
-    x, q = full.couplings.values(states.x), traj.system.sorted_q(states.q)
+    x, q = full.couplings.values(states.x), traj.system.sort_q(states.q)
     motion = FullMotion(x=x[: len(times)], q=q[: len(times)])
     size, error = full.size(reference), full.distance(reference, motion)
     bounds = compute_error_bounds(traj, times, growth, defects, solutions.errors, size, tolerance)

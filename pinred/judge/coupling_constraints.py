@@ -70,7 +70,7 @@ class CouplingConstraints:
 
     def __init__(self, system: System) -> None:
         """Collect the couplings of a system by joint names."""
-        model, r = system.model, system.r
+        model, r = system.sorted_model, system.r
         at = {name: k for k, name in enumerate(system.tree.names)}
         at_x = {name: k for k, name in enumerate(system.tree.x_names)}
         pending, placed = list(system.couplings), {*system.shape_names}

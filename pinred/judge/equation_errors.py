@@ -62,7 +62,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     Returns:
         (T, n) relative errors of base and shape rows.
     """
-    q0 = traj.system.sorted_q(traj.q[0])
+    q0 = traj.system.sort_q(traj.q[0])
     size = full.totals.radius_of_gyration(q0)
     route, parameters = accelerations(traj, times, size), traj.motion.numbers(times)
     states, r = route.states, full.system.r
@@ -107,7 +107,7 @@ def _accelerations(
 
 def _mass_matrices_and_loads(system: System, q: Array) -> tuple[Array, Array]:
     """Return Pinocchio's mass matrices (T, n, n) and magnitudes of gravity loads (T, n)."""
-    model, data = system.model, system.data
+    model, data = system.sorted_model, system.sorted_data
     upper = np.array([pin.crba(model, data, q_k) for q_k in q])
     loads = system.sizes_on_shape(gravity_load_sizes(model, data, q))
     return system.coupled_matrix(symmetric(upper)), loads
@@ -126,7 +126,7 @@ def _inertial_forces(system: System, q0: Array, changes: Array, size: float) -> 
     Returns:
         The forces.
     """
-    angular, mass = moved_masses(system.model, system.data, q0)
+    angular, mass = moved_masses(system.sorted_model, system.sorted_data, q0)
     rotates = (
         angular
         if system.coupled is None

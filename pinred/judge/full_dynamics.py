@@ -54,14 +54,14 @@ class FullDynamics:
         if self._forces is not None and self._forces.switching.conditions is not None:
             written = condition_times(self._forces, self._stops, self._parameters)
             self._stops = self._switches = np.union1d(self._stops, written)
-        self._model = system.model
+        self._model = system.sorted_model
         self._r = system.r
         self._no_torque = np.zeros(system.model.nv)
         self.couplings = CouplingConstraints(system)
-        self.root = root_motion(system.model)
-        self.totals = SystemTotals(system.model, self.root)
+        self.root = root_motion(system.sorted_model)
+        self.totals = SystemTotals(system.sorted_model, self.root)
         self._linear, self._size = self.root.linear, self.root.size
-        self._configuration = Configuration(system.model, self.root)
+        self._configuration = Configuration(system.sorted_model, self.root)
         self._m = self._configuration.size
         loads = () if self._forces is None else self._forces.loads
         self._loads = LoadsByPinocchio(system, self.root.axes, loads) if loads else None

@@ -41,10 +41,10 @@ def loop_errors(system: System, states: State) -> LoopErrors:
     loops = (*system.loops, *system.contents.coupled_loops)
     if not loops:
         return LoopErrors()
-    kinematics = LoopKinematics(system.model, loops)
+    kinematics = LoopKinematics(system.sorted_model, loops)
     unit = np.where(kinematics.is_length, loop_length(system, loops), 1.0)
     gap, rates, terms = 0.0, np.zeros(len(unit)), np.zeros(len(unit))
-    for q, v in zip(system.sorted_q(states.q), system.sorted_v(states.v), strict=True):
+    for q, v in zip(system.sort_q(states.q), system.sort_v(states.v), strict=True):
         J = kinematics.jacobian(q)
         gap = max(
             gap, float(np.abs(_reachable(J[:, system.r :], kinematics.values(q)) / unit).max())
@@ -75,7 +75,7 @@ def closed(
     free = np.ones(system.m)
     free[list(driven)] = 0.0
     x, _ = assemble(system, x, system.closure.length, free)
-    kinematics = LoopKinematics(system.model, system.loops)
-    q = system.model_q(system.group.identity(), x)
+    kinematics = LoopKinematics(system.sorted_model, system.loops)
+    q = system.sorted_q(system.group.identity(), x)
     J = system.on_shape(kinematics.jacobian(q))[:, system.r :]
     return x, xdot - np.linalg.lstsq(J * free, J @ xdot, rcond=RANK)[0] * free

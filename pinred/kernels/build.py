@@ -37,7 +37,7 @@ def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
     Returns:
         The SHA-256 digest.
     """
-    model, reference = system.model, nominal(system).model
+    model, reference = system.sorted_model, nominal(system).model
     variable_placements = [body for body, _ in freed.steps]
     digest = hashlib.sha256(f"{system.group.name} {system.group.axes}".encode())
     for i in range(1, model.njoints):

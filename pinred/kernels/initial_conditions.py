@@ -237,18 +237,18 @@ def _validate(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
     k = group.linear
     pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), system.space.random(rng, 2.0)
     xi, xdot = rng.normal(size=r), rng.normal(size=system.m)
-    data = system.data
-    H = mass_matrix_at(system, system.model, data, group.identity(), x)
+    data = system.sorted_data
+    H = mass_matrix_at(system, system.sorted_model, data, group.identity(), x)
     mu = H[:r] @ np.concatenate([xi, xdot])
     motion = xi if given == "xi" else mu
     values = kernel(*(column[None] for column in (pose, x, xdot, motion)))
     relative = xi.copy()
     relative[:k] -= mu[:k] / system.mass
     v = np.concatenate([relative, xdot])
-    q = system.model_q(pose, x)
-    pin.centerOfMass(system.model, data, q, system.model_v(xi, xdot))
+    q = system.sorted_q(pose, x)
+    pin.centerOfMass(system.sorted_model, data, q, system.sorted_v(xi, xdot))
     root = system.model.jointPlacements[1]
-    c = translations(system).T @ root.actInv(pin.centerOfMass(system.model, data, q))
+    c = translations(system).T @ root.actInv(pin.centerOfMass(system.sorted_model, data, q))
     angular_momentum = H[k:r] @ v
     # A momentum input has the round-off of its summands, which propagates to the twist.
     velocity = np.abs(np.concatenate([xi, xdot]))

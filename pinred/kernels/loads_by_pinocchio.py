@@ -28,7 +28,7 @@ class LoadsByPinocchio:
             places: For each wrench, the name of the link (None for the base) and the frame of its
                 components ("world" or "body").
         """
-        self._model, self._data = system.model, system.model.createData()
+        self._model, self._data = system.sorted_model, system.sorted_model.createData()
         self._axes, self._places = axes, tuple(places)
         self._to_world = system.model.jointPlacements[1].rotation
         self._frames = [None if link is None else self._frame(link) for link, _ in places]

@@ -97,7 +97,7 @@ class ReducedGraph:
         self._freed = structure.freed
         self._body_numbers = [ca.SX.sym(f"Y{k}") for k in range(structure.freed.size)]
         bodies = with_free(bodies_of(system), structure.freed, self._body_numbers)
-        self._bodies = with_rotors(bodies, [system.joints[v] - 1 for v in structure.rotors])
+        self._bodies = with_rotors(bodies, [system.sorted_joints[v] - 1 for v in structure.rotors])
         self._mass = total_mass(self._bodies) if structure.freed.inertias else system.mass
         group, m = system.group, system.m
         self.layout = layout_of(system, structure, forces)

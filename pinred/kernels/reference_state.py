@@ -189,7 +189,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     system, layout, forces = kernel.system, kernel.layout, kernel.forces
     r, m, k = system.r, system.m, system.group.linear
     group, counts = system.group, layout.base
-    model, gravity = system.model.copy(), np.zeros(3)
+    model, gravity = system.sorted_model.copy(), np.zeros(3)
     if layout.gravity:
         gravity = acting_gravity(system)
     model.gravity.linear = model.jointPlacements[1].rotation @ gravity
@@ -212,7 +212,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
         accelerations = motion.xddot
         if not np.isfinite([*motion.x, *motion.xdot, *motion.xddot]).all():
             return None
-    q, data = system.model_q(pose, x), system.data
+    q, data = system.sorted_q(pose, x), system.sorted_data
     H = mass_matrix_at(system, model, data, pose, x)
     v, mu = _with_known_momentum(kernel, H, v)
     v, impetus, nu = with_closed_loops(system, x, H, v, rng, prescribed)
@@ -273,11 +273,11 @@ def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = (
     Returns:
         The perturbed system.
     """
-    rng, inertias, model = np.random.default_rng(1), {}, system.model
+    rng, inertias, model = np.random.default_rng(1), {}, system.sorted_model
     bodies, placements = bodies_of(system), {}
     for i, pattern in freed.steps:
         placements[i + 1] = other_placement(bodies[bodies[i].parent], bodies[i], pattern, rng)
-    carried = {system.joints[k] for k in cyclic}
+    carried = {system.sorted_joints[k] for k in cyclic}
     for i in range(2, model.njoints):
         if model.parents[i] in carried:
             carried.add(i)

@@ -98,10 +98,10 @@ def _validate_momentum(kernel: Kernel, at: ReferenceState, outputs: Array) -> No
 def _validate_full_state(kernel: Kernel, at: ReferenceState, outputs: Array) -> None:
     """Compare the full state: configuration, centre-of-mass path, momenta, energy."""
     system, where, check = kernel.system, kernel.where, _checker(kernel)
-    model, r, k = system.model, system.r, system.group.linear
-    data = system.data
+    model, r, k = system.sorted_model, system.r, system.group.linear
+    data = system.sorted_data
     pose, q, v = (outputs[where.fields[name]] for name in ("pose", "q", "v"))
-    check("configuration", q, system.model_q(pose, at.x), abs(q))
+    check("configuration", q, system.sorted_q(pose, at.x), abs(q))
     velocity = system.velocity(system.given_v(v))
     full, v = v, np.concatenate([velocity.xi, velocity.xdot])
     check("full velocity", v[k:], at.v[k:], at.velocity_terms[k:])
@@ -191,7 +191,7 @@ def _validate_acceleration(
     the centre of mass, so π̇ in a frame at rest has the additional term F·∂c/∂x.
     """
     system, layout, model, q, H = kernel.system, kernel.layout, at.model, at.q, at.H
-    r, k, data = system.r, system.group.linear, system.data
+    r, k, data = system.r, system.group.linear, system.sorted_data
     active, first = list(layout.active), layout.pairs
     pidot = np.zeros(system.m)
     pidot[active] = rate[first : first + len(active)]
@@ -204,7 +204,7 @@ def _validate_acceleration(
     full = system.joint_rates(v)
     C = system.coupled_matrix(
         pin.computeCoriolisMatrix(
-            centred, data, system.model_q(system.group.identity(), at.x), full
+            centred, data, system.sorted_q(system.group.identity(), at.x), full
         )
     )
     mudot = system.group.coadjoint(v[:r], at.mu) + wrench
@@ -281,7 +281,7 @@ def _validate_inverse_dynamics(kernel: Kernel, at: ReferenceState, v: Array) -> 
         return
     full = system.joint_rates(v)
     for acceleration, torque in kernel.forces.required(force_inputs(at, v)):
-        bias = system.on_shape(pin.nonLinearEffects(at.model, system.data, at.q, full))
+        bias = system.on_shape(pin.nonLinearEffects(at.model, system.sorted_data, at.q, full))
         base = -np.linalg.solve(H[:r, :r], H[:r, r:] @ acceleration + bias[:r])
         a = np.append(base, acceleration)
         terms = at.force_terms + at.gravity_terms + np.abs(H) @ np.abs(a)
@@ -313,7 +313,7 @@ def force_inputs(at: ReferenceState, v: Array) -> ForceInputs:
 
 def _gravity_moment(kernel: Kernel, at: ReferenceState) -> Array:
     """Return the moment of gravity about the pivot, (r,), computed with Pinocchio."""
-    gravity = pin.computeGeneralizedGravity(at.model, kernel.system.data, at.q)
+    gravity = pin.computeGeneralizedGravity(at.model, kernel.system.sorted_data, at.q)
     return -np.asarray(gravity[: kernel.system.r])
 
 

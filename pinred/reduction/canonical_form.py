@@ -38,9 +38,9 @@ class CanonicalForm:
 
         self._dposv = dposv
         self._system = system
-        self._model = system.model
+        self._model = system.sorted_model
         # `com` reads the results of the last CRBA, so this work space must not be shared.
-        self._data = pin.Data(system.model)
+        self._data = pin.Data(system.sorted_model)
         self._identity = system.group.identity()
         self._r = system.r
         self._least = np.finfo(float).eps * usual_inertias(system).min() if system.doubts else 0.0
@@ -54,7 +54,7 @@ class CanonicalForm:
         Returns:
             H(x), (n, n), of which only the upper triangle is guaranteed.
         """
-        upper = pin.crba(self._model, self._data, self._system.model_q(self._identity, x))
+        upper = pin.crba(self._model, self._data, self._system.sorted_q(self._identity, x))
         if self._system.coupled is None:
             return np.asarray(upper)
         return self._system.coupled_matrix(symmetric(upper))
@@ -152,7 +152,7 @@ class CanonicalForm:
 
     def force(self, x: Array, v: Array) -> Array:
         """Return the rate of the canonical momentum, π̇ = ½ vᵀ ∂H v − ∂V, (m,)."""
-        q = self._system.model_q(self._identity, x)
+        q = self._system.sorted_q(self._identity, x)
         v = self._system.joint_rates(v)
         C = pin.computeCoriolisMatrix(self._model, self._data, q, v)
         if self._system.coupled is None:

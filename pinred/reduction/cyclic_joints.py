@@ -47,12 +47,14 @@ def cyclic_joints(
     rng = np.random.default_rng(0)
     depends = np.zeros(m, dtype=bool)
     depends[[*touched, *system.space.ball_v.tolist()]] = True
-    data = system.data
+    data = system.sorted_data
     heavy = pivot_weight(system).any()
     for _ in range(_SAMPLES if m else 0):
         at = red.at(system.space.random(rng, 3.0))
-        q = system.model_q(system.group.identity(), at.x)
-        com_derivative = system.on_shape(pin.jacobianCenterOfMass(system.model, data, q))[:, r:]
+        q = system.sorted_q(system.group.identity(), at.x)
+        com_derivative = system.on_shape(pin.jacobianCenterOfMass(system.sorted_model, data, q))[
+            :, r:
+        ]
         unit, limit = _usual_rates(system, data, at.mass_matrix)
         b, s = unit[:r, None], unit[r:, None]
         dIA = np.einsum("ij,jbc->ibc", at.locked_inertia, at.dA)
@@ -83,7 +85,7 @@ def _usual_rates(system: System, data: pin.Data, H: Array) -> tuple[Array, Array
     heavy joints.  Round-off scales with the subtree's inertia about the root, so that the limit is
     lower for small and light subtrees near the root.  `data` must contain the joint placements.
     """
-    model, r = system.model, system.r
+    model, r = system.sorted_model, system.r
     root = data.oMi[1].translation
     ends = np.zeros(model.njoints)  # greatest distance from the root in each subtree [m]
     for i in range(model.njoints - 1, 0, -1):

@@ -213,8 +213,8 @@ def usual_mass_matrices(system: System) -> list[Array]:
 
 def mass_matrix(system: System, x: Array) -> Array:
     """Compute the mass matrix (n, n) at shape x (m,), even if it is singular."""
-    data = system.workspace(mass_matrix, system.model.createData)
-    return mass_matrix_at(system, system.model, data, system.group.identity(), x)
+    data = system.workspace(mass_matrix, system.sorted_model.createData)
+    return mass_matrix_at(system, system.sorted_model, data, system.group.identity(), x)
 
 
 def mass_matrix_at(
@@ -231,7 +231,7 @@ def mass_matrix_at(
     Returns:
         Mass matrix, (n, n).
     """
-    upper = pin.crba(model, data, system.model_q(pose, x))
+    upper = pin.crba(model, data, system.sorted_q(pose, x))
     return system.coupled_matrix(symmetric(upper))
 
 
@@ -249,8 +249,11 @@ def _upper(n: int) -> NDArray[np.bool_]:
 
 def com_derivative(system: System, x: Array) -> Array:
     """Compute ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
-    model, data = system.model, system.workspace(com_derivative, system.model.createData)
-    q = system.model_q(system.group.identity(), x)
+    model, data = (
+        system.sorted_model,
+        system.workspace(com_derivative, system.sorted_model.createData),
+    )
+    q = system.sorted_q(system.group.identity(), x)
     # With one joint, Pinocchio returns a vector (3,).
     jacobian = pin.jacobianCenterOfMass(model, data, q).reshape(3, -1)
     in_world = system.on_shape(jacobian)[:, system.r :]

@@ -111,9 +111,9 @@ class PointwiseReduction:
         """
         self.system = checked_system(system, "Reduction", remedy="Use LoopReduction.")
         self.frames: tuple[MovedFrame, ...] = ()
-        self._model = system.model.copy()
+        self._model = system.sorted_model.copy()
         self._model.gravity.setZero()
-        self._data = self.system.data
+        self._data = self.system.sorted_data
         self._identity = system.group.identity()
         # Gravity that breaks the symmetry leaves I, A, M and B defined, so only V raises.
         self._potential: Potential | SymmetryError
@@ -322,7 +322,7 @@ class PointwiseReduction:
     def _mass_matrix_derivative(self, x: Array) -> Array:
         """Return ∂H, (n, n, m), from Pinocchio's RNEA derivatives."""
         system, r, n, m = self.system, self.system.r, self.system.n, self.system.m
-        q = system.model_q(self._identity, x)
+        q = system.sorted_q(self._identity, x)
         zero, dH = np.zeros(self._model.nv), np.empty((n, n, m))
         for k, unit in enumerate(np.eye(n) if m else ()):
             acceleration = system.joint_rates(unit)

@@ -71,9 +71,9 @@ class Potential:
             sideways = np.zeros(3)
         self._sideways = sideways
         # Pinocchio computes the potential energy and torques with g⊥ as the only gravity.
-        self._model = system.model.copy()
+        self._model = system.sorted_model.copy()
         self._model.gravity.linear = sideways
-        self._data = system.data
+        self._data = system.sorted_data
         self._identity = system.group.identity()
         if sideways.any() and system.group.turns and not system.group.plane:
             _check_invariance(system, self._model, self._data)
@@ -108,7 +108,7 @@ class Potential:
         """Return V(x) [J], with heights measured from the world origin."""
         energy = 0.0
         if self._sideways.any():
-            q = self._system.model_q(self._identity, x)
+            q = self._system.sorted_q(self._identity, x)
             energy += float(pin.computePotentialEnergy(self._model, self._data, q))
         return energy + self._spring_energy(x)
 
@@ -121,7 +121,7 @@ class Potential:
         """Return ∂V/∂x, (m,) [N·m | N]."""
         gradient = np.zeros(self._system.m)
         if self._weighs:
-            q = self._system.model_q(self._identity, x)
+            q = self._system.sorted_q(self._identity, x)
             torque = pin.computeGeneralizedGravity(self._model, self._data, q)
             gradient += self._system.on_shape(torque)[self._system.r :]
         gradient[self._index] += self._stiffness * (x[self._index_x] - self._rest)
@@ -228,7 +228,7 @@ def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
     directions = []
     for _ in range(_SAMPLES):
         pose = system.group.exp(rng.uniform(-3.0, 3.0, system.r))
-        q = system.model_q(pose, system.space.random(rng, 3.0))
+        q = system.sorted_q(pose, system.space.random(rng, 3.0))
         moment = pin.computeGeneralizedGravity(model, data, q)[: system.r]
         pin.centerOfMass(model, data, q)
         size = np.linalg.norm(data.com[0] - data.oMi[1].translation)

@@ -165,8 +165,8 @@ class MovedFrame:
 
     def _placement(self, pose: Array, x: Array) -> pin.SE3:
         """Return h in the root joint's fixed frame."""
-        model, data = self._system.model, self._system.data
-        pin.forwardKinematics(model, data, self._system.model_q(pose, x))
+        model, data = self._system.sorted_model, self._system.sorted_data
+        pin.forwardKinematics(model, data, self._system.sorted_q(pose, x))
         return model.jointPlacements[1].actInv(data.oMi[1])
 
     def _element(self, x: Array) -> tuple[Array, Array, Array | None]:

@@ -60,13 +60,13 @@ def symmetric_balls(system: System, touched: Collection[int] = ()) -> tuple[Symm
     """
     if not system.space.balls:
         return ()
-    reach, carriers = _reach(system), {*system.model.parents.tolist()[1:]}
+    reach, carriers = _reach(system), {*system.sorted_model.parents.tolist()[1:]}
     affected, found = {*touched} | loop_rates(system), []
     for ball in system.space.balls:
-        i = system.joints[ball.v.start]
+        i = system.sorted_joints[ball.v.start]
         if i in carriers:
             continue
-        symmetric, axis = _axis_of_symmetry(system, system.model.inertias[i], reach)
+        symmetric, axis = _axis_of_symmetry(system, system.sorted_model.inertias[i], reach)
         rates = [ball.v.start + k for k in range(3) if axis is None or abs(axis[k]) > _ALIGNED]
         if symmetric and not {*rates} & affected:
             found.append(SymmetricBall(ball, axis))
@@ -146,8 +146,8 @@ def _snapped(axis: Array) -> Array:
 
 def _reach(system: System) -> float:
     """Return the distance of the farthest body from the root at the neutral shape [m]."""
-    model, data = system.model, system.data
-    q = system.model_q(system.group.identity(), system.space.neutral)
+    model, data = system.sorted_model, system.sorted_data
+    q = system.sorted_q(system.group.identity(), system.space.neutral)
     pin.forwardKinematics(model, data, q)
     root = data.oMi[1].translation
     return max(

@@ -75,12 +75,12 @@ def parse_configuration(q: ArrayLike, system: System) -> Configuration:
         InputError: A quaternion, or a cosine and sine, do not have norm 1.
     """
     q = vector(q, system.model.nq, "q0")
-    root, *joints = list(system.model.joints)[1:]
+    root, *joints = list(system.sorted_model.joints)[1:]
     try:
         system.group.pose(q[: root.nq])
     except PinredError as error:
         raise type(error)(f"q0: {error}") from None
-    sorted_q = system.sorted_q(q)
+    sorted_q = system.sort_q(q)
     for placed, joint in zip(system.tree.joints, joints, strict=True):
         norm = float(np.linalg.norm(sorted_q[joint.idx_q : joint.idx_q + joint.nq]))
         if joint.nq == 2 and abs(norm - 1.0) > _UNIT:
@@ -90,7 +90,7 @@ def parse_configuration(q: ArrayLike, system: System) -> Configuration:
     split = system.configuration(q)
     x = system.space.normalized(split.x, "q0")
     if system.coupled is not None:
-        _check_followers(system, sorted_q, system.model_q(split.pose, x), "q0")
+        _check_followers(system, sorted_q, system.sorted_q(split.pose, x), "q0")
     return Configuration(pose=system.group.normalize(split.pose), x=x)
 
 
@@ -109,7 +109,7 @@ def parse_velocity(v: ArrayLike, system: System) -> Velocity:
     v = vector(v, system.model.nv, "v0")
     split = system.velocity(v)
     if system.coupled is not None:
-        _check_followers(system, system.sorted_v(v), system.model_v(split.xi, split.xdot), "v0")
+        _check_followers(system, system.sort_v(v), system.sorted_v(split.xi, split.xdot), "v0")
     return split
 
 
@@ -125,7 +125,7 @@ def _check_followers(system: System, stated: Array, coupled: Array, what: str) -
         InputError: A follower violates its coupling.
     """
     for name in system.followers:
-        joint = system.model.joints[system.model.getJointId(name)]
+        joint = system.sorted_model.joints[system.sorted_model.getJointId(name)]
         entries = slice(joint.idx_q, joint.idx_q + joint.nq)
         if what == "v0":
             entries = slice(joint.idx_v, joint.idx_v + 1)

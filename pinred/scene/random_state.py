@@ -53,7 +53,7 @@ def _spread(system: System) -> _Spread:
 
 def _narrow(system: System, low: Array, high: Array) -> None:
     """Narrow shape ranges, (m,) each, in place so that mimic joints stay within their limits."""
-    coupled, model = system.coupled, system.model
+    coupled, model = system.coupled, system.sorted_model
     if coupled is None:
         return
     for i, placed in enumerate(system.tree.joints, start=2):

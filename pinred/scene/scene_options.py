@@ -145,12 +145,12 @@ class SceneFields:
         default="identity", formats="(size,)", table="start", command=f"--pose0 {_VECTOR}",
     ))  # fmt: skip
     q0: ArrayLike | None = field(default=None, metadata=_option(
-        NUMBERS, "initial configuration in Pinocchio's order, which replaces x0 and pose0",
+        NUMBERS, "initial configuration of system.model, which replaces x0 and pose0",
         formats="(nq,), with angles in (−π, π]", table="start",
         command=f"--q0 {_VECTOR}", replaces=("x0", "pose0"), scope="shape and pose",
     ))  # fmt: skip
     v0: ArrayLike | None = field(default=None, metadata=_option(
-        NUMBERS, "initial velocity in Pinocchio's order, which replaces xdot0, xi0 and momentum",
+        NUMBERS, "initial velocity of system.model, which replaces xdot0, xi0 and momentum",
         formats="(n,)", table="start", command=f"--v0 {_VECTOR}",
         replaces=("xdot0", "xi0", "momentum"), scope="shape rate and body twist",
     ))  # fmt: skip

@@ -245,20 +245,20 @@ def _driving_torques(
 
 def _inertial_terms(system: System, samples: Sample) -> tuple[Array, Array]:
     """Return mass matrices, (T, n, n), and the sums of gravity and −b, (T, n)."""
-    gravity, data, r = shape_gravity(system), system.data, system.r
-    weightless = system.workspace("model without gravity", lambda: _weightless(system.model))
-    q = system.model_q(system.group.identity(), samples.x)
-    v = system.model_v(samples.xi, samples.xdot)
+    gravity, data, r = shape_gravity(system), system.sorted_data, system.r
+    weightless = system.workspace("model without gravity", lambda: _weightless(system.sorted_model))
+    q = system.sorted_q(system.group.identity(), samples.x)
+    v = system.sorted_v(samples.xi, samples.xdot)
     upper, bias = np.empty((*v.shape, v.shape[1])), np.empty_like(v)
     for k, (q_k, v_k) in enumerate(zip(q, v, strict=True)):
-        upper[k] = pin.crba(system.model, data, q_k)
+        upper[k] = pin.crba(system.sorted_model, data, q_k)
         bias[k] = pin.nonLinearEffects(weightless, data, q_k, v_k)
     terms = -system.on_shape(bias)
     for k, x in enumerate(samples.x):
         if not gravity.is_zero:
             terms[k, r:] -= gravity.gradient(x)
         if samples.weight[k].any():
-            pin.crba(system.model, data, q[k])
+            pin.crba(system.sorted_model, data, q[k])
             terms[k, r:] += samples.weight[k] @ com_derivative(system, x)
             terms[k, :r] += np.cross(data.Ycrb[1].lever, samples.weight[k])
     return system.coupled_matrix(symmetric(upper)), terms

@@ -67,7 +67,7 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
     varied = plan.scene.varied
     if varied is None:
         return []
-    freed, names = plan.freed(generic=generic), list(plan.system.model.names)
+    freed, names = plan.freed(generic=generic), list(plan.system.sorted_model.names)
     lines = []
     if freed.inertias:
         bodies = ", ".join(names[i + 1] for i in freed.inertias)
@@ -85,7 +85,7 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
             "to five evaluations)"
         )
     if freed.links:
-        links = ", ".join(str(plan.system.model.frames[k].name) for k in freed.links)
+        links = ", ".join(str(plan.system.sorted_model.frames[k].name) for k in freed.links)
         lines.append(f"inputs: placements of {links} on their bodies, because forces act there")
     if varied.gravity:
         lines.append("inputs: gravity")

@@ -61,8 +61,13 @@ def _multipliers(
 
     force: Forces on base and joints, (n,).  accelerations: Those of the prescribed joints.
     """
-    system, model, data, r = plan.system, plan.system.model, plan.system.data, plan.system.r
-    q, v = system.sorted_q(states.q[k]), system.sorted_v(states.v[k])
+    system, model, data, r = (
+        plan.system,
+        plan.system.sorted_model,
+        plan.system.sorted_data,
+        plan.system.r,
+    )
+    q, v = system.sort_q(states.q[k]), system.sort_v(states.v[k])
     kinematics = loop_kinematics(system)
     J, bias = system.on_shape(kinematics.jacobian(q)), kinematics.bias(q, v)
     H = system.coupled_matrix(symmetric(pin.crba(model, data, q)))

@@ -141,7 +141,7 @@ class RobotColumns:
             place, frame = self._among_constants(freed.of_inertia(i)), self._maps[i]
             yield place, frame @ moments, partial(_map_slopes, frame, slopes)
         for i, (joint, twists) in self._varied.placements(now, changed).items():
-            body, nominal_place = self._bodies[i], self._system.model.jointPlacements[i + 1]
+            body, nominal_place = self._bodies[i], self._system.sorted_model.jointPlacements[i + 1]
             parent = self._bodies[body.parent]
             placed = replace(body, **step_at(parent, body, nominal_place, joint))
             place = self._among_constants(freed.of_step(i))
@@ -160,7 +160,7 @@ class RobotColumns:
         links = self._layout.freed.links
         for k, (place, twists) in self._varied.places(now).items() if links else ():
             if k in links:
-                joint = self._system.model.frames[k].parentJoint
+                joint = self._system.sorted_model.frames[k].parentJoint
                 yield k, self._bodies[joint - 1], place, twists
 
     def _in_gravity(self, g: Array) -> tuple[Array, Array]:

@@ -214,7 +214,9 @@ def _labels_of(system: System, name: str) -> Sequence[str]:
 def _unit(system: System, name: str, label: str) -> str:
     kind = name.rpartition(".")[2]
     if kind == "lock":
-        joint = system.model.joints[system.model.getJointId(name.removesuffix(".lock"))]
+        joint = system.sorted_model.joints[
+            system.sorted_model.getJointId(name.removesuffix(".lock"))
+        ]
         return "m" if joint.shortname().startswith("JointModelP") else "rad"
     if kind == "placement":
         return "rad" if label in _ANGLES else "m"

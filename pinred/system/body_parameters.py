@@ -76,7 +76,7 @@ def body_parameter(system: System, name: str) -> BodyParameter | None:
 
 def body_names(system: System) -> dict[str, int]:
     """Return {name of link or joint: body index}; link names take precedence."""
-    model = system.model
+    model = system.sorted_model
     joints = {str(model.names[i]): i - 1 for i in range(1, model.njoints)}
     links = [f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0]
     return joints | {str(f.name): int(f.parentJoint) - 1 for f in links}
@@ -239,12 +239,12 @@ class Bodies:
     def _nominal_value(self, body: int, kind: str) -> Array:
         """Return the cached nominal value of one kind of parameter for a body."""
         if (body, kind) not in self._nominal:
-            inertia = self._system.model.inertias[body + 1]
+            inertia = self._system.sorted_model.inertias[body + 1]
             self._nominal[body, kind] = read_only(_value(inertia, kind))
         return self._nominal[body, kind]
 
     def _body(self, parameter: BodyParameter) -> pin.Inertia:
-        return self._system.model.inertias[parameter.body + 1]
+        return self._system.sorted_model.inertias[parameter.body + 1]
 
 
 def numbers(value: Any, name: str, size: int) -> Array:

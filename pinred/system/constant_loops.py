@@ -98,7 +98,7 @@ class _Search:
     def __init__(self, system: System, driven: Collection[str]) -> None:
         assert system.closure is not None
         self._system, self._length = system, system.closure.length
-        self._map = coordinate_map(system.model, system.group, system.tree)
+        self._map = coordinate_map(system.sorted_model, system.group, system.tree)
         self._first = system.joint_values(system.closure.x)
         self._is_regular = singularity(system, system.closure.x) > _SINGULAR
         units = [self._length if unit == "m" else 1.0 for unit in system.tree.units]
@@ -135,7 +135,7 @@ class _Search:
         if isinstance(loop, Loop) and not loop.coupled:
             return None
         law = coupled(self._system.tree, couplings, self._system.root_name)
-        kinematics = LoopKinematics(self._system.model, [loop])
+        kinematics = LoopKinematics(self._system.sorted_model, [loop])
         for joints in [self._first] if self._is_stated(kinematics) else self._starts:
             found = self._candidates(kinematics, law, joints)
             if found is None or not self._verified(kinematics, [*couplings, *found], joints):

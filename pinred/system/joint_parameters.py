@@ -62,7 +62,7 @@ def joint_parameter(system: System, name: str) -> JointParameter | None:
                 f"vary; {nearest(word, names)}such joints are {listed(names, 60) or 'none'}"
             )
         return JointParameter(name, word, kind)
-    names = [str(joint) for joint in system.model.names][2:]
+    names = [str(joint) for joint in system.sorted_model.names][2:]
     if word not in names:
         hint = nearest(word, names)
         if word == system.root_name:
@@ -130,7 +130,9 @@ class Joints:
             i for i in self.placed if i in behind or self._by_body[i].kind == "placement"
         )
         self.free = tuple(sorted(free))
-        self._frames = self._locked.frames(system.model, list(self._locks)) if self._locks else {}
+        self._frames = (
+            self._locked.frames(system.sorted_model, list(self._locks)) if self._locks else {}
+        )
         self.links = tuple(sorted(self._frames))
 
     def own(self) -> dict[str, Array]:
@@ -140,7 +142,7 @@ class Joints:
             if parameter.kind == "lock":
                 values[parameter.name] = np.array([self._locked.frozen[parameter.joint]])
                 continue
-            place = self._system.model.jointPlacements[self._body(parameter.joint) + 1]
+            place = self._system.sorted_model.jointPlacements[self._body(parameter.joint) + 1]
             rpy = pin.rpy.matrixToRpy(place.rotation)
             values[parameter.name] = np.concatenate([place.translation, rpy])[: parameter.size]
         return values
@@ -169,10 +171,10 @@ class Joints:
         for i in self.placed:
             if parameter := self._by_body.get(i):
                 if parameter.name in changed:
-                    nominal = self._system.model.jointPlacements[i + 1]
+                    nominal = self._system.sorted_model.jointPlacements[i + 1]
                     yield (i, *_placement(nominal, parameter, values[parameter.name]))
             elif has_locks:
-                place, twists = behind[str(self._system.model.names[i + 1])]
+                place, twists = behind[str(self._system.sorted_model.names[i + 1])]
                 yield i, place, self._by_parameter(twists)
 
     def inertias(
@@ -191,7 +193,7 @@ class Joints:
         added_root = not self._locked.raw.existJointName(self._system.root_name)
         lock_values = self._lock_values(values)
         for i in self.free:
-            joint = "" if i == 0 and added_root else str(self._system.model.names[i + 1])
+            joint = "" if i == 0 and added_root else str(self._system.sorted_model.names[i + 1])
             J, slopes = self._locked.inertia(joint, lock_values)
             moments = {joint: moments_of(slopes[joint]) for joint in self._locks}
             yield i, moments_of(J), self._by_parameter(moments)
@@ -236,7 +238,7 @@ class Joints:
         }
 
     def _body(self, joint: str) -> int:
-        return int(self._system.model.getJointId(joint)) - 1 if joint else 0
+        return int(self._system.sorted_model.getJointId(joint)) - 1 if joint else 0
 
 
 def _placement(

@@ -57,7 +57,9 @@ def kinds_near(system: System, name: object, known: Sequence[str] = ()) -> str:
         known: Additional valid names.
     """
     names = [f"{body}.{size}" for body in body_names(system) for size in BODY_SIZES]
-    names += [f"{joint}.{place}" for joint in list(system.model.names)[2:] for place in PLACED]
+    names += [
+        f"{joint}.{place}" for joint in list(system.sorted_model.names)[2:] for place in PLACED
+    ]
     locked = system.contents.locked
     names += [] if locked is None else [f"{joint}.lock" for joint in locked.names]
     hint = nearest(str(name), [*known, *GRAVITY, *names]) if isinstance(name, str) else ""
@@ -97,8 +99,8 @@ def with_parameters(system: System, parameters: Any) -> System:
 
 def all_names(system: System) -> list[str]:
     """Return the parameter names of all bodies (mass, com, inertia) and of all placements."""
-    names = [str(name) for name in system.model.names]
-    bodies = [i for i in range(1, len(names)) if system.model.inertias[i].mass > 0.0]
+    names = [str(name) for name in system.sorted_model.names]
+    bodies = [i for i in range(1, len(names)) if system.sorted_model.inertias[i].mass > 0.0]
     inertial = [f"{names[i]}.{kind}" for i in bodies for kind in _INERTIAL]
     return [*inertial, *(f"{name}.placement" for name in names[2:])]
 

@@ -16,7 +16,7 @@ _MASS, _LENGTH = 1e12, 1e5
 
 def ill_scaled(system: System) -> str:
     """Return a warning about extreme masses or lengths of a system, with a remedy, or ""."""
-    model = system.model
+    model = system.sorted_model
     bodies = [body for body in model.inertias[1:] if body.mass > 0.0]
     steps = [float(np.linalg.norm(place.translation)) for place in model.jointPlacements[2:]]
     reaches = [float(np.hypot(np.linalg.norm(b.lever), radius_of_gyration(b))) for b in bodies]

@@ -68,8 +68,8 @@ _TABLE = (
     StateField("xdot", "rad/s | m/s", "joint", "entries", "Shape rate", needs_base=False),
     StateField("xi", "m/s | rad/s", "twist", "entries", "Body twist [linear; angular] of the base"),
     StateField("pose", "m | rad | 1", "coordinate", "twist", "Pose of the base"),
-    StateField("q", "m | rad | 1", "nq", "none", "Pinocchio's configuration"),
-    StateField("v", "m/s | rad/s", "nv", "none", "Pinocchio's velocity"),
+    StateField("q", "m | rad | 1", "nq", "none", "Configuration of `system.model`"),
+    StateField("v", "m/s | rad/s", "nv", "none", "Velocity of `system.model`"),
     StateField(
         "body_momentum", "N·s | N·m·s", "twist", "entries",
         "Body momentum μ, in the body frame, about its origin",

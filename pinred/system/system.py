@@ -48,8 +48,15 @@ class System(FromFile):
     are not shape coordinates.
 
     Attributes:
-        model: Pinocchio model, root joint first, in depth-first order.  q and v keep the order
-            of the model that was passed in.
+        model: Pinocchio model, root joint first.  q and v have its joint order everywhere, in
+            trajectories, recordings and options: the order of the pin.Model that was loaded, or
+            the order in which Pinocchio, Drake or MuJoCo read the file.  The parts of a split joint
+            take its place, a merged ball takes the place of its last hinge, and locked joints are
+            left out.
+        sorted_model: `model` in depth-first order, for pinred's own computations; the same object
+            if `model` has this order.  Pinocchio's kinematics, RNEA, ABA and momenta take any
+            order, but its crba, Minverse, Coriolis matrix, derivatives and constraint dynamics
+            return wrong values without an error in another order.
         name: Name of the robot.
         initial: Generic initial state, if the robot has one.
         origin: Name or file from which the robot was loaded, if any.
@@ -68,6 +75,7 @@ class System(FromFile):
     initial: InitialState | None = None
     origin: Origin | None = None
     contents: Contents = field(default=Contents(), repr=False)
+    sorted_model: pin.Model = field(init=False, repr=False)
     group: Group = field(init=False)
     space: ShapeSpace = field(init=False, repr=False)
     tree: ShapeSpace = field(init=False, repr=False)
@@ -89,7 +97,7 @@ class System(FromFile):
         couplings = coupled(tree, self.couplings, model.names[1])
         admission = admit(model, couplings)
         vars(self).update(
-            model=model,
+            sorted_model=model,
             group=admission.group,
             space=tree if couplings is None else couplings.space,
             coupled=couplings,
@@ -153,8 +161,16 @@ class System(FromFile):
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Index in the model of the joint of each shape rate, (m,)."""
-        numbers = {str(name): i for i, name in enumerate(self.model.names)}
+        """Index in `model` of the joint of each shape rate, (m,)."""
+        return self._joints_in(self.model)
+
+    @property
+    def sorted_joints(self) -> tuple[int, ...]:
+        """Index in `sorted_model` of the joint of each shape rate, (m,)."""
+        return self._joints_in(self.sorted_model)
+
+    def _joints_in(self, model: pin.Model) -> tuple[int, ...]:
+        numbers = {str(name): i for i, name in enumerate(model.names)}
         return tuple(numbers[joint.name] for joint in self.space.joints for _ in joint.kind.rates)
 
     @property
@@ -211,7 +227,7 @@ class System(FromFile):
         return list(zip(self._map.angle.tolist(), self._map.angle_q.tolist(), strict=True))
 
     def q(self, pose: ArrayLike, x: ArrayLike) -> Array:
-        """Compute Pinocchio's configuration q, in the joint order of the original model.
+        """Compute Pinocchio's configuration q, in the joint order of `model`.
 
         Args:
             pose: Pose of the base, (..., size).
@@ -221,10 +237,10 @@ class System(FromFile):
         Raises:
             ShapeError: A length is wrong.
         """
-        return self.given_q(self.model_q(pose, x))
+        return self.given_q(self.sorted_q(pose, x))
 
     def v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
-        """Compute Pinocchio's velocity v, in the joint order of the original model.
+        """Compute Pinocchio's velocity v, in the joint order of `model`.
 
         Args:
             xi: Body twist of the base [linear; angular], (..., r).
@@ -234,19 +250,19 @@ class System(FromFile):
         Raises:
             ShapeError: A length is wrong.
         """
-        return self.given_v(self.model_v(xi, xdot))
+        return self.given_v(self.sorted_v(xi, xdot))
 
     def configuration(self, q: ArrayLike) -> Configuration:
         """Return pose and shape for Pinocchio's q.
 
         Args:
-            q: Configuration, (..., nq), in the joint order of the original model.
+            q: Configuration, (..., nq), in the joint order of `model`.
         Returns:
             Pose and shape.  Angles that q stores as cosine and sine are in (−π, π].
         Raises:
             ShapeError: The length is wrong.
         """
-        y = self._map.from_q(self.sorted_q(self._last(q, self.model.nq, "q")))
+        y = self._map.from_q(self.sort_q(self._last(q, self.model.nq, "q")))
         x = y[..., self.group.size :]
         if self.coupled is not None:
             x = x[..., self.coupled.leads_x]
@@ -256,13 +272,13 @@ class System(FromFile):
         """Return body twist and shape rate for Pinocchio's v.
 
         Args:
-            v: Velocity, (..., nv), in the joint order of the original model.
+            v: Velocity, (..., nv), in the joint order of `model`.
         Returns:
             Body twist and shape rate.
         Raises:
             ShapeError: The length is wrong.
         """
-        v = self.sorted_v(self._last(v, self.model.nv, "v").copy())
+        v = self.sort_v(self._last(v, self.model.nv, "v").copy())
         xdot = v[..., self.r :]
         if self.coupled is not None:
             xdot = xdot[..., self.coupled.leads]
@@ -273,11 +289,11 @@ class System(FromFile):
         return x if self.coupled is None else self.coupled.values(x)
 
     def joint_rates(self, v: Array) -> Array:
-        """Return the velocity (..., nv) of `model` for a velocity v (..., n), v = (ξ, ẋ)."""
+        """Return v (..., nv) of `sorted_model` for a velocity (..., n), (ξ, ẋ)."""
         return v if self.coupled is None else self.coupled.rates(v, self.r)
 
     def on_shape(self, forces: Array) -> Array:
-        """Map forces (..., nv) on the joints of `model` to forces on base and shape, (..., n)."""
+        """Map forces (..., nv) in the order of `sorted_model` to base and shape, (..., n)."""
         return forces if self.coupled is None else self.coupled.forces(forces, self.r)
 
     def sizes_on_shape(self, sizes: Array) -> Array:
@@ -288,40 +304,47 @@ class System(FromFile):
         """Return GᵀHG (..., n, n) in (ξ, ẋ) for H, a mass or Coriolis matrix (..., nv, nv)."""
         return matrix if self.coupled is None else self.coupled.matrix(matrix, self.r)
 
-    def model_q(self, pose: ArrayLike, x: ArrayLike) -> Array:
-        """Compute q (..., nq) in the joint order of `model` for pose (..., size), x (..., nx)."""
+    def sorted_q(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """Compute q (..., nq) of `sorted_model` for pose (..., size) and x (..., nx)."""
         pose, x = self._pair(pose, x, (self.group.size, self.nx), ("pose", "x"))
         return self._map.to_q(np.concatenate([pose, self.joint_values(x)], axis=-1))
 
-    def model_v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
-        """Compute v (..., nv) in the joint order of `model` from xi (..., r) and xdot (..., m)."""
+    def sorted_v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
+        """Compute v (..., nv) of `sorted_model` for xi (..., r) and xdot (..., m)."""
         xi, xdot = self._pair(xi, xdot, (self.r, self.m), ("xi", "xdot"))
         return self.joint_rates(np.concatenate([xi, xdot], axis=-1))
 
     def given_q(self, q: Array) -> Array:
-        """Reorder q (..., nq) from `model` to the original model."""
+        """Reorder q (..., nq) from `sorted_model` to `model`."""
         return q if self._order is None else np.take(q, self._order.q, axis=-1)
 
     def given_v(self, v: Array) -> Array:
-        """Reorder v (..., nv) from `model` to the original model."""
+        """Reorder v (..., nv) from `sorted_model` to `model`."""
         return v if self._order is None else np.take(v, self._order.v, axis=-1)
 
-    def sorted_q(self, q: Array) -> Array:
-        """Reorder q (..., nq) from the original model to `model`."""
+    def sort_q(self, q: Array) -> Array:
+        """Reorder q (..., nq) from `model` to `sorted_model`."""
         return q if self._order is None else np.take(q, np.argsort(self._order.q), axis=-1)
 
-    def sorted_v(self, v: Array) -> Array:
-        """Reorder v (..., nv) from the original model to `model`."""
+    def sort_v(self, v: Array) -> Array:
+        """Reorder v (..., nv) from `model` to `sorted_model`."""
         return v if self._order is None else np.take(v, np.argsort(self._order.v), axis=-1)
 
     @property
     def data(self) -> pin.Data:
-        """Pinocchio's work space (pin.Data), one per thread, also for copies with other gravity.
+        """Work space (pin.Data) of `model`, one per thread, also for copies with other gravity.
 
         Every Pinocchio call overwrites the work space, so copy results at once.  Its memory grows
         with the cube of n, so there is only one per thread.
         """
         return self.workspace("data", lambda: pin.Data(self.model))
+
+    @property
+    def sorted_data(self) -> pin.Data:
+        """Work space of `sorted_model`; `data` if `model` has the same order."""
+        if self._order is None:
+            return self.data
+        return self.workspace("sorted data", lambda: pin.Data(self.sorted_model))
 
     def workspace(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return a value that is cached per system, thread and key.

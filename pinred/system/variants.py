@@ -25,7 +25,8 @@ def nominal(system: System) -> System:
 def in_gravity(system: System, gravity: Array) -> System:
     """Return a copy of a system with different gravity, (3,) in the world frame [m/s²]."""
     other = _copy(system)
-    other.model.gravity.linear = gravity
+    for model in (other.model, other.sorted_model):
+        model.gravity.linear = gravity
     return other
 
 
@@ -47,23 +48,28 @@ def with_numbers(
 
     Args:
         system: System to copy.
-        inertias: New inertias of bodies, {joint that moves the body: inertia}.
-        placements: New joint placements, {joint index in the model: placement}.
-        frames: New placements of links on their bodies, {frame index in the model: placement}.
+        inertias: New inertias of bodies, {joint of `sorted_model` that moves the body: inertia}.
+        placements: New joint placements, {joint index in `sorted_model`: placement}.
+        frames: New placements of links on their bodies, {frame index in both models: placement}.
     """
     other = _copy(system)
     vars(other)["_nominal"] = nominal(system)
-    for joint, inertia in inertias.items():
-        other.model.inertias[joint] = inertia
-    for joint, placement in (placements or {}).items():
-        other.model.jointPlacements[joint] = placement
-    for frame, placement in (frames or {}).items():
-        other.model.frames[frame].placement = placement
+    names = system.sorted_model.names
+    for model in (other.model, other.sorted_model):
+        for joint, inertia in inertias.items():
+            model.inertias[model.getJointId(names[joint])] = inertia
+        for joint, placement in (placements or {}).items():
+            model.jointPlacements[model.getJointId(names[joint])] = placement
+        for frame, placement in (frames or {}).items():
+            model.frames[frame].placement = placement
     return other
 
 
 def _copy(system: System) -> System:
-    """Return a copy with a separate model, without the work spaces of the original."""
+    """Return a copy with separate models, without the work spaces of the original."""
     other = copy(system)
-    vars(other)["model"] = system.model.copy()
+    model = sorted_model = system.model.copy()
+    if system.sorted_model is not system.model:
+        sorted_model = system.sorted_model.copy()
+    vars(other).update(model=model, sorted_model=sorted_model)
     return other

@@ -90,7 +90,7 @@ def test_tangent_directions_match_separation_of_aba_motions() -> None:
     for sign in (1.0, -1.0):
         x = traj.x[0] + sign * 1e-7 * perturbation
         v = np.linalg.solve(red.mass_matrix(x), momenta)
-        q, rates = aba.integrate(model, system.model_q([0.0], x), v, np.array([3.0]), rtol=1e-13)
+        q, rates = aba.integrate(model, system.q([0.0], x), v, np.array([3.0]), rtol=1e-13)
         end = system.configuration(q[-1])
         pi = (red.mass_matrix(end.x) @ rates[-1])[1:]
         ends.append(np.concatenate([end.x, pi]))
@@ -120,14 +120,14 @@ def growth_rate_by_aba(traj: pinred.Trajectory, end: float, every: float = 0.5) 
     """Benettin's growth rate of the distance between two full motions by ABA, with rescaling."""
     system, model = traj.system, traj.system.model
     red, mu = pinred.Reduction(system), traj.body_momentum[0]
-    q, v = system.given_q(traj.q[0]), traj.v[0]
+    q, v = traj.q[0], traj.v[0]
     apart, total, rng = 1e-7, 0.0, np.random.default_rng(1)
     state = np.concatenate([system.configuration(q).x, (red.mass_matrix(traj.x[0]) @ v)[1:]])
     other = state + apart * unit(rng.normal(size=6))
 
     def after(z: Array) -> Array:
         v = np.linalg.solve(red.mass_matrix(z[:3]), np.concatenate([mu, z[3:]]))
-        q = system.model_q([0.0], z[:3])
+        q = system.q([0.0], z[:3])
         turned, rates = aba.integrate(model, q, v, np.array([every]), rtol=1e-10)
         x = system.configuration(turned[-1]).x
         x = z[:3] + np.remainder(x - z[:3] + np.pi, 2.0 * np.pi) - np.pi

@@ -91,7 +91,7 @@ def by_pinocchio(made: Problem, x: Array, n: Array, J: float) -> tuple[float, Ar
         up = -system.gravity / np.linalg.norm(system.gravity)
         pose = pin.Quaternion.FromTwoVectors(n, up).coeffs()
         base = n[:, None]
-    q = system.model_q(pose, shape)
+    q = system.q(pose, shape)
     H = np.triu(pin.crba(model, data, q))
     H = H + np.triu(H, 1).T
     free = np.zeros((system.n, base.shape[1] + 1))
@@ -166,7 +166,7 @@ def test_scale_is_sum_of_magnitudes_of_terms() -> None:
     system, model = made.system, made.system.model
     for k, (x, n) in enumerate(zip(points.x, points.n, strict=True)):
         shape = made.shapes(x[None])[0]
-        q = system.model_q(system.group.identity(), shape)
+        q = system.q(system.group.identity(), shape)
         H = np.triu(pin.crba(model, model.createData(), q))
         H = H + np.triu(H, 1).T
         com = pin.centerOfMass(model, model.createData(), q) - model.jointPlacements[1].translation

@@ -82,8 +82,8 @@ def test_covariant_forces_with_balls_are_torques_at_zero_momentum() -> None:
     at = red.at(x)
     xi = -at.local_connection @ sigma
     xidot = -at.local_connection @ sigmadot - np.einsum("iba,a,b->i", at.dA, sigma, sigma)
-    model, data = system.model, system.model.createData()
-    q = system.model_q(system.group.identity(), x)
+    model, data = system.sorted_model, system.sorted_model.createData()
+    q = system.sorted_q(system.group.identity(), x)
     velocity, acceleration = np.concatenate([xi, sigma]), np.concatenate([xidot, sigmadot])
     tau = pin.rnea(model, data, q, system.joint_rates(velocity), system.joint_rates(acceleration))
     found, _ = A.code.covariant_forces(x[None], sigma[None], sigmadot[None], np.zeros((1, m)))

@@ -138,7 +138,7 @@ def test_below_pitchfork_only_hanging_and_upright() -> None:
 def masses_of(system: pinred.System, x: Array) -> list[tuple[Array, Array]]:
     """Return centre (3,) and inertia (3, 3) of every body about it, in the frame of the base."""
     model, data = system.model, system.model.createData()
-    pin.forwardKinematics(model, data, system.model_q(system.group.identity(), x))
+    pin.forwardKinematics(model, data, system.q(system.group.identity(), x))
     placed = [
         data.oMi[1].actInv(place).act(b) for place, b in zip(data.oMi, model.inertias, strict=True)
     ]

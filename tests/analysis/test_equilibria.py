@@ -33,7 +33,7 @@ def assert_steady(found: pinred.Equilibria, forces: dict[int, float] | None = No
         scene = each.scene()
         model, data = system.model, system.model.createData()
         start = scene.start
-        q, v = system.model_q(start.pose, start.x), system.model_v(start.xi, start.xdot)
+        q, v = system.q(start.pose, start.x), system.v(start.xi, start.xdot)
         tau = np.zeros(system.n)
         for k, torque in (forces or {}).items():
             tau[system.r + k] = torque
@@ -127,7 +127,7 @@ def test_point_mass_pendulum_matches_closed_form(tmp_path: Path) -> None:
     for J in (0.2, 1.0, 3.0, 8.0, 15.0, 30.0):
         alphas = []
         for each in pinred.relative_equilibria(system, momentum=J, starts=400):
-            q = system.model_q([0.0], each.x)
+            q = system.q([0.0], each.x)
             data = system.model.createData()
             pin.forwardKinematics(system.model, data, q)
             ends = [data.oMi[k].act(np.array([0.0, 0.0, -1.0])) for k in (2, 4)]
@@ -350,8 +350,8 @@ def test_coupled_joints_are_steady() -> None:
     tau = multipliers(system)
     for equilibrium in equilibria:
         q, v = (
-            system.model_q(np.zeros(3), equilibrium.x),
-            system.model_v(equilibrium.xi, equilibrium.xdot),
+            system.q(np.zeros(3), equilibrium.x),
+            system.v(equilibrium.xi, equilibrium.xdot),
         )
         a = pin.aba(model, model.createData(), q, v, tau(0.0, q, v))
         assert np.abs(a).max() <= 1e-9 * max(1.0, float(v @ v)), str(equilibrium)

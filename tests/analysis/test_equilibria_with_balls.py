@@ -59,13 +59,13 @@ def problem(kind: str) -> Problem:
 
 def by_pinocchio(made: Problem, x: Array, n: Array, J: float) -> float:
     """Return the amended potential V + ½ s·K⁻¹ s, from Pinocchio's mass matrix and potential."""
-    system, model = made.system, made.system.model
+    system, model = made.system, made.system.sorted_model
     pose, data, r = system.group.identity(), model.createData(), system.r
     base = {"axis": np.eye(r)[:, -1:], "free": np.eye(r), "heavy": n[:, None]}[made.kind]
     s = np.append(np.zeros(3), J * n) if made.kind == "free" else np.array([J])
     if made.kind == "heavy":
         pose = pin.Quaternion.FromTwoVectors(n, np.array([0.0, 0.0, 1.0])).coeffs()
-    q = system.model_q(pose, x)
+    q = system.sorted_q(pose, x)
     H = np.triu(pin.crba(model, data, q))[:r, :r]
     K = base.T @ (H + np.triu(H, 1).T) @ base
     V = pin.computePotentialEnergy(model, data, q) + 0.5 * 0.7 * (x[0] - 0.4) ** 2
@@ -112,9 +112,9 @@ def test_springs_of_balls_have_finite_curvature_at_rest() -> None:
 
 def accelerations(found: Any, torque: Array) -> Array:
     """Return Pinocchio's accelerations at a relative equilibrium, (nv,)."""
-    system, model = found.system, found.system.model
+    system, model = found.system, found.system.sorted_model
     scene = found.scene(duration=1.0)
-    q = system.model_q(scene.pose0, found.x)
+    q = system.sorted_q(scene.pose0, found.x)
     v = np.concatenate([found.xi, found.xdot])
     return np.asarray(pin.aba(model, model.createData(), q, v, torque))
 
@@ -135,8 +135,8 @@ def test_sprung_bodies_rotate_uniformly_and_include_minimum_by_scipy() -> None:
 
     def amended(z: Array) -> float:
         n, R = z[3:] / np.linalg.norm(z[3:]), pin.exp3(z[:3])
-        q = system.model_q(system.group.identity(), pin.Quaternion(R).coeffs())
-        H = np.triu(pin.crba(system.model, system.model.createData(), q))[:6, :6]
+        q = system.sorted_q(system.group.identity(), pin.Quaternion(R).coeffs())
+        H = np.triu(pin.crba(system.sorted_model, system.sorted_model.createData(), q))[:6, :6]
         s = np.append(np.zeros(3), J * n)
         spring = STIFFNESS * 0.5 * (3.0 - np.trace(rest.T @ R))
         return float(0.5 * s @ np.linalg.solve(H + np.triu(H, 1).T, s) + spring)

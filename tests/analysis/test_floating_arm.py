@@ -324,7 +324,7 @@ def test_jacobian_and_its_rate_follow_couplings(axes: Literal["local", "world"])
 
     data = model.createData()
     xi = -red.local_connection(x) @ xdot
-    pin.forwardKinematics(model, data, system.model_q(g0, x), system.model_v(xi, xdot))
+    pin.forwardKinematics(model, data, system.q(g0, x), system.v(xi, xdot))
     frame = {"local": pin.LOCAL, "world": pin.LOCAL_WORLD_ALIGNED}[axes]
     velocity = pin.getFrameVelocity(model, data, model.getFrameId("hand"), frame).vector
     close(jacobian(0.0) @ xdot, velocity, 1e-13)
@@ -339,7 +339,7 @@ def test_radius_and_its_gradient_agree_with_pinocchio_and_differences(make: obje
     arm: pinred.FloatingArm = make()  # type: ignore[operator]
     system = arm.system
     x = np.array([0.5, -0.8])
-    pose, q = system.group.identity(), system.model_q(system.group.identity(), x)
+    pose, q = system.group.identity(), system.q(system.group.identity(), x)
     com = pin.centerOfMass(system.model, system.model.createData(), q)
     radius = np.linalg.norm(arm.hand_pose(x, pose=pose).translation - com)
     assert arm._radius(x) == pytest.approx(radius, rel=1e-14)

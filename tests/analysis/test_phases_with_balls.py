@@ -180,11 +180,11 @@ def test_frames_with_balls() -> None:
     A = pinred.Connection.mechanical(system)
     flat, w = pinred.flatness(A), np.random.default_rng(0).uniform(-1.0, 1.0, system.m)
     assert flat.is_flat
-    model, data = system.model, system.model.createData()
+    model, data = system.sorted_model, system.sorted_model.createData()
 
     def com(w: Array) -> float:
         shape = system.space.integrate(system.space.neutral, w)
-        return float(pin.centerOfMass(model, data, system.model_q(np.zeros(1), shape))[0])
+        return float(pin.centerOfMass(model, data, system.sorted_q(np.zeros(1), shape))[0])
 
     close(flat.coordinates(w), [com(w) - com(np.zeros(system.m))], 1e-12)
     pair, gait = spherical_pair(), Gait.fourier(np.zeros(3), np.eye(3)[:1], np.eye(3)[1:2])

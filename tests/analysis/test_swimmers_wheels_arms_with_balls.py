@@ -44,7 +44,7 @@ def shape_of(system: pinred.System, seed: int = 0) -> Array:
 def jacobian(system: pinred.System, x: Array, joint: int) -> Array:
     """Return Pinocchio's Jacobian of a joint's frame in its own axes, (6, n)."""
     model, data = system.model, system.model.createData()
-    pin.computeJointJacobians(model, data, system.model_q(system.group.identity(), x))
+    pin.computeJointJacobians(model, data, system.q(system.group.identity(), x))
     return np.array(pin.getJointJacobian(model, data, joint, pin.LOCAL))
 
 
@@ -130,7 +130,7 @@ def test_mixed_motion_with_ball_equals_multipliers_by_pinocchio() -> None:
     ]  # fmt: skip
     W = [constraints(system, row, wheels) for row in x]
     model, data = system.model, system.model.createData()
-    q = system.model_q(system.group.identity(), x[2])
+    q = system.q(system.group.identity(), x[2])
     H = np.triu(pin.crba(model, data, q))
     H = H + np.triu(H, 1).T
     right = np.concatenate([np.zeros(3), tau]) - pin.nonLinearEffects(model, data, q, v[2])
@@ -169,7 +169,7 @@ def test_phase_seen_from_child_of_ball_is_conjugate() -> None:
     p, q = (pinred.phase(connection, gait, tolerance=1e-12) for connection in (A, B))
     model, data = system.model, system.model.createData()
     x = system.space.integrate(system.space.neutral, gait.at(0.0)[0])
-    pin.forwardKinematics(model, data, system.model_q(G.identity(), x))
+    pin.forwardKinematics(model, data, system.q(G.identity(), x))
     h = pin.SE3ToXYZQUAT(data.oMi[3])
     expected = G.compose(G.inverse(h), G.compose(p.pose, h))
     assert G.error(q.pose, expected).rotation <= 1e-11

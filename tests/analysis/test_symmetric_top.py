@@ -37,8 +37,8 @@ def full_spectrum(each: RelativeEquilibrium) -> Array:
     """Return the eigenvalues of ABA, linearised about the steady motion in body coordinates."""
     model, n = each.system.model, each.system.n
     start = each.scene().start
-    q = each.system.model_q(start.pose, start.x)
-    v = each.system.model_v(start.xi, start.xdot)
+    q = each.system.q(start.pose, start.x)
+    v = each.system.v(start.xi, start.xdot)
     data = model.createData()
     by_q, by_v, _ = pin.computeABADerivatives(model, data, q, v, np.zeros(n))
     J = np.block([[np.zeros((n, n)), np.eye(n)], [by_q, by_v]])

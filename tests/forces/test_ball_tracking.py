@@ -98,7 +98,7 @@ def test_wrench_and_torque_that_see_base_and_balls_equal_aba(axes: Any) -> None:
     bare = ball_tree(7, 4).model
     bare.addFrame(pin.Frame("hand", bare.njoints - 1, pin.SE3.Random(), pin.FrameType.BODY))
     system = pinred.load(bare)
-    model, data, point = system.model, system.model.createData(), [0.1, -0.2, 0.3]
+    model, data, point = system.sorted_model, system.sorted_model.createData(), [0.1, -0.2, 0.3]
     frame, balls = model.getBodyId("hand"), system.space.balls
     rng = np.random.default_rng(1)
     on_base, on_balls = rng.normal(size=(system.m, 9)), rng.normal(size=(system.m, len(balls)))

@@ -252,7 +252,7 @@ def test_wrench_on_follower_link_acts_on_leader(group: str, axes: Any, seed: int
     xdot, xi = np.zeros(system.m), np.zeros(system.r)
     acting = force.acting(ForceInputs(0.0, x, xdot, xi, xi, force.numbers, base))
     model, data = system.model, system.model.createData()
-    hand, q = model.getBodyId("hand"), system.model_q(pose, x)
+    hand, q = model.getBodyId("hand"), system.q(pose, x)
     jacobian = pin.computeFrameJacobian(
         model, data, q, hand, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     )

@@ -23,7 +23,7 @@ def shape_balls(traj: pinred.Trajectory, times: Array) -> tuple[Array, Array, Ar
     model, data = system.model, system.model.createData()
     balls = extents(drawn_bodies(system))
     centres, com = np.empty((len(times), len(balls), 3)), np.empty((len(times), 3))
-    for k, q in enumerate(system.sorted_q(traj(times).q)):
+    for k, q in enumerate(traj(times).q):
         com[k] = pin.centerOfMass(model, data, q)
         centres[k] = [data.oMi[joint].act(centre) for joint, centre, _ in balls]
     return centres, np.array([radius for *_, radius in balls]), com

@@ -48,7 +48,7 @@ class CoupledCase:
 
     def mass_matrix(self, x: Array) -> Array:
         """Return GᵀHG with H by CRBA, (n, n)."""
-        q = self.system.model_q(self.system.group.identity(), x)
+        q = self.system.q(self.system.group.identity(), x)
         upper = np.triu(pin.crba(self.system.model, self.system.model.createData(), q))
         return np.asarray(self.whole.T @ (upper + np.triu(upper, 1).T) @ self.whole)
 

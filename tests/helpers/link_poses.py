@@ -12,8 +12,9 @@ from pinred.system.system import System
 
 def link_pose(system: System, name: str, x: Array) -> Array:
     """Return the pose coordinates of a link relative to the root at shape x."""
-    link, model, data = link_named(system, name, "the base"), system.model, system.data
-    pin.forwardKinematics(model, data, system.model_q(system.group.identity(), x))
+    link, model = link_named(system, name, "the base"), system.sorted_model
+    data = system.sorted_data
+    pin.forwardKinematics(model, data, system.sorted_q(system.group.identity(), x))
     place = data.oMi[1].actInv(data.oMi[link.joint]) * link.placement
     group, matrix = system.group, np.array(place.homogeneous)
     linear = matrix[[axis for axis in group.axes if axis < 3], 3]

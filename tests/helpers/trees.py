@@ -206,3 +206,51 @@ def mirrored_model(group: str, limbs: int, joints: int, seed: int) -> pin.Model:
             values.append(np.abs(varied(rotors[k : k + 1], rng)))
     model.armature = np.concatenate(values)
     return model
+
+
+def shuffled(model: pin.Model, seed: int) -> pin.Model:
+    """Return the same tree with its joints in a random order, parents before children."""
+    rng = np.random.default_rng(seed)
+    other = pin.Model()
+    other.name, other.gravity = model.name, model.gravity
+    place, waiting = {0: 0}, list(range(1, model.njoints))
+    while waiting:
+        i = int(rng.choice([k for k in waiting if model.parents[k] in place]))
+        waiting.remove(i)
+        at, joint = model.jointPlacements[i], model.joints[i]
+        place[i] = other.addJoint(place[model.parents[i]], joint, at, model.names[i])
+        other.appendBodyToJoint(place[i], model.inertias[i], pin.SE3.Identity())
+    for i, k in place.items():
+        old, new = model.joints[i], other.joints[k]
+        for name in ("lowerPositionLimit", "upperPositionLimit") if i else ():
+            values = getattr(model, name)[old.idx_q : old.idx_q + old.nq]
+            getattr(other, name)[new.idx_q : new.idx_q + new.nq] = values
+        for name in ("armature", "damping") if i else ():
+            values = getattr(model, name)[old.idx_v : old.idx_v + old.nv]
+            getattr(other, name)[new.idx_v : new.idx_v + new.nv] = values
+    for frame in list(model.frames)[1:]:
+        parent = place[frame.parentJoint]
+        other.addFrame(pin.Frame(frame.name, parent, 0, frame.placement, frame.type), False)
+    return other
+
+
+def model_in_random_order(group: str, seed: int) -> pin.Model:
+    """Return a random tree with hinges, slides, balls and rotors, in a random joint order.
+
+    The rotors are symmetric about their hinges, so they are cyclic joints.
+    """
+    rng = np.random.default_rng(seed)
+    model = random_model(group, int(rng.integers(2, 6)), seed)
+    rotors = np.array(model.armature)
+    for k in range(int(rng.integers(2, 5))):
+        is_rotor = rng.random() < 0.5
+        joint = pin.JointModelRZ() if is_rotor else pin.JointModelSpherical()
+        parent = int(rng.integers(1, model.njoints))
+        i = model.addJoint(parent, joint, placement(rng), f"{'rotor' if is_rotor else 'ball'}{k}")
+        body = inertia(rng)
+        if is_rotor:
+            body = pin.Inertia(body.mass, np.array([0.0, 0.0, 0.1]), np.diag([0.2, 0.2, 0.3]))
+        model.appendBodyToJoint(i, body, pin.SE3.Identity())
+        rotors = np.append(rotors, np.full(joint.nv, rng.uniform(0.0, 0.1)))
+    model.armature = rotors
+    return shuffled(model, seed)

@@ -210,7 +210,7 @@ def test_size_of_prismatic_joint_is_at_least_radius_of_gyration() -> None:
     """Small translations are measured in the radius of gyration, small rotations in radians."""
     system = pinred.load(random_model("SE3", 6, 2))
     full = FullState(pinred.Scene(system=system, seed=0))
-    q = system.sorted_q(system.q(system.group.identity(), np.zeros(6)))
+    q = system.q(system.group.identity(), np.zeros(6))
     radius = full.totals.radius_of_gyration(q)
     assert {"m", "rad"} == set(system.units)
     result = full.size(FullMotion(x=np.zeros((1, 6)), q=q[None])).joints
@@ -228,7 +228,7 @@ def test_size_of_small_robot_at_rest(away: float) -> None:
         model.inertias[i] = pin.Inertia(body.mass, 1e-6 * body.lever, 1e-12 * body.inertia)
     system = pinred.load(model)
     full = FullState(pinred.Scene(system=system, seed=0))
-    q = system.sorted_q(system.q(system.group.identity(), np.zeros(2)))
+    q = system.q(system.group.identity(), np.zeros(2))
     q[0] = away
     size = full.size(FullMotion(x=np.zeros((1, 2)), q=q[None]))
     assert full.totals.radius_of_gyration(q) < 1e-5

@@ -31,7 +31,7 @@ def test_acceleration_of_random_couplings(case: CoupledCase) -> None:
     """Multipliers by ABA and by one linear system agree with the projected equations."""
     system, rng = case.system, case.rng
     constraints, model = CouplingConstraints(system), system.model
-    q = system.model_q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-2, 2, system.m))
+    q = system.q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-2, 2, system.m))
     v, tau = case.whole @ rng.normal(size=system.n), rng.normal(size=model.nv)
     a = constraints.acceleration(q, v, tau)
     data = model.createData()
@@ -62,7 +62,7 @@ def test_acceleration_in_gravity(alone: bool) -> None:
     constraints, data, G = CouplingConstraints(case.system), model.createData(), case.whole
     assert constraints._uses_aba
     constraints._uses_aba = alone
-    q = case.system.model_q(case.system.group.identity(), rng.uniform(-2, 2, case.system.m))
+    q = case.system.q(case.system.group.identity(), rng.uniform(-2, 2, case.system.m))
     v = G @ rng.normal(size=case.system.n)
     upper = pin.crba(model, data, q)
     H = np.triu(upper) + np.triu(upper, 1).T
@@ -78,7 +78,7 @@ def test_acceleration_with_driven_joints(driven: list[int], seed: int) -> None:
     case = make_case("SE3", 7, seed, heavy=True)
     system, rng, G, r = case.system, case.rng, case.whole, case.system.r
     constraints, model, data = CouplingConstraints(system), system.model, system.model.createData()
-    q = system.model_q(system.group.exp(rng.normal(size=r)), rng.uniform(-2, 2, system.m))
+    q = system.q(system.group.exp(rng.normal(size=r)), rng.uniform(-2, 2, system.m))
     v, tau, values = G @ rng.normal(size=system.n), rng.normal(size=model.nv), rng.normal(size=3)
     upper = pin.crba(model, data, q)
     H = G.T @ (np.triu(upper) + np.triu(upper, 1).T) @ G
@@ -102,7 +102,7 @@ def test_acceleration_with_driven_joints_without_couplings(
     """Cholesky's method and, where it fails, multipliers agree with the rows of the others."""
     system, rng = pinred.load(random_model("SE3", 5, seed)), np.random.default_rng(seed)
     constraints, model, data = CouplingConstraints(system), system.model, system.model.createData()
-    q = system.model_q(system.group.exp(rng.normal(size=6)), rng.uniform(-2, 2, 5))
+    q = system.q(system.group.exp(rng.normal(size=6)), rng.uniform(-2, 2, 5))
     v, tau, values = rng.normal(size=11), rng.normal(size=11), rng.normal(size=len(driven))
     upper = pin.crba(model, data, q)
     H = np.triu(upper) + np.triu(upper, 1).T
@@ -137,7 +137,7 @@ def test_acceleration_of_tree_that_is_singular_without_couplings(tmp_path: Path)
     column = int(np.flatnonzero(G[leader])[0])
     G[system.r + joints.index(coupling.follower), column] = ratio
     rng = np.random.default_rng(0)
-    q = system.model_q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-1, 1, system.m))
+    q = system.q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-1, 1, system.m))
     v, tau = G @ rng.normal(size=G.shape[1]), rng.normal(size=model.nv)
     upper = pin.crba(model, data, q)
     H = np.triu(upper) + np.triu(upper, 1).T

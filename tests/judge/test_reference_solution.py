@@ -127,7 +127,7 @@ def test_energies_equal_sums_over_bodies(group: str) -> None:
     full, _, q, v = case(group)
     system = full.system
     all_of = bodies(system.model, q, v)
-    other_shape = system.model_q(system.group.identity(), np.zeros(system.m))
+    other_shape = system.q(system.group.identity(), np.zeros(system.m))
     full.totals.radius_of_gyration(other_shape)
     S = group_axes(system)[:3]
     velocity = S.T @ all_of.velocity

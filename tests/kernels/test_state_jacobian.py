@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from helpers.trees import limbed_model
+from trees import limbed_model
 
 import pinred
 from pinred.common.errors import KernelMismatch

@@ -152,7 +152,7 @@ def test_in_space_agrees_with_pinocchio() -> None:
     assert np.abs(at.push).min() > 0.01
     system, base = tested.system, at.in_space(at.v)
     model, data = system.model, system.model.createData()
-    q = system.model_q(base.pose, at.x)
+    q = system.q(base.pose, at.x)
     v = system.joint_rates(np.concatenate([base.xi, at.v[6:]]))
     pin.centerOfMass(model, data, q, v)
     root = model.jointPlacements[1]

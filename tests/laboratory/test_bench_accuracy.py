@@ -8,9 +8,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import aba
 import numpy as np
 import pinocchio as pin
 import pytest
+from trees import random_model, shuffled
 
 import pinred
 from pinred.cli.main import main
@@ -134,6 +136,22 @@ def test_drift_excludes_fall() -> None:
     for point in result.points:
         assert point.energy < 1e-7
         assert point.momentum < 1e-8
+
+
+def test_problem_of_unsorted_robot_is_solved_in_sorted_order() -> None:
+    """A method that takes x from v by position agrees with ABA of the original model."""
+    model = shuffled(random_model("SE3", 5, 5), 5)
+    system = pinred.load(model)
+    assert system.model is not system.sorted_model
+    start, duration = pinred.Scene(system=system, seed=0, duration=0.2).start, 0.2
+    initial = InitialState(start.x, start.xdot, start.xi, duration)
+    problem = Problem("unsorted", "a random tree", system, initial)
+    prepared = solvers_named(["aba-rkmk4"])[0].prepare(problem, 1 / 200)
+    end = prepared.end(prepared.run())
+    q0 = system.q(system.group.identity(), start.x)
+    q, _ = aba.integrate(model, q0, system.v(start.xi, start.xdot), np.array([0.0, duration]))
+    expected = system.configuration(q[1]).x
+    np.testing.assert_allclose(np.exp(1j * end.x), np.exp(1j * expected), rtol=0.0, atol=1e-7)
 
 
 def test_errors_decrease_with_tolerance() -> None:

@@ -41,8 +41,8 @@ def rnea_torques(system: pinred.System, gait: pinred.Gait, centre: Array, t: flo
     change = np.zeros_like(v)
     for k, w in weights.items():
         change += w * (velocity(t + k * step)[1] - velocity(t - k * step)[1])
-    model, data = system.model, system.model.createData()
-    q = system.model_q(system.group.identity(), x)
+    model, data = system.sorted_model, system.sorted_model.createData()
+    q = system.sorted_q(system.group.identity(), x)
     return np.asarray(
         pin.rnea(model, data, q, system.joint_rates(v), system.joint_rates(change / step))
     )

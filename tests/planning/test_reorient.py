@@ -259,7 +259,7 @@ def test_passage_rejects_tumbling_above_bound(angle: float, accepted: bool) -> N
     """The bound is 200 rad with joints at rest, by Pinocchio's mass matrix."""
     rods, momentum, start = pinred.load("three_rods"), np.array([0.0, 0.0, 0.05]), [0.4, 0.5]
     connection = pinred.Connection.mechanical(rods)
-    q = rods.model_q(rods.group.identity(), start)
+    q = rods.q(rods.group.identity(), start)
     upper = pin.crba(rods.model, rods.data, q)[:3, :3]
     locked = np.triu(upper) + np.triu(upper, 1).T
     time = angle / abs(np.linalg.solve(locked, momentum)[2])

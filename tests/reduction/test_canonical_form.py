@@ -39,7 +39,7 @@ def test_com_slope_equals_differences(case: Case) -> None:
     form, data = CanonicalForm(system, Potential(system)), model.createData()
 
     def com(x: np.ndarray) -> np.ndarray:
-        q = system.model_q(case.pose, x)
+        q = system.q(case.pose, x)
         world = pin.centerOfMass(model, data, q)
         return np.asarray(data.oMi[1].actInv(world))
 

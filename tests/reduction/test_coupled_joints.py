@@ -54,7 +54,7 @@ def test_sweep_of_coupled_joints_solves_velocities_and_forces(case: CoupledCase)
     np.testing.assert_allclose(found, v, rtol=0, atol=max(1e-12, condition) * np.abs(v).max())
     # ½ vᵀ ∂H v by Pinocchio's Coriolis matrix, of all joints, and then to y by the chain rule.
     model, full = system.model, case.whole @ v
-    q = system.model_q(system.group.identity(), y)
+    q = system.q(system.group.identity(), y)
     C = pin.computeCoriolisMatrix(model, model.createData(), q, full)
     expected = case.G.T @ (full @ C)[r:]
     size = max(1.0, float(np.abs(expected).max()))

@@ -283,7 +283,7 @@ def test_hamiltonian_is_total_energy_by_pinocchio(pivot: str, joints: int, form:
     if system.group.linear:
         pose[: system.group.linear] = 0.0  # the energy does not depend on it
     x, xdot, xi = (rng.normal(size=size) for size in (joints, joints, system.r))
-    q, v = system.model_q(pose, x), system.model_v(xi, xdot)
+    q, v = system.q(pose, x), system.v(xi, xdot)
     data = system.model.createData()
     H = np.triu(pin.crba(system.model, data, q))
     mu, pi = np.split((H + np.triu(H, 1).T) @ v, [system.r])

@@ -48,7 +48,7 @@ def hung(group: str, joints: int = 3) -> tuple[pinred.System, Array, Array]:
 def height(system: pinred.System, acting: Array, x: Array) -> float:
     """Return −Σ m g·c of all bodies at a shape, where the base has not moved."""
     model, data = system.model, system.model.createData()
-    pin.forwardKinematics(model, data, system.model_q(system.group.identity(), x))
+    pin.forwardKinematics(model, data, system.q(system.group.identity(), x))
     weights = [body.mass * acting for body in model.inertias[1:]]
     places = [at.act(body.lever) for at, body in zip(data.oMi, model.inertias, strict=True)][1:]
     return -float(np.sum(np.array(weights) * np.array(places)))
@@ -83,7 +83,7 @@ def test_potential_and_gradient_have_closed_form(group: str, springs: bool) -> N
         def whole(at: Array) -> float:
             return height(system, acting, at) + (sprung(at) if springs else 0.0)
 
-        q = system.model_q(system.group.identity(), x)
+        q = system.q(system.group.identity(), x)
         pin.forwardKinematics(system.model, data, q)
         com = data.oMi[1].actInv(pin.centerOfMass(system.model, data, q))
         identity = system.model.jointPlacements[1].actInv(data.oMi[1])

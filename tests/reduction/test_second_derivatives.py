@@ -21,7 +21,7 @@ def pinocchio_slope(system: pinred.System, x: Array) -> Array:
     model = system.model.copy()
     model.gravity.setZero()
     data, n, r = model.createData(), system.n, system.r
-    q, out = system.model_q(system.group.identity(), x), np.empty((n, n, system.m))
+    q, out = system.q(system.group.identity(), x), np.empty((n, n, system.m))
     for k, e in enumerate(np.eye(n)):
         rates = system.joint_rates(e)
         slope = pin.computeRNEADerivatives(model, data, q, np.zeros(model.nv), rates)[0]

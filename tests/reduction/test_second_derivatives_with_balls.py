@@ -36,10 +36,10 @@ def test_second_derivatives_along_frame_equal_differences_of_pinocchio(robot: st
     system = coupled_tree() if robot == "coupled" else ball_tree(3, 5, robot)
     x, n, r = system.space.random(np.random.default_rng(0), 1.5), system.n, system.r
     found, red = inertia_derivatives(system, x[None]), pinred.Reduction(system)
-    model, data = system.model, system.model.createData()
+    model, data = system.sorted_model, system.sorted_model.createData()
 
     def slope(at: Array) -> Array:
-        q, out = system.model_q(system.group.identity(), at), np.empty((n, n, system.m))
+        q, out = system.sorted_q(system.group.identity(), at), np.empty((n, n, system.m))
         for k, e in enumerate(np.eye(n)):
             zero = np.zeros(model.nv)
             d = pin.computeRNEADerivatives(model, data, q, zero, system.joint_rates(e))[0]
@@ -102,8 +102,10 @@ def test_aba_of_balls_at_zero_momentum_has_no_covariant_acceleration(group: str)
         rng.normal(size=system.m),
     )
     v = np.concatenate([-red.local_connection(x) @ sigma, sigma])
-    q = system.model_q(system.group.identity(), x)
-    a = np.array(pin.aba(system.model, system.model.createData(), q, v, np.zeros(system.n)))
+    q = system.sorted_q(system.group.identity(), x)
+    a = np.array(
+        pin.aba(system.sorted_model, system.sorted_model.createData(), q, v, np.zeros(system.n))
+    )
     rest = red.covariant_acceleration(x, sigma, a[system.r :])
     size = np.abs(red.christoffel(x)).max() * np.abs(sigma).max() ** 2
     assert np.abs(rest).max() <= 1e-12 * size

@@ -63,7 +63,7 @@ def solved(H: NDArray[np.longdouble], r: int) -> Array:
 def pinocchios(case: Case) -> Array:
     """H by Pinocchio in the section of the file."""
     system, model = case.system, case.system.model
-    q = system.model_q(system.group.identity(), case.x)
+    q = system.q(system.group.identity(), case.x)
     H = np.triu(pin.crba(model, model.createData(), q))
     return np.asarray(H + np.triu(H, 1).T)
 
@@ -109,7 +109,7 @@ def test_change_section_transforms_derivatives(case: Case) -> None:
     h = wavy(case)
     pose, theta, slope = h(case.x)
     at, H = pinred.Reduction(system).change_section(h).at(case.x), pinocchios(case)
-    q, zero, data = system.model_q(G.identity(), case.x), np.zeros(system.n), system.data
+    q, zero, data = system.q(G.identity(), case.x), np.zeros(system.n), system.data
     dH = np.zeros((system.n, system.n, system.m))
     for k, e in enumerate(np.eye(system.n)):  # without gravity
         dH[:, k] = pin.computeRNEADerivatives(system.model, data, q, zero, e)[0][:, r:]
@@ -135,10 +135,10 @@ def test_com_slope_in_other_section_equals_differences(case: Case) -> None:
     system, h, root = case.system, wavy(case), case.system.model.jointPlacements[1]
 
     def com(x: Array) -> Array:
-        q = system.model_q(h(x)[0], x)  # the robot moved by h stands where its own frame says
+        q = system.q(h(x)[0], x)  # the robot moved by h stands where its own frame says
         pin.forwardKinematics(system.model, system.data, q)
         body = system.data.oMi[1].copy()
-        own = system.model_q(system.group.identity(), x)
+        own = system.q(system.group.identity(), x)
         place = root.actInv(pin.centerOfMass(system.model, system.data, own))
         return np.array(root.actInv(body).actInv(place))
 

@@ -89,8 +89,10 @@ def test_lagrange_poincare_with_balls_is_independent_of_section(group: str) -> N
     red = pinred.Reduction(system)
     h = wavy(system, 2)
     moved = red.change_section(h)
-    q = system.model_q(system.group.identity(), x)
-    a = np.array(pin.aba(system.model, system.model.createData(), q, v, np.zeros(system.n)))
+    q = system.sorted_q(system.group.identity(), x)
+    a = np.array(
+        pin.aba(system.sorted_model, system.sorted_model.createData(), q, v, np.zeros(system.n))
+    )
     pose, theta, _ = h(x)
     xi = system.group.Ad(system.group.inverse(pose)) @ v[:r] + theta @ v[r:]
     at = moved.at(x)

@@ -44,7 +44,7 @@ def driven(formula: str, longest: float = np.inf) -> pinred.Trajectory:
 def positions(traj: pinred.Trajectory, result: Accelerations) -> list[Array]:
     """Return Pinocchio's configurations at the times."""
     states = result.states
-    return [traj.system.model_q(*at) for at in zip(states.pose, states.x, strict=True)]
+    return [traj.system.q(*at) for at in zip(states.pose, states.x, strict=True)]
 
 
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])

@@ -38,10 +38,10 @@ def test_trees_over_two_seconds_equal_aba(seed: int) -> None:
     """SciPy with ABA from an independent code, to 1e-12 of the growth of perturbations."""
     system = ball_tree(seed, 5)
     start = pinred.Scene(system=system, seed=seed, duration=2.0).start
-    q0, v0 = system.model_q(start.pose, start.x), system.model_v(start.xi, start.xdot)
-    expected, _ = aba.integrate(system.model, q0, v0, np.array([0.0, 2.0]), rtol=3e-14)
+    q0, v0 = system.sorted_q(start.pose, start.x), system.sorted_v(start.xi, start.xdot)
+    expected, _ = aba.integrate(system.sorted_model, q0, v0, np.array([0.0, 2.0]), rtol=3e-14)
     traj = pinred.simulate(system, seed=seed, times=[2.0], rtol=1e-13, atol=1e-14)
-    error = pin.difference(system.model, expected[-1], system.sorted_q(traj.q[-1]))
+    error = pin.difference(system.sorted_model, expected[-1], system.sort_q(traj.q[-1]))
     growth = pinred.compare(pinred.simulate(system, seed=seed, duration=2.0, rtol=1e-12)).growth
     assert np.abs(error).max() <= 1e-12 * max(1.0, float(growth[-1]))
 
@@ -79,8 +79,8 @@ def test_two_bodies_take_a_hundredth_of_the_time_of_mujoco() -> None:
     """Both reach 5e-12 after 10 s; the steps of MuJoCo's RK4 are halved until it does."""
     system = joined_bodies()
     start = pinred.Scene(system=system, duration=10.0, **START).start
-    q0, v0 = system.model_q(start.pose, start.x), system.model_v(start.xi, start.xdot)
-    exact, _ = aba.integrate(system.model, q0, v0, np.array([0.0, 10.0]), rtol=3e-14)
+    q0, v0 = system.sorted_q(start.pose, start.x), system.sorted_v(start.xi, start.xdot)
+    exact, _ = aba.integrate(system.sorted_model, q0, v0, np.array([0.0, 10.0]), rtol=3e-14)
 
     def error(x: np.ndarray, attitude: np.ndarray) -> float:
         sign = np.array([-1.0, -1.0, -1.0, 1.0])

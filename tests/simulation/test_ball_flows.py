@@ -95,10 +95,10 @@ def test_jvp_of_random_tree_equals_differences_of_aba() -> None:
     flow = pinred.flow(system, seed=1, duration=0.6, method="DOP853", rtol=1e-12, wrt=INPUTS)
     start, rng = flow.scene.start, np.random.default_rng(2)
     along = {name: rng.normal(size=size) for name, size in flow.inputs.items()}
-    model, ends = system.model, []
+    model, ends = system.sorted_model, []
     for h in (-_STEP, _STEP):
         at: Any = {name: moved(flow, name, h * v) for name, v in along.items()}
-        q0, v0 = system.model_q(at["pose0"], at["x0"]), system.model_v(at["xi0"], at["xdot0"])
+        q0, v0 = system.sorted_q(at["pose0"], at["x0"]), system.sorted_v(at["xi0"], at["xdot0"])
         q, v = aba.integrate(model, q0, v0, np.array([0.0, 0.6]), rtol=1e-13)
         ends.append((q[-1], v[-1]))
     (q_low, v_low), (q_high, v_high) = ends

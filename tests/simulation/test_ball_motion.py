@@ -32,8 +32,8 @@ def end_by_aba(tree: pinred.System) -> np.ndarray:
     """Shape and pose at 0.6 s by an independent integration of ABA."""
     scene = pinred.Scene(system=tree, seed=1, duration=0.6)
     start = scene.start
-    q0, v0 = tree.model_q(start.pose, start.x), tree.model_v(start.xi, start.xdot)
-    q, _ = aba.integrate(tree.model, q0, v0, np.array([0.0, 0.6]), rtol=1e-13)
+    q0, v0 = tree.sorted_q(start.pose, start.x), tree.sorted_v(start.xi, start.xdot)
+    q, _ = aba.integrate(tree.sorted_model, q0, v0, np.array([0.0, 0.6]), rtol=1e-13)
     return np.asarray(q[-1])
 
 
@@ -43,7 +43,7 @@ def test_motion_with_balls_equals_aba(
 ) -> None:
     """Each integrator ends where SciPy with ABA ends, with unit quaternions at all report times."""
     traj = pinred.simulate(tree, seed=1, duration=0.6, method=method, rtol=1e-11, atol=1e-13)
-    error = pin.difference(tree.model, end_by_aba, tree.sorted_q(traj.q[-1]))
+    error = pin.difference(tree.sorted_model, end_by_aba, tree.sort_q(traj.q[-1]))
     assert np.abs(error).max() <= (1e-9 if method.startswith("RKMK4") else 2e-12)
     lengths = np.linalg.norm(traj.x[:, tree.space.ball_x].reshape(-1, 4), axis=1)
     assert np.abs(lengths - 1.0).max() <= 1e-15
@@ -61,10 +61,10 @@ def test_compare_detects_wrong_placement_of_ball(monkeypatch: pytest.MonkeyPatch
     system = ball_tree(12, 3)
     scene = pinred.Scene(system=system, seed=2, duration=0.5, rtol=1e-9)
     traj = pinred.simulate(scene)
-    wrong = system.model.copy()
+    wrong = system.sorted_model.copy()
     place = wrong.jointPlacements[2]
     wrong.jointPlacements[2] = pin.SE3(place.rotation, place.translation * (1.0 + 1e-6))
-    monkeypatch.setitem(vars(system), "model", wrong)
+    monkeypatch.setitem(vars(system), "sorted_model", wrong)
     vars(system).pop("_once", None)
     assert not pinred.compare(traj).passed
 
@@ -241,8 +241,8 @@ def test_ball_takes_equal_steps_near_gimbal_lock_of_hinges() -> None:
         q = pin.Quaternion(R).coeffs()
         options: dict[str, Any] = {"xi0": xi, "times": [4.0], "method": "DOP853", "rtol": 1e-12}
         ball = pinred.simulate(system, x0=q, xdot0=sigma, **options)
-        model, data = hinges.model, hinges.model.createData()
-        pin.computeJointJacobians(model, data, hinges.model_q(hinges.group.identity(), angles))
+        model, data = hinges.sorted_model, hinges.sorted_model.createData()
+        pin.computeJointJacobians(model, data, hinges.sorted_q(hinges.group.identity(), angles))
         jacobian = pin.getJointJacobian(model, data, 4, pin.LOCAL)[3:, 6:]
         rates = np.linalg.solve(jacobian, sigma)
         triple = pinred.simulate(hinges, x0=angles, xdot0=rates, **options)

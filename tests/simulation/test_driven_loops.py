@@ -291,7 +291,7 @@ def test_linearisation_with_a_held_joint_equals_differences(linkage: pinred.Syst
         """Return that of the right crank without drift, turned from the spring's rest."""
         start = {"left_crank": float(x0[0]), "right_crank": float(x0[2]) + turn}
         at = pinred.Scene(system=linkage, x0=start).start.x
-        q = linkage.given_q(linkage.model_q(linkage.group.identity(), at))
+        q = linkage.q(linkage.group.identity(), at)
         return float(kkt(model, 0.0, q, np.zeros(model.nv), float(x0[2]))[0][5])
 
     h = 1e-3

@@ -145,7 +145,7 @@ def test_delta_of_rank_nine_needs_few_evaluations_and_equals_constraint_dynamics
     assert sizes == (14, 18, 9, 5)
     traj = pinred.simulate(system, seed=0, duration=0.3, rtol=1e-10)
     assert traj.motion.evaluations <= 200
-    solve = constraint_dynamics(system.model, *loops)
+    solve = constraint_dynamics(system.sorted_model, *loops)
     forces = np.zeros(system.model.nv)
     error = error_of(traj, lambda q, v: solve(q, v, forces)[0])
     assert error < 1e-8
@@ -165,7 +165,7 @@ def test_gripper_with_a_coupling_equals_multipliers_to_eleven_digits() -> None:
 
 def error_of(traj: pinred.Trajectory, acceleration: Callable[[Array, Array], Array]) -> float:
     """Return the largest error of the final q and v, relative to the largest number in it."""
-    system, tree = traj.system, traj.system.model
+    system, tree = traj.system, traj.system.sorted_model
 
     def rate(_: float, y: Array) -> Array:
         q = np.concatenate([y[:3], y[3:7] / np.linalg.norm(y[3:7]), y[7 : tree.nq]])
@@ -173,7 +173,7 @@ def error_of(traj: pinred.Trajectory, acceleration: Callable[[Array, Array], Arr
         return np.concatenate([_coordinate_rate(q, v), acceleration(q, v)])
 
     y0, expected = (
-        np.concatenate([system.sorted_q(traj.q[k]), system.sorted_v(traj.v[k])]) for k in (0, -1)
+        np.concatenate([system.sort_q(traj.q[k]), system.sort_v(traj.v[k])]) for k in (0, -1)
     )
     span = (float(traj.t[0]), float(traj.t[-1]))
     y = solve_ivp(rate, span, y0, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]

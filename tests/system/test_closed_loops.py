@@ -66,7 +66,7 @@ def test_gripper_of_mjcf_has_the_gaps_that_mujoco_measures(tmp_path: Path) -> No
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
     x = np.random.default_rng(0).uniform(-0.3, 0.3, system.m)
-    q = system.model_q(system.group.identity(), x)
+    q = system.q(system.group.identity(), x)
     names = [str(name) for name in system.model.names]
     for joint in range(1, model.njnt):
         at = system.model.joints[names.index(model.joint(joint).name)].idx_q

@@ -167,7 +167,7 @@ def test_pinocchio_mimics_become_couplings(kind: pin.JointModel | None, ratio: f
     H = (upper + np.triu(upper, 1).T)[np.ix_(rows, rows)]
     np.testing.assert_allclose(pinred.Reduction(system).mass_matrix(x), H, atol=1e-12)
     data = system.model.createData()
-    own = pin.computeGeneralizedGravity(system.model, data, system.model_q(pose, x))
+    own = pin.computeGeneralizedGravity(system.model, data, system.q(pose, x))
     weight = pin.computeGeneralizedGravity(model, model.createData(), q)[rows]
     np.testing.assert_allclose(system.on_shape(own), weight, atol=1e-12)
 

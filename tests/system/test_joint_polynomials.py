@@ -72,7 +72,7 @@ def test_polynomial_of_joints_has_mujocos_residual_and_jacobian() -> None:
             mujoco_state(model, system, x + s * h * xdot).efc_J.reshape(-1, model.nv)[:, at]
             for s in (-1.0, 1.0)
         )
-        q, v = system.model_q([0] * 6 + [1], x), np.append(np.zeros(6), xdot)
+        q, v = system.q([0] * 6 + [1], x), np.append(np.zeros(6), xdot)
         rate = loop_kinematics(system).jacobian_rate(q, v)[:, 6:]
         np.testing.assert_allclose(rate, (after - before) / (2.0 * h), atol=1e-9)
 

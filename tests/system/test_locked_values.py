@@ -102,7 +102,7 @@ def test_mjcf_with_varied_locks_matches_mujoco(case: str) -> None:
     mujoco.mj_fullM(model, data, H)
     free += [int(model.joint(name).dofadr[0]) for name in list(system.model.names)[2:]]
     pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    ours = pin.crba(system.model, system.model.createData(), system.model_q(pose, x))
+    ours = pin.crba(system.model, system.model.createData(), system.q(pose, x))
     ours = np.triu(ours) + np.triu(ours, 1).T
     np.testing.assert_allclose(ours, H[np.ix_(free, free)], rtol=0, atol=1e-10 * np.abs(H).max())
 

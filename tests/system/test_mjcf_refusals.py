@@ -102,7 +102,7 @@ def test_joint_constraint_becomes_coupling() -> None:
     assert data.efc_pos[0] == pytest.approx(0.0, abs=1e-15)
     system = loaded(content)
     assert system.shape_names == ("right",)
-    assert system.model_q(np.zeros(7), [leader])[-2:] == pytest.approx(
+    assert system.q(np.zeros(7), [leader])[-2:] == pytest.approx(
         [data.qpos[model.joint(name).qposadr].item() for name in ("left", "right")]
     )
 

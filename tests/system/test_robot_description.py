@@ -63,7 +63,7 @@ def accelerations(system: System, shape: dict[str, Any], rates: dict[str, float]
     state = pinred.Scene(
         system=system, x0=shape, xdot0=rates, xi0=[0.1, -0.2, 0.3, 0.4, 0.5, -0.6], duration=1.0
     ).start
-    q, v = system.model_q(state.pose, state.x), system.model_v(state.xi, state.xdot)
+    q, v = system.q(state.pose, state.x), system.v(state.xi, state.xdot)
     a = pin.aba(system.model, system.model.createData(), q, v, np.zeros(system.model.nv))
     by_name = dict(zip(system.shape_names, np.array(a)[system.r :], strict=True))
     return np.append(a[: system.r], [by_name[name] for name in sorted(by_name)])

@@ -297,7 +297,7 @@ def test_point_pendulum_matches_lagrangian(tmp_path: Path) -> None:
         y, v = rng.uniform(-3, 3, 4), rng.normal(size=4)
         M, acceleration, _ = lagrangian(y, v)
         assert red.mass_matrix(y[1:]) == pytest.approx(M, abs=1e-12)
-        q = system.model_q(y[:1], y[1:])
+        q = system.q(y[:1], y[1:])
         verdict = pin.aba(system.model, data, q, v, np.zeros(4))
         size = float(np.linalg.cond(M)) * np.abs(acceleration).max()
         assert verdict == pytest.approx(acceleration, abs=1e-13 * size)

@@ -90,7 +90,7 @@ def distance(connection: pinred.Connection, pose: Array, placement: list[float])
     """Return the distance between a pose of the group and a placement of the root joint."""
     system = connection.system
     assert system is not None
-    q = system.model_q(pose, system.space.neutral)
+    q = system.q(pose, system.space.neutral)
     data = system.model.createData()
     pin.forwardKinematics(system.model, data, q)
     place = system.model.jointPlacements[1].actInv(data.oMi[1])
@@ -114,7 +114,7 @@ def test_page_agrees_with_connection_and_phase(name: str) -> None:
         np.testing.assert_allclose(-S.T @ np.array(columns).T, connection.local(shape), atol=1e-13)
     x = w[0] if connection.chart is None else connection.chart.shapes(w[0])
     data = system.model.createData()
-    com = pin.centerOfMass(system.model, data, system.model_q(system.group.identity(), x))
+    com = pin.centerOfMass(system.model, data, system.q(system.group.identity(), x))
     np.testing.assert_allclose(page["places"][-3:], data.oMi[1].actInv(com), atol=1e-14)
     for i in range(2, system.model.njoints):
         place = pin.XYZQUATToSE3(np.array(page["places"][7 * (i - 2) : 7 * (i - 1)]))
@@ -211,7 +211,7 @@ def test_page_closes_loops_as_the_connection(name: str) -> None:
         pose = pinred.phase(connection, gait).pose
         assert system.closure is not None
         data = system.model.createData()
-        pin.forwardKinematics(system.model, data, system.model_q(pose, system.closure.x))
+        pin.forwardKinematics(system.model, data, system.q(pose, system.closure.x))
         place = system.model.jointPlacements[1].actInv(data.oMi[1])
         error = pin.log6(place.actInv(pin.XYZQUATToSE3(np.array(found)))).vector
         assert np.linalg.norm(error) < 3e-10

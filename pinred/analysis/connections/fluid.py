@@ -118,7 +118,7 @@ def tensor_form(system: System, tensors: list[Array], what: str, *, rotors: bool
         The form.
     """
     body_tensors = tensors_of(system, tensors)
-    armature = np.diag(np.array(system.model.armature)) if rotors else 0.0
+    armature = np.diag(np.array(system.sorted_model.armature)) if rotors else 0.0
 
     def values(x: ca.SX, v: ca.SX) -> ca.SX:
         return momenta(system, x, v, body_tensors, rotors=rotors)

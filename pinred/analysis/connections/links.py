@@ -41,7 +41,7 @@ def link_named(system: System, name: str, what: str) -> Link:
     Raises:
         InputError: No moving link has this name; the message lists the moving links.
     """
-    model = system.model
+    model = system.sorted_model
     moving = {
         frame.name: frame
         for frame in model.frames
@@ -100,8 +100,8 @@ def summed(system: System, tensors: Sequence[Array], x: Array) -> Array:
     Returns:
         Sum of the tensors on velocities (ξ, ẋ), (n, n).
     """
-    model, data = system.model, system.data
-    pin.computeJointJacobians(model, data, system.model_q(system.group.identity(), x))
+    model, data = system.sorted_model, system.sorted_data
+    pin.computeJointJacobians(model, data, system.sorted_q(system.group.identity(), x))
     total = np.zeros((model.nv, model.nv))
     for i, D in enumerate(tensors):
         J = pin.getJointJacobian(model, data, i + 1, pin.LOCAL)
@@ -111,8 +111,8 @@ def summed(system: System, tensors: Sequence[Array], x: Array) -> Array:
 
 def link_jacobian(system: System, link: Link, x: Array) -> Array:
     """Compute the Jacobian of a link's twist in its frame, (6, n), at shape x (m,)."""
-    model, data = system.model, system.data
-    pin.computeJointJacobians(model, data, system.model_q(system.group.identity(), x))
+    model, data = system.sorted_model, system.sorted_data
+    pin.computeJointJacobians(model, data, system.sorted_q(system.group.identity(), x))
     J = pin.getJointJacobian(model, data, link.joint, pin.LOCAL)
     in_frame = link.placement.inverse().toActionMatrix() @ J
     return np.asarray(system.on_shape(in_frame))

@@ -55,7 +55,7 @@ def euler_characteristic(problem: Problem) -> tuple[int | None, str]:
         return None, reason
     system = problem.system
     singular = system.workspace(
-        "singular_shapes", lambda: singular_shapes(system.model, system.coupled)
+        "singular_shapes", lambda: singular_shapes(system.sorted_model, system.coupled)
     )
     if singular.isolated or singular.everywhere:
         return None, "the mass matrix is singular at some shapes"

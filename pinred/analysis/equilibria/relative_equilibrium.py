@@ -299,7 +299,7 @@ def pose_of(problem: Problem, up: Array) -> Array:
     group = problem.system.group
     if problem.kind != "heavy":
         return group.identity()
-    model = problem.system.model
+    model = problem.system.sorted_model
     down = model.jointPlacements[1].rotation.T @ problem.system.gravity
     vertical = -down / np.linalg.norm(down)
     across, cosine = np.cross(up, vertical), float(up @ vertical)

@@ -181,7 +181,7 @@ class _Masses:
 
     def __init__(self, problem: Problem) -> None:
         system = problem.system
-        model = system.model
+        model = system.sorted_model
         self._problem, self._system = problem, system
         self._space, self._tree = system.space, tree_space(model)
         self._parents = [0, 0, *(int(model.parents[i]) for i in range(2, model.njoints))]

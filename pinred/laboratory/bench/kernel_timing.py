@@ -89,7 +89,7 @@ def _bench_kernel(name: str) -> KernelTiming:
     build = time.perf_counter() - began
     rng = np.random.default_rng(0)
     model, data = system.model, system.model.createData()
-    q = system.model_q(system.group.identity(), rng.normal(size=system.m))
+    q = system.q(system.group.identity(), rng.normal(size=system.m))
     v = system.joint_rates(rng.normal(size=system.n))
     tau = np.zeros(model.nv)
 

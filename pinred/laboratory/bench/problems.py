@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -36,6 +36,8 @@ class Problem:
 
     def __post_init__(self) -> None:
         freeze(self.start)
+        if self.system.model is not self.system.sorted_model:  # the peers need depth-first order
+            vars(self)["system"] = replace(self.system, model=self.system.sorted_model)
 
     @property
     def times(self) -> Array:

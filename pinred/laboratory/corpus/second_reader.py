@@ -223,7 +223,7 @@ class _Pair:
     def _place(self, pose: Array, x: Sequence[Array]) -> Array:
         """Return Pinocchio's q for a pose and the coordinates of all joints."""
         system, model = self._system, self._system.model
-        q = system.model_q(pose, system.space.neutral)
+        q = system.q(pose, system.space.neutral)
         for joint, value in zip(list(model.joints)[2:], x, strict=True):
             entry = [np.cos(value[0]), np.sin(value[0])] if joint.nq == 2 else value
             q[joint.idx_q : joint.idx_q + joint.nq] = entry

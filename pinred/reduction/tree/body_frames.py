@@ -122,7 +122,7 @@ def bodies_of(system: System) -> list[Body]:
     if original is system:
         return list(bodies)
     changed = [
-        replace(body, **_inertia_in(body.frame, system.model.inertias[i + 1]))
+        replace(body, **_inertia_in(body.frame, system.sorted_model.inertias[i + 1]))
         for i, body in enumerate(bodies)
     ]
     for i in range(1, len(changed)):
@@ -189,7 +189,7 @@ def step_at(parent: Body, body: Body, old: pin.SE3, place: pin.SE3) -> dict[str,
 
 def _make_bodies(system: System) -> list[Body]:
     """Choose the body frames, and return the bodies expressed in these frames."""
-    model = system.model
+    model = system.sorted_model
     count = model.njoints - 1
     parents = [model.parents[i + 1] - 1 for i in range(count)]
     heavy = _heaviest_children(parents)

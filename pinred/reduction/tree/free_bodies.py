@@ -278,7 +278,7 @@ def free_numbers(system: System, freed: Freed) -> Array:
         return np.empty(0)
 
     def make() -> Array:
-        bodies, frames = bodies_of(system), system.model.frames
+        bodies, frames = bodies_of(system), system.sorted_model.frames
         links = [link_numbers(bodies[frames[k].parentJoint - 1], frames[k].placement)
                  for k in freed.links]  # fmt: skip
         return np.concatenate([np.array(of_bodies(bodies, freed), dtype=float), *links])

@@ -70,7 +70,7 @@ def constraint_values(system: System, bodies: Sequence[Body], x: Sequence[Scalar
     values: list[Scalar] = []
     for loop in system.loops:
         if isinstance(loop, Loop):
-            values += _values(system.model, bodies, loop, joints)
+            values += _values(system.sorted_model, bodies, loop, joints)
         else:
             values.append(_polynomial(loop, dict(zip(system.tree.x_names, joints, strict=True))))
     return [values[k] for k in system.closure.rows.tolist()]
@@ -154,7 +154,7 @@ def _rows_of(system: System, bodies: Sequence[Body], joints: Sequence[Scalar]) -
     rows: list[Row] = []
     for loop in system.loops:
         if isinstance(loop, Loop):
-            chain = LoopRows.at(system.model, bodies, loop, joints)
+            chain = LoopRows.at(system.sorted_model, bodies, loop, joints)
             rows += [(chain, n) for n in range(loop.equations)]
         else:
             rows.append((PolynomialRow(system.tree, loop, joints), 0))

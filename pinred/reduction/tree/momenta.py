@@ -223,7 +223,7 @@ def tensors_of(system: System, tensors: Sequence[Array]) -> list[Articulated]:
 
 def inertia_tensors(system: System) -> list[Array]:
     """Return the inertias of all bodies, (6, 6) in their joint frames, root first."""
-    model = system.model
+    model = system.sorted_model
     return [np.array(model.inertias[i].matrix()) for i in range(1, model.njoints)]
 
 

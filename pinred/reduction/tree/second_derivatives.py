@@ -123,7 +123,7 @@ class _Tree:
     """The constants of a tree, and the recursion over it."""
 
     def __init__(self, system: System) -> None:
-        model, space = system.model, tree_space(system.model)
+        model, space = system.sorted_model, tree_space(system.sorted_model)
         self._system, self._count = system, space.m
         self._joints = [_joint(model, i, space) for i in range(2, model.njoints)]
         self._root = axes_of(model.joints[1])  # screws of the base, constant in its frame

@@ -117,10 +117,12 @@ def loop_length(system: LoopedSystem, loops: Sequence[Constraint] | None = None)
         system: The system.
         loops: The loops; None for those of the system.
     """
-    placements = [system.model.jointPlacements[i] for i in range(2, system.model.njoints)]
+    placements = [
+        system.sorted_model.jointPlacements[i] for i in range(2, system.sorted_model.njoints)
+    ]
     for loop in system.loops if loops is None else loops:
         if isinstance(loop, Loop):
-            placements += [end.placement for end in loop_ends(system.model, loop)]
+            placements += [end.placement for end in loop_ends(system.sorted_model, loop)]
     return max(float(np.linalg.norm(M.translation)) for M in placements) or 1.0
 
 

@@ -110,8 +110,8 @@ def loop_rates(system: LoopedSystem) -> frozenset[int]:
 def moving_joints(system: LoopedSystem, loop: Constraint) -> set[int]:
     """Return the joints in the model that move a loop."""
     if isinstance(loop, JointPolynomial):
-        return {*JointLaw(system.model, loop).joints}
-    a, b = (_path(system, end.joint) for end in loop_ends(system.model, loop))
+        return {*JointLaw(system.sorted_model, loop).joints}
+    a, b = (_path(system, end.joint) for end in loop_ends(system.sorted_model, loop))
     return a ^ b
 
 
@@ -120,12 +120,12 @@ def _path(system: LoopedSystem, joint: int) -> set[int]:
     path = set[int]()
     while joint:
         path.add(joint)
-        joint = int(system.model.parents[joint])
+        joint = int(system.sorted_model.parents[joint])
     return path
 
 
 def _check_loop(system: LoopedSystem, loop: Loop) -> None:
-    a, b = loop_ends(system.model, loop)
+    a, b = loop_ends(system.sorted_model, loop)
     for end in (a, b):
         if end.joint == 0:
             raise InputError(

@@ -49,7 +49,7 @@ class LoopedSystem(Protocol):
     """The members of System on which loops depend; System imports this module."""
 
     @property
-    def model(self) -> pin.Model: ...  # noqa: D102
+    def sorted_model(self) -> pin.Model: ...  # noqa: D102
 
     @property
     def name(self) -> str: ...  # noqa: D102
@@ -96,12 +96,14 @@ class LoopedSystem(Protocol):
 
     def joint_rates(self, v: Array) -> Array: ...  # noqa: D102
 
-    def model_q(self, pose: Array, x: Array) -> Array: ...  # noqa: D102
+    def sorted_q(self, pose: Array, x: Array) -> Array: ...  # noqa: D102
 
 
 def loop_kinematics(system: LoopedSystem) -> LoopKinematics:
     """Return the loop constraints of a system, one object per thread."""
-    return system.workspace(LoopKinematics, lambda: LoopKinematics(system.model, system.loops))
+    return system.workspace(
+        LoopKinematics, lambda: LoopKinematics(system.sorted_model, system.loops)
+    )
 
 
 def loop_values(system: LoopedSystem, x: Array) -> Array:
@@ -124,4 +126,4 @@ def loop_jacobian_rate(system: LoopedSystem, x: Array, xdot: Array) -> Array:
 
 def configuration(system: LoopedSystem, x: Array) -> Array:
     """Return the configuration of the model at shape x (nx,), with the base at the identity."""
-    return system.model_q(system.group.identity(), x)
+    return system.sorted_q(system.group.identity(), x)

@@ -92,7 +92,7 @@ def _curvature(connection: Connection, w: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
 
 def _placements(system: System, frames: list[Placement]) -> ca.SX:
     """Return the placements of the joints after the root, and the centre of mass."""
-    bodies = list(zip(system.model.inertias, frames, strict=True))[1:]
+    bodies = list(zip(system.sorted_model.inertias, frames, strict=True))[1:]
     moment = sum(
         (body.mass * (p + rotate(q, ca.SX(body.lever))) for body, (p, q) in bodies), ca.SX.zeros(3)
     )

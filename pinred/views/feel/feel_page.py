@@ -143,9 +143,9 @@ def loop_numbers(robot: FeltRobot) -> dict[str, Any]:
 def _picture(robot: FeltRobot, bodies: Bodies) -> dict[str, Any]:
     """Return the framing, the placement of the root, and the momentum."""
     connection, system = robot.connection, robot.system
-    model, data, group = system.model, system.model.createData(), system.group
+    model, data, group = system.sorted_model, system.sorted_model.createData(), system.group
     shapes = np.array([robot.shape(u) for u in robot.random(_SAMPLES)])
-    q = np.array([system.model_q(group.identity(), x) for x in shapes])
+    q = np.array([system.sorted_q(group.identity(), x) for x in shapes])
     root, S = model.jointPlacements[1], root_axes(system)
     com, placements = np.empty((len(q), 3)), np.empty((len(q), model.njoints, 7))
     for k, configuration in enumerate(q):

@@ -147,7 +147,7 @@ def _open_tree(system: System) -> tuple[Connection, Array]:
 
 def _limits(connection: Connection, system: System) -> tuple[Array, Array]:
     """Return the limits of all coordinates, (m,) [rad | m]."""
-    model, space = system.model, system.space
+    model, space = system.sorted_model, system.space
     low, high = np.full(system.m, -_FARTHEST), np.full(system.m, _FARTHEST)
     for joint in space.joints:
         number = model.joints[model.getJointId(joint.name)]

@@ -52,14 +52,15 @@ def _equations(
     """Return the equations of one loop, in the order of LoopKinematics."""
     if isinstance(loop, JointPolynomial):
         follower, leader = (
-            values[system.tree.joints[i - 2].x.start] for i in JointLaw(system.model, loop).joints
+            values[system.tree.joints[i - 2].x.start]
+            for i in JointLaw(system.sorted_model, loop).joints
         )
         by = leader - loop.leader_zero
         law = sum(c * by**k for k, c in enumerate(loop.coefficients))
         return [follower - loop.follower_zero - law]
     a, b = (
         compose(frames[end.joint], fixed_placement(pin.SE3(end.placement)))
-        for end in loop_ends(system.model, loop)
+        for end in loop_ends(system.sorted_model, loop)
     )
     p, q = compose(inverse(a), b)
     position = [p[0], p[1], p[2]]

@@ -28,7 +28,7 @@ def joint_frames(system: System, values: list[ca.SX]) -> list[Placement]:
     Returns:
         The placements; those of the world and of the root are the identity.
     """
-    model = system.model
+    model = system.sorted_model
     frames: list[Placement] = [(ca.SX.zeros(3), ca.SX([0, 0, 0, 1]))] * 2
     for i, joint in enumerate(system.tree.joints, start=2):
         S = axes_of(model.joints[i])

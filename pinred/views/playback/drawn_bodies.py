@@ -235,7 +235,7 @@ def _joint_of(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]
         # Shapes on the file's ground move with a root joint that was added below them.
         floats = not raw.existJointName(system.root_name)
         return (1 if floats else 0), link.placement * on_link
-    frame = system.model.frames[system.model.getFrameId(link.name, frame_type)]
+    frame = system.sorted_model.frames[system.model.getFrameId(link.name, frame_type)]
     return frame.parentJoint, frame.placement * on_link
 
 
@@ -244,11 +244,11 @@ def _on_joint(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]
     if entry.parentJoint == 0:
         return int(not raw.existJointName(system.root_name)), entry.placement
     if system.model.existFrame(name, pin.FrameType.JOINT):  # also of a joint that was split
-        frame = system.model.frames[system.model.getFrameId(name, pin.FrameType.JOINT)]
+        frame = system.sorted_model.frames[system.model.getFrameId(name, pin.FrameType.JOINT)]
         return frame.parentJoint, frame.placement * entry.placement
     if not system.model.existJointName(name):
         raise LoadError(f"shape '{entry.name}' is attached to joint '{name}', which is locked")
-    return system.model.getJointId(name), entry.placement
+    return system.sorted_model.getJointId(name), entry.placement
 
 
 def _primitive(shape: Any) -> tuple[str, tuple[float, ...]]:
@@ -275,7 +275,7 @@ def _mesh(shape: Any) -> Mesh:
 
 def _from_inertias(system: System) -> tuple[Solid, ...]:
     """Build an ellipsoid for each body with mass, and capsules from joint to joint."""
-    model = system.model
+    model = system.sorted_model
     inertias = [model.inertias[i] for i in range(model.njoints)]
     radii = [np.sqrt(np.trace(y.inertia) / y.mass) for y in inertias[1:] if y.mass > 0]
     offsets = [model.jointPlacements[i].translation for i in range(2, model.njoints)]
@@ -341,7 +341,7 @@ def _solid(system: System, world: World, geom: int, meshes: dict[int, int]) -> S
     body = world.body_names[int(model.geom_bodyid[geom])]
     if not system.model.existFrame(body, pin.FrameType.BODY):  # a massless body between hinges
         return None
-    link = system.model.frames[system.model.getFrameId(body, pin.FrameType.BODY)]
+    link = system.sorted_model.frames[system.model.getFrameId(body, pin.FrameType.BODY)]
     placement = link.placement * frame(model.geom_pos[geom], model.geom_quat[geom])
     return Solid(link.parentJoint, name, size, np.array(pin.SE3ToXYZQUAT(placement)), colour)
 

@@ -49,7 +49,7 @@ def momentum_sphere(
         InputError: There is no such joint, the robot does not turn in space, or its angular
             momentum is zero.
     """
-    names = [BASE, *map(str, list(system.model.names)[2:])]
+    names = [BASE, *map(str, list(system.sorted_model.names)[2:])]
     if body not in names:
         raise InputError(
             f"sphere: no joint {quoted(body)}; the bodies are named {', '.join(names)}"

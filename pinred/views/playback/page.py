@@ -154,7 +154,7 @@ def _head(
 
 def robot_head(system: System, bodies: Bodies, blob: Blob) -> dict[str, Any]:
     """Return the robot's names and shapes for `stage.js`, with arrays moved to the blob."""
-    balls, names = {joint.name for joint in system.space.balls}, list(system.model.names)
+    balls, names = {joint.name for joint in system.space.balls}, list(system.sorted_model.names)
     return {
         "title": system.name or "robot",
         "note": bodies.note,

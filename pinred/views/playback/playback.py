@@ -51,8 +51,8 @@ class Playback(FrozenArrays):
         t: Times, (F,) [s].
         x: Shapes, (F, m) [rad | m].
         xdot: Shape rates, (F, m) [rad/s | m/s].
-        placements: Position [m] and quaternion (real part last) of Pinocchio's joints, of which
-            the first is the world, (F, joints, 7).
+        placements: Position [m] and quaternion (real part last) of the joints of
+            `system.sorted_model`, of which the first is the world, (F, joints, 7).
         com: Centre of mass, (F, 3) [m].
         ellipsoid: Symmetric matrices that map the unit ball to the homogeneous ellipsoid with the
             mass and the locked inertia of the system, (F, 3, 3) [m].
@@ -90,7 +90,7 @@ def playback(source: MotionSource, view: View) -> Playback:
     """
     states = _frames(source, view)
     ghost = None
-    placements = _placements(source.system, source.system.sorted_q(states.q))
+    placements = _placements(source.system, source.system.sort_q(states.q))
     if view.ghost:
         if not isinstance(source, Trajectory):
             raise InputError(
@@ -139,7 +139,7 @@ def frame_times(source: MotionSource, view: View, most: int, *, even: bool = Fal
 
 def _placements(system: System, q: Array) -> Array:
     """Compute the placements of all joints, (F, joints, 7), at q (F, nq)."""
-    model, data = system.model, system.model.createData()
+    model, data = system.sorted_model, system.sorted_model.createData()
     placements = np.empty((len(q), model.njoints, 7))
     for k, configuration in enumerate(q):
         pin.forwardKinematics(model, data, configuration)
@@ -165,8 +165,8 @@ def _ghost(traj: Trajectory, t: Array, placements: Array) -> Ghost:
 def _playback(
     system: System, states: State, placements: Array, body: str | None, ghost: Ghost | None
 ) -> Playback:
-    q, v = system.sorted_q(states.q), system.sorted_v(states.v)
-    model, data = system.model, system.model.createData()
+    q, v = system.sort_q(states.q), system.sort_v(states.v)
+    model, data = system.sorted_model, system.sorted_model.createData()
     com, ellipsoid = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
     for k in range(len(q)):
         pin.ccrba(model, data, q[k], v[k])
@@ -230,7 +230,7 @@ def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
     Returns:
         The arrow at all frames.
     """
-    model, data = system.model, system.model.createData()
+    model, data = system.sorted_model, system.sorted_model.createData()
     linear, slides = system.group.linear, not system.group.turns
     pivoted = not (slides or system.group.turns_about_com)
     pivot = np.array(model.jointPlacements[1].translation)
@@ -257,7 +257,7 @@ def _axes(system: System) -> Array:
     The axes belong to the root joint's frame. If there are fewer than three, the motion does not
     change their directions.
     """
-    model, linear = system.model, system.group.linear
+    model, linear = system.sorted_model, system.group.linear
     motion = axes_of(model.joints[1])
     axes = motion[3:, linear:] if system.group.turns else motion[:3]
     return np.asarray(model.jointPlacements[1].rotation @ axes)

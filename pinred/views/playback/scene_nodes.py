@@ -151,7 +151,7 @@ def _robot(
     Yields:
         The nodes.
     """
-    for joint, joint_name in enumerate(film.system.model.names):
+    for joint, joint_name in enumerate(film.system.sorted_model.names):
         solids = [solid for solid in bodies.solids if solid.joint == joint]
         if solids:
             parts = tuple(_part(solid, bodies.meshes, colour) for solid in solids)

@@ -149,8 +149,8 @@ def _why_no_potential(motion: MotionSource, system: System | None) -> str:
 
 def _is_all_energy(states: State, system: System) -> bool:
     """Return whether the stored energy equals that of Pinocchio's model, and so excludes forces."""
-    model, data = system.model, system.model.createData()
-    q, v = system.sorted_q(states.q), system.sorted_v(states.v)
+    model, data = system.sorted_model, system.sorted_model.createData()
+    q, v = system.sort_q(states.q), system.sort_v(states.v)
     differences, size = [], 0.0
     for k in np.linspace(0, len(states.t) - 1, _TRIED).astype(int):
         H = symmetric(pin.crba(model, data, q[k]))
