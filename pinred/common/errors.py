@@ -115,7 +115,7 @@ class NotCopyable(PinredError, TypeError):  # noqa: N818
 
 
 class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
-    """A compiled kernel disagrees with Pinocchio, so pinred does not use it."""
+    """Machine code disagrees with its reference, such as Pinocchio, so pinred does not use it."""
 
 
 class _Stopped(IntegrationError):  # noqa: N818

@@ -116,7 +116,9 @@ class ForceNumbers:
 
 
 def random_numbers(values: Array, in_formulas: list[int], rng: np.random.Generator) -> Array:
-    """Return random numbers for tests of kernels; numbers in formulas stay near their values.
+    """Return random numbers of the size of given ones, for tests of kernels.
+
+    Numbers in formulas stay near their values.  Numbers that are zero get the size one.
 
     Args:
         values: Values of the numbers, (p,).
@@ -126,7 +128,10 @@ def random_numbers(values: Array, in_formulas: list[int], rng: np.random.Generat
         Numbers, (p,).
     """
     numbers = rng.normal(size=len(values))
-    numbers[in_formulas] = values[in_formulas] * (1.0 + _NEAR * numbers[in_formulas])
+    sizes = np.where(values == 0.0, 1.0, np.abs(values))
+    near = values[in_formulas] * (1.0 + _NEAR * numbers[in_formulas])
+    numbers *= sizes
+    numbers[in_formulas] = near
     return numbers
 
 

@@ -36,7 +36,8 @@ from .evaluate import evaluate
 from .kernel import Kernel
 from .machine.native import compile_object, generate, lowered
 from .reduced_graph import ReducedGraph
-from .validation import ROUND_OFF, require_agreement
+from .reference_state import ReferenceState, random_state
+from .validation import ROUND_OFF, require_agreement, validate_rate
 
 
 def derived_code(
@@ -106,9 +107,11 @@ def expect_code(request: Callable[[], object]) -> None:
 
 
 _TRIALS, _REQUIRED = 40, 2  # number of random states to try, and of states that must be comparable
-_STEP = 2e-3  # step of the finite differences, for states of magnitude one
+_STEP = 2e-3  # step of the finite differences, relative to the size of the state
 _TOLERANCE = 1e-7  # tolerance of comparisons, relative to the largest entry of a Jacobian column
 _NOISE = 1e-13  # smallest assumed round-off of rates, relative to the largest rate
+_NEIGHBOURS = 9  # number of states that differ in the last digits
+_LANE_TRIALS = 80  # largest number of random states drawn to compare the lanes
 _SAFETY = 10.0  # factor on the observed round-off of rates
 
 
@@ -175,16 +178,24 @@ def validate_jacobian(kernel: Kernel, jacobian: Callable[[Array, Array], Array])
     rng, size, compared = np.random.default_rng(0), kernel.layout.size, 0
     who = f"the derivative of the kernel of '{kernel.system.name}'"
     for trial in range(_TRIALS):
-        reach = 0.9 ** max(0, trial - _REQUIRED)
-        y = reach * rng.normal(size=size)
-        parameters = kernel.random_parameters(rng)
-        values = jacobian(y, parameters)
-        rate_at = partial(kernel.evaluate_rate, parameters=parameters)
-        rough, expected = (central_differences(rate_at, y, h) for h in (2.0 * _STEP, _STEP))
-        rate = rate_at(y)
+        at = random_state(kernel, rng, 0.9 ** max(0, trial - _REQUIRED))
+        if at is None:
+            continue
+        # Compare without units: a robot of a millimetre has derivatives of very different sizes.
+        units = at.sizes.of_state(kernel.layout, kernel.system.r)
+
+        def rate_at(displacement: Array, at: ReferenceState = at, units: Array = units) -> Array:
+            rate = kernel.evaluate_rate(at.y + units * displacement, at.parameters)
+            return rate * at.sizes.time / units
+
+        start = np.zeros(size)
+        values = jacobian(at.y, at.parameters) * at.sizes.time / units[:, None] * units
+        rough, expected = (central_differences(rate_at, start, h) for h in (2.0 * _STEP, _STEP))
         # Differences are inaccurate where a force has a kink or is undefined.
         with np.errstate(invalid="ignore"):
-            noise = max(_NOISE * np.abs(rate).max(initial=0.0), _round_off(kernel, y, parameters))
+            noise = max(
+                _NOISE * np.abs(rate_at(start)).max(initial=0.0), round_off_near(rate_at, size)
+            )
             noise /= _STEP
             bound = _TOLERANCE * np.abs(expected).max(axis=0, initial=0.0) + noise
             smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= bound
@@ -192,8 +203,9 @@ def validate_jacobian(kernel: Kernel, jacobian: Callable[[Array, Array], Array])
         for j in np.flatnonzero(smooth):
             terms = noise / ROUND_OFF
             require_agreement(
-                who, f"column {j}", values[:, j], expected[:, j], terms, 10.0 * _TOLERANCE
-            )
+                who, f"column {j}", values[:, j], expected[:, j], terms, 10.0 * _TOLERANCE,
+                "differences of the kernel",
+            )  # fmt: skip
         compared += bool(2 * smooth.sum() >= size)
         if compared == _REQUIRED:
             return
@@ -203,15 +215,18 @@ def validate_jacobian(kernel: Kernel, jacobian: Callable[[Array, Array], Array])
     )
 
 
-def _round_off(kernel: Kernel, y: Array, parameters: Array) -> float:
-    """Estimate the round-off of rates at y, by evaluating states that differ in the last digits."""
-    neighbours = y * (1.0 + np.finfo(float).eps * np.arange(-4.0, 5.0)[:, None])
-    rates = evaluate(kernel.rate.address, parameters, neighbours, len(y))
-    return _SAFETY * float(np.ptp(rates, axis=0).max(initial=0.0))
+def round_off_near(function: Callable[[Array], Array], size: int) -> float:
+    """Estimate the largest round-off of a function's values, at points that differ in last digits.
 
-
-# Number of states per lane that must be comparable, and number of states to try.
-_LANE_REQUIRED, _LANE_TRIALS = 3, 80
+    Args:
+        function: Function of a displacement, (size,), relative to the size of its arguments.
+        size: Length of the displacement.
+    Returns:
+        The round-off.
+    """
+    rng, epsilon = np.random.default_rng(0), np.finfo(float).eps
+    values = [function(epsilon * rng.integers(-4, 5, size)) for _ in range(_NEIGHBOURS)]
+    return _SAFETY * float(np.ptp(values, axis=0).max(initial=0.0))
 
 
 def wide_rate(kernel: Kernel, lanes: int, *, own_parameters: bool = False) -> NativeCode:
@@ -242,26 +257,24 @@ def wide_rate(kernel: Kernel, lanes: int, *, own_parameters: bool = False) -> Na
 def _validate_wide_rate(
     kernel: Kernel, native: NativeCode, lanes: int, *, own_parameters: bool
 ) -> None:
-    """Compare each lane with the kernel at random states."""
+    """Compare each lane with Pinocchio at a random state."""
     rng, size = np.random.default_rng(0), kernel.layout.size
-    count = lanes if own_parameters else 1
-    parameters = np.array([kernel.random_parameters(rng) for _ in range(count)])
+    reaches = (0.9 ** max(0, trial - lanes) for trial in range(_LANE_TRIALS))
+    drawn = (random_state(kernel, rng, reach) for reach in reaches)
+    states = [at for _, at in zip(range(lanes), filter(None, drawn), strict=False)]
     who = f"the kernel of '{kernel.system.name}' at {lanes} states at once"
-    compared = np.zeros(lanes)
-    for trial in range(_LANE_TRIALS):
-        # Some forces, such as barriers, are undefined far from zero, so later states are smaller.
-        y = rng.normal(size=(lanes, size)) * 0.9 ** max(0, trial - _LANE_REQUIRED)
-        values = evaluate(native.address, parameters.T.ravel(), y.T.reshape(1, -1), size * lanes)
-        for lane in range(lanes):
-            lane_parameters = parameters[lane % len(parameters)]
-            (expected,) = evaluate(kernel.rate.address, lane_parameters, y[lane : lane + 1], size)
-            if np.isfinite(expected).all():
-                require_agreement(
-                    who, "the rate", values.reshape(size, lanes)[:, lane], expected, abs(expected)
-                )
-                compared[lane] += 1
-        if compared.min() >= _LANE_REQUIRED:
-            return
-    raise KernelMismatch(
-        f"{who} is finite at too few of {_LANE_TRIALS} random states to be validated"
-    )
+    if len(states) < lanes:
+        raise InputError(
+            f"the forces on '{kernel.system.name}' are finite at {len(states)} of {_LANE_TRIALS} "
+            f"random states, and {lanes} are needed to validate the code for batches"
+        )
+    y = np.transpose([at.y for at in states]).reshape(1, -1)
+    parameters = np.transpose([at.parameters for at in states])
+    for lane, at in enumerate(states):
+        # Without parameters of their own, the other lanes have those of this lane.
+        given = parameters.ravel() if own_parameters else at.parameters
+        values = evaluate(native.address, given, y, size * lanes).reshape(size, lanes)
+        try:
+            validate_rate(kernel, at, values[:, lane])
+        except KernelMismatch as error:
+            raise KernelMismatch(f"{who}, in lane {lane}: {error}") from None

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
@@ -30,17 +30,35 @@ from ..integrators.stepping.kernel_call import (
 )
 from ..reduction.tree.identical_branches import Lanes, Mark
 from .adjoint_lanes import adjoint_in_lanes
-from .derived_code import derived_code
+from .derived_code import derived_code, round_off_near
 from .kernel import Kernel
 from .machine.native import compile_object
 from .reduced_graph import ReducedGraph
 from .tangent_lanes import tangent_in_lanes
-from .validation import require_agreement
+from .validation import ROUND_OFF, require_agreement
 
-_STEP = 1e-3  # step of the finite differences, for columns of magnitude one
-_TOLERANCE = 1e-7  # relative tolerance of directional derivatives
-_SMALLEST = 1e-3  # smallest scale of a test direction's entries
+_STEP = 1e-3  # step of the finite differences, relative to the sizes of the columns
+_TOLERANCE = 1e-7  # tolerance of directional derivatives, relative to the terms that sum to them
 _TRIALS, _REQUIRED = 40, 2  # number of random points to try, and of points that must be comparable
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Random columns at which a function is validated, with sizes in the robot's own units.
+
+    Attributes:
+        a: First column.
+        b: Second column.
+        sizes_a: Size of each entry of a.
+        sizes_b: Size of each entry of b.
+        sizes: Size of each entry of the result.
+    """
+
+    a: Array
+    b: Array
+    sizes_a: Array
+    sizes_b: Array
+    sizes: Array
 
 
 @dataclass(frozen=True)
@@ -51,7 +69,8 @@ class Differentiable:
         kernel: The kernel, already validated against Pinocchio.
         name: Name of the function and prefix of its machine code.
         write: Function that builds the CasADi Function (a, b) → result from the reduced graph.
-        sample: Function that draws random columns (a, b) for the validation.
+        sample: Function that draws a random sample for the validation, or None if the forces are
+            undefined there.
         judge: Function that validates the machine code of the value.
         limbs: Whether the adjoint computes identical branches of the robot in SIMD lanes. `pair`
             always does.
@@ -60,7 +79,7 @@ class Differentiable:
     kernel: Kernel
     name: str
     write: Callable[[ReducedGraph], ca.Function]
-    sample: Callable[[np.random.Generator], tuple[Array, Array]]
+    sample: Callable[[np.random.Generator], Sample | None]
     judge: Callable[[NativeCode], None]
     limbs: bool = False
 
@@ -83,19 +102,21 @@ class Differentiable:
         name = f"{self.name}_pair"
 
         def validate(native: NativeCode) -> None:
-            def derivative(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
-                both, expected = np.empty((2, len(covector))), np.empty(len(covector))
-                _call_forward(native.address, a, b, da, db, both.ravel())
-                call_value(self._reference, a, b, expected)
+            def derivative(at: Sample, da: Array, db: Array, covector: Array) -> Array:
+                both = np.empty((2, len(covector)))
+                _call_forward(native.address, at.a, at.b, da, db, both.ravel())
+                values = partial(values_near, self._reference, at)
+                expected = values(np.zeros(len(at.a))) / at.sizes
                 if np.isfinite(expected).all():
-                    terms = np.abs(expected).max(initial=0.0) * np.ones(len(expected))
+                    noise = round_off_near(lambda step: values(step) / at.sizes, len(at.a))
                     require_agreement(
-                        f"'{name}' of '{self.kernel.system.name}'", "the value", both[0],
-                        expected, terms,
+                        f"'{name}' of '{self.kernel.system.name}'", "the value",
+                        both[0] / at.sizes, expected, noise / ROUND_OFF,
+                        reference=f"the code of '{self.name}'",
                     )  # fmt: skip
-                return float(covector @ both[1])
+                return np.atleast_1d(covector @ both[1])
 
-            self._validate_derivative(derivative)
+            self._validate_derivative(name, derivative)
 
         return self._code(name, lambda _: self._compile_in_lanes(name, tangent_in_lanes), validate)
 
@@ -202,16 +223,16 @@ class Differentiable:
             return compile_object(_tangent(f), name, wide=lanes, wide_inputs=wide_inputs)
 
         def validate(native: NativeCode) -> None:
-            def derivative(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
+            def derivative(at: Sample, da: Array, db: Array, covector: Array) -> Array:
                 result = np.empty(len(covector) * lanes)
                 wide_a, wide_b, wide_da, wide_db = (
                     np.outer(column, sizes).ravel() if k in wide_inputs else column
-                    for k, column in enumerate((a, b, da, db))
+                    for k, column in enumerate((at.a, at.b, da, db))
                 )
                 _call_forward(native.address, wide_a, wide_b, wide_da, wide_db, result)
-                return _common_value(covector @ result.reshape(-1, lanes) / sizes)
+                return np.asarray(covector @ result.reshape(-1, lanes) / sizes)
 
-            self._validate_derivative(derivative)
+            self._validate_derivative(name, derivative)
 
         return self._code(name, compile_code, validate)
 
@@ -224,13 +245,13 @@ class Differentiable:
             return compile_object(_adjoint(f), name, wide=lanes, wide_inputs=(0, 2))
 
         def validate(native: NativeCode) -> None:
-            def derivative(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
-                result = np.empty((len(a) + len(b)) * lanes)
-                wide_a, wide_covector = (np.repeat(column, lanes) for column in (a, covector))
-                _call_reverse(native.address, wide_a, b, wide_covector, result)
-                return _common_value(np.concatenate([da, db]) @ result.reshape(-1, lanes))
+            def derivative(at: Sample, da: Array, db: Array, covector: Array) -> Array:
+                result = np.empty((len(at.a) + len(at.b)) * lanes)
+                wide_a, wide_covector = (np.repeat(column, lanes) for column in (at.a, covector))
+                _call_reverse(native.address, wide_a, at.b, wide_covector, result)
+                return np.asarray(np.concatenate([da, db]) @ result.reshape(-1, lanes))
 
-            self._validate_derivative(derivative)
+            self._validate_derivative(name, derivative)
 
         return self._code(name, compile_code or compile_default, validate)
 
@@ -244,34 +265,41 @@ class Differentiable:
         derivative = differentiate(value, value_lanes.marks[value.name()], lanes, name)
         return compile_object(derivative, name, lanes.marks[name])
 
-    def _validate_derivative(self, derivative: Callable[..., float]) -> None:
+    def _validate_derivative(self, name: str, derivative: Callable[..., Array]) -> None:
         """Compare λᵀ(∂f/∂a δa + ∂f/∂b δb) with finite differences of λᵀf.
 
         Args:
-            derivative: Function of (a, b, δa, δb, λ).
+            name: Name of the machine code.
+            derivative: Function of (sample, δa, δb, λ) that returns the derivative of each lane.
         Raises:
             KernelMismatch: The derivatives differ.
             InputError: The finite differences are inaccurate at most points.
         """
-        rng, size, compared = np.random.default_rng(0), self._result_size(), 0
-        address = self._reference
+        rng, compared = np.random.default_rng(0), 0
         for _ in range(_TRIALS):
-            a, b = self.sample(rng)
-            # Use steps relative to the entries, so that small inertias stay positive.
-            da, db = (rng.normal(size=len(v)) * np.clip(np.abs(v), _SMALLEST, 1.0) for v in (a, b))
-            covector = rng.normal(size=size)
+            at = self.sample(rng)
+            if at is None:
+                continue
+            # Without units, each row has the same weight, however small the robot is.
+            da, db = (size * rng.normal(size=len(size)) for size in (at.sizes_a, at.sizes_b))
+            covector = rng.normal(size=len(at.sizes)) / at.sizes
             with np.errstate(all="ignore"):
-                rough, expected = (
-                    _difference(address, a, b, da, db, covector, h) for h in (2.0 * _STEP, _STEP)
+                rough, columns = (
+                    _difference(self._reference, at, da, db, h) for h in (2.0 * _STEP, _STEP)
                 )
-                value = derivative(a, b, da, db, covector)
-            bound = _TOLERANCE * max(1.0, abs(expected))
-            if not (abs(rough - expected) <= bound and np.isfinite(value)):
+                values = derivative(at, da, db, covector)
+                noise = self._noise_of(at, covector)
+                bound = _TOLERANCE * (np.abs(covector) @ np.abs(columns)) + noise / _STEP
+                expected, doubted = float(covector @ columns), float(covector @ rough)
+            if not (abs(doubted - expected) <= bound and np.isfinite(values).all()):
                 continue  # finite differences fail where a force has a kink
-            if not abs(value - expected) <= 10.0 * bound:
+            error = np.abs(values - expected)
+            if not (error <= 10.0 * bound).all():
+                lane = int(error.argmax())
                 raise KernelMismatch(
-                    f"a derivative of '{self.name}' of '{self.kernel.system.name}' disagrees with "
-                    f"its differences: got {value:.12g}, expected {expected:.12g}"
+                    f"the code '{name}' of '{self.kernel.system.name}' disagrees with differences "
+                    f"of the code '{self.name}' in lane {lane}: got {values[lane]:.12g}, expected "
+                    f"{expected:.12g}"
                 )
             compared += 1
             if compared == _REQUIRED:
@@ -281,34 +309,46 @@ class Differentiable:
             f"{_TRIALS - compared} of {_TRIALS} random states"
         )
 
+    def _noise_of(self, at: Sample, covector: Array) -> float:
+        """Estimate the round-off of λᵀf at a sample."""
+
+        def weighted(displacement: Array) -> Array:
+            return covector * values_near(self._reference, at, displacement)
+
+        terms = np.abs(weighted(np.zeros(len(at.a)))).sum()
+        observed = round_off_near(lambda step: weighted(step).sum(keepdims=True), len(at.a))
+        return float(ROUND_OFF * terms + observed)
+
     @property
     def _reference(self) -> int:
         """Address of the validated machine code of the function itself."""
         return (self.kernel.rate if self.name == "rate" else self.value).address
 
-    def _result_size(self) -> int:
-        graph = ReducedGraph(self.kernel.system, self.kernel.structure, self.kernel.forces)
-        return int(self.write(graph).numel_out(0))
+
+def values_near(address: int, at: Sample, displacement: Array) -> Array:
+    """Evaluate machine code at a displacement of a, which is relative to the sizes of its entries.
+
+    Args:
+        address: Address of the machine code.
+        at: The sample.
+        displacement: Displacement of each entry of a.
+    Returns:
+        The result, as long as at.sizes.
+    """
+    result = np.empty(len(at.sizes))
+    call_value(address, at.a + at.sizes_a * displacement, at.b, result)
+    return result
 
 
-def _difference(
-    address: int, a: Array, b: Array, da: Array, db: Array, covector: Array, h: float
-) -> float:
-    """Compute the derivative of λᵀf along a direction by central differences of order 6."""
-    result = np.empty(len(covector))
+def _difference(address: int, at: Sample, da: Array, db: Array, h: float) -> Array:
+    """Compute the derivative of a function along a direction by central differences of order 6."""
 
     def value(s: Array) -> Array:
-        call_value(address, a + s * da, b + s * db, result)
-        return np.atleast_1d(covector @ result)
+        result = np.empty(len(at.sizes))
+        call_value(address, at.a + s * da, at.b + s * db, result)
+        return result
 
-    return float(central_differences(value, np.zeros(1), h)[0, 0])
-
-
-def _common_value(values: Array) -> float:
-    """Return the common value of all lanes, or NaN if the lanes differ."""
-    first = float(values[0])
-    equal = np.abs(values - first).max() <= _TOLERANCE * max(1.0, abs(first))
-    return first if equal else np.nan
+    return central_differences(value, np.zeros(1), h)[:, 0]
 
 
 def _symbols(f: ca.Function) -> tuple[ca.SX, ca.SX]:

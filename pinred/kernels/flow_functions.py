@@ -25,12 +25,16 @@ from ..system.shape_space import ShapeSpace
 from ..system.state_fields import Outcome, derivative_rows
 from ..system.system import System
 from .base_graph import rotated
-from .differentiable import Differentiable, call_value
+from .derived_code import round_off_near
+from .differentiable import Differentiable, Sample, values_near
 from .initial_conditions import TwistOrMomentum, initial_conditions_graph, initial_conditions_kernel
 from .kernel import Kernel, outputs_of
 from .reduced_graph import ReducedGraph
+from .reference_state import ReferenceState, random_state
 from .state_layout import Layout
-from .validation import require_agreement
+from .validation import ROUND_OFF, require_agreement
+
+_REACH = 0.5  # size of random states, relative to those at which the kernel itself is compared
 
 # "pose" and "x" are tangent vectors at a reference, "…_numbers" the coordinates themselves.
 Row = Outcome | Literal["pose_numbers", "x_numbers"]
@@ -66,7 +70,8 @@ def initial_conditions_of(kernel: Kernel, given: TwistOrMomentum) -> Differentia
     Returns:
         The function, created once for each kernel.
     """
-    write, sample = partial(_initial_graph, given=given), partial(_sample_initial_state, kernel)
+    write = partial(_initial_graph, given=given)
+    sample = partial(_sample_initial_state, kernel, given)
     validate = partial(_validate_initial_conditions, kernel, given)
     return once(
         kernel,
@@ -89,7 +94,7 @@ def outcome_of(kernel: Kernel, rows: tuple[Row, ...]) -> Differentiable:
         The function, created once for each kernel.
     """
     name, write = f"outcome_{'_'.join(rows)}", partial(_outcome_graph, rows=rows)
-    sample = partial(_sample_outcome, kernel)
+    sample = partial(_sample_outcome, kernel, rows)
     return once(
         kernel,
         (outcome_of, rows),
@@ -261,28 +266,75 @@ def _tangent_coordinates(graph: ReducedGraph, reference: ca.SX, pose: ca.SX) -> 
     return ca.vertcat(ca.SX(0, 1), *shift, *rotation)
 
 
-def _sample(kernel: Kernel, rng: np.random.Generator) -> tuple[Array, Array]:
-    return 0.5 * rng.normal(size=kernel.layout.size), kernel.random_parameters(rng)
+def _sample(kernel: Kernel, rng: np.random.Generator) -> Sample | None:
+    at = random_state(kernel, rng, _REACH)
+    return None if at is None else _sample_at(kernel, at)
 
 
-def _sample_initial_state(kernel: Kernel, rng: np.random.Generator) -> tuple[Array, Array]:
-    system, layout = kernel.system, kernel.layout
-    pose = system.group.exp(rng.uniform(-1.0, 1.0, system.r))
-    others = rng.normal(size=2 * system.m + system.r)
-    if system.space.balls:
-        x = system.space.integrate(system.space.neutral, others[: system.m])
-        others = np.concatenate([x, others[system.m :]])
-    return np.concatenate([pose, others]), kernel.random_parameters(rng)[layout.gravity_at :]
+def _sample_at(kernel: Kernel, at: ReferenceState) -> Sample:
+    layout, r = kernel.layout, kernel.system.r
+    sizes = at.sizes.of_state(layout, r)
+    parameters = at.sizes.of_parameters(layout, r, at.parameters)
+    return Sample(at.y, at.parameters, sizes, parameters, sizes / at.sizes.time)
 
 
-def _sample_outcome(kernel: Kernel, rng: np.random.Generator) -> tuple[Array, Array]:
-    system = kernel.system
-    y, parameters = _sample(kernel, rng)
-    pose = system.group.exp(rng.uniform(-1.0, 1.0, system.r))
-    com_path = rng.normal(size=3 * system.group.linear)
-    if system.space.balls:
-        pose = np.concatenate([system.space.random(rng, 1.0), pose])
-    return np.concatenate([y, [rng.uniform()], pose]), np.concatenate([parameters, com_path])
+def _sample_initial_state(
+    kernel: Kernel, given: TwistOrMomentum, rng: np.random.Generator
+) -> Sample | None:
+    at = random_state(kernel, rng, _REACH)
+    if at is None:
+        return None
+    system, layout, sizes = kernel.system, kernel.layout, at.sizes
+    r, k, rates = system.r, system.group.linear, sizes.steps / sizes.time
+    v = at.v.copy()
+    v[:k] += rates[:k] * rng.normal(size=k)
+    motion, motions = (v[:r], rates[:r]) if given == "xi" else (at.H[:r] @ v, sizes.momenta[:r])
+    shape, pose = sizes.of_shape(system), sizes.of_pose(system.group)
+    parameters = sizes.of_parameters(layout, r, at.parameters)
+    constants = slice(layout.gravity_at, None)
+    return Sample(
+        np.concatenate([at.pose, at.x, v[r:], motion]),
+        at.parameters[constants],
+        np.concatenate([pose, shape, rates[r:], motions]),
+        parameters[constants],
+        np.concatenate([
+            sizes.of_state(layout, r), parameters[: layout.gravity_at], sizes.of_path(k)[: 2 * k],
+        ]),
+    )  # fmt: skip
+
+
+def _sample_outcome(
+    kernel: Kernel, rows: tuple[Row, ...], rng: np.random.Generator
+) -> Sample | None:
+    at = random_state(kernel, rng, _REACH)
+    if at is None:
+        return None
+    inputs, system, sizes = _sample_at(kernel, at), kernel.system, at.sizes
+    r, k, rates = system.r, system.group.linear, sizes.steps / sizes.time
+    momentum = sizes.mass * sizes.length / sizes.time
+    momenta = np.repeat([momentum, momentum * sizes.length], [k, r - k])
+    size_of_row = {
+        "x": sizes.steps[r:],
+        "x_numbers": sizes.of_shape(system),
+        "xdot": rates[r:],
+        "pose": sizes.steps[:r],
+        "pose_numbers": sizes.of_pose(system.group),
+        "xi": rates[:r],
+        "body_momentum": momenta,
+        "spatial_momentum": momenta,
+        "energy": np.array([momentum * sizes.length / sizes.time]),
+    }
+    reference, shape = (at.pose, at.x) if system.space.balls else (at.pose, np.empty(0))
+    return Sample(
+        np.concatenate([inputs.a, [at.time], shape, reference]),
+        np.concatenate([inputs.b, at.com_path]),
+        np.concatenate([
+            inputs.sizes_a, [sizes.time], sizes.of_shape(system)[: len(shape)],
+            sizes.of_pose(system.group),
+        ]),
+        np.concatenate([inputs.sizes_b, sizes.of_path(k)]),
+        np.concatenate([np.empty(0), *(size_of_row[row] for row in rows)]),
+    )  # fmt: skip
 
 
 def _validate_initial_conditions(
@@ -291,7 +343,10 @@ def _validate_initial_conditions(
     """Compare with the InitialConditionsKernel, which is validated against Pinocchio."""
     system, layout, forces = kernel.system, kernel.layout, kernel.forces
     group, m, k = system.group, system.m, system.group.linear
-    state, constants = _sample_initial_state(kernel, np.random.default_rng(0))
+    at = _sample_initial_state(kernel, given, np.random.default_rng(0))
+    if at is None:
+        return
+    state, constants = at.a, at.b
     pose, x, xdot, motion = np.split(state, np.cumsum([group.size, system.nx, m]))
     if layout.prescribed and forces is not None:
         planned = forces.prescribed(0.0, constants[len(constants) - layout.numbers :])
@@ -313,12 +368,13 @@ def _validate_initial_conditions(
         start.about[0, : counts.momentum], np.zeros(counts.push + layout.clock),
         start.fixed[0, : counts.spin], start.pi[0, layout.constant_pi], start.c0[0], start.v0[0],
     ])  # fmt: skip
-    values = np.empty(len(expected))
-    call_value(native.address, state, constants, values)
-    terms = np.abs(expected).max(initial=1.0) * np.ones(len(expected))
+    values = partial(values_near, native.address, at)
+    noise = round_off_near(lambda step: values(step) / at.sizes, len(state))
     require_agreement(
-        f"the initial conditions of '{system.name}'", "the result", values, expected, terms
-    )
+        f"the initial conditions of a flow of '{system.name}'", "the result",
+        values(np.zeros(len(state))) / at.sizes, expected / at.sizes, noise / ROUND_OFF,
+        reference="the initial conditions of a simulation",
+    )  # fmt: skip
 
 
 def _accept(_: NativeCode) -> None:

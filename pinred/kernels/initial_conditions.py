@@ -34,7 +34,7 @@ from .base_graph import BaseGraph
 from .build import model_bytes
 from .evaluate import evaluate
 from .machine.native import compile_object
-from .reference_state import perturb_parameters
+from .reference_state import length_of, perturb_parameters, steps_of
 from .validation import explain_ill_scaling, require_agreement
 
 TwistOrMomentum = Literal["xi", "mu"]
@@ -231,12 +231,15 @@ def initial_conditions_graph(
 
 
 def _validate(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
-    """Compare a kernel with Pinocchio's mass matrix at a random state."""
+    """Compare a kernel with Pinocchio's mass matrix at a random state in the robot's own units."""
     system, rng = kernel.system, np.random.default_rng(0)
     group, r = system.group, system.r
     k = group.linear
-    pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), system.space.random(rng, 2.0)
-    xi, xdot = rng.normal(size=r), rng.normal(size=system.m)
+    steps = steps_of(system, length_of(system))
+    pose = group.exp(steps[:r] * rng.uniform(-1.0, 1.0, r))
+    displacement = steps[r:] * rng.uniform(-2.0, 2.0, system.m)
+    x = system.space.integrate(system.space.neutral, displacement)
+    xi, xdot = np.split(steps * rng.normal(size=system.n), [r])
     data = system.sorted_data
     H = mass_matrix_at(system, system.sorted_model, data, group.identity(), x)
     mu = H[:r] @ np.concatenate([xi, xdot])

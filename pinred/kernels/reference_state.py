@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -16,19 +16,109 @@ from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
+from ..system.loops.loop_assembly import CLOSED, assemble
+from ..system.loops.looped_system import loop_jacobian
 from ..system.scale import moved_masses, radius_of_gyration
 from ..system.variants import in_gravity, with_numbers
 from .loops_by_pinocchio import with_closed_loops
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
+    from ..lie.group import Group
     from ..system.system import System
     from .kernel import Kernel
+    from .state_layout import Layout
 
 # Displacement from a closed shape at which kernels of robots with loops are compared, relative to
 # that of other robots, because equations of loops may be dependent far from closed shapes.
 _NEAR_CLOSED = 0.1
+_SMALL = 1e-3  # smallest size of a body parameter, relative to the largest of its body
 _GRAVITY_FACTOR = 1.3  # factor on gravity in perturbed systems
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of a robot's displacements, times and momenta, in which its states are of size one.
+
+    Attributes:
+        length: Largest distance of a joint or of a body's mass from the previous joint [m].
+        mass: Mass of the robot [kg].
+        time: Time in which the forces at rest change the velocity by one displacement [s].
+        steps: Displacement along each velocity, (n,) [m | rad].
+        momenta: Momentum of one displacement per `time` along each velocity, (n,), from the
+            diagonal of the mass matrix.
+    """
+
+    length: float
+    mass: float
+    time: float
+    steps: Array
+    momenta: Array
+
+    def of_state(self, layout: Layout, r: int) -> Array:
+        """Return the size of each entry of the reduced state y, (size,)."""
+        x, pi, base = self.steps[r:], self.momenta[r:], layout.base
+        active, attitudes = list(layout.active), np.ones(4 * len(layout.balls))
+        blocks = [x[active]]
+        if layout.lifted_balls:
+            # The momentum of a quaternion is four numbers of the size of 2π.
+            covectors = [np.full(4, 2.0 * pi[v : v + 3].max()) for _, v in layout.balls]
+            blocks += [attitudes, pi[active], *covectors, x[list(layout.cyclic)]]
+        else:
+            blocks += [pi[active], x[list(layout.cyclic)], pi[layout.ball_pi], attitudes]
+        pushed = np.repeat([self.length, self.mass * self.length / self.time], base.push // 2)
+        blocks += [np.ones(base.attitude + base.down), self.momenta[r - base.momentum : r], pushed]
+        return np.concatenate([*blocks, [self.time] * layout.clock])
+
+    def of_shape(self, system: System) -> Array:
+        """Return the size of each shape coordinate, (nx,); quaternions have size one."""
+        sizes = np.ones(system.nx)
+        sizes[system.space.scalar_x] = self.steps[system.r :][system.space.scalar_v]
+        return sizes
+
+    def of_pose(self, group: Group) -> Array:
+        """Return the size of each entry of a pose, (size,)."""
+        return np.repeat([self.length, 1.0], [group.linear, group.size - group.linear])
+
+    def of_parameters(self, layout: Layout, r: int, parameters: Array) -> Array:
+        """Return the size of each parameter of a kernel, (p,).
+
+        Body and force parameters are their own sizes.  Small parameters of a body have a
+        thousandth of the size of its other parameters.
+
+        Args:
+            layout: Layout of the kernel.
+            r: Dimension of the group.
+            parameters: Parameters, (p,).
+        """
+        sizes = np.abs(parameters)
+        spin, pi = layout.base.spin, layout.constant_pi
+        sizes[:spin], sizes[spin : spin + len(pi)] = (
+            self.momenta[r - spin : r],
+            self.momenta[r:][pi],
+        )
+        gravity = slice(layout.gravity_at, layout.bodies_at)
+        sizes[gravity] = np.linalg.norm(parameters[gravity])
+        freed, bodies = layout.freed, sizes[layout.bodies_at :]
+        for i in freed.inertias:
+            mass, moments, inertia = np.split(bodies[freed.of_inertia(i)], [1, 4])
+            largest = inertia.max()
+            moments[:] = np.maximum(moments, _SMALL * np.sqrt(mass * largest))
+            inertia[:] = np.maximum(inertia, _SMALL * largest)
+        placements = [(bodies[freed.of_step(i)], 4) for i, _ in freed.steps]
+        placements += [(bodies[freed.of_link(i)], 9) for i in freed.links]
+        for numbers, turns in placements:
+            numbers[:turns] = np.maximum(numbers[:turns], _SMALL)
+            numbers[turns:] = np.maximum(numbers[turns:], _SMALL * self.length)
+        path = self.of_path(layout.com_path // 3)
+        sizes[layout.com_path_at : layout.com_path_at + len(path)] = path
+        numbers = sizes[layout.parameters - layout.numbers :]
+        numbers[numbers == 0.0] = 1.0
+        return sizes
+
+    def of_path(self, k: int) -> Array:
+        """Return the sizes of a path (c₀, v₀, g) of the centre of mass, (3k,)."""
+        return np.repeat(self.length / self.time ** np.arange(3.0), k)
 
 
 @dataclass(frozen=True)
@@ -62,6 +152,7 @@ class ReferenceState:
         y: Reduced state, (size,).
         parameters: Parameters of the kernel, (p,).
         prescribed: Indices of the prescribed joints.
+        sizes: Sizes of the robot's displacements, times and momenta.
     """
 
     system: System
@@ -87,6 +178,7 @@ class ReferenceState:
     y: Array
     parameters: Array
     prescribed: tuple[int, ...]
+    sizes: Sizes
 
     @property
     def free(self) -> Array:
@@ -118,18 +210,38 @@ class ReferenceState:
     @cached_property
     def velocity_terms(self) -> Array:
         """Return the magnitude, (n,), of terms that sum to the solution v of H v = (μ, π)."""
-        return self.solved_terms(self.momentum_terms) + np.abs(self.v)
+        J, rates = np.abs(self.loop_rows), np.abs(self.v)
+        given = np.setdiff1d(np.arange(len(rates)), self.free)
+        terms = self.momentum_terms + J.T @ np.abs(self.nu)
+        return self.solved_terms(terms, J[:, given] @ rates[given]) + rates
 
-    def solved_terms(self, terms: Array) -> Array:
-        """Compute the magnitude of the terms that sum to the solution a of H a = b.
+    @cached_property
+    def loop_rows(self) -> Array:
+        """Return the Jacobian of the independent equations of closed loops, (k, n)."""
+        closure = self.system.closure
+        J = np.zeros((0 if closure is None else closure.rank, len(self.v)))
+        if closure is not None:
+            J[:, len(self.mu) :] = loop_jacobian(self.system, self.x)[closure.rows]
+        return J
+
+    def solved_terms(self, terms: Array, drift: Array | float = 0.0) -> Array:
+        """Compute the magnitude of the terms that sum to the solution a of H a = b + Jᵀλ.
+
+        The multipliers λ of closed loops keep J a + d = 0.  Near shapes at which the loops are
+        singular, they are much larger than b.
 
         Args:
             terms: Magnitude of the terms that sum to b, (n,).
+            drift: Magnitude of the terms that sum to d, (k,).
         Returns:
             (n,): the magnitude, zero for prescribed joints.
         """
         free, solution = self.free, np.zeros(len(self.v))
-        solution[free] = np.abs(np.linalg.inv(self.H[np.ix_(free, free)])) @ terms[free]
+        inverse, J = np.linalg.inv(self.H[np.ix_(free, free)]), self.loop_rows[:, free]
+        opened = np.abs(inverse) @ terms[free]
+        response = inverse @ J.T
+        multipliers = np.abs(np.linalg.inv(J @ response)) @ (np.abs(J) @ opened + drift)
+        solution[free] = opened + np.abs(response) @ multipliers
         return solution
 
     @cached_property
@@ -176,13 +288,58 @@ def _size(body: pin.Inertia) -> float:
     return float(np.linalg.norm(body.lever)) + radius_of_gyration(body)
 
 
-def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> ReferenceState | None:
-    """Draw a random state.
+def length_of(system: System) -> float:
+    """Return the largest distance of a joint or a body's mass from the previous joint [m].
+
+    A system without any length has length one.
+    """
+    model = system.model
+    steps = [float(np.linalg.norm(place.translation)) for place in model.jointPlacements[2:]]
+    return max([*steps, *(_size(body) for body in model.inertias[1:])]) or 1.0
+
+
+def steps_of(system: System, length: float) -> Array:
+    """Return the displacement along each velocity that counts as one, (n,) [m | rad]."""
+    turns = system.r - system.group.linear
+    shape = [length if unit == "m" else 1.0 for unit in system.units]
+    return np.array([length] * system.group.linear + [1.0] * turns + shape)
+
+
+def _rate_of(
+    system: System, forces: ForceModel | None, inputs: ForceInputs, H: Array, steps: Array
+) -> float:
+    """Return the rate at which forces displace the robot from rest by its size [1/s].
+
+    Without forces at rest, it is the rate at which forces slow the robot down.  It is zero without
+    any force.  Kinetic forces at this rate are of the size of the other forces.
+    """
+    if forces is None:
+        return 0.0
+    r = system.r
+
+    def work(rate: float) -> float:
+        v = rate * steps
+        moving = replace(inputs, xdot=v[r:], xi=v[:r], mu=H[:r] @ v)
+        acting = forces.acting(moving)
+        return float(
+            np.abs(np.append(acting.wrench, acting.torque)) @ steps / (np.diag(H) @ steps**2)
+        )
+
+    with np.errstate(all="ignore"):
+        rate = np.sqrt(work(0.0)) or work(1.0)
+    return rate if np.isfinite(rate) else 0.0
+
+
+def random_state(
+    kernel: Kernel, rng: np.random.Generator, reach: float, *, is_closed: bool = True
+) -> ReferenceState | None:
+    """Draw a random state, of size one in the robot's own units (see Sizes).
 
     Args:
         kernel: The kernel.
         rng: Random number generator.
         reach: Factor on shape and velocity.
+        is_closed: Whether the loops are closed; otherwise the shape is only near a closed one.
     Returns:
         The state, or None if the forces are not finite there.
     """
@@ -193,27 +350,49 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     if layout.gravity:
         gravity = acting_gravity(system)
     model.gravity.linear = model.jointPlacements[1].rotation @ gravity
-    pose = group.exp(rng.uniform(-1.0, 1.0, r))
+    length = length_of(system)
+    steps = steps_of(system, length)
+    pose = group.exp(steps[:r] * rng.uniform(-1.0, 1.0, r))
     pose = pose if r > k else group.identity()
-    displacement, v = rng.uniform(-2.0, 2.0, m), rng.normal(size=system.n)
+    displacement, v = steps[r:] * rng.uniform(-2.0, 2.0, m), steps * rng.normal(size=system.n)
     time = float(rng.uniform(*_span(forces)))
     prescribed = list(layout.prescribed)
     force_parameters, accelerations = np.empty(0), np.zeros(len(prescribed))
     rest = system.space.neutral
     if system.closure is not None:
         rest, displacement = system.closure.x, _NEAR_CLOSED * displacement
-    x, v = system.space.integrate(rest, displacement * reach), v * reach
+    x = system.space.integrate(rest, displacement * reach)
+    if system.closure is not None and is_closed:
+        movable = np.ones(m, dtype=bool)
+        movable[prescribed] = False
+        closed, gaps = assemble(system, x, system.closure.length, movable)
+        x = closed if gaps.max() <= CLOSED else x
     if forces is not None:
         force_parameters = forces.random_numbers(rng)
         force_parameters[forces.within] = time  # a table is undefined far outside its interval
     if forces is not None and prescribed:
         motion = forces.prescribed(time, force_parameters)
-        x[list(layout.prescribed_x)], v[[r + j for j in prescribed]] = motion.x, motion.xdot
-        accelerations = motion.xddot
+        x[list(layout.prescribed_x)], accelerations = motion.x, motion.xddot
         if not np.isfinite([*motion.x, *motion.xdot, *motion.xddot]).all():
             return None
     q, data = system.sorted_q(pose, x), system.sorted_data
     H = mass_matrix_at(system, model, data, pose, x)
+    com = np.array(data.Ycrb[1].lever)
+    still = BaseInSpace(pose, np.zeros(r), np.zeros(r), np.zeros(r))
+    inputs = ForceInputs(time, x, np.zeros(m), np.zeros(r), np.zeros(r), force_parameters, still)
+    fall = falling(system)
+    rate = np.hypot(
+        _rate_of(system, forces, inputs, H, steps), np.sqrt(np.linalg.norm(gravity) / length)
+    ) or np.sqrt(np.linalg.norm(fall) / length)
+    if prescribed:
+        rate = max(rate, float((np.abs(motion.xdot) / steps[r:][prescribed]).max()))
+    period = 1.0 / rate if rate > 0.0 else 1.0
+    sizes = Sizes(length, system.mass, period, steps, np.diag(H) * steps / period)
+    v *= reach / period
+    if prescribed:
+        v[[r + j for j in prescribed]] = motion.xdot
+    if not layout.clock:
+        time *= period
     v, mu = _with_known_momentum(kernel, H, v)
     v, impetus, nu = with_closed_loops(system, x, H, v, rng, prescribed)
     pi = H[r:] @ v
@@ -221,9 +400,9 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     down = R.T @ gravity / np.linalg.norm(gravity) if counts.down else np.zeros(0)
     spin = R @ mu[k:] if counts.spin else np.zeros(0)
     push = rng.normal(size=counts.push)
+    push *= np.repeat([length, system.mass * length / period], counts.push // 2)
     b = np.concatenate([pose[len(pose) - counts.attitude :], down, mu[r - counts.momentum :], push])
-    com_path = np.append(rng.normal(size=2 * k), falling(system))
-    com = np.array(data.Ycrb[1].lever)
+    com_path = np.append(sizes.of_path(k)[: 2 * k] * rng.normal(size=2 * k), fall)
     if forces is not None:
         base = _base_in_space(system, pose, com_path, push, time, com, H, v)
         acting = forces.acting(ForceInputs(time, x, v[r:], v[:r], mu, force_parameters, base))
@@ -257,6 +436,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
         y=np.concatenate([*layout.shape_entries(x, impetus), b, [time] * layout.clock]),
         parameters=np.concatenate(parameters),
         prescribed=tuple(prescribed),
+        sizes=sizes,
     )
 
 

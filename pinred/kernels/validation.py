@@ -19,7 +19,9 @@ from ..common.errors import InputError, KernelMismatch, ModelError
 from ..forces.force_values import ForceInputs
 from ..lie.rotations import conjugate, quaternion_product
 from ..reduction.potential import translations
+from ..reduction.tree.loop_constraints import GAUGE_RATE
 from ..system.joints import axes_of
+from ..system.loops.looped_system import loop_jacobian_rate
 from ..system.scale import ill_scaled
 from .loads_by_pinocchio import LoadsByPinocchio
 from .loops_by_pinocchio import closed_solver, impetus_terms
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
 _STATES = 3  # number of states at which a kernel is compared
 _TRIALS = 80  # largest number of random states drawn
-_TOLERANCE = 1e-10  # tolerance of comparisons, relative to the largest entry
+TOLERANCE = 1e-10  # tolerance of comparisons, relative to the largest entry
 ROUND_OFF = 1e-13  # round-off of a full sweep, relative to the magnitude of the summed terms
 
 
@@ -66,10 +68,22 @@ def validate_kernel(kernel: Kernel) -> None:
 def _validate_at(kernel: Kernel, at: ReferenceState) -> None:
     """Compare all values of a kernel with Pinocchio at one state."""
     outputs = kernel.evaluate_outputs(at.time, at.y, at.parameters, at.com_path)
-    rate = kernel.evaluate_rate(at.y, at.parameters)
     _validate_momentum(kernel, at, outputs)
     if kernel.layout.base_requested:
         _validate_full_state(kernel, at, outputs)
+    validate_rate(kernel, at, kernel.evaluate_rate(at.y, at.parameters))
+
+
+def validate_rate(kernel: Kernel, at: ReferenceState, rate: Array) -> None:
+    """Compare a rate of the reduced state with Pinocchio.
+
+    Args:
+        kernel: The kernel.
+        at: Reduced state, with reference values.
+        rate: The rate dy/dt, (size,).
+    Raises:
+        KernelMismatch: Values differ.
+    """
     _validate_velocity(kernel, at, rate)
     v = _velocity_of_rate(kernel, at, rate)
     _validate_inverse_dynamics(kernel, at, v)
@@ -225,7 +239,13 @@ def _validate_acceleration(
     terms = at.force_terms + np.abs(tau) + at.gravity_terms
     terms += np.abs(H[:, free]) @ np.abs(expected)
     terms += np.abs(H[:, prescribed]) @ np.abs(at.accelerations)
-    _checker(kernel)("acceleration", acceleration, expected, at.solved_terms(terms)[free])
+    drift = np.abs(at.loop_rows[:, prescribed]) @ np.abs(at.accelerations)
+    if system.closure is not None:
+        turning = loop_jacobian_rate(system, at.x, v[r:])[system.closure.rows]
+        drift = drift + np.abs(turning) @ np.abs(v[r:])
+        terms[r:] += np.abs(at.nu) @ (np.abs(turning) + GAUGE_RATE * np.abs(at.loop_rows[:, r:]))
+    terms = at.solved_terms(terms, drift)
+    _checker(kernel)("acceleration", acceleration, expected, terms[free])
 
 
 def _velocity_of_rate(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
@@ -358,7 +378,8 @@ def require_agreement(
     found: Array,
     expected: Array,
     terms: Array | float,
-    tolerance: float = _TOLERANCE,
+    tolerance: float = TOLERANCE,
+    reference: str = "Pinocchio",
 ) -> None:
     """Check that two arrays agree.
 
@@ -373,6 +394,7 @@ def require_agreement(
         terms: Magnitude of the summed terms, which may cancel; of the shape of `expected`, or
             common to all entries.
         tolerance: Relative tolerance.
+        reference: Name of the code that computed the reference values, for messages.
     Raises:
         KernelMismatch: The arrays differ.
     """
@@ -383,6 +405,6 @@ def require_agreement(
     if not (error <= allowed).all():
         k = int(np.argmin(error <= allowed))
         raise KernelMismatch(
-            f"{who} disagrees with Pinocchio: {what} is off by {error[k]:.3g} of "
+            f"{who} disagrees with {reference}: {what} is off by {error[k]:.3g} of "
             f"{np.abs(expected).max():.3g}\nfound    {found}\nexpected {expected}"
         )

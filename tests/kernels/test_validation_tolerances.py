@@ -131,7 +131,8 @@ def test_terms_of_moments_include_cancelling_parts(monkeypatch: pytest.MonkeyPat
     def record(_: str, what: str, found: Array, expected: Array, terms: Array | float) -> None:
         if what == "rate of the angular momentum":
             sizes.append(np.array(terms))
-            assert np.abs(expected).max() < 1e3
+            # The gyroscopic moment remains.  The force itself has no moment.
+            assert np.abs(expected).max() < 0.1 * np.max(terms)
         require_agreement("it", what, found, expected, terms)
 
     monkeypatch.setattr(validation, "require_agreement", record)

@@ -14,6 +14,7 @@ from ...common.memo import once
 from ...kernels.connection.connection_code import ConnectionCode, cached_code
 from ...kernels.connection.connection_form import ConnectionForm, form_of
 from ...kernels.evaluate import evaluate
+from ...kernels.reference_state import length_of, steps_of
 from ...kernels.validation import require_agreement
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.all_joints import joint_values
@@ -56,10 +57,13 @@ def centres_of_mass(system: System, x: Array) -> Array:
 
 def _validate_com(system: System, code: NativeCode) -> None:
     """Compare with Pinocchio's centre of mass at a random shape.  Raises KernelMismatch."""
-    x = system.space.random(np.random.default_rng(0), 2.0)
+    displacement = np.random.default_rng(0).uniform(-2.0, 2.0, system.m)
+    displacement *= steps_of(system, length_of(system))[system.r :]
+    x = system.space.integrate(system.space.neutral, displacement)
     model, data = system.sorted_model, system.sorted_data
     com = pin.centerOfMass(model, data, system.sorted_q(system.group.identity(), x))
     reach = sum(float(np.linalg.norm(place.translation)) for place in model.jointPlacements)
+    reach += float(np.abs(displacement).max(initial=0.0)) + length_of(system)
     require_agreement(
         f"the machine code of '{system.name}'", "the centre of mass",
         evaluate(code.address, np.zeros(1), x[None], 3)[0], data.oMi[1].actInv(com), reach,
