@@ -192,3 +192,7 @@ class LoopWarning(UserWarning):
 
 class CacheWarning(UserWarning):
     """The kernel cache on disk cannot be used; kernels are compiled again."""
+
+
+class StoreWarning(UserWarning):
+    """The store of a sweep is damaged; its damaged blocks are computed again."""
