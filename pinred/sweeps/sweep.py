@@ -180,9 +180,8 @@ def _job(
     if varied.scene.method == "auto":
         varied.scene = replace(varied.scene, method=members_plan(varied.scene).method.name)
     sequence = PointSequence.of(chosen, laws, count, whole(seed, "seed", 0))
-    return SweepJob(
-        varied, sequence, parse_outputs(varied.scene, outputs), whole(block, "block", 1)
-    )
+    size = min(whole(block, "block", 1), count)  # Chunks have the size of a block.
+    return SweepJob(varied, sequence, parse_outputs(varied.scene, outputs), size)
 
 
 def _check_seeds(vary: Mapping[str, Any], laws: Sequence[Distribution]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import xarray
 from zarr.storage import LocalStore, WrapperStore
 
+from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError, LoadError, PinredError
 from ..common.names import brief, quoted_path
 from ..common.zarr_folders import array_name
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 _JOB, _BLOCKS, _SOURCE = "pinred_job", "pinred_blocks", "source"
 
 
+@checks_arguments
 class SweepResult(xarray.Dataset):  # type: ignore[no-untyped-call]
     """The results of a sweep: an xarray.Dataset over `point` that is read from its store lazily.
 

@@ -47,8 +47,9 @@ from .sweep_plan import FORMAT, changed_part, digest_of_parts, plan_of_sweep
 
 _PLAN = "plan"
 _PLAN_FILE, _CHECKSUMS = f"{_PLAN}/plan.json", f"{_PLAN}/files.json"
-_INVALID = re.compile(r"^(\.|__)|[\\\0]")  # Zarr reserves or changes these names.
-_LONGEST = 80  # Longest name of a variable, because names of files are limited.
+# Zarr reserves or changes these names, or the file system has none for them.
+_INVALID = re.compile(r"^(\.|__)|[\\\0\ud800-\udfff]")
+_LONGEST = 80  # Longest name of a variable [bytes], because names of files are limited.
 _MOST_BYTES = 2**28  # Largest accepted size of a file that is not a chunk [bytes].
 _DIFFERENCES = {
     "scene": "another scene", "robot": "another robot", "vary": "other varied numbers",
@@ -584,7 +585,8 @@ def _check_names(job: SweepJob) -> None:
     names = [("vary", number.key) for number in job.varied.numbers]
     for argument, name in names + [("outputs", output.name) for output in job.outputs]:
         plain = array_name(name)
-        if not plain or plain == "zarr.json" or _INVALID.search(plain) or len(plain) > _LONGEST:
+        is_valid = plain and plain != "zarr.json" and not _INVALID.search(plain)
+        if not is_valid or len(plain.encode()) > _LONGEST:
             raise InputError(
                 f"{argument}: expected a name that can be that of a file, got {quoted(name)}"
             )
