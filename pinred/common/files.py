@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from .errors import InputError, LoadError, OutputError
-from .names import quoted_path
+from .names import brief, quoted_path
 
 
 def is_file(path: Path) -> bool:
@@ -215,8 +215,8 @@ def check_path(
         InputError: The name is invalid, its folder is missing, or another object has this name.
         OutputError: The folder or an existing file is read-only.
     """
-    if not isinstance(path, (str, os.PathLike)) or "\0" in str(path):
-        raise InputError(f"path must be the name of a file, got {path!r}")
+    if not isinstance(path, (str, os.PathLike)) or not _is_name(path):
+        raise InputError(f"path must be the name of a file, got {brief(path)}")
     path = Path(path)
     name = quoted_path(path)
     if path.suffix not in suffixes:
@@ -231,6 +231,14 @@ def check_path(
             return path
     except OSError as error:
         raise OutputError(f"cannot write {name}: {error.strerror or error}") from None
+
+
+def _is_name(path: str | os.PathLike[str]) -> bool:
+    """Return whether the file system has bytes for a name."""
+    try:
+        return b"\0" not in os.fsencode(path)
+    except (TypeError, ValueError):
+        return False
 
 
 def _check_old(path: Path, name: str) -> None:

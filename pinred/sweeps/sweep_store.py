@@ -34,6 +34,8 @@ from ..common.errors import (
 )
 from ..common.files import (
     check_path,
+    is_file,
+    is_folder,
     lock_shared,
     read_plain_file,
     remove_temporary_files,
@@ -240,9 +242,9 @@ class SweepStore:
         self._lock: int | None = None
         _check_names(job)
         self._plan = plan_of_sweep(job)
-        self._is_checked = path.exists()
+        self._is_checked = is_folder(path) or is_file(path)
         # Try to write before the points are computed.
-        check_path(path / "any.zarr" if path.exists() else path, (".zarr",))
+        check_path(path / "any.zarr" if is_folder(path) else path, (".zarr",))
         if self._is_checked:
             self._check()
 

@@ -246,7 +246,7 @@ def merge_of(
 
 def _is_ball(raw: pin.Model, name: str) -> bool:
     """Return whether a joint is a ball already."""
-    return bool(raw.existJointName(name)) and raw.joints[raw.getJointId(name)].nq == 4
+    return name in list(raw.names) and raw.joints[raw.getJointId(name)].nq == 4
 
 
 def _named(raw: pin.Model, triples: Sequence[HingeTriple], name: str) -> HingeTriple:
