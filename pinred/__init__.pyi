@@ -75,6 +75,7 @@ from .common.errors import RejectedWarning as RejectedWarning
 from .common.errors import ShapeError as ShapeError
 from .common.errors import SingularInertiaError as SingularInertiaError
 from .common.errors import StepSizeUnderflow as StepSizeUnderflow
+from .common.errors import StoreWarning as StoreWarning
 from .common.errors import SymmetryError as SymmetryError
 from .common.errors import TooManySteps as TooManySteps
 from .common.errors import UnsupportedOperationError as UnsupportedOperationError

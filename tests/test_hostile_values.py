@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import hostile_calls
 import numpy as np
 import pytest
 
@@ -80,3 +81,54 @@ def test_patience_beyond_the_clock_is_rejected(patience: float) -> None:
     """The operating system cannot wait that long."""
     with pytest.raises(pinred.InputError, match="patience: expected positive seconds"):
         corpus([], patience=patience)
+
+
+@pytest.mark.parametrize("every", [11, pytest.param(1, marks=pytest.mark.by_hand)])
+def test_public_callables_raise_no_foreign_exceptions(every: int) -> None:
+    """Values of a right kind that are empty, huge, ragged or unknown give errors of pinred."""
+    faults, count = hostile_calls.faults(every, 3)
+    assert not faults, "\n".join(faults[:20])
+    assert count * every > 30_000
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("Flow.own", "name", "a"),
+        ("Flow.casadi", "name", "/x"),
+        ("Phase.in_words", "pose", ()),
+        ("_SE3.turned", "v", ()),
+        ("_SE3.turned_back", "attitude", 0),
+        ("_SE3.about", "c", 1.5),
+        ("pinred.Gait", "arcs", range(3)),
+        ("pinred.phase_slopes", "pieces", hostile_calls.HUGE),
+        ("pinred.signals.Attitude", "vector", np.zeros((3, 0))),
+        ("Connection.in_section", "pose", int),
+        ("Reduction.change_section", "h", int),
+        ("Gait.samples", "count", hostile_calls.HUGE),
+        ("pinred.flatness", "samples", hostile_calls.HUGE),
+        ("Connection.seen_from", "link", "\ud800"),
+        ("Trajectories.fields", "names", ["a"]),
+        ("Grid.at", "u", [float("nan")]),
+        ("Uniform.at", "u", ()),
+        ("StepMap.linear", "t", 1e300),
+        ("pinred.load", "lock", {"\ud800": 0.0}),
+    ],
+)
+def test_calls_that_were_tracebacks_are_refused_or_sensible(
+    name: str, key: str, value: object
+) -> None:
+    """The trial of all callables contains these calls, or similar ones."""
+    call = dict(hostile_calls.callables())[name]
+    needed = {
+        other: hostile_calls.valid()[other]
+        for other, entry in hostile_calls.parameters_of(call).items()
+        if entry.default is entry.empty and entry.kind is entry.POSITIONAL_OR_KEYWORD
+    }
+    assert hostile_calls.attempt(call, {**needed, key: value}) == ""
+    # An unpatched callable that raises is noticed.
+    assert hostile_calls.attempt(_fail, {"value": 1}) == "KeyError: 1"
+
+
+def _fail(value: object) -> None:
+    raise KeyError(value)

@@ -88,7 +88,7 @@ class FloatingArm:
 
     def __post_init__(self) -> None:
         system = checked_system(self.system, "FloatingArm", remedy=_WITH_LOOPS)
-        if not isinstance(self.frame, str) or not system.model.existFrame(self.frame):
+        if self.frame not in [frame.name for frame in system.sorted_model.frames]:
             names = [frame.name for frame in system.sorted_model.frames if frame.parentJoint]
             raise InputError(
                 f"no frame {quoted(str(self.frame))} on '{system.name}'; "

@@ -25,12 +25,13 @@ from ..common.errors import (
     ModelWarning,
     PinredError,
     RejectedWarning,
+    shorten_message,
 )
 from ..common.names import plain
 from ..common.version import __version__
 from .interrupt import CODE, say
 
-_LONGEST = 4000  # largest number of characters of a message
+_LONGEST = 2000  # largest number of characters of a message
 _OPTION, _NEGATIVE = re.compile(r"--[\w-]+"), re.compile(r"-(\d|\.\d|inf|nan)")
 COMMANDS = {  # {command: description}
     "inspect": "show group, joints, I, A, M, and the parts of the simulation that can be skipped",
@@ -108,12 +109,12 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 def _print_warning(message: Warning | str, *_: Any) -> None:
     """Print a warning as one line on standard error."""
-    print(f"pinred: warning: {plain(str(message), _LONGEST)}", file=sys.stderr)
+    print(f"pinred: warning: {plain(shorten_message(str(message)), _LONGEST)}", file=sys.stderr)
 
 
 def _print_error(message: str, code: int) -> int:
     """Print a message as one line on standard error and return the exit code."""
-    print(f"pinred: error: {plain(message, _LONGEST)}", file=sys.stderr)
+    print(f"pinred: error: {plain(shorten_message(message), _LONGEST)}", file=sys.stderr)
     return code
 
 
@@ -121,7 +122,8 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser that reports an error in one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"pinred: error: {plain(message, _LONGEST)}; see `{self.prog} --help`\n")
+        text = plain(shorten_message(message), _LONGEST)
+        self.exit(2, f"pinred: error: {text}; see `{self.prog} --help`\n")
 
 
 def _join_negative(arguments: Sequence[str]) -> list[str]:

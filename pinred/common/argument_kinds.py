@@ -12,7 +12,7 @@ import builtins
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import InputError, PinredError, ShapeError
-from .names import brief
+from .names import brief, plain
 from .number_kinds import are_numbers, has_fixed_entries, is_number, is_whole
 
 T = TypeVar("T")
@@ -134,6 +134,27 @@ def _signature(function: Callable[..., Any]) -> tuple[str, str]:
     declared += [star] * bool(star) + [f"{n}=0" if n in defaults else n for n in only] + options
     passed = [*plain, *[star] * (star > "*"), *(f"{name}={name}" for name in only), *options]
     return ", ".join(declared), ", ".join(passed)
+
+
+def call_function(function: Callable[..., Any], what: str, *arguments: Any) -> Any:
+    """Call a function of the user.
+
+    Args:
+        function: The function.
+        what: Name of the function, for messages.
+        *arguments: Its arguments.
+    Returns:
+        Its result.
+    Raises:
+        InputError: The function raises another exception than an error of pinred.
+    """
+    try:
+        return function(*arguments)
+    except Exception as error:  # The user's function may raise any exception.
+        if isinstance(error, PinredError):
+            raise
+        text = plain(f"{type(error).__name__}: {error}", 300)
+        raise InputError(f"{what} raised {text}") from error
 
 
 class _Checks:
@@ -324,6 +345,8 @@ def _sequence(entry: Kind | None) -> Kind:
     def admits(value: Any) -> bool:
         if not (_is_sequence(value) and isinstance(value, _STORED)):
             return _is_sequence(value)  # entries of iterators cannot be checked in advance
+        if isinstance(value, range):  # may be long, and has entries of one type
+            value = value[:1]
         # Check one entry of each type, because usually the type decides, as in long lists of
         # numbers.
         examples = {type(item): item for item in value}.values()
@@ -362,7 +385,7 @@ def _never(_: object) -> bool:
 
 
 _TEXT = (str, bytes, bytearray, memoryview)
-_STORED = (list, tuple, np.ndarray)
+_STORED = (Sequence, np.ndarray)
 _NUMBERS = Kind("numbers", are_numbers, has_fixed_entries, ShapeError)
 _SIMPLE: dict[Any, Kind | None] = {
     Any: None,

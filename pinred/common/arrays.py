@@ -223,22 +223,25 @@ class FrozenArrays:
         freeze(self)
 
 
-def whole(value: object, what: str, least: int = 1) -> int:
+def whole(value: object, what: str, least: int = 1, most: int | None = None) -> int:
     """Convert a value to an integer.
 
     Args:
         value: A number.
         what: Name of the argument, for messages.
         least: Smallest allowed value.
+        most: Largest allowed value; None if there is none.
     Returns:
         The integer.
     Raises:
-        InputError: The value is not an integer, or is below `least`.
+        InputError: The value is not an integer, or is not in these limits.
     """
     try:
         number = int(value)  # type: ignore[call-overload]
-        if not isinstance(value, bool) and number == value and number >= least:
+        is_allowed = number >= least and (most is None or number <= most)
+        if not isinstance(value, bool) and number == value and is_allowed:
             return int(number)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise InputError(f"{what} must be a whole number of at least {least}, got {brief(value)}")
+    limits = f"of at least {least}" if most is None else f"from {least} to {most}"
+    raise InputError(f"{what} must be a whole number {limits}, got {brief(value)}")

@@ -5,6 +5,7 @@ A message states the value, the expected value, and a way to fix the problem.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,37 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+_LONG_WORD = re.compile(r"\S{201,}")
+_LONGEST = 2000  # maximum number of characters of a message
+
+
+def shorten_message(text: str) -> str:
+    """Omit the middle of words over 200 characters, and of a message over 2,000 characters.
+
+    Messages contain names and values of users, which may be of any length.
+
+    Args:
+        text: The message.
+    Returns:
+        The shortened message.
+    """
+    text = _LONG_WORD.sub(lambda word: f"{word[0][:99]}…{word[0][-100:]}", text)
+    if len(text) <= _LONGEST:
+        return text
+    half = _LONGEST // 2
+    return f"{text[: half - 1]}…{text[-half:]}"
+
+
 class PinredError(Exception):
     """Base of all errors raised by pinred."""
+
+    def __init__(self, *args: object) -> None:
+        """Store the message, shortened.
+
+        Args:
+            *args: The message.
+        """
+        super().__init__(*(shorten_message(arg) if isinstance(arg, str) else arg for arg in args))
 
 
 class LoadError(PinredError):
@@ -192,3 +222,7 @@ class LoopWarning(UserWarning):
 
 class CacheWarning(UserWarning):
     """The kernel cache on disk cannot be used; kernels are compiled again."""
+
+
+class StoreWarning(UserWarning):
+    """The store of a sweep is damaged; its damaged blocks are computed again."""

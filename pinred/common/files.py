@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from .errors import InputError, OutputError
-from .names import quoted_path
+from .errors import InputError, LoadError, OutputError
+from .names import brief, quoted_path
 
 
 def is_file(path: Path) -> bool:
@@ -46,6 +46,59 @@ def is_special(path: Path) -> bool:
     except (OSError, ValueError):
         return False
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def read_plain_file(path: Path, most: int) -> bytes | None:
+    """Read a plain file.
+
+    Args:
+        path: Path of the file.
+        most: Largest accepted size [bytes].
+    Returns:
+        The content; None if there is no such file, or if a folder, pipe or device has its name.
+    Raises:
+        LoadError: The file cannot be read, or is larger.
+    """
+    try:
+        # Without O_NONBLOCK, opening a pipe would wait for its writer.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError):
+        return None
+    except OSError as error:
+        raise LoadError(f"{quoted_path(path)} cannot be read: {error.strerror or error}") from None
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            return None
+        with open(descriptor, "rb", closefd=False) as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise LoadError(f"{quoted_path(path)} cannot be read: {error.strerror or error}") from None
+    finally:
+        os.close(descriptor)
+    if len(content) > most:
+        raise LoadError(f"{quoted_path(path)} is larger than {most} bytes")
+    return content
+
+
+def lock_shared(folder: Path, clean: Callable[[], None]) -> int | None:
+    """Take a lock on a folder that several processes may have, and that ends with the process.
+
+    Args:
+        folder: The folder.
+        clean: Called before if no other process has the lock.
+    Returns:
+        An open descriptor, which has the lock until it is closed; None without file locks.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with suppress(OSError):
+            _lock(descriptor, wait=False)
+            clean()
+        _lock(descriptor, wait=True, shared=True)
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor
 
 
 _NAME = re.compile(r"\.pinred-[0-9a-f]{16}\.tmp")
@@ -103,13 +156,14 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
         os.close(descriptor)
 
 
-def _lock(descriptor: int, *, wait: bool) -> None:
+def _lock(descriptor: int, *, wait: bool, shared: bool = False) -> None:
     """Lock a file.  Raises OSError if it is locked, or if the system has no such locks."""
     try:
         import fcntl
     except ImportError as missing:
         raise OSError("this system has no advisory file locks") from missing
-    fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    fcntl.flock(descriptor, kind if wait else kind | fcntl.LOCK_NB)
 
 
 def sweep(folder: int) -> None:
@@ -161,8 +215,8 @@ def check_path(
         InputError: The name is invalid, its folder is missing, or another object has this name.
         OutputError: The folder or an existing file is read-only.
     """
-    if not isinstance(path, (str, os.PathLike)) or "\0" in str(path):
-        raise InputError(f"path must be the name of a file, got {path!r}")
+    if not isinstance(path, (str, os.PathLike)) or not _is_name(path):
+        raise InputError(f"path must be the name of a file, got {brief(path)}")
     path = Path(path)
     name = quoted_path(path)
     if path.suffix not in suffixes:
@@ -177,6 +231,14 @@ def check_path(
             return path
     except OSError as error:
         raise OutputError(f"cannot write {name}: {error.strerror or error}") from None
+
+
+def _is_name(path: str | os.PathLike[str]) -> bool:
+    """Return whether the file system has bytes for a name."""
+    try:
+        return b"\0" not in os.fsencode(path)
+    except (TypeError, ValueError):
+        return False
 
 
 def _check_old(path: Path, name: str) -> None:

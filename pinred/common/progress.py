@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from html import escape
@@ -19,6 +20,8 @@ _R = TypeVar("_R")
 _WIDTH = 30  # width of the bar [characters]
 _EVERY = 0.1  # time between redraws [s]
 _PATIENCE = 0.5  # time before the first draw [s], so that short work shows no bar
+_NOTICE_AFTER = 2.0  # time after which the remaining time is estimated [s]
+_LONG_WORK = 20.0  # remaining time of which a notice warns [s]
 
 
 class ProgressBar:
@@ -72,6 +75,34 @@ def _duration(seconds: float) -> str:
     if hours:
         return f"{hours} h {minutes:02d} min"
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+class LongRunNotice:
+    """A progress function that warns once of the remaining time of long work."""
+
+    def __init__(self, what: str, clock: Callable[[], float] = time.monotonic) -> None:
+        """Start the clock.
+
+        Args:
+            what: The work and its size, as the beginning of a sentence.
+            clock: Function that returns a time [s].
+        """
+        self._what, self._clock, self._began = what, clock, clock()
+        self._is_open = True
+
+    def __call__(self, part: float) -> None:
+        """Warn if the rest of the work, of which the fraction `part` is complete, takes long."""
+        elapsed = self._clock() - self._began
+        if not self._is_open or part <= 0.0 or elapsed < _NOTICE_AFTER:
+            return
+        self._is_open = False
+        left = elapsed * (1.0 - part) / part
+        if left > _LONG_WORK:
+            warnings.warn(
+                f"{self._what}: {100.0 * part:.2g} % took {_duration(elapsed)}, and the rest takes "
+                f"about {_duration(left)}. progress=True shows a bar.",
+                stacklevel=2,
+            )
 
 
 def shown(

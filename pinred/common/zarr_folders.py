@@ -56,20 +56,20 @@ def open_group(path: Path, mode: str = "r") -> Any:
 def create_array(
     group: Any, name: str, dims: Sequence[str], attributes: Mapping[str, Any], **options: Any
 ) -> Any:
-    """Create an uncompressed array in a group.
+    """Create an array in a group, which is uncompressed by default.
 
     Args:
         group: The group.
         name: Name of the array.
         dims: Names of the dimensions.
         attributes: Attributes; empty texts are omitted.
-        options: Options of zarr: shape, dtype, fill_value, and chunks or data.
+        options: Options of zarr: shape, dtype, fill_value, chunks or data, and compressors.
     Returns:
         The array.
     """
     kept = {key: value for key, value in attributes.items() if value != ""}
     return group.create_array(
-        name, dimension_names=list(dims), compressors=None, attributes=kept, **options
+        name, dimension_names=list(dims), attributes=kept, **{"compressors": None, **options}
     )
 
 

@@ -14,8 +14,14 @@ from ..common.arrays import as_floats
 from ..common.errors import ShapeError
 
 _FLOAT = np.dtype(float)
-# Attribute of a group that is the length of the last axis, by the name of the argument.
-_LENGTHS = {"g": "size", "h": "size", "xi": "dim", "eta": "dim", "mu": "dim"}
+# Length of the last axis in a group, by the name of the argument.
+_LENGTHS: dict[str, Callable[[Any], int]] = {
+    **dict.fromkeys(("g", "h"), lambda group: group.size),
+    **dict.fromkeys(("xi", "eta", "mu"), lambda group: group.dim),
+    "attitude": lambda group: group.size - group.linear,
+    "v": lambda group: group.linear,
+    "c": lambda _: 3,
+}
 
 
 def convert_arguments(group: type) -> None:
@@ -47,7 +53,7 @@ def _array(group: Any, name: str, value: Any) -> Any:
     if not isinstance(value, np.ndarray) or value.dtype != _FLOAT:
         value = as_floats(value, name)
     length = _LENGTHS.get(name)
-    shape = group.matrix(group.identity()).shape if length is None else (getattr(group, length),)
+    shape = group.matrix(group.identity()).shape if length is None else (length(group),)
     if value.shape[-len(shape) :] != shape:
         expected = ", ".join(map(str, ("...", *shape)))
         raise ShapeError(f"{name} must have shape ({expected}), got {value.shape}")

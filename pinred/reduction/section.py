@@ -19,6 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pinocchio as pin
 
+from ..common.argument_kinds import call_function
 from ..common.arrays import Array, FrozenArrays, as_floats
 from ..common.errors import InputError, ShapeError
 from ..system.joints import axes_of
@@ -171,7 +172,7 @@ class MovedFrame:
 
     def _element(self, x: Array) -> tuple[Array, Array, Array | None]:
         """Evaluate h: return its pose, Θ, and ∂Θ or None.  Raises InputError for other values."""
-        value = self.section(x.copy())
+        value = call_function(self.section, "h", x.copy())
         if not isinstance(value, tuple) or len(value) not in (2, 3):
             raise InputError(
                 "h(x) must return (group element, Θ), Θ = h⁻¹ ∂h with shape (r, m), and may return "

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.argument_kinds import checks_arguments
+from ..common.argument_kinds import call_function, checks_arguments
 from ..common.arrays import Array, FrozenArrays, vector
 from ..common.errors import InputError
 from ..lie.group import Group
@@ -140,7 +140,7 @@ def euler_poincare_of_lagrangian(
     import casadi as ca
 
     symbols, twist = ca.SX.sym("xi", group.dim), vector(xi, group.dim, "xi", group.twist_names)
-    value = lagrangian(symbols)
+    value = call_function(lagrangian, "lagrangian", symbols)
     if not isinstance(value, ca.SX) or value.shape != (1, 1):
         raise InputError(
             f"lagrangian: expected a scalar CasADi expression in xi, got {type(value).__name__}"

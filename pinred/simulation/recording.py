@@ -230,7 +230,8 @@ def _find_trusted_source(path: Path, source: str) -> str:
     """Return a source that may be loaded without confirmation by the user.
 
     A recording from somebody else could name any file on this machine.  Trusted sources are
-    robots known by name, bundled files, and files in the folder of the recording.
+    robots known by name, bundled files, and files in the folder of the recording, links to other
+    folders excepted.
 
     Args:
         path: Path of the recording.
@@ -242,11 +243,23 @@ def _find_trusted_source(path: Path, source: str) -> str:
     """
     if not is_path(source):
         return source
-    beside = path.parent / Path(source).name
-    if is_file(beside):
-        return str(beside)
-    if Path(source).resolve() in {robot.path.resolve() for robot in bundled_robots().values()}:
-        return source
+    try:
+        # Return the resolved path, so that no link is followed after this check.
+        beside = (path.parent / Path(source).name).resolve()
+        if is_file(beside):
+            if beside.parent == path.parent.resolve():
+                return str(beside)
+            raise LoadError(
+                f"{quoted_path(path)} names the robot file {quoted_path(Path(source).name)}, which "
+                "is a link to another folder. If you trust it, name it (--robot, or robot=)"
+            )
+        if Path(source).resolve() in {robot.path.resolve() for robot in bundled_robots().values()}:
+            return source
+    except (OSError, ValueError, RuntimeError):  # an invalid name, or a loop of links
+        raise LoadError(
+            f"{quoted_path(path)} names the robot file {quoted_path(source)}, which is not a valid "
+            "name. Name another (--robot, or robot=)"
+        ) from None
     raise LoadError(
         f"{quoted_path(path)} names the robot file {quoted_path(source)}, which is in another "
         "folder. If you trust it, name it (--robot, or robot=), or copy it to the same folder."

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, Unpack
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import AccuracyWarning, InputError
 from ..common.names import brief, one_of
-from ..common.progress import Progress, shown
+from ..common.progress import LongRunNotice, Progress, shown
 from ..common.signatures import shows_fields
+from ..integrators.methods import EqualSteps
 from ..scene.repeated_scene import scene_of
 from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
@@ -86,10 +87,25 @@ def simulate(
             "the compiled engine"
         )
     with _opened(checkpoint) as file, shown(progress, "reduced") as done:
+        if done is None and isinstance(plan.method, EqualSteps):
+            done = _notice_of(plan.method, scene.end)
         trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)
     for notice in trajectory.run.notices:
         warnings.warn(notice, AccuracyWarning, stacklevel=3)
     return trajectory
+
+
+_MANY_STEPS = 10**6  # number of steps of which a run may take long
+
+
+def _notice_of(method: EqualSteps, end: float) -> Progress | None:
+    """Return a progress function that warns if many equal steps take long, or None."""
+    if end <= _MANY_STEPS * method.step:
+        return None
+    return LongRunNotice(
+        f"{type(method).__name__}: {end / method.step:.2g} steps of {method.step:g} s are a long "
+        "run; a longer step needs fewer"
+    )
 
 
 def _opened(path: str | Path | None) -> AbstractContextManager[Checkpoint | None]:

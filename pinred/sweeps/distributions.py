@@ -18,6 +18,15 @@ from ..common.names import brief, quoted
 
 # Least distances of a uniform number from 0 and from 1, so that normal values are finite.
 _ABOVE_0, _BELOW_1 = 2.0**-64, 2.0**-53
+_MOST_LISTED = 10**8  # largest number of values of a Grid
+
+
+def _levels(u: Any) -> Array:
+    """Return numbers from 0 to 1 as an array of floats.  Raises InputError for others."""
+    levels = as_floats(u, "u")
+    if not ((levels >= 0.0) & (levels <= 1.0)).all():
+        raise InputError(f"u: expected numbers from 0 to 1, got {brief(u)}")
+    return levels
 
 
 @checks_arguments
@@ -47,7 +56,8 @@ class Listed(Distribution):
     def at(self, u: Array) -> Array:
         """Return listed values; see Distribution."""
         values = self.listed
-        return np.asarray(values[np.minimum((u * len(values)).astype(int), len(values) - 1)])
+        numbers = (_levels(u) * len(values)).astype(int)
+        return np.asarray(values[np.minimum(numbers, len(values) - 1)])
 
 
 @checks_arguments
@@ -68,7 +78,7 @@ class Uniform(Distribution):
 
     def at(self, u: Array) -> Array:
         """Return values; see Distribution."""
-        return np.asarray(self.low + (self.high - self.low) * u)
+        return np.asarray(self.low + (self.high - self.low) * _levels(u))
 
 
 @checks_arguments
@@ -90,7 +100,7 @@ class LogUniform(Distribution):
 
     def at(self, u: Array) -> Array:
         """Return values; see Distribution."""
-        return np.asarray(self.low * (self.high / self.low) ** u)
+        return np.asarray(self.low * (self.high / self.low) ** _levels(u))
 
 
 @checks_arguments
@@ -115,7 +125,8 @@ class Normal(Distribution):
         """Return values; see Distribution."""
         from scipy.special import ndtri
 
-        return np.asarray(self.mean + self.deviation * ndtri(np.clip(u, _ABOVE_0, 1.0 - _BELOW_1)))
+        levels = np.clip(_levels(u), _ABOVE_0, 1.0 - _BELOW_1)
+        return np.asarray(self.mean + self.deviation * ndtri(levels))
 
 
 @checks_arguments
@@ -135,7 +146,7 @@ class Grid(Listed):
 
     def __post_init__(self) -> None:
         _increasing(self.low, self.high, "Grid")
-        whole(self.count, "count of Grid", 2)
+        whole(self.count, "count of Grid", 2, _MOST_LISTED)
 
     @property
     def listed(self) -> Array:

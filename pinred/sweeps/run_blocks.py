@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 
 from .sweep_job import Block, SweepJob
-from .sweep_store import SweepStore
 
 Report = Callable[[float], None]
 
@@ -31,16 +30,15 @@ def compute_locally(
 class PointsDone:
     """The completed fraction of the points of a sweep."""
 
-    def __init__(self, job: SweepJob, store: SweepStore, report: Report | None) -> None:
+    def __init__(self, job: SweepJob, pending: Sequence[int], report: Report | None) -> None:
         """Start from the blocks that are complete.
 
         Args:
             job: The sweep.
-            store: Its store.
+            pending: Indices of the other blocks.
             report: Called with the completed fraction, or None.
         """
         self._job, self._report = job, report
-        pending = store.pending()
         self._done = job.points - sum(self._size(index) for index in pending)
         self.start = self._done / job.points
 

@@ -53,9 +53,10 @@ def sweep(
 ) -> SweepResult:
     """Simulate many points of a scene, in blocks that are stored as soon as they are complete.
 
-    A sweep that was interrupted continues when it is called again with the same store.  All numbers
-    are independent of interruptions, threads and workers.  A point whose values are rejected, such
-    as a negative mass, or whose integration fails, has NaN as outputs and is listed in `failures`.
+    A sweep that was interrupted continues when it is called again with the same store.  Blocks of
+    the store that are damaged are computed again, with a StoreWarning.  All numbers are independent
+    of interruptions, threads and workers.  A point whose values are rejected, such as a negative
+    mass, or whose integration fails, has NaN as outputs and is listed in `failures`.
 
     Args:
         scene: The scene, which states all numbers that do not vary.
@@ -95,12 +96,15 @@ def sweep(
     import_zarr(path, "sweep")
     # xarray and pandas take 60 MB, so they are imported when the blocks are stored.
     require_package("xarray", _NO_XARRAY)
-    results = SweepStore(path, job)
     title = f"sweep of {job.varied.scene.system.name}"
-    with shown(progress, title, job.points, "points") as report:
-        done = PointsDone(job, results, report)
+    with (
+        SweepStore(path, job) as results,
+        shown(progress, title, job.points, "points") as report,
+    ):
+        pending = results.pending()
+        done = PointsDone(job, pending, report)
         done.inside(0, 0.0)
-        for computed in _blocks(job, results.pending(), scheduler, threads, done):
+        for computed in _blocks(job, pending, scheduler, threads, done):
             results.write(computed)
             done.finished(computed.index)
     from .sweep_result import open_result
@@ -117,9 +121,11 @@ def open_sweep(store: str | Path) -> SweepResult:
     Args:
         store: Path of the zarr folder.
     Returns:
-        The results, an xarray.Dataset; its method `point` needs the scene.
+        The results, an xarray.Dataset; its method `point` needs the scene.  Reading a damaged
+        block raises a LoadError.
     Raises:
         InputError: The folder is not the store of a sweep.
+        LoadError: A file that describes the store is missing or damaged.
         MissingPackageError: zarr or xarray is not installed.
     """
     path = Path(store)
@@ -174,9 +180,8 @@ def _job(
     if varied.scene.method == "auto":
         varied.scene = replace(varied.scene, method=members_plan(varied.scene).method.name)
     sequence = PointSequence.of(chosen, laws, count, whole(seed, "seed", 0))
-    return SweepJob(
-        varied, sequence, parse_outputs(varied.scene, outputs), whole(block, "block", 1)
-    )
+    size = min(whole(block, "block", 1), count)  # Chunks have the size of a block.
+    return SweepJob(varied, sequence, parse_outputs(varied.scene, outputs), size)
 
 
 def _check_seeds(vary: Mapping[str, Any], laws: Sequence[Distribution]) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array, whole
 from ..common.cpu_target import cpu_target
-from ..common.errors import InputError, LoopWarning, ShapeError
+from ..common.errors import LoopWarning, ShapeError
 from ..common.names import quoted
 from ..scene.scene import Scene
 from ..simulation.members.member_options import MemberOptions
@@ -96,8 +96,7 @@ class SweepJob:
         Raises:
             InputError: There is no such point, or its values are rejected.
         """
-        if whole(point, "point", 0) >= self.points:
-            raise InputError(f"point: expected 0 to {self.points - 1}, got {point}")
+        point = whole(point, "point", 0, self.points - 1)
         members, seeds = self.varied.member_values(self.values(point, point + 1))
         many = simulate_many(self.varied.scene, members=members, seeds=seeds, invalid="raise")
         return many[0]

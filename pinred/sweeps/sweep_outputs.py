@@ -9,8 +9,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ..common.argument_kinds import call_function
 from ..common.arrays import Array, as_floats
-from ..common.errors import InputError, PinredError, ShapeError
+from ..common.errors import InputError, ShapeError
 from ..common.names import brief, listed, nearest, quoted
 from ..scene.scene import Scene
 from ..simulation.members.trajectories import Trajectories
@@ -70,14 +71,7 @@ class Output:
 
     def _computed(self, function: Function, many: Trajectories) -> Array:
         name = quoted(self.name)
-        try:
-            values = function(many)
-        except PinredError:
-            raise
-        except Exception as error:  # The user's function may raise any exception.
-            raise InputError(
-                f"outputs: the function of {name} raised {type(error).__name__}: {error}"
-            ) from error
+        values = call_function(function, f"outputs: the function of {name}", many)
         if isinstance(values, np.ndarray) and values.dtype == bool:
             values = values.astype(float)
         return as_floats(values, f"outputs: the values of {name}")

@@ -16,7 +16,7 @@ from ..scene.scene import Scene
 from ..simulation.members.member_groups import members_plan
 from .sweep_job import SweepJob
 
-FORMAT = 1
+FORMAT = 2  # Version of the files of a store; those of 1 have no checksums.
 _FIRST = 16  # number of points in the plan; versions of NumPy and SciPy may change them
 
 
@@ -50,8 +50,16 @@ def plan_of_sweep(job: SweepJob) -> dict[str, Any]:
             for output in job.outputs
         },
     }
-    digest = sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-    return {**parts, "hash": digest}
+    return {**parts, "hash": digest_of_parts(parts)}
+
+
+def digest_of_parts(parts: dict[str, Any]) -> str:
+    """Return the entry `hash` of a plan.
+
+    Args:
+        parts: The other entries.
+    """
+    return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def changed_part(old: dict[str, Any], new: dict[str, Any]) -> str:

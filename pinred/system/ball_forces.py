@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from ..common.argument_kinds import checks_arguments
-from ..common.arrays import Array, as_floats, read_only
+from ..common.arrays import Array, as_floats, dimensions, read_only
 from ..common.errors import InputError
 from ..common.names import brief, plain
 from ..common.parameter import Parameter
@@ -85,7 +85,7 @@ class BallSpring(Force):
             )
         object.__setattr__(self, "rest", attitude_of(self.rest, f"rest of a {self.label}"))
         what = f"stiffness of a {self.label}"
-        if isinstance(self.stiffness, Parameter) or np.ndim(self.stiffness) == 0:
+        if isinstance(self.stiffness, Parameter) or dimensions(self.stiffness) == 0:
             object.__setattr__(self, "stiffness", finite(self.stiffness, what))
         else:
             self._check_matrix(what)

@@ -382,9 +382,4 @@ def _load_model(
 
 def is_path(name: str) -> bool:
     """Return whether a source is a file path instead of the name of a known robot."""
-    if "/" in name or Path(name).suffix != "":
-        return True
-    try:
-        return Path(name).is_file()
-    except OSError:  # The operating system rejects the name.
-        return False
+    return "/" in name or Path(name).suffix != "" or is_file(Path(name))

@@ -119,7 +119,7 @@ def frozen_configurations(
     configurations: dict[int, Array] = {}
     neutral = pin.neutral(raw)
     for name, value in locked.items():
-        if not raw.existJointName(name) or name == "universe":
+        if name not in list(raw.names)[1:]:
             names = listed(list(raw.names)[1:], 60)
             raise InputError(f"lock: no joint {quoted(name)}; the joints are {names}")
         joint = raw.joints[raw.getJointId(name)]

@@ -246,7 +246,7 @@ def merge_of(
 
 def _is_ball(raw: pin.Model, name: str) -> bool:
     """Return whether a joint is a ball already."""
-    return bool(raw.existJointName(name)) and raw.joints[raw.getJointId(name)].nq == 4
+    return name in list(raw.names) and raw.joints[raw.getJointId(name)].nq == 4
 
 
 def _named(raw: pin.Model, triples: Sequence[HingeTriple], name: str) -> HingeTriple:
@@ -264,7 +264,7 @@ def _named(raw: pin.Model, triples: Sequence[HingeTriple], name: str) -> HingeTr
             f"balls: hinges {listed(triple.hinges, 3)} cannot become a ball, because "
             f"{triple.why_not}; or leave the name out ({listing})"
         )
-    if not raw.existJointName(name) or name == "universe":
+    if name not in list(raw.names)[1:]:
         raise InputError(f"balls: no ball or hinge {quoted(name)}; {listing}")
     chain = root_chain(raw)
     is_root = raw.getJointId(name) <= (1 if chain is None else chain.last)
@@ -295,7 +295,7 @@ def locked_hinges(
     hinges: dict[str, LockValue] = {}
     for name, value in lock.items():
         # A ball may have the name of its first hinge, which a number then locks.
-        is_joint = raw.existJointName(name) and not isinstance(value, tuple)
+        is_joint = name in list(raw.names) and not isinstance(value, tuple)
         if is_joint or name not in triples:
             values[name] = value
             continue
@@ -319,4 +319,4 @@ def unlocked_balls(
     """
     if isinstance(balls, bool):
         return balls
-    return tuple(name for name in balls if name not in lock or raw.existJointName(name))
+    return tuple(name for name in balls if name not in lock or name in list(raw.names))

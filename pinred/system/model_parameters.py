@@ -121,7 +121,8 @@ def requested(system: System, parameters: Any) -> tuple[dict[str, Any], list[str
         return dict(parameters), []
     every = isinstance(parameters, str) and parameters == "all"
     names = all_names(system) if every else entries_of(parameters)
-    if names is None or (isinstance(parameters, str) and parameters != "all"):
+    is_text = isinstance(parameters, str) and not every
+    if names is None or is_text or not all(isinstance(name, str) for name in names):
         raise InputError(
             "parameters must be {name: value}, a list of names, or 'all' for the robot's inertias "
             f"and placements, got {brief(parameters)}"

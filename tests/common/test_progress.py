@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
+import numpy as np
 import pytest
 from nbclient import NotebookClient
 
@@ -215,3 +216,38 @@ def test_bar_shows_rate_and_remaining_time(monkeypatch: pytest.MonkeyPatch) -> N
     ]  # fmt: skip
     assert progress._duration(3725.0) == "1 h 02 min"
     assert progress._duration(125.0) == "2 min 05 s"
+
+
+def test_long_work_warns_once_of_its_remaining_time() -> None:
+    """The estimate is that of the completed fraction, after some seconds."""
+    from pinred.common.progress import LongRunNotice
+
+    now = [0.0]
+    notice = LongRunNotice("1e8 steps", lambda: now[0])
+    for seconds, part in ((0.1, 0.001), (3.0, 0.0)):
+        now[0] = seconds
+        notice(part)
+    with pytest.warns(UserWarning, match=r"^1e8 steps: 1 % took 3 s, .* takes about 4 min 57 s\."):
+        notice(0.01)
+    notice(0.02)
+    now[0] = 0.0
+    short = LongRunNotice("1e8 steps", lambda: now[0])
+    now[0] = 3.0
+    short(0.2)
+
+
+def test_many_equal_steps_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The notice changes no number, and runs of fewer steps have none."""
+    from pinred.simulation import simulate as module
+
+    cat = pinred.load("falling_cat")
+    options: dict[str, Any] = {"duration": 0.1, "xdot0": [0.1, 0.2, 0.3], "momentum": 0}
+    plain = pinred.simulate(cat, method=pinred.Gauss(step=1e-4), **options)
+    monkeypatch.setattr("pinred.common.progress._NOTICE_AFTER", 0.0)
+    monkeypatch.setattr("pinred.common.progress._LONG_WORK", 0.0)
+    pinred.simulate(cat, method=pinred.Gauss(step=1e-4), **options)
+    monkeypatch.setattr(module, "_MANY_STEPS", 100)
+    with pytest.warns(UserWarning, match=r"Gauss: 1e\+03 steps of 0\.0001 s are a long run"):
+        noticed = pinred.simulate(cat, method=pinred.Gauss(step=1e-4), **options)
+    assert np.array_equal(noticed.x, plain.x)
+    assert not np.array_equal(noticed.x[0], noticed.x[-1])

@@ -208,3 +208,30 @@ def test_equation_error_ignores_round_off_of_aba(monkeypatch: pytest.MonkeyPatch
     assert (result > 0.0).all()
     monkeypatch.setattr(FullStateWithRoundOff, "left", 1e3 * FullStateWithRoundOff.left)
     assert not equation_errors(traj, FullStateWithRoundOff(traj.scene), TIMES).any()
+
+
+def test_size_is_that_of_the_initial_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other report times do not change the size that scales the steps and the units."""
+    sizes: list[float] = []
+
+    def record(traj: Any, times: Array, size: float) -> Accelerations:
+        sizes.append(size)
+        return accelerations(traj, times, size)
+
+    monkeypatch.setattr(module, "accelerations", record)
+    system = pinred.load("planar_chain5")
+    full = None
+    for second in (0.01, 0.4):
+        traj = pinred.simulate(
+            system,
+            x0=[0.3, -0.2, 0.4, 0.1, 0.0],
+            xdot0=[2.0, -1.0, 3.0, 1.0, -2.0],
+            times=[0.0, second, 0.5],
+        )
+        full = FullState(traj.scene)
+        equation_errors(traj, full, TIMES[TIMES <= 0.5])
+    assert full is not None
+    q = traj.system.sorted_q(traj.q)
+    radii = [full.totals.radius_of_gyration(q_t) for q_t in q]
+    assert abs(radii[1] / radii[0] - 1.0) > 1e-3
+    assert sizes == [radii[0], radii[0]]

@@ -14,7 +14,8 @@ from trees import placement, random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.kernels.reference_state import perturb_parameters
-from pinred.reduction.tree.free_bodies import Freed, pattern_of
+from pinred.reduction.tree.body_frames import bodies_of
+from pinred.reduction.tree.free_bodies import STEP, Freed, other_placement, pattern_of, step_of_body
 
 
 def tree(*, gravity: float = 5.0) -> pinred.System:
@@ -137,3 +138,17 @@ def test_perturb_scales_gravity(gravity: float) -> None:
     other = perturb_parameters(system, Freed(inertias=(1,)))
     np.testing.assert_allclose(other.gravity, 1.3 * system.gravity)
     np.testing.assert_allclose(other.model.gravity.linear, other.gravity)
+
+
+def test_step_without_variable_parameters_gives_the_placement_of_the_joint() -> None:
+    """The angles, offset and shift of a step are those of Pinocchio's placement."""
+    system, rng = tree(), np.random.default_rng(0)
+    bodies = bodies_of(system)
+    compared = 0
+    for i in range(1, len(bodies)):
+        found = other_placement(bodies[bodies[i].parent], bodies[i], "0" * STEP, rng)
+        expected = system.model.jointPlacements[i + 1]
+        np.testing.assert_allclose(found.homogeneous, expected.homogeneous, rtol=0, atol=1e-12)
+        step = step_of_body(bodies[i])
+        compared += abs(step[1] - step[2]) > 1e-2 and abs(step[3] - step[1]) > 1e-2
+    assert compared >= 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import resource
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 import pinred
 from pinred.simulation.recording import read_arrays, read_recording
+from pinred.system.catalogue import bundled_robots
 
 
 @pytest.fixture
@@ -87,3 +89,55 @@ def test_recording_loads_robot_from_its_folder(saved: Path) -> None:
     with pytest.raises(pinred.LoadError, match="name it"):
         _ = read_recording(moved).system
     assert read_recording(moved, robot=str(beside)).system.name == "cat"
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".zarr"])
+def test_robot_file_that_is_a_link_is_refused(suffix: str, tmp_path: Path) -> None:
+    """A link in the folder of a recording could name any file; a plain file there is loaded."""
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    inside.mkdir()
+    outside.mkdir()
+    robot = outside / "cat.urdf"
+    shutil.copyfile(bundled_robots()["falling_cat"].path, robot)
+    path = inside / f"m{suffix}"
+    if suffix == ".npz":
+        pinred.simulate(pinred.load(robot, gravity=[0.0, 0.0, 0.0]), seed=0, duration=0.1).save(
+            path
+        )
+    else:
+        many = pinred.simulate_many(
+            pinred.load(robot, gravity=[0.0, 0.0, 0.0]), seeds=[0, 1], duration=0.1
+        )
+        many.save(path)
+
+    def read() -> pinred.System:
+        return (pinred.read_recording if suffix == ".npz" else pinred.read_members)(path).system
+
+    (inside / "cat.urdf").symlink_to(robot)
+    with pytest.raises(pinred.LoadError, match=r"'cat\.urdf', which is a link to another folder"):
+        read()
+    (inside / "cat.urdf").unlink()
+    (inside / "cat.urdf").symlink_to("other.urdf")
+    shutil.copyfile(robot, inside / "other.urdf")
+    assert read().shape_names == ("bend", "sway", "twist")
+    # The folder of a recording may itself be reached by a link.
+    (tmp_path / "link").symlink_to(inside)
+    path = tmp_path / "link" / path.name
+    assert read().shape_names == ("bend", "sway", "twist")
+
+
+@pytest.mark.parametrize(
+    "source",
+    ["a\0b.urdf", "a\0b", "/a\0b/c.urdf", "\ud800.urdf", "x" * 300 + ".urdf", "y" * 300,
+     "a/" * 3000 + "c.urdf", "loop.urdf", "folder.urdf", "..", "/", "/dev/zero", "~/x.urdf"],
+)  # fmt: skip
+def test_robot_name_that_is_no_file_name_is_refused(source: str, tmp_path: Path) -> None:
+    """Names in files may be invalid, or those of folders, devices and loops of links."""
+    path = tmp_path / "m.npz"
+    pinred.simulate(pinred.load("falling_cat"), duration=0.1).save(path)
+    (tmp_path / "loop.urdf").symlink_to("loop.urdf")
+    (tmp_path / "folder.urdf").mkdir()
+    np.savez(path, **{**dict(np.load(path)), "source": np.array(source)})
+    recording = pinred.read_recording(path)
+    with pytest.raises(pinred.LoadError):
+        _ = recording.system

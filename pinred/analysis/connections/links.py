@@ -48,9 +48,10 @@ def link_named(system: System, name: str, what: str) -> Link:
         if frame.parentJoint >= 1 and frame.type == pin.FrameType.BODY
     }
     frame = moving.get(name)
-    if frame is None and isinstance(name, str) and model.existFrame(name):
-        candidate = model.frames[model.getFrameId(name)]
-        frame = candidate if candidate.parentJoint >= 1 else None
+    # Pinocchio raises exceptions for names that are not UTF-8, so the names are compared here.
+    candidate = next((entry for entry in model.frames if entry.name == name), None)
+    if frame is None and candidate is not None and candidate.parentJoint >= 1:
+        frame = candidate
     if frame is None:
         names = list(moving)
         raise InputError(

@@ -14,6 +14,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
+from ...common.argument_kinds import call_function
 from ...common.arrays import Array
 from ...common.differences import central_differences
 from ...common.errors import InputError
@@ -74,11 +75,12 @@ def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> Connecti
     Returns:
         The transformed form.
     Raises:
-        InputError: `pose` returns a wrong number of coordinates.
+        InputError: `pose` fails, or returns a wrong number of coordinates.
     """
     group, m = form.group, form.m
     y = ca.SX.sym("x", m)
-    h = ca.Function("h", [y], [ca.densify(pose(y))])
+    value = call_function(lambda y: ca.densify(ca.SX(pose(y))), "the section of a Connection", y)
+    h = ca.Function("h", [y], [value])
     if h.numel_out(0) != group.size:
         raise InputError(
             f"a section of {group.name} gives {group.size} pose coordinates "

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, FrozenArrays, as_floats, vector
+from ...common.arrays import Array, FrozenArrays, as_floats, vector, whole
 from ...common.errors import InputError
 from ..connections.connection import Connection
 from ..connections.connection_source import ConnectionSource, connection_of
@@ -25,6 +25,7 @@ from ..phases.lift import STAGES, PathSegments, in_space, lift, nodes
 from ..phases.phase import phase
 
 _FLAT = 1e-10  # largest curvature of a flat connection, relative to its terms
+_MOST_SHAPES = 10**6
 _SAMPLES = {1: 101, 2: 31, 3: 13}  # number of grid points per joint, for 1, 2 or 3 joints
 _RANDOM = 2000  # number of random shapes, for more than three joints
 _SEGMENTS = 32  # number of segments of a lifted path
@@ -147,6 +148,8 @@ def flatness(
     bounds = np.tile([-1.0, 1.0], (m, 1)) if limits is None else as_floats(limits, "limits")
     if bounds.shape != (m, 2) or not np.isfinite(bounds).all() or (np.diff(bounds) <= 0.0).any():
         raise InputError(f"limits must be (low, high) of each of {m} joints, got {limits!r}")
+    if samples is not None:
+        samples = whole(samples, "samples", most=int(_MOST_SHAPES ** (1.0 / max(1, m * (m <= 3)))))
     if 1 <= m <= 3:
         count = samples or _SAMPLES[m]
         axes = [np.linspace(low, high, count) for low, high in bounds]

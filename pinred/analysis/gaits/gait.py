@@ -11,12 +11,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, as_floats, positive, read_only, vector, vector_or_zero, vectors
+from ...common.arrays import (
+    Array,
+    as_floats,
+    positive,
+    read_only,
+    vector,
+    vector_or_zero,
+    vectors,
+    whole,
+)
 from ...common.errors import InputError
 from ...common.names import joint_index
 from ...forces.signals import Fourier
 from .arcs import TAU, Arc, FourierArc, PolynomialArc, line, raised
 from .closed_paths import check_joined, winding_number
+
+_MOST_SAMPLES = 10**7
 
 
 @checks_arguments
@@ -36,7 +47,7 @@ class Gait:
     turns: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.arcs:
+        if len(self.arcs) == 0:
             raise InputError("arcs: expected at least one arc")
         turns = vector_or_zero(self.turns if len(self.turns) else 0, self.m, "turns")
         if (turns != np.round(turns)).any():
@@ -286,8 +297,11 @@ class Gait:
             count: Number of times.
         Returns:
             Shapes and rates, (count, m) each.
+        Raises:
+            InputError: The number is below 1, or too large.
         """
-        return self.at(np.arange(count) * (self.period / count))
+        number = whole(count, "count", most=_MOST_SAMPLES)
+        return self.at(np.arange(number) * (self.period / number))
 
     @cached_property
     def limits(self) -> Array:

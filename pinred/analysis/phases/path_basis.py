@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, FrozenArrays
+from ...common.arrays import Array, FrozenArrays, whole
 from ...integrators.gauss.tables import tables
 from ...kernels.connection.connection_code import ConnectionCode
 from ...lie.group import Group
@@ -25,6 +25,7 @@ from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.gait import Gait
 from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lifted, nodes
 
+_MOST_PIECES = 10**6
 _PER_HARMONIC = 8  # default number of segments per harmonic
 
 
@@ -356,13 +357,15 @@ def phase_slopes(
     Returns:
         Values and derivatives.
     Raises:
-        InputError: The gait is not one Fourier series.
+        InputError: The gait is not one Fourier series, or the number of segments is invalid.
     """
     connection = connection_of(connection, "phase_slopes").in_chart()
     connection.refuse_gravity()
     arc = gait.series
     harmonics, m = len(arc.cos), connection.m
-    count = _PER_HARMONIC * (harmonics + 1) if pieces is None else int(pieces)
+    count = _PER_HARMONIC * (harmonics + 1)
+    if pieces is not None:
+        count = whole(pieces, "pieces", most=_MOST_PIECES)
     basis = fourier_basis(harmonics, count, start=arc.start, turn=arc.end - arc.start)
     lift = path_lift(connection, basis, np.vstack([arc.mean[None], arc.cos, arc.sin]))
     length = action = np.nan

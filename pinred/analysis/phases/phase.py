@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
-from ...common.arrays import Array, FrozenArrays, positive, vector_or_zero, whole
+from ...common.arrays import Array, FrozenArrays, positive, vector, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...common.summary import Rows, Summary
 from ...integrators.gauss.tables import tables
@@ -92,7 +92,7 @@ class Phase(Summary, FrozenArrays):
         Args:
             pose: Pose, (size,).
         """
-        named = zip(self.group.pose_names, pose, strict=True)
+        named = zip(self.group.pose_names, vector(pose, self.group.size, "pose"), strict=True)
         return "  ".join(f"{name} {value:.12g}" for name, value in named)
 
     @cached_property

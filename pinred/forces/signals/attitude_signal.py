@@ -92,7 +92,7 @@ class Attitude:
             InputError: A quaternion is zero, or the times do not increase.
         """
         table = as_floats(attitudes, "attitudes")
-        if table.ndim != 2 or table.shape[1] not in (3, 4):
+        if table.ndim != 2 or table.shape[1] not in (3, 4) or not len(table):
             raise ShapeError(
                 "attitudes: expected rotation vectors (n, 3) or quaternions (n, 4), got shape "
                 f"{table.shape}"
@@ -183,7 +183,15 @@ def _signal(value: Any, axis: str) -> Signal:
         return value
     if isinstance(value, str):
         return Expression(value)
-    return Constant(value if isinstance(value, Parameter) else float(as_floats(value, axis)))
+    if isinstance(value, Parameter):
+        return Constant(value)
+    number = as_floats(value, f"vector.{axis} of an Attitude")
+    if number.ndim:
+        raise ShapeError(
+            f"vector.{axis} of an Attitude: expected a signal, a number or a formula in t, got "
+            f"{brief(value)}"
+        )
+    return Constant(float(number))
 
 
 def _exponential(w: ca.SX) -> ca.SX:

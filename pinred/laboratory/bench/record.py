@@ -8,6 +8,7 @@ ratios never compare times of different runs.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable
 from dataclasses import fields
@@ -15,10 +16,12 @@ from pathlib import Path
 
 from ...common.argument_kinds import checks_arguments
 from ...common.errors import InputError, LoadError
-from ...common.files import write_table
+from ...common.files import read_plain_file, write_table
+from ...common.names import quoted_path
 from .work_precision import Point, WorkPrecision
 
 NAME = "accuracy.csv"
+_MOST_BYTES = 10**8
 _POINT = tuple(field.name for field in fields(Point))
 _ABOUT = (
     *("effort", "run", "problem", "description", "joints", "duration"),
@@ -64,11 +67,13 @@ def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
         LoadError: The file cannot be read, or is not a record of `bench accuracy`.
         InputError: The file was measured with another effort.
     """
+    name, content = quoted_path(path), read_plain_file(path, _MOST_BYTES)
+    if content is None:
+        raise LoadError(f"cannot read table {name}: there is no such file")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LoadError(f"cannot read table '{path}': {error}") from None
+        rows = list(csv.DictReader(io.StringIO(content.decode(), newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise LoadError(f"cannot read table {name}: {error}") from None
     groups: dict[tuple[str, str], list[dict[str, str]]] = {}
     try:
         for row in rows:
@@ -78,11 +83,11 @@ def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
     except (KeyError, ValueError, TypeError) as error:
         reason = f"it has no column {error}" if isinstance(error, KeyError) else error
         raise LoadError(
-            f"'{path}' is not accuracy.csv of `pinred bench accuracy`: {reason}"
+            f"{name} is not accuracy.csv of `pinred bench accuracy`: {reason}"
         ) from None
     if effort is not None and other_efforts:
         raise InputError(
-            f"'{path}' was measured as '{min(other_efforts)}', not '{effort}': "
+            f"{name} was measured as '{min(other_efforts)}', not '{effort}': "
             "choose another folder, or the same options"
         )
     return results

@@ -14,7 +14,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
 from ...common.memo import once
-from ...common.names import brief
+from ...common.names import brief, listed, nearest, quoted
 from ...common.signatures import shows_fields
 from ...scene.scene import Scene
 from ...scene.scene_options import SceneOptions
@@ -184,7 +184,15 @@ class Flow:
             name: Name of the input.
         Returns:
             (size,).
+        Raises:
+            InputError: The flow has no such input.
         """
+        known = self.input_map.known
+        if name not in known:
+            raise InputError(
+                f"name: there is no input {quoted(name)}; {nearest(name, known)}the inputs are "
+                f"{listed(known, 60)}"
+            )
         return self.input_map.value(name)
 
     def step(self, h: float) -> StepMap:
@@ -246,9 +254,18 @@ class Flow:
             name: Name of the Callback.
         Returns:
             The Callback.
+        Raises:
+            InputError: CasADi rejects the name.
         """
+        import casadi as ca
+
         from .casadi_adapter import FlowCallback
 
+        if not (name.isascii() and ca.Function.check_name(name)):
+            raise InputError(
+                f"name: expected letters, digits and single underscores that begin with a letter, "
+                f"got {quoted(name)}"
+            )
         return FlowCallback(self.columns(), name)
 
     def jax(self) -> Callable[..., Any]:

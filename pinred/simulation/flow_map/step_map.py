@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive
 from ...common.errors import InputError
 from ...common.names import brief
@@ -15,6 +16,7 @@ from ...system.state_fields import Outcome, State
 
 # Field of State for each input that is a part of the state, in the order of a flow's outputs.
 STATE: dict[str, Outcome] = {"x0": "x", "xdot0": "xdot", "pose0": "pose", "xi0": "xi"}
+_LATEST = 1e100  # [s]; the square of a time is finite, in which a body falls
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class LinearStep(FrozenArrays):
     by_parameters: Array
 
 
+@checks_arguments
 class StepMap:
     """The map (state, parameters) → state of one step of constant length.
 
@@ -112,6 +115,8 @@ class StepMap:
         for name in parameters:
             if name in STATE:
                 raise InputError(f"a step map takes {name} in the state, its first argument")
+        if not abs(t) < _LATEST:
+            raise InputError(f"t: expected a time of at most {_LATEST:g} s, got {t:g}")
         at = self._own if state is None else state
         inputs: dict[str, Any] = dict(parameters)
         for name, field in STATE.items():

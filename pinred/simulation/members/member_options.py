@@ -20,7 +20,7 @@ from ...common.errors import (
     ShapeError,
     SymmetryError,
 )
-from ...common.names import brief
+from ...common.names import brief, listed
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
 from ...scene import input_formats
@@ -154,7 +154,7 @@ class MemberOptions:
             sizes["seeds"] = len(self.seeds)
         if len(set(sizes.values())) != 1:
             lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items()) or "none"
-            shared = ", ".join(self.common["parameters"])
+            shared = listed([str(name) for name in self.common["parameters"]])
             raise ShapeError(
                 f"at least one of {_OPTIONS} must have shape (N, …), all with the same N; "
                 f"the lengths are {lengths}" + (f", and one for all {shared}" if shared else "")

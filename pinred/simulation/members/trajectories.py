@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
-from ...common.errors import IntegrationError
+from ...common.errors import InputError, IntegrationError
 from ...common.files import check_path, write_atomic
+from ...common.names import listed, nearest, quoted
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
@@ -183,7 +184,17 @@ class Trajectories(OverTime):
             names: Names of fields of State, except the time.
         Returns:
             {name: (N, T, …)}.
+        Raises:
+            InputError: A name is unknown.
         """
+        kind = State if self._wants_all else ShapeState
+        known = [name for name in kind.__dataclass_fields__ if name != "t"]
+        for name in names:
+            if name not in known:
+                raise InputError(
+                    f"names: there is no field {quoted(name)}; {nearest(name, known)}the fields "
+                    f"are {listed(known, 60)}"
+                )
         if "outputs" in vars(self):
             return {name: getattr(self.outputs, name) for name in names}
         missing = arrays_of(_missing_states(self.system, self.t, wanted=self._wants_all))
