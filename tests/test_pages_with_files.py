@@ -49,7 +49,16 @@ def robot_files() -> dict[str, str]:
         "humanoid.xml": robot_texts.mjcf(body("root", free, hip("lfemur"), hip("head"))),
         "four_bar.urdf": (bundled_folder() / "four_bar.urdf").read_text("utf-8"),
         "robot.urdf": robot_texts.robot(*links, robot_texts.joint("thigh", "shin", content=damped)),
+        "arm.sdf": f'<sdf version="1.9">{sdf_model("arm")}</sdf>',
+        "world.sdf": (
+            f'<sdf version="1.9"><world name="w">{sdf_model("arm")}{sdf_model("box")}</world></sdf>'
+        ),
     }
+
+
+def sdf_model(name: str) -> str:
+    """Return an SDF model of one link."""
+    return f'<model name="{name}"><link name="base"/></model>'
 
 
 @pytest.mark.by_hand
@@ -60,8 +69,10 @@ def test_code_of_page_on_robots_runs(tmp_path: Path, monkeypatch: pytest.MonkeyP
         pytest.skip("example-robot-data is not installed")
     import mujoco
 
+    pytest.importorskip("pydrake")
     for name, text in robot_files().items():
         (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "models").mkdir()
     monkeypatch.chdir(tmp_path)
     scope = {"pinred": pinred, "mujoco": mujoco, "np": np}
     values = {}

@@ -51,7 +51,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--time T", "duration of the motion of a robot [s]", float)
     add("--seed S", "random seed of the initial state of a robot", int)
     add("--group G", "symmetry group of a robot")
-    add("--root BODY", "root body of a robot in an MJCF file with several")
+    add("--root BODY", "root body of a robot in an MJCF or SDF file with several")
     add_parameters(sub)
 
 

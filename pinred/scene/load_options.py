@@ -69,7 +69,8 @@ LOAD = Table(
         ),
         "root": Key(
             Text((), "the name of a body"),
-            "root body of the robot, for MJCF files in which several bodies of the world move",
+            "root body of the robot, for MJCF files in which several bodies of the world move; "
+            "base link, or model, of the robot, for SDF files with several",
             default="the only one that moves",
             command="--root BODY",
         ),
@@ -78,8 +79,10 @@ LOAD = Table(
         ),
         "meshes": Key(
             Either((Text((), "a folder"), ListOf(Text((), "a folder")))),
-            "folders with the meshes of a URDF, relative to this file",
+            "folders with the meshes of a URDF, or with the models that an SDF file includes; in "
+            "scene files relative to them",
             default="folders above the robot's file",
+            command="--meshes FOLDER",
         ),
     },
     "the options of pinred.load",

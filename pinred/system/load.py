@@ -49,7 +49,7 @@ from .read_sdf import read_sdf
 from .read_urdf import read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_description import Model
-from .robot_file_contents import Contents, Coupling, Origin
+from .robot_file_contents import Contents, Coupling, LeftOut, Origin
 from .robot_files import is_mjcf, outermost, read_text, text_in_file
 from .split_joints import split_joints
 from .stated_limits import stated_limits
@@ -78,6 +78,8 @@ class _Robot:
         initial: Generic initial state, if any.
         warning: Warning about the text of the file, or "".
         springs: Springs at joints.
+        loops: Loops that the file closes.
+        left_out: Actions in the file that are not simulated.
     """
 
     raw: pin.Model
@@ -88,6 +90,8 @@ class _Robot:
     initial: InitialState | None = None
     warning: str = ""
     springs: tuple[Spring, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
 
 @checks_arguments
@@ -114,7 +118,7 @@ def load(
     inertias, for commas in number lists of a URDF file, and for armature of a free joint.
 
     Args:
-        source: Name of a bundled robot or of one in example-robot-data; path of a URDF or MJCF
+        source: Name of a bundled robot or of one in example-robot-data; path of a URDF, MJCF or SDF
             file; pin.Model, which is copied; pin.RobotWrapper or pair (model, visual_model),
             whose shapes playback shows; mujoco.MjModel; mujoco.MjSpec; or pinred.Model.
         text: Content of a URDF, MJCF or SDF file instead of a source, such as ROS's parameter
@@ -129,12 +133,13 @@ def load(
             locked joint are locked with it.
         gravity: Gravity in the world frame, (3,) [m/s²].  If None, the robot's gravity
             (Pinocchio's 9.81 along −z for a URDF).
-        root: For MJCF, the body of the world that carries the robot, if several can move.
+        root: For MJCF, the body of the world that carries the robot, if several can move.  For
+            SDF, the base link of the robot, or its model.
         strict: Whether to reject robots with doubtful inertias instead of emitting a warning.
             Inertias are doubtful if no mass distribution has these moments, or if the mass matrix
             is singular at isolated shapes.
-        meshes: Folder, or folders, in which playback looks for the meshes of a URDF file, besides
-            those above the file.
+        meshes: Folder, or folders, in which playback looks for the meshes of a URDF file, and
+            `load` for the models that an SDF file includes, besides those above the file.
         parameters: Robot parameters {name: value} that replace values of the file, such as masses
             and placements; `Scene` lists the names.
         balls: Three consecutive hinges to merge into a ball joint, by the name of the ball or of a
@@ -151,7 +156,7 @@ def load(
         LoadError: The source does not exist or cannot be read.
         ModelError: pinred cannot reduce the model, or a loop does not close.
         InputError: The group, a joint, the root or another argument is not valid.
-        MissingPackageError: The source is MJCF and mujoco is not installed.
+        MissingPackageError: The source is MJCF or SDF, and mujoco or drake is not installed.
     """
     if isinstance(source, Model) and text is None:
         balls = (source.balls or False) if balls is False else balls
@@ -198,7 +203,7 @@ def _load_source(
     if mjcf_kind := _mjcf_kind(source):
         if folders:
             raise InputError(
-                "meshes= applies to URDF only; an MJCF file contains the paths of its meshes"
+                "meshes= applies to URDF and SDF; an MJCF file contains the paths of its meshes"
             )
         return _load_mujoco(
             source, mjcf_kind, group, locked, gravity, root=root, balls=balls, loops=loops
@@ -215,12 +220,12 @@ def _load_source(
         raise InputError(
             "meshes= applies to robots from files only; shapes of a model are passed with it"
         )
-    if root is not None:
+    if root is not None and not _is_sdf(source):
         raise InputError(
-            f"root={quoted(root)} applies to MJCF only; in a URDF file or a model one link "
+            f"root={quoted(root)} applies to MJCF and SDF only; in a URDF file or a model one link "
             "carries the robot"
         )
-    robot = _read(source, group, locked, folders)
+    robot = _read(source, group, locked, folders, root)
     bundled = catalogue.bundled_robots().get(str(source))
     balls = balls or (balls is False and bundled is not None and bundled.balls)
     if bundled is not None:
@@ -289,8 +294,9 @@ def _read(
     group: Group | None,
     locked: Mapping[str, LockValue],
     folders: tuple[str, ...],
+    root: str | None,
 ) -> _Robot:
-    """Read a robot from a name, a URDF file or a model; the arguments are those of `load`."""
+    """Read a robot from a name, a URDF or SDF file or a model; see `load` for the arguments."""
     if isinstance(source, pin.Model):
         return _Robot(*without_mimics(source), source.name, None, group)
     name = str(source)
@@ -304,11 +310,20 @@ def _read(
             x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
             initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
         return _Robot(raw, couplings, name, origin, group, initial, warning)
-    if is_path(name) and outermost(read_text(Path(source))) == "sdf":
-        origin = replace(origin, source=str(Path(source).absolute()))
-        sdf = read_sdf(Path(source))
-        name = Path(source).stem
-        return _Robot(sdf.model, (), name, origin, group, warning=sdf.warning, springs=sdf.springs)
+    if _is_sdf(source):
+        origin = replace(origin, source=str(Path(source).absolute()), root=root)
+        sdf = read_sdf(Path(source), folders, root)
+        return _Robot(
+            sdf.model,
+            sdf.couplings,
+            Path(source).stem,
+            origin,
+            group,
+            warning=sdf.warning,
+            springs=sdf.springs,
+            loops=sdf.loops,
+            left_out=sdf.left_out,
+        )
     if is_path(name):
         raw, couplings, warning = read_urdf(Path(source))
         origin = replace(origin, source=str(Path(source).absolute()))
@@ -356,6 +371,7 @@ def _load_model(
     contents = replace(
         passive,
         left_out=(
+            *robot.left_out,
             *passive.left_out,
             *merge.left_out(forces),
             *merge.limits(split.model),
@@ -367,7 +383,7 @@ def _load_model(
         couplings=couplings,
         locked=locked_joints,
         merged=merge.triples,
-        loops=parse_loops(loops.loops),
+        loops=parse_loops((*robot.loops, *loops.loops)),
     )
     initial = robot.initial
     if initial is not None:
@@ -378,6 +394,13 @@ def _load_model(
     model.name = robot.name
     system = System(model, robot.name, initial, robot.origin, contents)
     return with_constant_loops(system, loops.driven)
+
+
+def _is_sdf(source: object) -> bool:
+    """Return whether a source is the path of an SDF file."""
+    if not isinstance(source, (str, Path)) or str(source) in catalogue.bundled_robots():
+        return False
+    return is_path(str(source)) and outermost(read_text(Path(source))) == "sdf"
 
 
 def is_path(name: str) -> bool:

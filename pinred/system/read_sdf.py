@@ -1,34 +1,45 @@
-"""read_sdf(): the model in an SDF file, as Drake reads it (extra `sdf`).
+"""read_sdf(): the robot in an SDF file (extra `sdf`).
 
-Drake resolves poses, frames, included and nested models.  pinred takes its bodies and joints, and
-refuses closed loops and several floating models.  Dry friction, which Drake leaves out, is read
-from the text.
+`sdf_document` reads the file and the files that it includes, and writes copies.  Drake reads the
+copies: it resolves poses, frames and nested models.  pinred takes its bodies and joints, and the
+numbers of joints from the document.  One robot is everything that joints connect.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree
+from tempfile import TemporaryDirectory
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..common.errors import LoadError, ModelError
-from ..common.names import listed, plain_path, quoted
+from ..common.errors import ChoiceError, InputError, LoadError, ModelError
+from ..common.names import listed, nearest, plain_path, quoted
 from ..common.optional_packages import install_command, optional_package
+from .loops.loop import Loop
 from .passive import Spring
 from .rebuild import PRISMATIC, REVOLUTE, ModelBuilder, joint_along
-from .robot_files import read_text, read_xml
+from .robot_file_contents import Coupling, LeftOut
+from .sdf_document import JOINT_TYPES, Axis, BallConstraint, JointWords, SdfDocument, read_document
+from .sdf_words import CONTACT
 
 INSTALL = install_command("sdf")
-_JOINTS = "revolute, continuous, prismatic, universal, screw, ball or fixed joints"
 _ALIGNED = 1e-12  # largest deviation of an axis from x, y or z that counts as round-off
+_CUT = {"weld": "6d", "ball_rpy": "3d", "revolute": "z"}  # types that a loop can replace, its kinds
+_REVERSIBLE = ("weld", "ball_rpy", "revolute", "prismatic")
+_WORLD = 0  # index of the world among Drake's bodies
+# Names of the parts of joints with two axes or more, as `split_joints` names them.
+_PARTS = {"universal": (".1", ".2")}
+
+Key: TypeAlias = tuple[str, str]  # name of a model and of a link or joint in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,69 +49,106 @@ class SdfRobot:
     Attributes:
         model: Model with the root joint of the file; without one, its first body is fixed.
         springs: Springs at joints.
-        warning: Warning about parts of the file that are not read, or "".
+        warning: Warning about parts of the file that are not read as written, or "".
+        couplings: Couplings of its joints.
+        loops: Loops that joints with a second parent link, and points that coincide, close.
+        left_out: Actions in the file that are not simulated.
+        joints: Model and name in the file of each joint.
+        links: Model and name in the file of each link.
+        base: Name of the link that carries the others; "" if the world carries several.
+        fixed: Names of the links that the file fixes to the world.
     """
 
     model: pin.Model
     springs: tuple[Spring, ...]
     warning: str
+    couplings: tuple[Coupling, ...]
+    loops: tuple[Loop, ...]
+    left_out: tuple[LeftOut, ...]
+    joints: Mapping[str, Key]
+    links: Mapping[str, Key]
+    base: str
+    fixed: tuple[str, ...]
 
 
-def read_sdf(path: Path) -> SdfRobot:
+def read_sdf(path: Path, folders: Sequence[str] = (), root: str | None = None) -> SdfRobot:
     """Read the robot in an SDF file.
 
     Args:
         path: Path of the file.
+        folders: Folders in which included models are searched.
+        root: Base link, or model, of the robot, if several can move.
     Returns:
         The robot.
     Raises:
-        LoadError: Drake cannot read the file.
+        LoadError: A file cannot be read.
         ModelError: pinred cannot reduce the robot.
+        ChoiceError: Several robots can move, and `root` names none.
+        InputError: `root` names no robot.
         MissingPackageError: drake is not installed.
     """
-    read_xml(path)  # rejects files that are too large or too deeply nested
-    text = ElementTree.fromstring(read_text(path).strip())
-    plant, messages = _plant(path)
-    if followers := list(text.iter("mimic")):
-        raise ModelError(
-            f"{plain_path(path)} has {len(followers)} joints that follow others (<mimic>), which "
-            "pinred does not read from SDF; convert the file to URDF, or remove the element"
-        )
-    tree = _Tree(plant, _frictions(text))
-    model = tree.build(path)
-    gravity = text.find("world/gravity")
-    if gravity is not None:
-        model.gravity.linear = np.array([float(word) for word in (gravity.text or "").split()])
-    return SdfRobot(model, tree.springs(), _warning(messages, tree.fixed))
+    document = read_document(path, folders, tolerant=root is not None)
+    plant, messages = _plant(path, document)
+    assembly = _Assembly(path, plant, document)
+    tree = _Tree(assembly, _chosen(assembly, root))
+    model = tree.build()
+    if document.gravity is not None:
+        model.gravity.linear = document.gravity
+    left_out = tree.left_out()
+    if tree.is_weightless():
+        model.gravity.linear = np.zeros(3)
+    base = tree.base
+    return SdfRobot(
+        model=model,
+        springs=tree.springs,
+        warning=_warning(messages, tree.fixed),
+        couplings=tree.couplings(),
+        loops=tuple(tree.loops),
+        left_out=left_out,
+        joints={name: key for key, name in tree.joint_names.items()},
+        links={name: key for key, name in tree.link_names.items()},
+        base="" if base is None else tree.link_names[assembly.link(base)],
+        fixed=tuple(tree.fixed),
+    )
 
 
-def _plant(path: Path) -> tuple[Any, list[str]]:
-    """Return Drake's plant with the file's models, before it is finished, and its warnings."""
+def _plant(path: Path, document: SdfDocument) -> tuple[Any, list[str]]:
+    """Return Drake's plant with the models of a document, not finalised, and its warnings."""
     why = f"SDF is read by Drake's parser: {INSTALL}"
     plants = optional_package("pydrake.multibody.plant", why)
     parsing = optional_package("pydrake.multibody.parsing", why)
     plant = plants.MultibodyPlant(0.0)
-    with _drake_warnings() as messages:
+    with TemporaryDirectory(prefix="pinred-") as name, drake_warnings() as messages:
+        folder = Path(name)
         try:
-            models = parsing.Parser(plant).AddModels(str(path))
+            models = parsing.Parser(plant).AddModels(str(document.write(folder)))
         except Exception as error:  # Drake raises RuntimeError and other types.
-            reason = str(error).strip().splitlines()[0].partition("error: ")
-            words = f"Drake cannot read {plain_path(path)}: {reason[2] or reason[0]}"
-            remedy = f"; use {_JOINTS}" if "Joint type" in words else ""
-            raise LoadError(f"{words.removesuffix('.')}{remedy}") from None
+            message = document.with_own_paths(str(error).strip(), folder).splitlines()[0]
+            raise LoadError(f"Drake cannot read {_located(path, message)}") from None
+        messages[:] = [document.with_own_paths(message, folder) for message in messages]
     if not models:
         raise LoadError(f"{plain_path(path)} contains no model")
-    if plant.num_constraints():
-        raise ModelError(
-            f"{plain_path(path)} has {plant.num_constraints()} constraints between bodies, which "
-            "close loops; remove them"
-        )
     return plant, messages
 
 
+def _located(path: Path, message: str) -> str:
+    """Return the file, the line and the reason from an error message of Drake."""
+    match = re.match(r"(?P<file>.*?):(?P<line>\d+): error: (?P<why>.*)", message)
+    where, why = plain_path(path), message.partition("error: ")[2] or message
+    if match is not None:
+        line = f", line {match['line']}" if match["line"] != "0" else ""
+        where, why = f"{match['file']}{line}", match["why"]
+    why = re.sub(r"^At XML path \S+: ", "", why).removesuffix(".")
+    return f"{where}: {why}"
+
+
 @contextmanager
-def _drake_warnings() -> Iterator[list[str]]:
-    """Collect the warnings that Drake logs, instead of printing them."""
+def drake_warnings() -> Iterator[list[str]]:
+    """Collect the warnings that Drake logs, instead of printing them.
+
+    Yields:
+        The messages.
+    """
     logger, messages = logging.getLogger("drake"), list[str]()
     handler = logging.Handler()
     handler.emit = lambda record: messages.append(record.getMessage())  # type: ignore[method-assign]
@@ -112,181 +160,551 @@ def _drake_warnings() -> Iterator[list[str]]:
         logger.handlers[:], logger.propagate = before
 
 
-class _Tree:
-    """The bodies and joints of a plant as a pin.Model.
+@dataclass(frozen=True)
+class _Robot:
+    """Bodies that joints connect.
 
     Attributes:
-        fixed: Names of the bodies that the file fixes to the world.
+        bodies: Indices of the bodies.
+        joints: The joints between them, and to the world.
+        constraints: Points of them that coincide.
     """
 
-    def __init__(self, plant: Any, frictions: dict[str, float]) -> None:
-        """Find the joint that carries each body.
+    bodies: tuple[int, ...]
+    joints: tuple[Any, ...]
+    constraints: tuple[BallConstraint, ...]
 
-        Args:
-            plant: Drake's plant.
-            frictions: Dry friction by joint [N·m | N].
-        Raises:
-            ModelError: Joints close a loop.
-        """
-        self._plant, self._frictions = plant, frictions
-        self._builder, self.fixed = ModelBuilder(), list[str]()
+    @property
+    def anchors(self) -> list[Any]:
+        """Joints to the world."""
+        return [joint for joint in self.joints if _WORLD in _ends(joint)]
+
+    @property
+    def can_move(self) -> bool:
+        """Whether a body moves relative to the world."""
+        return not self.anchors or any(joint.type_name() != "weld" for joint in self.joints)
+
+
+class _Assembly:
+    """The bodies and joints of a plant.
+
+    Attributes:
+        path: Path of the file, for messages.
+        plant: Drake's plant.
+        document: The document.
+        robots: Bodies that joints connect.
+    """
+
+    def __init__(self, path: Path, plant: Any, document: SdfDocument) -> None:
+        self.path, self.plant, self.document = path, plant, document
+        joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+        numbers = {self.link(k): k for k in range(1, plant.num_bodies())}
+        pairs = [_ends(joint) for joint in joints]
+        tied = []
+        for constraint in document.constraints:
+            keys = [(constraint.model, name) for name in constraint.links]
+            for key in keys:
+                if key not in numbers:
+                    raise LoadError(
+                        f"{plain_path(path)}, {constraint.where}: <drake:ball_constraint> names no "
+                        f"link {quoted(key[1])}; write the name of a link of its model"
+                    )
+            tied.append((numbers[keys[0]], numbers[keys[1]]))
+        parts = _Parts(plant.num_bodies())
+        for a, b in [*pairs, *tied]:
+            if _WORLD not in (a, b):
+                parts.join(a, b)
+        bodies: dict[int, list[int]] = {}
+        for body in range(1, plant.num_bodies()):
+            bodies.setdefault(parts.of(body), []).append(body)
+        joined: dict[int, list[Any]] = {}
+        for joint, pair in zip(joints, pairs, strict=True):
+            joined.setdefault(parts.of(max(pair)), []).append(joint)
+        self.robots = [
+            _Robot(
+                tuple(group),
+                tuple(joined.get(part, [])),
+                tuple(
+                    constraint
+                    for constraint, pair in zip(document.constraints, tied, strict=True)
+                    if parts.of(pair[0]) == part
+                ),
+            )
+            for part, group in bodies.items()
+        ]
+
+    def link(self, body: int) -> Key:
+        """Return the model and name of a body."""
+        body_ = self.plant.get_body(_index("Body", body))
+        return str(self.plant.GetModelInstanceName(body_.model_instance())), str(body_.name())
+
+    def joint(self, joint: Any) -> Key:
+        """Return the model of a joint, and its name in the file."""
+        key = (str(self.plant.GetModelInstanceName(joint.model_instance())), str(joint.name()))
+        return key[0], self.document.renamed.get(key, key[1])
+
+    def words(self, joint: Any) -> JointWords:
+        """Return the words of a joint; no numbers for joints that Drake has added."""
+        nothing = JointWords(joint.type_name(), "")
+        key = self.joint(joint)
+        if key[0] == self.plant.GetModelInstanceName(_index("ModelInstance", 0)):
+            key = ("", key[1])
+        return self.document.joints.get(key, nothing)
+
+    def bases(self, robot: _Robot) -> list[int]:
+        """Return the bodies that the world carries, or the first body that no joint carries."""
+        if robot.anchors:
+            return [next(k for k in _ends(joint) if k != _WORLD) for joint in robot.anchors]
+        children = {_ends(joint)[1] for joint in robot.joints}
+        return [*(body for body in robot.bodies if body not in children), robot.bodies[0]][:1]
+
+
+def _ends(joint: Any) -> tuple[int, int]:
+    """Return the indices of the parent and the child of a joint."""
+    return int(joint.parent_body().index()), int(joint.child_body().index())
+
+
+class _Parts:
+    """Connected parts of a graph, to which edges are added."""
+
+    def __init__(self, size: int) -> None:
+        self._above = [*range(size)]
+
+    def of(self, node: int) -> int:
+        """Return the part of a node, by one of its nodes."""
+        while self._above[node] != node:
+            self._above[node] = node = self._above[self._above[node]]
+        return node
+
+    def join(self, a: int, b: int) -> bool:
+        """Add an edge; return whether it connects two parts."""
+        first, second = sorted((self.of(a), self.of(b)))
+        self._above[second] = first
+        return first != second
+
+
+def _chosen(assembly: _Assembly, root: str | None) -> _Robot:
+    """Return the robot that `root` names, or the only one that can move."""
+    moving = [robot for robot in assembly.robots if robot.can_move]
+    path = plain_path(assembly.path)
+    if root is None and len(moving) == 1:
+        return moving[0]
+    robots = moving or assembly.robots
+    if root is None and len(robots) == 1:
+        return robots[0]
+    if not robots:
+        raise LoadError(f"{path} contains no links")
+    models, bases = dict[str, set[int]](), dict[str, set[int]]()  # robots by name
+    for number, robot in enumerate(robots):
+        for body in robot.bodies:
+            parts = assembly.link(body)[0].split("::")
+            for k in range(len(parts)):
+                models.setdefault("::".join(parts[: k + 1]), set()).add(number)
+        for base in assembly.bases(robot):
+            model, name = assembly.link(base)
+            for label in (name, f"{model}::{name}"):
+                bases.setdefault(label, set()).add(number)
+    unique = {
+        name: min(numbers)
+        for names in (models, bases)
+        for name, numbers in names.items()
+        if len(numbers) == 1
+    }
+    first: dict[int, str] = {}
+    for name, number in unique.items():
+        first.setdefault(number, name)
+    choices = sorted(first, key=lambda number: -len(robots[number].joints))
+    names = [first[number] for number in choices]
+    if root is not None:
+        if root in unique:
+            return robots[unique[root]]
+        raise InputError(
+            f"root: no robot of {path} has the model or base link {quoted(root)}; "
+            f"{nearest(root, [*unique])}choose one of {listed(names, 60)}"
+        )
+    if not moving:
+        raise ModelError(f"nothing moves in {path}: all links are fixed to the world")
+    raise ChoiceError(
+        f"{path} has several robots ({listed(names)}); choose one with root=", "root", tuple(names)
+    )
+
+
+class _Tree:
+    """The links and joints of a robot as a pin.Model.
+
+    Attributes:
+        base: Index of the body that carries the others; None if the world carries several.
+        fixed: Names of the links that the file fixes to the world.
+        springs: Springs at joints.
+        loops: Loops that close.
+        joint_names: Name of each joint.
+        link_names: Name of each link.
+    """
+
+    def __init__(self, assembly: _Assembly, robot: _Robot) -> None:
+        self._assembly, self._robot = assembly, robot
+        self._plant, self._document = assembly.plant, assembly.document
+        self._builder = ModelBuilder()
+        self.fixed, self.loops = list[str](), list[Loop]()
+        self.springs: tuple[Spring, ...] = ()
         self._losses = [np.empty((2, 0))]
         self._most = [np.empty((2, 0))]  # largest rates and efforts
-        joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-        self._on: dict[int, list[Any]] = {}
-        carriers: dict[int, Any] = {}
-        for joint in joints:
-            child = int(joint.child_body().index())
-            if child in carriers or child == 0:
-                other = carriers[child].name() if child in carriers else "the world"
+        self._places: dict[int, tuple[int, pin.SE3]] = {_WORLD: (0, pin.SE3.Identity())}
+        self._left_out: dict[str, list[str]] = {}
+        bases = assembly.bases(robot)
+        self.base: int | None = bases[0] if len(bases) == 1 else None
+        self.link_names = _names([assembly.link(body) for body in robot.bodies])
+        moving = [joint for joint in robot.joints if joint.type_name() != "weld"]
+        self.joint_names = _names([assembly.joint(joint) for joint in moving])
+        for joint in moving:
+            if self._name(joint) == "universe":
                 raise ModelError(
-                    f"closed loops are not supported: link {quoted(joint.child_body().name())} "
-                    f"is carried by {quoted(joint.name())} and by {quoted(other)}; remove one"
+                    f"{self._where(joint)}: joint 'universe' has a reserved name; rename it"
                 )
-            carriers[child] = joint
-            self._on.setdefault(int(joint.parent_body().index()), []).append(joint)
-        bodies = [plant.get_body(_index("Body", k)) for k in range(1, plant.num_bodies())]
-        self._floating = [body for body in bodies if int(body.index()) not in carriers]
 
-    def build(self, path: Path) -> pin.Model:
+    def _name(self, joint: Any) -> str:
+        """Return the name of a joint."""
+        return self.joint_names.get(self._assembly.joint(joint), str(joint.name()))
+
+    def _link(self, body: int) -> str:
+        """Return the name of a body."""
+        return "world" if body == _WORLD else self.link_names[self._assembly.link(body)]
+
+    def _where(self, joint: Any) -> str:
+        """Return the file and the line of a joint."""
+        words = self._assembly.words(joint)
+        return f"{plain_path(self._assembly.path)}{f', {words.where}' if words.where else ''}"
+
+    def build(self) -> pin.Model:
         """Return the model.
 
-        Args:
-            path: Path of the file, for messages.
         Raises:
-            ModelError: Several bodies float, or one floats beside bodies on the world.
+            ModelError: A joint, or a loop, is of a type that pinred does not read.
         """
-        anchored = [joint.child_body().name() for joint in self._on.get(0, [])]
-        names = [body.name() for body in self._floating]
-        if len(names) + bool(anchored) > 1:
-            raise ModelError(
-                f"{plain_path(path)} has several robots ({listed([*names, *anchored])}); "
-                "keep one model in the file"
-            )
-        at = pin.SE3.Identity()
-        if names:
-            self._add_body(self._floating[0], 0, at)
-        else:
-            self._add_children(0, 0, at)
+        kept, cut = self._spanning()
+        around: dict[int, list[Any]] = {}
+        for joint in kept:
+            for body in _ends(joint):
+                around.setdefault(body, []).append(joint)
+        start = _WORLD
+        if not self._robot.anchors:
+            assert self.base is not None
+            start = self.base
+            self._add_body(start, 0, pin.SE3.Identity())
+        done, stack = {start}, [(start, joint) for joint in reversed(around.get(start, []))]
+        while stack:
+            body, joint = stack.pop()
+            parent, child = _ends(joint)
+            other = child if body == parent else parent
+            if other in done:
+                continue
+            done.add(other)
+            self._attach(joint, body, other)
+            stack += [(other, one) for one in reversed(around.get(other, []))]
+        for joint in cut:
+            self._close(joint)
+        for constraint in self._robot.constraints:
+            self._tie(constraint)
         model = self._builder.finish()
         model.damping, model.upperDryFrictionLimit = np.concatenate(self._losses, axis=1)
         model.lowerDryFrictionLimit = -model.upperDryFrictionLimit
         model.upperVelocityLimit, model.upperEffortLimit = np.concatenate(self._most, axis=1)
         return model
 
-    def springs(self) -> tuple[Spring, ...]:
-        """Return the springs of the plant; all are at revolute or prismatic joints."""
-        plant, springs = self._plant, []
-        names = {
-            "RevoluteSpring": ("default_stiffness", "default_nominal_angle"),
-            "PrismaticSpring": ("stiffness", "nominal_position"),
-        }
-        for index in range(plant.num_force_elements()):
-            element = plant.get_force_element(_index("ForceElement", index))
-            type_name = type(element).__name__.partition("_")[0]
-            if type_name in names:
-                stiffness, rest_position = (getattr(element, name)() for name in names[type_name])
-                springs.append(Spring(element.joint().name(), stiffness, rest_position))
-        return tuple(springs)
+    def _spanning(self) -> tuple[list[Any], list[Any]]:
+        """Return the joints of a spanning tree, in the file's order, and those that close loops.
 
-    def _add_body(self, body: Any, carrier: int, at: pin.SE3) -> None:
-        """Add a body at a placement on a joint, and the bodies that it carries."""
-        model = self._builder.model
-        model.appendBodyToJoint(carrier, _inertia(body), at)
-        frame = pin.Frame(body.name(), carrier, 0, at, pin.FrameType.BODY)
-        model.addFrame(frame, False)
-        self._add_children(int(body.index()), carrier, at)
+        A joint is rather cut if a loop can replace it, if its child has another parent, and if it
+        has no forces and no follower.
+        """
+        robot = self._robot
+        parents: dict[int, int] = {}
+        for joint in robot.joints:
+            child = _ends(joint)[1]
+            parents[child] = parents.get(child, 0) + 1
+        mimics = [m for joint in robot.joints for m in self._assembly.words(joint).mimics]
+        leaders = {mimic.leader for mimic in mimics}
 
-    def _add_children(self, parent: int, carrier: int, at: pin.SE3) -> None:
-        """Add the bodies that a body carries, which is at a placement on a joint."""
-        for joint in self._on.get(parent, []):
-            before = at * _pose(joint.frame_on_parent().GetFixedPoseInBodyFrame())
-            behind = _pose(joint.frame_on_child().GetFixedPoseInBodyFrame()).inverse()
-            on = carrier
-            if joint.type_name() == "weld":
-                behind = before * _pose(joint.X_FM()) * behind
-                if carrier == 0 and parent == 0:
-                    self.fixed.append(joint.child_body().name())
+        def cost(joint: Any) -> tuple[bool, bool, bool]:
+            words = self._assembly.words(joint)
+            coupled = bool(words.mimics) or self._assembly.joint(joint) in leaders
+            acts = coupled or any(axis.has_forces for axis in words.axes)
+            return self._can_cut(joint), parents[_ends(joint)[1]] > 1, not acts
+
+        parts, kept, cut = _Parts(self._plant.num_bodies()), set[int](), list[Any]()
+        for joint in sorted(robot.joints, key=cost):
+            if parts.join(*_ends(joint)):
+                kept.add(int(joint.index()))
             else:
-                on = self._add_joint(joint, carrier, before)
-            self._add_body(joint.child_body(), on, behind)
+                cut.append(joint)
+        return [joint for joint in robot.joints if int(joint.index()) in kept], cut
 
-    def _add_joint(self, joint: Any, carrier: int, at: pin.SE3) -> int:
+    def _is_screw(self, joint: Any) -> bool:
+        return self._assembly.words(joint).type == "screw"
+
+    def _can_cut(self, joint: Any) -> bool:
+        """Return whether a loop can replace a joint."""
+        return joint.type_name() in _CUT and not self._is_screw(joint)
+
+    def _add_body(self, body: int, carrier: int, at: pin.SE3) -> None:
+        """Add a body at a placement on a joint."""
+        model = self._builder.model
+        model.appendBodyToJoint(carrier, _inertia(self._plant.get_body(_index("Body", body))), at)
+        model.addFrame(pin.Frame(self._link(body), carrier, 0, at, pin.FrameType.BODY), False)
+        self._places[body] = (carrier, at)
+
+    def _attach(self, joint: Any, body: int, other: int) -> None:
+        """Add a body that a joint connects with a body of the tree."""
+        carrier, at = self._places[body]
+        is_reversed = body != _ends(joint)[0]
+        frames = [_fixed_pose(joint.frame_on_parent()), _fixed_pose(joint.frame_on_child())]
+        before, behind = frames[::-1] if is_reversed else frames
+        if is_reversed and joint.type_name() not in _REVERSIBLE:
+            raise ModelError(
+                f"{self._where(joint)}: {joint.type_name()} joint {quoted(self._name(joint))} is "
+                "attached against the direction of the tree; exchange its parent and child"
+            )
+        if joint.type_name() == "weld":
+            # Only Drake's welds of static links, whose parent is the world, have a displacement.
+            between = _pose(joint.X_FM())
+            if body == _WORLD:
+                self.fixed.append(self._link(other))
+            self._add_body(other, carrier, at * before * between * behind.inverse())
+            return
+        index = self._add_joint(joint, carrier, at * before, is_reversed)
+        self._add_body(other, index, behind.inverse())
+
+    def _add_joint(self, joint: Any, carrier: int, at: pin.SE3, is_reversed: bool) -> int:
         """Add a joint with its armature, limits, damping and friction; return its index."""
-        pinocchio_joint, nv = _pinocchio_joint(joint), joint.num_velocities()
+        name, axes = self._name(joint), self._assembly.words(joint).axes
+        kind = joint.type_name()
+        pinocchio_joint, nv = self._pinocchio_joint(joint, is_reversed), joint.num_velocities()
+        # The numbers of a ball joint stand on its first axis.
+        numbers = [axes[k] if k < len(axes) else Axis() for k in range(nv)]
+        if kind == "ball_rpy":
+            numbers = [axes[0] if axes else Axis()] * nv
         limits = None
-        if pinocchio_joint.nq == nv:
-            limits = [joint.position_lower_limits(), joint.position_upper_limits()]
-        armature = np.full(nv, self._rotors().get(int(joint.index()), 0.0))
+        if pinocchio_joint.nq == nv and self._assembly.words(joint).type != "continuous":
+            limits = [[axis.lower for axis in numbers], [axis.upper for axis in numbers]]
+        armature = np.full(nv, self._rotors.get(int(joint.index()), 0.0))
         index = self._builder.add_joint(
-            carrier, pinocchio_joint, at, joint.name(), armature=armature, limits=limits
+            carrier, pinocchio_joint, at, name, armature=armature, limits=limits
         )
         self._builder.model.addJointFrame(index)
-        damping = np.broadcast_to(joint.default_damping_vector(), nv)
-        friction = np.full(nv, self._frictions.get(joint.name(), 0.0))
-        self._losses.append(np.array([damping, friction]))
-        effort = np.full(nv, self._efforts().get(int(joint.index()), np.inf))
-        self._most.append(np.array([joint.velocity_upper_limits(), effort]))
+        damping = [axis.damping for axis in numbers]
+        if kind == "planar":
+            damping = list(joint.default_damping_vector())
+        self._losses.append(np.array([damping, [axis.friction for axis in numbers]]))
+        self._most.append(
+            np.array([[axis.velocity for axis in numbers], [axis.effort for axis in numbers]])
+        )
+        if kind != "ball_rpy":
+            parts = _PARTS.get(kind, ("",) * nv)
+            self.springs += tuple(
+                Spring(f"{name}{part}", axis.stiffness, axis.rest)
+                for axis, part in zip(numbers, parts, strict=True)
+                if axis.stiffness
+            )
         return index
 
+    @cached_property
     def _rotors(self) -> dict[int, float]:
-        """Return the reflected inertia of actuators, {joint index: armature}."""
+        """Reflected inertia of actuators, {joint index: armature} [kg m² | kg]."""
         rotors: dict[int, float] = {}
         for index in self._plant.GetJointActuatorIndices():
             actuator = self._plant.get_joint_actuator(index)
             joint = int(actuator.joint().index())
-            rotors[joint] = rotors.get(joint, 0.0) + actuator.default_reflected_inertia()
+            rotors[joint] = rotors.get(joint, 0.0) + float(actuator.default_reflected_inertia())
         return rotors
 
-    def _efforts(self) -> dict[int, float]:
-        """Return the effort limits of actuators, {joint index: torque or force}."""
-        plant = self._plant
-        actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
-        return {int(one.joint().index()): one.effort_limit() for one in actuators}
+    def _pinocchio_joint(self, joint: Any, is_reversed: bool) -> pin.JointModel:
+        """Return Pinocchio's joint with the motion of one of Drake's, or with its inverse."""
+        type_name, sign = joint.type_name(), -1.0 if is_reversed else 1.0
+        if type_name == "revolute":
+            axis = sign * np.array(joint.revolute_axis())
+            if self._is_screw(joint):
+                pitch = self._assembly.words(joint).pitch / (2.0 * np.pi)
+                return pin.JointModelHelicalUnaligned(axis / np.linalg.norm(axis), pitch)
+            return joint_along(REVOLUTE, axis, _ALIGNED)
+        if type_name == "prismatic":
+            return joint_along(PRISMATIC, sign * np.array(joint.translation_axis()), _ALIGNED)
+        if type_name == "ball_rpy":
+            return pin.JointModelSpherical()
+        if type_name == "universal":
+            return pin.JointModelUniversal(*np.eye(3)[:2])
+        if type_name == "planar":
+            return pin.JointModelPlanar()
+        raise ModelError(
+            f"{self._where(joint)}: joint {quoted(self._name(joint))} is of type {type_name}, "
+            f"which pinred does not read from SDF; use {JOINT_TYPES}"
+        )
+
+    def _close(self, joint: Any) -> None:
+        """Add the loop that a joint closes."""
+        name, kind = self._name(joint), joint.type_name()
+        words = self._assembly.words(joint)
+        parent, child = _ends(joint)
+        if not self._can_cut(joint):
+            raise ModelError(
+                f"{self._where(joint)}: link {quoted(self._link(child))} closes a loop of which "
+                f"every joint is prismatic, universal, screw or planar (here {quoted(name)}), "
+                "which pinred cannot cut; use a revolute, ball or fixed joint in the loop"
+            )
+        if words.mimics:
+            raise ModelError(
+                f"{self._where(joint)}: joint {quoted(name)} closes a loop and follows another "
+                "joint; remove its <mimic>, which the loop replaces or contradicts"
+            )
+        if any(axis.has_forces for axis in words.axes):
+            what = "springs, damping and friction of joints that close loops"
+            self._left_out.setdefault(what, []).append(name)
+        if any(np.isfinite([axis.lower, axis.upper]).any() for axis in words.axes):
+            what = "limits of joints that close loops"
+            self._left_out.setdefault(what, []).append(name)
+        turn, between = pin.SE3.Identity(), pin.SE3.Identity()
+        if kind == "revolute":
+            turn.rotation = _turn_to(np.array(joint.revolute_axis()))
+        elif kind == "weld":
+            between = _pose(joint.X_FM())
+        ends = [
+            self._add_frame(
+                f"{name}.parent", parent, _fixed_pose(joint.frame_on_parent()) * between * turn
+            ),
+            self._add_frame(f"{name}.child", child, _fixed_pose(joint.frame_on_child()) * turn),
+        ]
+        self.loops.append(Loop(ends[0], ends[1], _CUT[kind], name))  # type: ignore[arg-type]
+
+    def _tie(self, constraint: BallConstraint) -> None:
+        """Add the loop of two points that coincide."""
+        numbers = {self._assembly.link(body): body for body in self._robot.bodies}
+        name = f"ball {' '.join(constraint.links)} ({constraint.where})"
+        ends = [
+            self._add_frame(
+                f"{name}.{side}",
+                numbers[constraint.model, link],
+                pin.SE3(np.eye(3), point),
+            )
+            for side, link, point in zip("AB", constraint.links, constraint.points, strict=True)
+        ]
+        self.loops.append(Loop(ends[0], ends[1], "3d", name))
+
+    def _add_frame(self, name: str, body: int, placement: pin.SE3) -> str:
+        """Add a frame on a body; return its name."""
+        carrier, at = self._places[body]
+        frame = pin.Frame(name, carrier, 0, at * placement, pin.FrameType.OP_FRAME)
+        self._builder.model.addFrame(frame, False)
+        return name
+
+    def couplings(self) -> tuple[Coupling, ...]:
+        """Return the couplings of the robot's joints.
+
+        Raises:
+            ModelError: A leader is unknown, or closes a loop, or an axis does not exist.
+        """
+        couplings = []
+        kinds = {self._assembly.joint(joint): joint for joint in self._robot.joints}
+        closing = {loop.name for loop in self.loops}
+        for joint in self._robot.joints:
+            for mimic in self._assembly.words(joint).mimics:
+                leader = kinds.get(mimic.leader)
+                where = f"{plain_path(self._assembly.path)}, {mimic.where}"
+                name = self._name(joint)
+                if leader is None:
+                    raise ModelError(
+                        f"{where}: joint {quoted(name)} follows {quoted(mimic.leader[1])}, which "
+                        "is no joint of the robot; name a joint, or remove the <mimic>"
+                    )
+                if self._name(leader) in closing:
+                    raise ModelError(
+                        f"{where}: joint {quoted(name)} follows {quoted(self._name(leader))}, "
+                        "which closes a loop; let it follow another joint of the loop"
+                    )
+                if leader.type_name() == "weld":
+                    raise ModelError(
+                        f"{where}: joint {quoted(name)} follows {quoted(mimic.leader[1])}, which "
+                        "is fixed; fix the follower, too"
+                    )
+                follower = self._part(joint, mimic.axis, where)
+                leading = self._part(leader, mimic.leader_axis, where)
+                couplings.append(Coupling(follower, {leading: mimic.ratio}, mimic.offset))
+        return tuple(couplings)
+
+    def _part(self, joint: Any, axis: int, where: str) -> str:
+        """Return the name of the coordinate of an axis of a joint."""
+        name, kind = self._name(joint), joint.type_name()
+        parts = _PARTS.get(kind, ("",) if joint.num_velocities() == 1 else ())
+        if axis >= len(parts):
+            raise ModelError(
+                f"{where}: <mimic> of {quoted(name)}: axis {axis + 1} of a {kind} joint has no "
+                "coordinate of its own; use revolute or prismatic joints"
+            )
+        return f"{name}{parts[axis]}"
+
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Return the actions that belong to the robot, by kind."""
+        keys = {self._assembly.link(body) for body in self._robot.bodies}
+        models = {model for model, _ in keys}
+        kinds = {kind: [*names] for kind, names in self._left_out.items()}
+        for report in self._document.reports:
+            inside = f"{report.model}::"
+            if report.model == "" or any(f"{model}::".startswith(inside) for model in models):
+                kinds.setdefault(report.kind, []).append(report.name)
+        weightless = [self.link_names[key] for key in keys & self._document.weightless]
+        if weightless and not self.is_weightless():
+            kinds["compensated gravity"] = sorted(weightless)
+        others = [
+            "::".join(filter(None, self._assembly.link(body)))
+            for robot in self._assembly.robots
+            if robot is not self._robot and robot.can_move
+            for body in robot.bodies[:1]
+        ]
+        if others:
+            kinds["other bodies"] = others
+        found = [LeftOut(kind, tuple(names)) for kind, names in kinds.items()]
+        colliding = [self.link_names[key] for key in self._document.colliding if key in keys]
+        if colliding:
+            found.append(LeftOut(CONTACT, tuple(colliding), demanded=True))
+        return tuple(found)
+
+    def is_weightless(self) -> bool:
+        """Return whether the file switches gravity off for all links."""
+        return {self._assembly.link(k) for k in self._robot.bodies} <= self._document.weightless
 
 
-def _pinocchio_joint(joint: Any) -> pin.JointModel:
-    """Return Pinocchio's joint with the motion of one of Drake's.  Raises ModelError."""
-    type_name = joint.type_name()
-    if type_name == "revolute":
-        return joint_along(REVOLUTE, np.array(joint.revolute_axis()), _ALIGNED)
-    if type_name == "prismatic":
-        return joint_along(PRISMATIC, np.array(joint.translation_axis()), _ALIGNED)
-    if type_name == "ball_rpy":
-        return pin.JointModelSpherical()
-    if type_name == "universal":
-        return pin.JointModelUniversal(*np.eye(3)[:2])
-    if type_name == "screw":
-        pitch = joint.screw_pitch() / (2.0 * np.pi)
-        return pin.JointModelHelicalUnaligned(_screw_axis(joint), pitch)
-    raise ModelError(
-        f"joint {quoted(joint.name())} is of type {type_name}, which pinred does not read from "
-        f"SDF; use {_JOINTS}"
-    )
+def _names(keys: Sequence[Key]) -> dict[Key, str]:
+    """Return unique names: the name in the file, with the nested models if others have it, too."""
+    names = [name for _, name in keys]
+    tops = {model.partition("::")[0] for model, _ in keys}
+    unique: dict[Key, str] = {}
+    for model, name in keys:
+        scope = model if len(tops) > 1 else model.partition("::")[2]
+        is_nested = scope and (names.count(name) > 1)
+        unique[model, name] = f"{scope}::{name}" if is_nested else name
+    return unique
 
 
-def _screw_axis(joint: Any) -> Array:
-    """Return the unit axis of a screw joint, (3,), which Drake states by its motion only."""
-    plant = joint.GetParentPlant()
-    if not plant.is_finalized():
-        plant.Finalize()
-    context = plant.CreateDefaultContext()
-    q = plant.GetPositions(context)
-    q[joint.position_start()] = 1.0
-    plant.SetPositions(context, q)
-    displacement = _pose(joint.frame_on_child().CalcPose(context, joint.frame_on_parent()))
-    axis = pin.log3(displacement.rotation)
-    return np.asarray(axis / np.linalg.norm(axis))
+def _turn_to(axis: Array) -> Array:
+    """Return a rotation, (3, 3), that turns z to an axis."""
+    axis = axis / np.linalg.norm(axis)
+    across = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(across, axis)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(axis, x), axis])
 
 
 def _index(what: str, number: int) -> Any:
-    """Return a number as Drake's index of a "Body" or a "ForceElement"."""
+    """Return a number as Drake's index of a "Body" or a "ModelInstance"."""
     return getattr(optional_package("pydrake.multibody.tree", INSTALL), f"{what}Index")(number)
 
 
 def _pose(pose: Any) -> pin.SE3:
     """Convert Drake's rigid transform."""
     return pin.SE3(np.array(pose.GetAsMatrix4()))
+
+
+def _fixed_pose(frame: Any) -> pin.SE3:
+    """Return the placement of a frame on its body."""
+    return _pose(frame.GetFixedPoseInBodyFrame())
 
 
 def _inertia(body: Any) -> pin.Inertia:
@@ -298,16 +716,6 @@ def _inertia(body: Any) -> pin.Inertia:
     about_origin: Array = np.array(spatial.CalcRotationalInertia().CopyToFullMatrix3())
     moments = about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com))
     return pin.Inertia(mass, com, moments)
-
-
-def _frictions(text: ElementTree.Element) -> dict[str, float]:
-    """Return the dry friction in the text of a file, {joint: torque or force}."""
-    frictions = {}
-    for joint in text.iter("joint"):
-        friction = joint.findtext("axis/dynamics/friction")
-        if friction is not None:
-            frictions[joint.get("name", "")] = float(friction)
-    return frictions
 
 
 def _warning(messages: list[str], fixed: list[str]) -> str:

@@ -23,10 +23,26 @@ _DEEPEST = 100  # largest depth of nested URDF elements; valid files need only a
 _MOST_ELEMENTS = 1_000_000
 _CHUNK = 4096  # number of characters per call of the XML parser
 _ELEMENT = re.compile(r"<[^!?]")
+_COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)
 # Name of the robot in the outermost element of URDF, MJCF, or the model of SDF.
 _NAME = re.compile(
     r"""<(?:robot|mujoco|model)\s[^>]*?\b(?:name|model)\s*=\s*["']([\w-]{1,100})["']"""
 )
+
+
+class XmlElement(ElementTree.Element):
+    """An element of a file.
+
+    Attributes:
+        line: Number of its line in the file, from 1.
+    """
+
+    line: int = 0
+
+
+def line_of(element: ElementTree.Element) -> int:
+    """Return the number of the line of an element, from 1; 0 if it is in no file."""
+    return element.line if isinstance(element, XmlElement) else 0
 
 
 def read_text(path: Path) -> str:
@@ -106,15 +122,18 @@ def text_in_file(text: str) -> Iterator[Path]:
             raise type(error)(message.replace(plain_path(path), "the text")) from None
 
 
-def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root element of an XML file.
+def read_xml(path: Path) -> XmlElement:
+    """Return the root element of an XML file; all its elements are XmlElements.
 
     Element names keep their namespace prefixes, whether or not the file declares them.
 
     Raises:
         LoadError: The file cannot be read, is too large, or is not XML.
     """
-    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    builder = ElementTree.TreeBuilder(element_factory=XmlElement)
+    parser, text = expat.ParserCreate(), read_text(path)
+    content = _without_declaration(text)
+    removed = text.count("\n") - content.count("\n")  # lines before the first element
     count = depth = 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -123,9 +142,11 @@ def read_xml(path: Path) -> ElementTree.Element:
         if count > _MOST_ELEMENTS or depth > _DEEPEST:
             deep = depth > _DEEPEST
             what = f"{_DEEPEST} nested elements" if deep else f"{count - 1} elements"
-            where = f"{plain_path(path)}, line {parser.CurrentLineNumber}"
+            where = f"{plain_path(path)}, line {removed + parser.CurrentLineNumber}"
             raise LoadError(f"{where}: more than {what}")
-        builder.start(tag, attributes)
+        element = builder.start(tag, attributes)
+        assert isinstance(element, XmlElement)
+        element.line = removed + parser.CurrentLineNumber
 
     def end(tag: str) -> None:
         nonlocal depth
@@ -133,9 +154,12 @@ def read_xml(path: Path) -> ElementTree.Element:
         builder.end(tag)
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = builder.data
     try:
-        parser.Parse(_without_declaration(read_text(path)), True)
-        return builder.close()
+        parser.Parse(content, True)
+        root = builder.close()
+        assert isinstance(root, XmlElement)
+        return root
     except (expat.ExpatError, ValueError) as error:
         advice = ""
         if path.suffix == ".toml":
@@ -144,10 +168,12 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 
 def _without_declaration(text: str) -> str:
-    """Return an XML text without its XML declaration.
+    """Return an XML text without its XML declaration, and without comments that contain "--".
 
-    An XML declaration is an error unless it starts the file, and it is not needed here.
+    Both are errors for strict parsers only: the declaration unless it starts the file.
     """
+    if "<!--" in text:
+        text = _COMMENT.sub(lambda m: "\n" * m[0].count("\n") if "--" in m[1] else m[0], text)
     head, mark, tail = text.partition("<?xml")
     if mark and not _ELEMENT.search(head):
         text = head + tail.partition("?>")[2]

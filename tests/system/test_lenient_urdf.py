@@ -25,6 +25,7 @@ SAME = {  # equivalent texts of one robot
     "limit without effort": FLOATING.replace(' effort="1"', ""),
     "limit without velocity": FLOATING.replace(' velocity="1"', ""),
     "declaration on the second line": f'\n<?xml version="1.0"?>\n{FLOATING}',
+    "comment with dashes": f"<!-- a -- b --->{FLOATING}",
     "declaration after a comment": f'<!-- made by hand --><?xml version="1.0"?>{FLOATING}',
     "prefix without declaration": FLOATING.replace("</robot>", '<g:b k:x="1"/></robot>'),
     "no limits at all": LIMIT.sub("", FLOATING),

@@ -178,7 +178,7 @@ def test_missing_folders_are_rejected(
         pinred.load(pin.buildModelFromUrdf(str(robot)), meshes=package)
     xml = robot.with_suffix(".xml")
     xml.write_text("<mujoco><worldbody/></mujoco>")
-    with pytest.raises(pinred.InputError, match="meshes= applies to URDF only"):
+    with pytest.raises(pinred.InputError, match="meshes= applies to URDF and SDF"):
         pinred.load(xml, meshes=package)
     assert main(["play", "m.npz", "--meshes", str(package), "--no-meshes"]) == 2
     assert "pass only one of them" in capsys.readouterr().err

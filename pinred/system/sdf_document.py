@@ -1,0 +1,796 @@
+"""read_document(): an SDF file and the files that it includes, each read once.
+
+The reader checks every word by the tables of `sdf_words`, and writes copies for Drake.  A copy has
+only the words that place links and joints, and includes other copies.  Numbers of joints, which
+Drake ignores in part, come from the same elements.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NoReturn
+from xml.etree.ElementTree import Element
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+
+from ..common.arrays import Array
+from ..common.errors import LoadError, ModelError, PinredError
+from ..common.files import is_file, is_folder
+from ..common.names import listed, plain, plain_path, quoted
+from . import sdf_words
+from .robot_files import XmlElement, line_of, read_xml
+from .sdf_words import TABLES, Use, Word
+
+_MOST_ELEMENTS = 1_000_000  # largest accepted number of elements in all files together
+_DEEPEST = 20  # largest number of files that include each other in a chain
+_NEWEST = (1, 12)  # newest version of SDF whose words are in the tables
+_UNIQUE = (1, 7)  # first version of SDF in which a link and a joint must have different names
+_UNLIMITED = 1e16  # position limit that stands for infinity in older versions of SDF
+_FOLDERS = (  # environment variables with folders of models
+    "GZ_SIM_RESOURCE_PATH",
+    "IGN_GAZEBO_RESOURCE_PATH",
+    "SDF_PATH",
+    "GAZEBO_MODEL_PATH",
+    "GAZEBO_RESOURCE_PATH",
+    "ROS_PACKAGE_PATH",
+)
+_SCENERY = ("sun", "ground_plane")  # Gazebo's light and floor, on which nothing moves
+_GRAVITY = (0.0, 0.0, -9.8)  # gravity of a world that states none [m/s²]
+_WITH_ACTUATOR = ("revolute", "continuous", "prismatic", "screw")  # types with Drake's actuators
+_WITHOUT_AXIS = ("fixed", "ball")
+_AXES = {  # axes that each type of joint needs
+    **dict.fromkeys(_WITH_ACTUATOR, ("axis",)),
+    "universal": ("axis", "axis2"),
+    **dict.fromkeys(_WITHOUT_AXIS, ()),
+}
+JOINT_TYPES = "revolute, continuous, prismatic, universal, screw, ball, planar or fixed joints"
+_TRUE = ("true", "1")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Numbers of one axis of a joint [rad | m, N·m | N].
+
+    Attributes:
+        damping: Coefficient of the damper.
+        friction: Dry friction.
+        stiffness: Stiffness of the spring.
+        rest: Position without force of the spring.
+        lower: Lower limit of the position.
+        upper: Upper limit of the position.
+        effort: Limit of the effort.
+        velocity: Limit of the rate.
+    """
+
+    damping: float = 0.0
+    friction: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+    lower: float = -np.inf
+    upper: float = np.inf
+    effort: float = np.inf
+    velocity: float = np.inf
+
+    @property
+    def has_forces(self) -> bool:
+        """Whether a spring, damper or friction acts."""
+        return bool(self.damping or self.friction or self.stiffness)
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A follower axis: value = ratio · (leader − reference) + offset.
+
+    Attributes:
+        axis: Number of the follower axis, 0 or 1.
+        leader: Leader joint, (model, name).
+        leader_axis: Number of the leader axis, 0 or 1.
+        ratio: Ratio of the rates.
+        offset: Value of the follower where the leader is at zero [rad | m].
+        where: Place of the element in the file.
+    """
+
+    axis: int
+    leader: tuple[str, str]
+    leader_axis: int
+    ratio: float
+    offset: float
+    where: str
+
+
+@dataclass(frozen=True)
+class JointWords:
+    """Words of a joint that Drake does not read, or reads in part.
+
+    Attributes:
+        type: Type of the joint.
+        where: Place of the element in the file.
+        axes: Numbers of its axes.
+        mimics: Axes that follow others.
+        pitch: Displacement of a screw joint per revolution [m].
+    """
+
+    type: str
+    where: str
+    axes: tuple[Axis, ...] = ()
+    mimics: tuple[Mimic, ...] = ()
+    pitch: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class BallConstraint:
+    """A point of one link that coincides with a point of another link.
+
+    Attributes:
+        model: Model of both links.
+        links: Names of the links.
+        points: Points in the frames of the links, (2, 3) [m].
+        where: Place of the element in the file.
+    """
+
+    model: str
+    links: tuple[str, str]
+    points: Array
+    where: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """An action in the file that pinred does not simulate.
+
+    Attributes:
+        kind: Kind of action.
+        name: Name of the action, with its place in the file.
+        model: Model to which it belongs; "" for the world.
+    """
+
+    kind: str
+    name: str
+    model: str
+
+
+@dataclass
+class SdfDocument:
+    """An SDF file with the files that it includes.
+
+    Attributes:
+        copies: Text of the copy of each file for Drake; the first one includes the others.
+        paths: Paths of the files.
+        joints: Words of each joint, by model and name.
+        weightless: Links on which no gravity acts, (model, name).
+        colliding: Links with collision shapes, (model, name).
+        constraints: Points that coincide.
+        reports: Actions that are not simulated.
+        gravity: Gravity of the world, (3,) [m/s²]; None without a world.
+        found: Path of the file, or of the mesh, that each URI names.
+        renamed: Name in the file of each joint, by model and name in the copies, if they differ.
+    """
+
+    copies: list[str] = field(default_factory=list)
+    paths: list[Path] = field(default_factory=list)
+    joints: dict[tuple[str, str], JointWords] = field(default_factory=dict)
+    weightless: set[tuple[str, str]] = field(default_factory=set)
+    colliding: list[tuple[str, str]] = field(default_factory=list)
+    constraints: list[BallConstraint] = field(default_factory=list)
+    reports: list[Report] = field(default_factory=list)
+    gravity: Array | None = None
+    found: dict[str, Path] = field(default_factory=dict)
+    renamed: dict[tuple[str, str], str] = field(default_factory=dict)
+
+    def write(self, folder: Path) -> Path:
+        """Write the copies for Drake to a folder; return the path of the first one."""
+        for number, text in enumerate(self.copies):
+            (folder / f"{number}.sdf").write_text(text.replace(_HERE, str(folder)), "utf-8")
+        return folder / "0.sdf"
+
+    def with_own_paths(self, message: str, folder: Path) -> str:
+        """Replace paths of copies in a message of Drake by paths of the files."""
+        for number, path in reversed([*enumerate(self.paths)]):
+            message = message.replace(str(folder / f"{number}.sdf"), plain_path(path))
+        return message
+
+
+_HERE = "\0folder\0"  # stands for the folder of the copies
+
+
+def read_document(path: Path, folders: Sequence[str], *, tolerant: bool = False) -> SdfDocument:
+    """Read an SDF file and the files that it includes.
+
+    Nothing is downloaded, and nothing in the files is executed.
+
+    Args:
+        path: Path of the file.
+        folders: Folders in which included models are searched, besides those in Gazebo's
+            environment variables and those above the including file.
+        tolerant: Whether to report models of the world that are not found, instead of raising.
+    Returns:
+        The document.
+    Raises:
+        LoadError: A file does not exist or is not valid; the message names file and line.
+        ModelError: The file contains a word that pinred refuses.
+    """
+    reader = _Reader(folders, tolerant)
+    reader.read(path, None)
+    return reader.document
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where an element is.
+
+    Attributes:
+        file: Path of its file.
+        chain: Files that include each other, the last of which is `file`.
+        model: Scoped name of its model; "" for the world.
+        static: Whether the model does not move.
+        owner: Name of its link or joint, if any.
+        version: Version of SDF of the file.
+        taken: Names of the links and joints of its model.
+    """
+
+    file: Path
+    chain: tuple[Path, ...]
+    model: str = ""
+    static: bool = False
+    owner: str = ""
+    version: tuple[int, ...] = _NEWEST
+    taken: tuple[str, ...] = ()
+
+    def inside(self, name: str) -> str:
+        """Return the scoped name of a model in this place."""
+        return f"{self.model}::{name}" if self.model else name
+
+    def line(self, element: Element) -> str:
+        """Return the line of an element in words, with the file if another one includes it."""
+        line = f"line {line_of(element)}"
+        return line if len(self.chain) == 1 else f"{plain(self.file.name)}, {line}"
+
+    def fail(self, element: Element, problem: str, kind: type[PinredError] = LoadError) -> NoReturn:
+        """Raise an error about an element."""
+        raise kind(f"{plain_path(self.file)}, line {line_of(element)}: {problem}")
+
+
+class _Reader:
+    """The reader of a file and of the files that it includes."""
+
+    def __init__(self, folders: Sequence[str], tolerant: bool) -> None:
+        self.document = SdfDocument()
+        self._folders, self._tolerant, self._count = folders, tolerant, 0
+
+    def read(self, path: Path, include: _Include | None) -> int | None:
+        """Read a file; return the number of its copy, or None if it contains no links.
+
+        Args:
+            path: Path of the file.
+            include: The <include> that names the file, if any.
+        Returns:
+            Number of the copy.
+        Raises:
+            LoadError: The file cannot be read.
+        """
+        root = read_xml(path)
+        self._count += sum(1 for _ in root.iter())
+        if self._count > _MOST_ELEMENTS:
+            raise LoadError(f"{plain_path(path)}: more than {_MOST_ELEMENTS} elements in all files")
+        chain = (*(include.place.chain if include else ()), path.resolve())
+        place = _Place(path, chain)
+        if root.tag != "sdf":
+            place.fail(root, f"expected <sdf>, got <{plain(root.tag)}>")
+        place = replace(place, version=_version(root))
+        if include is not None:
+            models = root.findall("model") + root.findall("include")
+            if not models:
+                if root.find("world") is not None or not len(root):
+                    place.fail(root, "an included file must contain a <model>")
+                return None  # a light or an actor
+            place = replace(place, model=include.place.model, static=include.place.static)
+        number = len(self.document.copies)
+        self.document.copies.append("")
+        self.document.paths.append(path)
+        copy = self._copy(root, "sdf", place, include)
+        self.document.copies[number] = _text(copy)
+        return number
+
+    def _copy(
+        self, element: Element, table: str, place: _Place, include: _Include | None = None
+    ) -> Element:
+        """Check an element by its table; return its copy for Drake."""
+        words = TABLES[table]
+        if table in ("link", "joint"):
+            place = replace(place, owner=element.get("name", ""))
+        copy = _element(element.tag, element, element.text or "")
+        for key, value in element.attrib.items():
+            word = words.get(f"@{key}", words.get(f"@{sdf_words.ANY}"))
+            if _is_outdated(f"@{key}", place):
+                word = _if_stated(value)
+            if word is not None and word.drake:
+                copy.set(key, value)
+            elif word is None and not key.startswith(sdf_words.NAMESPACES):
+                self._unknown(f"attribute {key} of <{plain(element.tag)}>", element, place)
+        for child in element:
+            word = words.get(child.tag, words.get(sdf_words.ANY))
+            if _is_outdated(child.tag, place):
+                word = _if_stated(child.text or "")
+            if word is None:
+                self._unknown(f"<{plain(child.tag)}> in <{plain(element.tag)}>", child, place)
+            elif word.use is Use.REFUSED:
+                place.fail(child, f"<{child.tag}> is not supported; {word.kind}", ModelError)
+            elif word.use is Use.LEFT_OUT:
+                self._left_out(child, word, place)
+            elif word.use is Use.READ and child.tag != "collision":
+                self._add(child, word, copy, place, include)
+        return copy
+
+    def _add(
+        self,
+        child: Element,
+        word: Word,
+        copy: Element,
+        place: _Place,
+        include: _Include | None,
+    ) -> None:
+        """Read an element, and add its copy to the copy of its parent if Drake gets it."""
+        if word.table == "model":
+            self._add_model(child, copy, place, include)
+        elif word.table == "world":
+            copy.append(self._world(child, place))
+        elif word.table == "include":
+            self._add_include(child, copy, place)
+        elif word.table == "link":
+            copy.append(self._link(child, place))
+        elif word.table == "joint":
+            copy.append(self._joint(child, place))
+        elif word.table == "drake:joint":
+            self._drake_joint(child, place)
+            copy.append(self._copy(child, word.table, place))
+        elif word.table == "drake:ball_constraint":
+            self._constraint(child, place)
+        else:
+            inside = self._copy(child, word.table, place)
+            if word.drake:
+                copy.append(inside)
+
+    def _world(self, world: Element, place: _Place) -> Element:
+        """Read a world."""
+        gravity = world.find("gravity")
+        if gravity is None:
+            gravity = world.find("physics/gravity")
+        self.document.gravity = np.array(_GRAVITY)
+        if gravity is not None:
+            self.document.gravity = self._numbers(gravity, place, 3)
+        return self._copy(world, "world", place)
+
+    def _add_model(
+        self, model: Element, copy: Element, place: _Place, include: _Include | None
+    ) -> None:
+        """Read a model; `include` is the <include> of its file, if any."""
+        name, static = model.get("name", ""), _is_true(model.findtext("static"))
+        inside = replace(place, model=place.inside(name), static=place.static or static)
+        if include is not None and include.merges:
+            inside = replace(place, model=place.model, static=place.static)
+        elif include is not None:
+            static = static if include.static is None else include.static
+            inside = replace(
+                place,
+                model=place.inside(include.name or name),
+                static=place.static or static,
+            )
+        named = [*model.findall("link"), *model.findall("joint")]
+        inside = replace(inside, taken=tuple(part.get("name", "") for part in named))
+        copy.append(self._copy(model, "model", inside))
+
+    def _add_include(self, element: Element, copy: Element, place: _Place) -> None:
+        """Read an <include> and its file; its copy includes the copy of the file."""
+        uri = (element.findtext("uri") or "").strip()
+        shown = f"<include> of {quoted(uri)}"
+        name = (element.findtext("name") or "").strip()
+        path = self._find(uri, place)
+        if isinstance(path, str):
+            last = uri.rstrip("/").rpartition("/")[2].lower()
+            scenery = last.replace("%20", "_").replace(" ", "_") in _SCENERY
+            if copy.tag == "world" and (scenery or self._tolerant):
+                kind = "scenery that was not found" if scenery else "models that were not found"
+                label = f"{plain(name or uri)} ({place.line(element)})"
+                self.document.reports.append(Report(kind, label, ""))
+                return
+            more = "; or load one robot without it, by root=" if copy.tag == "world" else ""
+            place.fail(element, f"{shown}: {path}{more}")
+        chain = place.chain
+        if path.resolve() in chain:
+            place.fail(element, f"{shown}: the file includes itself; remove the <include>")
+        if len(chain) > _DEEPEST:
+            place.fail(element, f"{shown}: more than {_DEEPEST} files include each other")
+        if path.suffix.lower() in (".urdf", ".mjcf"):
+            place.fail(
+                element, f"{shown}: only SDF files can be included; convert it to SDF", ModelError
+            )
+        static = element.findtext("static")
+        include = _Include(
+            place,
+            name,
+            None if static is None else _is_true(static),
+            _is_true(element.get("merge")),
+        )
+        number = self.read(path, include)
+        inside = self._copy(element, "include", place)
+        if number is not None:
+            inside.append(_element("uri", element, f"file://{_HERE}/{number}.sdf"))
+            copy.append(inside)
+
+    def _find(self, uri: str, place: _Place) -> Path | str:
+        """Return the path of an included model, or why there is none."""
+        scheme, mark, location = uri.partition("://")
+        scheme, location = (scheme, location) if mark else ("", uri)
+        above = [str(folder) for folder in place.file.resolve().parents]
+        named = [*self._folders, *_environment()]
+        if scheme in ("http", "https", "fuel"):
+            return (
+                "pinred downloads nothing. Download the model, pass the folder that contains it "
+                f"as meshes=, and write model://{plain(location.rpartition('/')[2])}"
+            )
+        if scheme == "file":
+            candidates = [Path(location)]
+        elif scheme == "":
+            candidates = [Path(folder, location) for folder in (above[0], *named)]
+        elif scheme in ("model", "package"):
+            first, _, rest = location.partition("/")
+            candidates = [Path(folder, location) for folder in (*named, *above)]
+            candidates += [Path(folder, rest) for folder in named if Path(folder).name == first]
+        else:
+            return f"unknown scheme {quoted(scheme)}; use model://, package:// or file://"
+        for candidate in candidates:
+            if location and is_file(candidate):
+                path = candidate
+            elif location and is_folder(candidate):
+                path = _model_file(candidate)
+            else:
+                continue
+            self.document.found[uri] = path
+            return path
+        return (
+            f"not found in {listed([plain_path(path.parent) for path in candidates], 4)}; pass the "
+            "folder that contains the model as meshes=, or set GZ_SIM_RESOURCE_PATH"
+        )
+
+    def _link(self, link: Element, place: _Place) -> Element:
+        """Read a link."""
+        copy, key = self._copy(link, "link", place), (place.model, link.get("name", ""))
+        if (gravity := link.findtext("gravity")) is not None and not _is_true(gravity):
+            self.document.weightless.add(key)
+        shapes = link.findall("collision")
+        if shapes:
+            self.document.colliding.append(key)
+        inertial = link.find("inertial")
+        if inertial is not None and _is_true(inertial.get("auto")):
+            self._add_shapes(shapes, copy, place)
+        return copy
+
+    def _add_shapes(self, shapes: Sequence[Element], copy: Element, place: _Place) -> None:
+        """Add the shapes from which the inertia of a link follows."""
+        for shape in shapes:
+            added = _element("collision", shape)
+            added.set("name", shape.get("name", ""))
+            for part in shape:
+                if part.tag in sdf_words.SHAPE:
+                    added.append(_whole(part))
+            for uri in added.iterfind("geometry/mesh/uri"):
+                path = self._find((uri.text or "").strip(), place)
+                if isinstance(path, str):
+                    place.fail(uri, f"mesh {quoted((uri.text or '').strip())}: {path}")
+                uri.text = f"file://{path.resolve()}"
+            copy.append(added)
+
+    def _joint(self, joint: Element, place: _Place) -> Element:
+        """Read a joint.  In a static model it is fixed."""
+        copy, key = self._copy(joint, "joint", place), (place.model, joint.get("name", ""))
+        kind, where = joint.get("type", ""), place.line(joint)
+        elements = [joint.find("axis"), joint.find("axis2")]
+        if place.static:
+            copy.set("type", "fixed")
+            kind = "fixed"
+        else:
+            self._check_type(joint, place)
+        if place.version < _UNIQUE and place.taken.count(key[1]) > 1:
+            name = f"{key[1]}_joint"
+            while name in place.taken:
+                name += "_"
+            copy.set("name", name)
+            self.document.renamed[place.model, name] = key[1]
+        if kind == "screw":
+            copy.set("type", "revolute")  # Drake does not tell the axis of a screw
+        axes = tuple(
+            self._axis(axis, place) for axis in elements if axis is not None and kind != "fixed"
+        )
+        mimics = () if kind == "fixed" else tuple(self._mimics(joint, elements, place))
+        for k, axis in enumerate(list(copy.findall("axis") + copy.findall("axis2"))):
+            if kind in _WITHOUT_AXIS or (k and kind in _WITH_ACTUATOR):
+                copy.remove(axis)
+            elif kind not in _WITH_ACTUATOR:
+                _without_actuator(axis)
+        if len(axes) > 1 and kind in _WITH_ACTUATOR:
+            self._report("axes that a joint does not have", f"axis2 of {key[1]}", joint, place)
+            axes = axes[:1]
+        if kind == "ball" and any(axis.stiffness for axis in axes):
+            self._report("springs of ball joints", key[1], joint, place)
+        if key in self.document.joints:
+            place.fail(joint, f"a second joint is called {quoted(key[1])}; rename it")
+        pitch = self._pitch(joint, place) if kind == "screw" else 1.0
+        self.document.joints[key] = JointWords(kind, where, axes, mimics, pitch)
+        return copy
+
+    def _drake_joint(self, joint: Element, place: _Place) -> None:
+        """Read a <drake:joint>."""
+        kind, name = joint.get("type", ""), joint.get("name", "")
+        if kind != "planar":
+            place.fail(
+                joint,
+                f"joint {quoted(name)} is of type {plain(kind) or '?'}, which pinred does not read "
+                f"from SDF; use {JOINT_TYPES}",
+                ModelError,
+            )
+        self.document.joints[place.model, name] = JointWords(kind, place.line(joint))
+
+    @staticmethod
+    def _check_type(joint: Element, place: _Place) -> None:
+        """Reject a joint of another type, or without an axis."""
+        kind, name = joint.get("type", ""), quoted(joint.get("name", ""))
+        if kind not in _AXES:
+            place.fail(
+                joint,
+                f"joint {name} is of type {plain(kind) or '?'}, which pinred does not read from "
+                f"SDF; use {JOINT_TYPES}",
+                ModelError,
+            )
+        for tag in _AXES[kind]:
+            if joint.find(tag) is None:
+                place.fail(joint, f"{kind} joint {name} has no <{tag}>; add it")
+
+    def _pitch(self, joint: Element, place: _Place) -> float:
+        """Return the displacement of a screw joint per revolution [m]."""
+        pitch, old = joint.find("screw_thread_pitch"), joint.find("thread_pitch")
+        if pitch is not None:
+            return float(self._numbers(pitch, place, 1)[0])
+        if old is None:
+            return 1.0
+        turns = float(self._numbers(old, place, 1)[0])
+        if turns == 0.0:
+            place.fail(old, "<thread_pitch> must not be zero")
+        # Before version 1.10 the pitch is an angle per displacement, left-handed.
+        return -2.0 * np.pi / turns
+
+    def _axis(self, axis: Element, place: _Place) -> Axis:
+        """Return the numbers of an axis."""
+
+        def number(path: str, default: float) -> float:
+            element = axis.find(path)
+            if element is None or not (element.text or "").strip():
+                return default
+            return float(self._numbers(element, place, 1, finite=path.startswith("dyn"))[0])
+
+        lower, upper = number("limit/lower", -np.inf), number("limit/upper", np.inf)
+        most = [number(f"limit/{what}", np.inf) for what in ("effort", "velocity")]
+        stated = Axis(
+            damping=number("dynamics/damping", 0.0),
+            friction=number("dynamics/friction", 0.0),
+            stiffness=number("dynamics/spring_stiffness", 0.0),
+            rest=number("dynamics/spring_reference", 0.0),
+            lower=-np.inf if lower <= -_UNLIMITED else lower,
+            upper=np.inf if upper >= _UNLIMITED else upper,
+            # SDF defines negative limits of effort and velocity as infinite.
+            effort=np.inf if most[0] < 0.0 else most[0],
+            velocity=np.inf if most[1] < 0.0 else most[1],
+        )
+        for what in ("damping", "friction", "stiffness"):
+            if (value := getattr(stated, what)) < 0.0:
+                place.fail(axis, f"{what} must not be negative, got {value:g}")
+        if stated.lower > stated.upper:
+            place.fail(
+                axis, f"limits {stated.lower:g} > {stated.upper:g}; exchange lower and upper"
+            )
+        return stated
+
+    def _mimics(
+        self, joint: Element, axes: Sequence[Element | None], place: _Place
+    ) -> Iterator[Mimic]:
+        """Yield the couplings of a joint."""
+        for k, axis in enumerate(axes):
+            for mimic in () if axis is None else axis.findall("mimic"):
+                ratio, shift, zero = (
+                    default if element is None else float(self._numbers(element, place, 1)[0])
+                    for element, default in (
+                        (mimic.find("multiplier"), 1.0),
+                        (mimic.find("offset"), 0.0),
+                        (mimic.find("reference"), 0.0),
+                    )
+                )
+                tag = mimic.get("axis", "axis")
+                if tag not in ("axis", "axis2"):
+                    place.fail(mimic, f"<mimic>: axis must be axis or axis2, got {quoted(tag)}")
+                leader = self._leader(mimic, place)
+                offset, where = shift - ratio * zero, place.line(mimic)
+                yield Mimic(k, leader, int(tag == "axis2"), ratio, offset, where)
+        for mimic in joint.findall("drake:mimic"):
+            ratio, offset = (
+                float(self._numbers(_element(f"drake:mimic {key}", mimic, text), place, 1)[0])
+                for key, text in (
+                    ("multiplier", mimic.get("multiplier", "1")),
+                    ("offset", mimic.get("offset", "0")),
+                )
+            )
+            yield Mimic(0, self._leader(mimic, place), 0, ratio, offset, place.line(mimic))
+
+    def _leader(self, mimic: Element, place: _Place) -> tuple[str, str]:
+        """Return the model and the name of the joint that a <mimic> names."""
+        name = mimic.get("joint", "")
+        if not name:
+            place.fail(mimic, f"<{mimic.tag}> names no joint; add the attribute joint=")
+        nested, _, last = name.rpartition("::")
+        return (place.inside(nested) if nested else place.model), last
+
+    def _constraint(self, element: Element, place: _Place) -> None:
+        """Read a <drake:ball_constraint>."""
+        self._copy(element, "drake:ball_constraint", place)
+        links, points = [], []
+        for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
+            link, position = (element.find(f"{element.tag}_{part}") for part in (body, point))
+            if link is None or position is None:
+                place.fail(element, f"<{element.tag}> needs <{element.tag}_{body}> and _{point}")
+            links.append((link.text or "").strip())
+            points.append(self._numbers(position, place, 3))
+        self.document.constraints.append(
+            BallConstraint(place.model, (links[0], links[1]), np.array(points), place.line(element))
+        )
+
+    def _numbers(self, element: Element, place: _Place, size: int, *, finite: bool = True) -> Array:
+        """Return the numbers in an element."""
+        words = (element.text or "").split()
+        try:
+            values = np.array([float(word) for word in words if "_" not in word])
+        except ValueError:
+            values = np.empty(0)
+        valid = np.isfinite(values).all() if finite else not np.isnan(values).any()
+        if len(words) != size or len(values) != size or not valid:
+            kind = "finite number" if finite else "number"
+            place.fail(
+                element,
+                f"<{plain(element.tag)}>: expected {size} {kind}{'s' * (size > 1)}, got "
+                f"{quoted(element.text or '')}",
+            )
+        return values
+
+    def _left_out(self, element: Element, word: Word, place: _Place) -> None:
+        """Report an element that acts and is not simulated."""
+        if word.is_idle(" ".join(element.itertext())):
+            return
+        kind, name = word.kind, element.get("name") or f"<{element.tag}>"
+        if element.tag == "plugin":
+            kind = sdf_words.plugin_kind(element.get("filename", ""))
+            name = element.get("name") or element.get("filename") or "<plugin>"
+        if kind:
+            self._report(kind, name, element, place)
+
+    def _unknown(self, what: str, element: Element, place: _Place) -> None:
+        self._report(sdf_words.UNKNOWN, what, element, place)
+
+    def _report(self, kind: str, name: str, element: Element, place: _Place) -> None:
+        owner = f"{plain(place.owner)}: " if place.owner else ""
+        label = f"{owner}{plain(name)} ({place.line(element)})"
+        self.document.reports.append(Report(kind, label, place.model))
+
+
+@dataclass(frozen=True)
+class _Include:
+    """An <include>.
+
+    Attributes:
+        place: Its place.
+        name: Name that it gives to the model, or "".
+        static: Whether it says that the model is static; None if it does not say.
+        merges: Whether the contents of the model become part of the including model.
+    """
+
+    place: _Place
+    name: str
+    static: bool | None
+    merges: bool
+
+
+def _environment() -> list[str]:
+    """Return the folders in the environment variables of Gazebo and ROS."""
+    folders = [
+        folder
+        for variable in _FOLDERS
+        for folder in os.environ.get(variable, "").split(os.pathsep)
+        if folder
+    ]
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [*folders, *(str(Path(prefix, "share")) for prefix in prefixes if prefix)]
+
+
+def _model_file(folder: Path) -> Path:
+    """Return the file of the model in a folder, in the newest version that its config names."""
+    for name in ("model.config", "manifest.xml"):
+        config = folder / name
+        if not is_file(config):
+            continue
+        best = None
+        version: tuple[int, ...] = (-1,)
+        for entry in read_xml(config).findall("sdf"):
+            number = _version(entry)
+            if version < number <= _NEWEST and (entry.text or "").strip():
+                best, version = (entry.text or "").strip(), number
+        if best is None:
+            raise LoadError(f"{plain_path(config)} names no SDF file of version 1.12 or less")
+        return folder / best
+    if is_file(folder / "model.sdf"):
+        return folder / "model.sdf"
+    raise LoadError(f"{plain_path(folder)} has no model.config that names its SDF file")
+
+
+def _without_actuator(axis: Element) -> None:
+    """Set the effort of an axis to zero, so that Drake does not look for an actuator."""
+    limit = axis.find("limit")
+    if limit is not None:
+        axis.remove(limit)
+    limit = _element("limit", axis)
+    limit.append(_element("effort", axis, "0"))
+    axis.append(limit)
+
+
+def _version(element: Element) -> tuple[int, ...]:
+    """Return the version of SDF that an element states; (0,) if it is missing or not valid."""
+    numbers = element.get("version", "").strip().split(".")
+    return tuple(map(int, numbers)) if all(map(str.isdigit, numbers)) else (0,)
+
+
+def _is_outdated(key: str, place: _Place) -> bool:
+    """Return whether a word was removed from the format before the version of a file."""
+    return key in sdf_words.REMOVED and place.version >= sdf_words.REMOVED[key]
+
+
+def _if_stated(value: str) -> Word | None:
+    """Return a harmless word for an empty or false value, and None for others."""
+    return Word(Use.HARMLESS) if value.strip().lower() in ("", "0", "false") else None
+
+
+def _is_true(text: str | None) -> bool:
+    return (text or "").strip().lower() in _TRUE
+
+
+def _element(tag: str, original: Element, text: str = "") -> Element:
+    """Return a new element on the line of another one."""
+    element = XmlElement(tag)
+    element.line, element.text = line_of(original), text.strip().replace("\n", " ")
+    return element
+
+
+def _whole(element: Element) -> Element:
+    """Return a copy of an element with all its contents."""
+    copy = _element(element.tag, element, element.text or "")
+    copy.attrib.update(element.attrib)
+    for child in element:
+        copy.append(_whole(child))
+    return copy
+
+
+def _text(root: Element) -> str:
+    """Return an XML text whose elements have the lines of the file, for Drake's messages."""
+    parts, line = list[str](), 1
+
+    def add(element: Element) -> None:
+        nonlocal line
+        if line_of(element) > line:
+            parts.append("\n" * (line_of(element) - line))
+            line = line_of(element)
+        attributes = "".join(f" {key}={quoteattr(value)}" for key, value in element.items())
+        parts.append(f"<{element.tag}{attributes}>{escape(element.text or '')}")
+        for child in element:
+            add(child)
+        parts.append(f"</{element.tag}>")
+
+    add(root)
+    return "".join(parts)
