@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -38,7 +38,8 @@ from .locked_joints import (
     lock_values,
     separate_attitudes,
 )
-from .loops.loop import JointPolynomial, Loop, parse_loops
+from .loops.kinematics import loop_ends
+from .loops.loop import Constraint, JointPolynomial, Loop, parse_loops
 from .loops.loop_file import LoopFile, requested_loops
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.package import is_mujoco
@@ -46,10 +47,10 @@ from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
 from .passive import Spring, passive_contents
 from .read_sdf import read_sdf
-from .read_urdf import read_urdf
+from .read_urdf import UrdfRobot, read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_description import Model
-from .robot_file_contents import Contents, Coupling, Origin
+from .robot_file_contents import Contents, Coupling, LeftOut, Origin
 from .robot_files import is_mjcf, outermost, read_text, text_in_file
 from .split_joints import split_joints
 from .stated_limits import stated_limits
@@ -62,6 +63,7 @@ if TYPE_CHECKING:
 
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
+_SAME_POINT = 1e-9  # largest distance of points that count as one [m]
 _CALLER = 4  # stack level of the caller of `load` for warnings, outside the check of arguments
 
 
@@ -78,6 +80,8 @@ class _Robot:
         initial: Generic initial state, if any.
         warning: Warning about the text of the file, or "".
         springs: Springs at joints.
+        loops: Closed loops; their frames are in the model.
+        left_out: Words of the file that are left out.
     """
 
     raw: pin.Model
@@ -88,6 +92,22 @@ class _Robot:
     initial: InitialState | None = None
     warning: str = ""
     springs: tuple[Spring, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+
+
+def _of_urdf(
+    urdf: UrdfRobot,
+    name: str,
+    origin: Origin,
+    group: Group | None,
+    initial: InitialState | None = None,
+) -> _Robot:
+    """Return the robot in a URDF file; the other arguments are those of _Robot."""
+    return _Robot(
+        urdf.model, urdf.couplings, name, origin, group, initial, urdf.warning, urdf.springs,
+        urdf.loops, urdf.left_out,
+    )  # fmt: skip
 
 
 @checks_arguments
@@ -296,24 +316,23 @@ def _read(
     name = str(source)
     origin = Origin(name, locked, meshes=folders)
     if (robot := catalogue.bundled_robots().get(name)) is not None:
-        raw, couplings, warning = read_urdf(robot.path)
-        raw.gravity.linear = np.array(robot.gravity)
+        urdf = read_urdf(robot.path)
+        urdf.model.gravity.linear = np.array(robot.gravity)
         group = group or group_named(robot.group)
         initial = None
         if not locked and group.name == robot.group:
             x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
             initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
-        return _Robot(raw, couplings, name, origin, group, initial, warning)
+        return _of_urdf(urdf, name, origin, group, initial)
     if is_path(name) and outermost(read_text(Path(source))) == "sdf":
         origin = replace(origin, source=str(Path(source).absolute()))
         sdf = read_sdf(Path(source))
         name = Path(source).stem
         return _Robot(sdf.model, (), name, origin, group, warning=sdf.warning, springs=sdf.springs)
     if is_path(name):
-        raw, couplings, warning = read_urdf(Path(source))
         origin = replace(origin, source=str(Path(source).absolute()))
-        return _Robot(raw, couplings, Path(source).stem, origin, group, warning=warning)
-    return _Robot(*example_model(name), name, origin, group)
+        return _of_urdf(read_urdf(Path(source)), Path(source).stem, origin, group)
+    return _of_urdf(example_model(name), name, origin, group)
 
 
 def _load_model(
@@ -359,6 +378,7 @@ def _load_model(
             *passive.left_out,
             *merge.left_out(forces),
             *merge.limits(split.model),
+            *robot.left_out,
             *stated_limits(robot.raw, locked=split.whole(locked), merged=merge.hinges),
         ),
         passive=merge.forces(passive.passive),
@@ -367,7 +387,7 @@ def _load_model(
         couplings=couplings,
         locked=locked_joints,
         merged=merge.triples,
-        loops=parse_loops(loops.loops),
+        loops=parse_loops((*_moving_loops(robot, model, loops.loops), *loops.loops)),
     )
     initial = robot.initial
     if initial is not None:
@@ -378,6 +398,47 @@ def _load_model(
     model.name = robot.name
     system = System(model, robot.name, initial, robot.origin, contents)
     return with_constant_loops(system, loops.driven)
+
+
+def _moving_loops(
+    robot: _Robot, model: pin.Model, requested: Sequence[Constraint]
+) -> Iterator[Loop]:
+    """Yield the loops of a file, without those that locked joints or the call replace.
+
+    Args:
+        robot: The robot.
+        model: Its model, with its root joint and without locked joints.
+        requested: Loops that the call states; they replace loops of the same name, or at the same
+            points.
+    Raises:
+        ModelError: A loop attaches the robot to the world.
+    """
+    names = {loop.name for loop in requested}
+    stated = [_points(model, loop) for loop in requested if isinstance(loop, Loop)]
+    for loop in robot.loops:
+        points = _points(model, loop)
+        joints = {joint for joint, _ in points}
+        if loop.name in names or len(joints) == 1 or any(_same_points(points, p) for p in stated):
+            continue
+        if 0 in joints:
+            raise ModelError(
+                f"joint {quoted(loop.name)} of {quoted(robot.name)} closes a loop through the "
+                "world, which breaks the symmetry; remove it, or lock the joints of the loop"
+            )
+        yield loop
+
+
+def _points(model: pin.Model, loop: Loop) -> list[tuple[int, Array]]:
+    """Return the ends of a loop as (joint, point in its frame), ordered by joint."""
+    ends = loop_ends(model, loop)
+    return sorted(((end.joint, end.placement.translation) for end in ends), key=lambda e: e[0])
+
+
+def _same_points(a: list[tuple[int, Array]], b: list[tuple[int, Array]]) -> bool:
+    """Return whether two loops have their ends at the same points."""
+    return all(
+        i == j and np.abs(p - q).max() <= _SAME_POINT for (i, p), (j, q) in zip(a, b, strict=True)
+    )
 
 
 def is_path(name: str) -> bool:

@@ -81,6 +81,22 @@ def outermost(text: str) -> str:
     return tags[0].lower() if tags else ""
 
 
+class FileElement(ElementTree.Element):
+    """An XML element with its place in the file.
+
+    Attributes:
+        line: Line of the start tag; 0 for an element that no file contains.
+    """
+
+    line: int = 0
+
+
+def place(element: ElementTree.Element) -> str:
+    """Return the line of an element in its file, as " (line 7)"; "" if it has none."""
+    line = getattr(element, "line", 0)
+    return f" (line {line})" if line else ""
+
+
 @contextmanager
 def text_in_file(text: str) -> Iterator[Path]:
     """Write a text to a temporary file, named after the robot.
@@ -109,12 +125,14 @@ def text_in_file(text: str) -> Iterator[Path]:
 def read_xml(path: Path) -> ElementTree.Element:
     """Return the root element of an XML file.
 
-    Element names keep their namespace prefixes, whether or not the file declares them.
+    Element names keep their namespace prefixes, whether or not the file declares them.  The
+    elements are FileElements.
 
     Raises:
         LoadError: The file cannot be read, is too large, or is not XML.
     """
-    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    builder = ElementTree.TreeBuilder(element_factory=FileElement)
+    parser = expat.ParserCreate()
     count = depth = 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -125,7 +143,9 @@ def read_xml(path: Path) -> ElementTree.Element:
             what = f"{_DEEPEST} nested elements" if deep else f"{count - 1} elements"
             where = f"{plain_path(path)}, line {parser.CurrentLineNumber}"
             raise LoadError(f"{where}: more than {what}")
-        builder.start(tag, attributes)
+        element = builder.start(tag, attributes)
+        assert isinstance(element, FileElement)
+        element.line = parser.CurrentLineNumber + lines_before
 
     def end(tag: str) -> None:
         nonlocal depth
@@ -133,8 +153,12 @@ def read_xml(path: Path) -> ElementTree.Element:
         builder.end(tag)
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = builder.data
+    text = read_text(path)
+    stripped = _without_declaration(text)
+    lines_before = text.count("\n") - stripped.count("\n")
     try:
-        parser.Parse(_without_declaration(read_text(path)), True)
+        parser.Parse(stripped, True)
         return builder.close()
     except (expat.ExpatError, ValueError) as error:
         advice = ""

@@ -26,7 +26,7 @@ SAME = {  # equivalent texts of one robot
     "limit without velocity": FLOATING.replace(' velocity="1"', ""),
     "declaration on the second line": f'\n<?xml version="1.0"?>\n{FLOATING}',
     "declaration after a comment": f'<!-- made by hand --><?xml version="1.0"?>{FLOATING}',
-    "prefix without declaration": FLOATING.replace("</robot>", '<g:b k:x="1"/></robot>'),
+    "prefix without declaration": FLOATING.replace("</robot>", "<sensor><g:b/></sensor></robot>"),
     "no limits at all": LIMIT.sub("", FLOATING),
     "bad shapes": FLOATING.replace("<inertial>", "<visual><geometry/></visual><inertial>"),
 }
