@@ -122,6 +122,10 @@ FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
         with_b(re.sub(r'(mass value|i..)="[\d.]+"', r'\1="0"', inertial())),
         ModelError, [BEE, "a-bee", "no mass", "lock=['a-bee']"],
     ),
+    "no mass on a ball": (
+        chain("spherical").replace(link("c"), link("c", 0)),
+        ModelError, ["'c'", "b-c", "no mass", "lock=['b-c']"],
+    ),
     "point mass on its axis": (
         with_b(re.sub(r'(i..)="[\d.]+"', r'\1="0"', inertial())),
         ModelError, [BEE, "a-bee", "in one point", "lock=['a-bee']"],
