@@ -30,6 +30,7 @@ from .constant_loops import with_constant_loops
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
 from .example_model import example_model
+from .independent_reader import second_reading
 from .joints import is_ball, motion_group, places_on_root, root_chain
 from .locked_joints import (
     LockedJoints,
@@ -150,9 +151,10 @@ def load(
         gravity: Gravity in the world frame, (3,) [m/s²].  If None, the robot's gravity
             (Pinocchio's 9.81 along −z for a URDF).
         root: For MJCF, the body of the world that carries the robot, if several can move.
-        strict: Whether to reject robots with doubtful inertias instead of emitting a warning.
-            Inertias are doubtful if no mass distribution has these moments, or if the mass matrix
-            is singular at isolated shapes.
+        strict: Whether to reject robots with doubtful inertias instead of emitting a warning, and
+            URDF files that Pinocchio, given the untouched file, reads differently.  Inertias are
+            doubtful if no mass distribution has these moments, or if the mass matrix is singular
+            at isolated shapes.
         meshes: Folder, or folders, in which playback looks for the meshes of a URDF file, besides
             those above the file.
         parameters: Robot parameters {name: value} that replace values of the file, such as masses
@@ -193,11 +195,15 @@ def load(
     folders = mesh_folders(meshes)
     if text is None:
         system = _load_source(source, requested, locked, new_gravity, root, merged, folders, added)
+        if strict:
+            _check_second_reading(source)
     else:
         with text_in_file(text) as path:
             system = _load_source(
                 path, requested, locked, new_gravity, root, merged, folders, added
             )
+            if strict:
+                _check_second_reading(path)
         # The file is gone, so the text itself is the origin.
         vars(system)["origin"] = Origin("", locked, root, folders, text)
     _report(system, strict=strict)
@@ -246,6 +252,23 @@ def _load_source(
     if bundled is not None:
         loops = replace(loops, loops=(*bundled.loops, *loops.loops))
     return _load_model(robot, locked, gravity, visuals, balls, loops)
+
+
+def _check_second_reading(source: object) -> None:
+    """Reject a file that an independent reader reads differently.  Raises ModelError."""
+    if not isinstance(source, (str, Path)):
+        return
+    name = str(source)
+    if (bundled := catalogue.bundled_robots().get(name)) is not None:
+        path = bundled.path
+    else:
+        path = Path(source) if is_path(name) else catalogue.example_robot(name).urdf
+    reading = second_reading(path)
+    if reading is not None and reading.differences:
+        raise ModelError(
+            f"{quoted(path.stem)} is refused because of strict=True: {reading.reader} reads the "
+            f"file differently: {'; '.join(reading.differences[:6])}"
+        )
 
 
 def _report(system: System, *, strict: bool) -> None:
