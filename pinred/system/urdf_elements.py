@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import ModelError
-from ..common.names import listed, quoted
+from ..common.names import listed, nearest, quoted
 from .passive import Spring
 from .rebuild import NewJoint
 from .robot_file_contents import Coupling, LeftOut
@@ -153,8 +153,10 @@ def tree_depth(robot: Element) -> int:
     """Return the largest number of joints from the root link to a link.
 
     Raises:
-        ModelError: Joints form a cycle, or several links have no joint that carries them.
+        ModelError: A joint names a link that is missing, joints form a cycle, or several links
+            have no joint that carries them.
     """
+    _check_links(robot)
     depth: dict[str, int] = {}
     parent_of = {
         child.get("link", "?"): parent.get("link", "?")
@@ -182,6 +184,21 @@ def tree_depth(robot: Element) -> int:
         first = depth.setdefault(end, 0)
         depth |= {name: first + k for k, name in enumerate(reversed(path))}
     return max(depth.values(), default=0)
+
+
+def _check_links(robot: Element) -> None:
+    """Reject joints on links that are missing.  Raises ModelError."""
+    links = {link.get("name", "") for link in robot.findall("link")}
+    for joint in robot.findall("joint"):
+        owner = f"joint {quoted(joint.get('name', '?'))}{place(joint)}"
+        for tag in ("parent", "child"):
+            end = joint.find(tag)
+            name = "" if end is None else end.get("link", "")
+            if name not in links:
+                raise ModelError(
+                    f"the {tag} of {owner} is the link {quoted(name)}, which the file does not "
+                    f"contain; {nearest(name, sorted(links))}name a link of the file"
+                )
 
 
 def moving_joints(robot: Element) -> list[Element]:

@@ -79,7 +79,8 @@ WORDS: tuple[Words, ...] = (
     Words("", _FINE, "a declaration of XML", "xmlns* xsi:*"),
     # Links
     Words("link", _READ, "body", "name"),
-    Words("link", _FINE, "a note for other programs", "type concave self_collision_checking"),
+    Words("link", _FINE, "a note for other programs", "type concave drake_ignore"),
+    Words("link", _FINE, _SHAPE, "self_collision_checking"),
     Words("link/inertial", _READ, "inertia"),
     Words("link/inertial/origin", _READ, _PLACE, "xyz rpy quat_xyzw", single=True),
     Words("link/inertial/mass", _READ, "mass", "value", single=True),
@@ -116,6 +117,7 @@ WORDS: tuple[Words, ...] = (
     Words(f"{_JOINT}/dynamics", _READ, "spring", "stiffness spring_stiffness"),
     Words(f"{_JOINT}/dynamics", _READ, "rest of the spring", "spring_reference spring_mount"),
     Words(f"{_JOINT}/dynamics", _OUT, SPRINGS, "D K mu_coulomb mu_viscous", ("0",)),
+    Words(f"{_JOINT}/dynamics", _FINE, "scenes state the width of friction", "coulomb_window"),
     Words(f"{_JOINT}/drake:screw_thread_pitch", _READ, "pitch", "value", single=True),
     Words(
         f"{_JOINT}/safety_controller", _FINE, _MOTOR,

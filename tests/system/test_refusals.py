@@ -77,6 +77,14 @@ FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
         three(joint("b", "c"), "\n", joint("b", "c")),
         ModelError, ["two joints", "'b-c'", "line 2"],
     ),
+    "link missing": (
+        three(joint("b", "c"), "\n", joint("c", "d")),
+        ModelError, ["child of", "'c-d' (line 2)", "'d'"],
+    ),
+    "parent missing": (
+        three(joint("b", "c").replace('<parent link="b"/>', "")),
+        ModelError, ["the parent of", "'b-c' (line 1)", "name a link"],
+    ),
     "joint universe": (
         chain("revolute").replace('name="b-c"', 'name="universe"'),
         ModelError, ["'universe' (line 1)", "fixed world", "rename"],
