@@ -114,6 +114,8 @@ def add_loops(model: pin.Model, closing: Sequence[ClosingJoint]) -> tuple[Loop, 
         model: Model of the tree.
         closing: The joints.
     """
+    if not closing:
+        return ()
     data, loops = model.createData(), []
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     places = {

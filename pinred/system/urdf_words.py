@@ -318,56 +318,66 @@ def left_out_words(robot: Element) -> tuple[LeftOut, ...]:
     def report(kind: str, name: str, *, quiet: bool = False) -> None:
         names.setdefault((kind, quiet), []).append(name)
 
-    def visit(element: Element, path: str, owner: str) -> None:
-        owner = _owner(element, owner)
+    def visit(element: Element, path: str, owner: Element) -> None:
+        owner = element if _is_named(element) else owner
         for key, value in element.attrib.items():
-            entry = _entry(path, key)
-            shown = f"{key}={quoted(value)} of {_shown(element, owner)}{place(element)}"
-            if entry is None:
-                report(UNKNOWN, shown)
-            elif key == "quat_xyzw" and not version_of(robot):
-                report(QUATERNION, shown)
-            elif element is robot and key == "version" and not _VERSION.fullmatch(value.strip()):
-                report(VERSION, shown)
-            elif entry.words.fate is _OUT and not _is_neutral(value, entry.words.neutral):
-                report(entry.words.what, shown, quiet=entry.words.quiet)
+            kind, quiet = _kind_of_attribute(robot, element, path, key)
+            if kind:
+                shown = f"{key}={quoted(value)} of {_shown(element, owner)}{place(element)}"
+                report(kind, shown, quiet=quiet)
         tags = set[str]()
         for child in element:
-            below = f"{path}/{child.tag}".lstrip("/")
-            entry, shown = _entry(below), f"{_shown(child, owner)}{place(child)}"
+            below = f"{path}/{child.tag}" if path else child.tag
+            entry = _entry(below)
             if entry is None:
-                report(UNKNOWN, shown)
+                report(UNKNOWN, f"{_shown(child, owner)}{place(child)}")
                 continue
             words = entry.words
             if words.single and child.tag in tags:
-                report(REPEATED, shown)
+                report(REPEATED, f"{_shown(child, owner)}{place(child)}")
             tags.add(child.tag)
-            is_stated = entry.whole or not (words.attributes or words.neutral)
-            text = (child.text or "").strip()
-            is_stated |= bool(text) and not _is_neutral(text, words.neutral)
-            if words.fate is _OUT and is_stated:
-                report(words.what, shown, quiet=words.quiet)
+            if words.fate is _OUT and _is_stated(child, entry):
+                report(words.what, f"{_shown(child, owner)}{place(child)}", quiet=words.quiet)
             if not entry.whole:
                 visit(child, below, owner)
 
-    visit(robot, "", "")
+    visit(robot, "", robot)
     return tuple(LeftOut(kind, tuple(words), quiet) for (kind, quiet), words in names.items())
 
 
-def _owner(element: Element, owner: str) -> str:
-    """Describe the innermost named element."""
-    name = element.get("name") or element.get("reference")
-    if element.tag == "robot" or not name:
-        return owner
-    return f"{element.tag} {quoted(name)}"
+def _kind_of_attribute(robot: Element, element: Element, path: str, key: str) -> tuple[str, bool]:
+    """Return the kind of an attribute that is left out, or "", and whether it is quiet."""
+    entry, value = _entry(path, key), element.attrib[key]
+    if entry is None:
+        return UNKNOWN, False
+    if key == "quat_xyzw" and not version_of(robot):
+        return QUATERNION, False
+    if element is robot and key == "version" and not _VERSION.fullmatch(value.strip()):
+        return VERSION, False
+    words = entry.words
+    is_left_out = words.fate is _OUT and not _is_neutral(value, words.neutral)
+    return (words.what if is_left_out else ""), words.quiet
 
 
-def _shown(element: Element, owner: str) -> str:
-    """Describe an element for a list."""
-    own = _owner(element, "")
-    if own or not owner:
-        return own or f"<{element.tag}>"
-    return f"<{element.tag}> of {owner}"
+def _is_stated(element: Element, entry: Entry) -> bool:
+    """Return whether an element states more than its attributes do."""
+    words, text = entry.words, (element.text or "").strip()
+    if entry.whole or not (words.attributes or words.neutral):
+        return True
+    return bool(text) and not _is_neutral(text, words.neutral)
+
+
+def _is_named(element: Element) -> bool:
+    return element.tag != "robot" and ("name" in element.attrib or "reference" in element.attrib)
+
+
+def _shown(element: Element, owner: Element) -> str:
+    """Describe an element, and the innermost named element that contains it, for a list."""
+    if _is_named(element):
+        name = element.get("name", element.get("reference", ""))
+        return f"{element.tag} {quoted(name)}"
+    inside = f" of {_shown(owner, owner)}" if _is_named(owner) else ""
+    return f"<{element.tag}>{inside}"
 
 
 def _is_neutral(value: str, neutral: tuple[str, ...]) -> bool:
