@@ -222,6 +222,7 @@ def _check_body(model: pin.Model, i: int, unit: float) -> None:
 
 def _refusal(model: pin.Model, joints: tuple[str, ...]) -> str:
     """Return the error message for a model with joints that move no mass at any shape."""
+    joints = _whole_joints(model, joints)
     i = model.getJointId(joints[0])
     body, behind = model.inertias[i], len(model.children[i]) > 0
     lacks = "no mass"
@@ -266,11 +267,18 @@ def _triangle_doubt(model: pin.Model, unit: float) -> str:
 def _nearly_singular_doubt(model: pin.Model, joints: tuple[str, ...]) -> str:
     if not joints:
         return ""
+    joints = _whole_joints(model, joints)
     body = _body_words(model, model.getJointId(joints[0]))
     return (
         f"the mass matrix is nearly singular at every shape: joint {listed(joints)} moves hardly "
         f"any mass ({body}); lock={list(joints)} locks these joints"
     )
+
+
+def _whole_joints(model: pin.Model, rates: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the joints with the given names of rates; those of a ball end in its axes."""
+    joints = (rate if model.existJointName(rate) else rate.rpartition(".")[0] for rate in rates)
+    return tuple(dict.fromkeys(joints))
 
 
 def _isolated_shapes_doubt(model: pin.Model, shapes: tuple[SingularShape, ...]) -> str:

@@ -1,4 +1,4 @@
-"""The robots of example-robot-data as models."""
+"""The robots of example-robot-data."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import pinocchio as pin
 from ..common.errors import LoadError
 from ..common.names import quoted
 from . import catalogue
-from .read_urdf import read_urdf
+from .read_urdf import UrdfRobot, read_urdf
 from .rebuild import without_mimics
-from .robot_file_contents import Coupling
 from .robot_files import read_xml
 from .urdf_elements import mimic_couplings
+from .urdf_words import left_out_words
 
 
-def example_model(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return the model of a robot in example-robot-data, with rotor armature, and its couplings.
+def example_model(name: str) -> UrdfRobot:
+    """Return a robot of example-robot-data, with rotor armature.
 
     Raises:
         LoadError: The name is unknown; the message has similar names.
@@ -32,13 +32,16 @@ def example_model(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
         )
     robot = catalogue.example_robot(name)
     if robot.build is None:
-        model, couplings, _ = read_urdf(robot.urdf)
+        urdf = read_urdf(robot.urdf)
     else:
+        root = read_xml(robot.urdf)
         model, couplings = without_mimics(robot.build().robot.model)
         if not couplings:
-            candidates = mimic_couplings(read_xml(robot.urdf))
+            candidates = mimic_couplings(root)
             couplings = tuple(c for c in candidates if model.existJointName(c.follower))
+        urdf = UrdfRobot(model, couplings, left_out=left_out_words(root))
     if robot.rotors is not None:
+        model = urdf.model
         pin.loadRotorParameters(model, str(robot.rotors), False)
         model.armature = model.rotorInertia * model.rotorGearRatio**2
-    return model, couplings
+    return urdf

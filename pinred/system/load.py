@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -30,6 +30,7 @@ from .constant_loops import with_constant_loops
 from .coordinates import InitialState
 from .coupling import ties_of, with_followers
 from .example_model import example_model
+from .independent_reader import second_reading
 from .joints import is_ball, motion_group, places_on_root, root_chain
 from .locked_joints import (
     LockedJoints,
@@ -38,7 +39,8 @@ from .locked_joints import (
     lock_values,
     separate_attitudes,
 )
-from .loops.loop import JointPolynomial, Loop, parse_loops
+from .loops.kinematics import loop_ends
+from .loops.loop import Constraint, JointPolynomial, Loop, parse_loops
 from .loops.loop_file import LoopFile, requested_loops
 from .merge_hinges import coupled_joints, locked_hinges, merge_of, requested_balls, unlocked_balls
 from .mjcf.package import is_mujoco
@@ -46,7 +48,7 @@ from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
 from .passive import Spring, passive_contents
 from .read_sdf import read_sdf
-from .read_urdf import read_urdf
+from .read_urdf import UrdfRobot, read_urdf
 from .rebuild import rebuild, without_mimics
 from .robot_description import Model
 from .robot_file_contents import Contents, Coupling, LeftOut, Origin
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
 
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
+_SAME_POINT = 1e-9  # largest distance of points that count as one [m]
 _CALLER = 4  # stack level of the caller of `load` for warnings, outside the check of arguments
 
 
@@ -78,8 +81,8 @@ class _Robot:
         initial: Generic initial state, if any.
         warning: Warning about the text of the file, or "".
         springs: Springs at joints.
-        loops: Loops that the file closes.
-        left_out: Actions in the file that are not simulated.
+        loops: Loops that the file closes; their frames are in the model.
+        left_out: Words and actions of the file that are left out.
     """
 
     raw: pin.Model
@@ -92,6 +95,20 @@ class _Robot:
     springs: tuple[Spring, ...] = ()
     loops: tuple[Loop, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
+
+
+def _of_urdf(
+    urdf: UrdfRobot,
+    name: str,
+    origin: Origin,
+    group: Group | None,
+    initial: InitialState | None = None,
+) -> _Robot:
+    """Return the robot in a URDF file; the other arguments are those of _Robot."""
+    return _Robot(
+        urdf.model, urdf.couplings, name, origin, group, initial, urdf.warning, urdf.springs,
+        urdf.loops, urdf.left_out,
+    )  # fmt: skip
 
 
 @checks_arguments
@@ -135,9 +152,10 @@ def load(
             (Pinocchio's 9.81 along −z for a URDF).
         root: For MJCF, the body of the world that carries the robot, if several can move.  For
             SDF, the base link of the robot, or its model.
-        strict: Whether to reject robots with doubtful inertias instead of emitting a warning.
-            Inertias are doubtful if no mass distribution has these moments, or if the mass matrix
-            is singular at isolated shapes.
+        strict: Whether to reject robots with doubtful inertias instead of emitting a warning, and
+            URDF files that Pinocchio, given the untouched file, reads differently.  Inertias are
+            doubtful if no mass distribution has these moments, or if the mass matrix is singular
+            at isolated shapes.
         meshes: Folder, or folders, in which playback looks for the meshes of a URDF file, and
             `load` for the models that an SDF file includes, besides those above the file.
         parameters: Robot parameters {name: value} that replace values of the file, such as masses
@@ -178,11 +196,15 @@ def load(
     folders = mesh_folders(meshes)
     if text is None:
         system = _load_source(source, requested, locked, new_gravity, root, merged, folders, added)
+        if strict:
+            _check_second_reading(source)
     else:
         with text_in_file(text) as path:
             system = _load_source(
                 path, requested, locked, new_gravity, root, merged, folders, added
             )
+            if strict:
+                _check_second_reading(path)
         # The file is gone, so the text itself is the origin.
         vars(system)["origin"] = Origin("", locked, root, folders, text)
     _report(system, strict=strict)
@@ -231,6 +253,23 @@ def _load_source(
     if bundled is not None:
         loops = replace(loops, loops=(*bundled.loops, *loops.loops))
     return _load_model(robot, locked, gravity, visuals, balls, loops)
+
+
+def _check_second_reading(source: object) -> None:
+    """Reject a file that an independent reader reads differently.  Raises ModelError."""
+    if not isinstance(source, (str, Path)):
+        return
+    name = str(source)
+    if (bundled := catalogue.bundled_robots().get(name)) is not None:
+        path = bundled.path
+    else:
+        path = Path(source) if is_path(name) else catalogue.example_robot(name).urdf
+    reading = second_reading(path)
+    if reading is not None and reading.differences:
+        raise ModelError(
+            f"{quoted(path.stem)} is refused because of strict=True: {reading.reader} reads the "
+            f"file differently: {'; '.join(reading.differences[:6])}"
+        )
 
 
 def _report(system: System, *, strict: bool) -> None:
@@ -302,14 +341,14 @@ def _read(
     name = str(source)
     origin = Origin(name, locked, meshes=folders)
     if (robot := catalogue.bundled_robots().get(name)) is not None:
-        raw, couplings, warning = read_urdf(robot.path)
-        raw.gravity.linear = np.array(robot.gravity)
+        urdf = read_urdf(robot.path)
+        urdf.model.gravity.linear = np.array(robot.gravity)
         group = group or group_named(robot.group)
         initial = None
         if not locked and group.name == robot.group:
             x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
             initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
-        return _Robot(raw, couplings, name, origin, group, initial, warning)
+        return _of_urdf(urdf, name, origin, group, initial)
     if _is_sdf(source):
         origin = replace(origin, source=str(Path(source).absolute()), root=root)
         sdf = read_sdf(Path(source), folders, root)
@@ -325,10 +364,9 @@ def _read(
             left_out=sdf.left_out,
         )
     if is_path(name):
-        raw, couplings, warning = read_urdf(Path(source))
         origin = replace(origin, source=str(Path(source).absolute()))
-        return _Robot(raw, couplings, Path(source).stem, origin, group, warning=warning)
-    return _Robot(*example_model(name), name, origin, group)
+        return _of_urdf(read_urdf(Path(source)), Path(source).stem, origin, group)
+    return _of_urdf(example_model(name), name, origin, group)
 
 
 def _load_model(
@@ -375,6 +413,7 @@ def _load_model(
             *passive.left_out,
             *merge.left_out(forces),
             *merge.limits(split.model),
+            *robot.left_out,
             *stated_limits(robot.raw, locked=split.whole(locked), merged=merge.hinges),
         ),
         passive=merge.forces(passive.passive),
@@ -383,7 +422,7 @@ def _load_model(
         couplings=couplings,
         locked=locked_joints,
         merged=merge.triples,
-        loops=parse_loops((*robot.loops, *loops.loops)),
+        loops=parse_loops((*_moving_loops(robot, model, loops.loops), *loops.loops)),
     )
     initial = robot.initial
     if initial is not None:
@@ -401,6 +440,47 @@ def _is_sdf(source: object) -> bool:
     if not isinstance(source, (str, Path)) or str(source) in catalogue.bundled_robots():
         return False
     return is_path(str(source)) and outermost(read_text(Path(source))) == "sdf"
+
+
+def _moving_loops(
+    robot: _Robot, model: pin.Model, requested: Sequence[Constraint]
+) -> Iterator[Loop]:
+    """Yield the loops of a file, without those that locked joints or the call replace.
+
+    Args:
+        robot: The robot.
+        model: Its model, with its root joint and without locked joints.
+        requested: Loops that the call states; they replace loops of the same name, or at the same
+            points.
+    Raises:
+        ModelError: A loop attaches the robot to the world.
+    """
+    names = {loop.name for loop in requested}
+    stated = [_points(model, loop) for loop in requested if isinstance(loop, Loop)]
+    for loop in robot.loops:
+        points = _points(model, loop)
+        joints = {joint for joint, _ in points}
+        if loop.name in names or len(joints) == 1 or any(_same_points(points, p) for p in stated):
+            continue
+        if 0 in joints:
+            raise ModelError(
+                f"joint {quoted(loop.name)} of {quoted(robot.name)} closes a loop through the "
+                "world, which breaks the symmetry; remove it, or lock the joints of the loop"
+            )
+        yield loop
+
+
+def _points(model: pin.Model, loop: Loop) -> list[tuple[int, Array]]:
+    """Return the ends of a loop as (joint, point in its frame), ordered by joint."""
+    ends = loop_ends(model, loop)
+    return sorted(((end.joint, end.placement.translation) for end in ends), key=lambda e: e[0])
+
+
+def _same_points(a: list[tuple[int, Array]], b: list[tuple[int, Array]]) -> bool:
+    """Return whether two loops have their ends at the same points."""
+    return all(
+        i == j and np.abs(p - q).max() <= _SAME_POINT for (i, p), (j, q) in zip(a, b, strict=True)
+    )
 
 
 def is_path(name: str) -> bool:

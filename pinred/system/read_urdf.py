@@ -1,16 +1,17 @@
-"""read_urdf(): the model and the joint couplings of a URDF file, without meshes.
+"""read_urdf(): the robot in a URDF file, without meshes.
 
 Pinocchio ignores, or replaces by defaults, entries that change the dynamics: mimic joints, links
-on two joints, axes of length zero, incomplete inertias.  `urdf_elements` reads these entries from
-the file; they are used or refused.
+on two joints, axes of length zero, incomplete inertias.  `urdf_elements` and `urdf_loops` read
+these entries from the file; they are used or refused.  `urdf_words` reports what is left out.
 """
 
 from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 from xml.etree import ElementTree
@@ -21,18 +22,29 @@ import pinocchio as pin
 from ..common.errors import LoadError, ModelError
 from ..common.library_output import library_output
 from ..common.names import plain_path
-from .robot_file_contents import Coupling
+from .loops.loop import Loop
+from .passive import Spring
+from .rebuild import RATE_LIMITS, NewJoint, rebuild
+from .robot_file_contents import Coupling, LeftOut
 from .robot_files import read_xml
+from .split_joints import copy_losses
 from .urdf_elements import (
     UNLIMITED,
     check_urdf,
+    file_frames,
+    file_springs,
     keep_numbers,
     mimic_couplings,
+    prepare,
     reduced_text,
     replace_commas,
+    rotor_inertias,
+    special_joints,
     total_mass,
     tree_depth,
 )
+from .urdf_loops import add_loops, take_closing_joints
+from .urdf_words import left_out_words
 
 T = TypeVar("T")
 
@@ -45,31 +57,75 @@ _DEEP, _STACK = 500, 65536
 _MOST_LINKS = 20_000  # largest accepted number of links, because the parser recurses once per link
 
 
-def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...], str]:
-    """Return the model in a URDF file, its joint couplings, and a warning about its text or "".
+@dataclass(frozen=True, eq=False)
+class UrdfRobot:
+    """A robot in a URDF file.
 
-    The model has the root joint of the file.
+    Attributes:
+        model: Model with the root joint of the file.
+        couplings: Couplings of joints that follow others.
+        springs: Springs at joints.
+        loops: Closed loops; their frames are in the model.
+        left_out: Words of the file that are left out.
+        warning: Warning about the text of the file, or "".
+        special: Joints that Pinocchio's parser does not read, by name.
+    """
 
+    model: pin.Model
+    couplings: tuple[Coupling, ...] = ()
+    springs: tuple[Spring, ...] = ()
+    loops: tuple[Loop, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    warning: str = ""
+    special: Mapping[str, NewJoint] = field(default_factory=dict)
+
+
+def read_urdf(path: Path) -> UrdfRobot:
+    """Read the robot in a URDF file.
+
+    Args:
+        path: Path of the file.
+    Returns:
+        The robot.
     Raises:
         LoadError: The file cannot be read.
         ModelError: pinred cannot reduce the robot.
     """
     root = read_xml(path)
-    _refuse_macros(path, root)
     if root.tag != "robot":
         raise LoadError(
             f"{plain_path(path)} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>"
         )
+    _refuse_macros(path, root)
     if (links := len(root.findall("link"))) > _MOST_LINKS:
         raise LoadError(f"{plain_path(path)} has {links} links, more than {_MOST_LINKS}")
+    left_out = left_out_words(root)
     warning = replace_commas(root)
+    prepare(root)
     check_urdf(root)
-    depth = tree_depth(root)
+    closing, beyond = take_closing_joints(root)
+    springs, more = file_springs(root)
     couplings = mimic_couplings(root)
+    model = _parsed(path, root)
+    _check_mass(path, model, total_mass(root))
+    for limits in (model.lowerPositionLimit, model.upperPositionLimit):
+        limits[np.abs(limits) >= UNLIMITED] *= np.inf
+    special = special_joints(root)
+    model = with_other_joints(model, special)
+    keep_numbers(root, model)
+    rotors = _add_rotors(root, model)
+    file_frames(root, model)
+    loops = add_loops(model, closing)
+    left_out = (*left_out, *beyond, *more, *rotors)
+    return UrdfRobot(model, couplings, springs, loops, left_out, warning, special)
+
+
+def _parsed(path: Path, root: ElementTree.Element) -> pin.Model:
+    """Return the model that Pinocchio reads from the elements of a file.  Raises LoadError."""
+    text, depth = reduced_text(root), tree_depth(root)
     model, why = None, ""
     with library_output(URDFDOM) as messages:
         try:
-            text = reduced_text(root)
             model = with_deep_stack(lambda: pin.buildModelFromXML(text), depth)
         except Exception as error:  # Pinocchio raises parser errors of any type.
             why = str(error).strip() or type(error).__name__
@@ -78,11 +134,43 @@ def read_urdf(path: Path) -> tuple[pin.Model, tuple[Coupling, ...], str]:
         raise LoadError(
             f"Pinocchio cannot read {plain_path(path)}: {reason.removeprefix('Error:').strip()}"
         )
-    _check_mass(path, model, total_mass(root))
-    keep_numbers(root, model)
-    for limits in (model.lowerPositionLimit, model.upperPositionLimit):
-        limits[np.abs(limits) >= UNLIMITED] *= np.inf
-    return model, couplings, warning
+    return model
+
+
+def with_other_joints(model: pin.Model, special: Mapping[str, NewJoint]) -> pin.Model:
+    """Return a model with some joints replaced, whose other joints keep all their numbers.
+
+    Args:
+        model: The model.
+        special: New joints by name.
+    Returns:
+        The model; `model` itself if no joint is replaced.
+    """
+    if not special:
+        return model
+    replaced = {int(model.getJointId(name)): [joint] for name, joint in special.items()}
+    rebuilt = rebuild(model, replaced=replaced)
+    copy_losses(model, rebuilt, dict.fromkeys(replaced, ()))
+    for i in range(1, model.njoints):
+        if i not in replaced:
+            old, new = model.joints[i], rebuilt.joints[rebuilt.getJointId(str(model.names[i]))]
+            for array in RATE_LIMITS:
+                values = getattr(model, array)[old.idx_v : old.idx_v + old.nv]
+                getattr(rebuilt, array)[new.idx_v : new.idx_v + new.nv] = values
+    return rebuilt
+
+
+def _add_rotors(root: ElementTree.Element, model: pin.Model) -> tuple[LeftOut, ...]:
+    """Add armature to a model; return the armature that is left out."""
+    others = []
+    for name, armature in rotor_inertias(root).items():
+        joint = model.joints[model.getJointId(name)]
+        if joint.nv == 1 or joint.shortname() == "JointModelSpherical":
+            model.armature[joint.idx_v : joint.idx_v + joint.nv] = armature
+        else:
+            others.append(name)
+    what = "armature of joints with several degrees of freedom"
+    return (LeftOut(what, tuple(others)),) if others else ()
 
 
 def with_deep_stack(parse: Callable[[], T], depth: int) -> T:
@@ -111,7 +199,10 @@ def _check_mass(path: Path, model: pin.Model, file_mass: float) -> None:
 def _refuse_macros(path: Path, root: ElementTree.Element) -> None:
     """Reject a template that xacro must expand.  Raises LoadError with the command to run."""
     used = next((e.tag for e in root.iter() if e.tag.startswith("xacro:")), "")
-    if used or any(mark in reduced_text(root) for mark in ("${", "$(")):
+    elements = [*root.iterfind("joint"), *root.iterfind("link/inertial")]
+    values = [value for top in elements for part in top.iter() for value in part.attrib.values()]
+    values += [link.get("name", "") for link in root.iterfind("link")]
+    if used or any(mark in value for mark in ("${", "$(") for value in values):
         name = path.name.partition(".")[0] + ("" if path.suffix == ".xacro" else "_expanded")
         shown = plain_path(path)
         raise LoadError(

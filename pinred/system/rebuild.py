@@ -23,7 +23,7 @@ from .robot_file_contents import Coupling
 # Prismatic joints along x, y and z, which are faster than the last one, for an arbitrary axis.
 PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)
 REVOLUTE = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned)
-_RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
+RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
 _ALIGNED = 1e-9  # largest deviation of a unit axis from x, y or z that counts as round-off
 
 
@@ -213,7 +213,7 @@ def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
     for old, name in zip(model.joints, model.names, strict=True):
         if old.nv:
             new = plain.joints[plain.getJointId(name)]
-            for kind in _RATE_LIMITS:
+            for kind in RATE_LIMITS:
                 limits = getattr(model, kind)[old.idx_v : old.idx_v + old.nv]
                 getattr(plain, kind)[new.idx_v : new.idx_v + new.nv] = limits
     leaders = {

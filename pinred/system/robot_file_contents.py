@@ -90,8 +90,8 @@ class LeftOut:
     Attributes:
         what: Kind of action, such as "actuators".
         names: Names of the actions.
-        demanded: Whether the format of the file demands such entries, so that they cause no
-            warning.
+        demanded: Whether most files contain such entries, so that they cause no warning: limits,
+            which URDF demands, and plugins.
     """
 
     what: str

@@ -30,11 +30,11 @@ _NAME = re.compile(
 )
 
 
-class XmlElement(ElementTree.Element):
+class FileElement(ElementTree.Element):
     """An element of a file.
 
     Attributes:
-        line: Number of its line in the file, from 1.
+        line: Number of its line in the file, from 1; 0 for an element that no file contains.
     """
 
     line: int = 0
@@ -42,7 +42,13 @@ class XmlElement(ElementTree.Element):
 
 def line_of(element: ElementTree.Element) -> int:
     """Return the number of the line of an element, from 1; 0 if it is in no file."""
-    return element.line if isinstance(element, XmlElement) else 0
+    return element.line if isinstance(element, FileElement) else 0
+
+
+def place(element: ElementTree.Element) -> str:
+    """Return the line of an element in its file, as " (line 7)"; "" if it has none."""
+    line = line_of(element)
+    return f" (line {line})" if line else ""
 
 
 def read_text(path: Path) -> str:
@@ -122,15 +128,15 @@ def text_in_file(text: str) -> Iterator[Path]:
             raise type(error)(message.replace(plain_path(path), "the text")) from None
 
 
-def read_xml(path: Path) -> XmlElement:
-    """Return the root element of an XML file; all its elements are XmlElements.
+def read_xml(path: Path) -> FileElement:
+    """Return the root element of an XML file; all its elements are FileElements.
 
     Element names keep their namespace prefixes, whether or not the file declares them.
 
     Raises:
         LoadError: The file cannot be read, is too large, or is not XML.
     """
-    builder = ElementTree.TreeBuilder(element_factory=XmlElement)
+    builder = ElementTree.TreeBuilder(element_factory=FileElement)
     parser, text = expat.ParserCreate(), read_text(path)
     content = _without_declaration(text)
     removed = text.count("\n") - content.count("\n")  # lines before the first element
@@ -145,7 +151,7 @@ def read_xml(path: Path) -> XmlElement:
             where = f"{plain_path(path)}, line {removed + parser.CurrentLineNumber}"
             raise LoadError(f"{where}: more than {what}")
         element = builder.start(tag, attributes)
-        assert isinstance(element, XmlElement)
+        assert isinstance(element, FileElement)
         element.line = removed + parser.CurrentLineNumber
 
     def end(tag: str) -> None:
@@ -158,7 +164,7 @@ def read_xml(path: Path) -> XmlElement:
     try:
         parser.Parse(content, True)
         root = builder.close()
-        assert isinstance(root, XmlElement)
+        assert isinstance(root, FileElement)
         return root
     except (expat.ExpatError, ValueError) as error:
         advice = ""

@@ -22,7 +22,7 @@ from ..common.errors import LoadError, ModelError, PinredError
 from ..common.files import is_file, is_folder
 from ..common.names import listed, plain, plain_path, quoted
 from . import sdf_words
-from .robot_files import XmlElement, line_of, read_xml
+from .robot_files import FileElement, line_of, read_xml
 from .sdf_words import TABLES, Use, Word
 
 _MOST_ELEMENTS = 1_000_000  # largest accepted number of elements in all files together
@@ -763,7 +763,7 @@ def _is_true(text: str | None) -> bool:
 
 def _element(tag: str, original: Element, text: str = "") -> Element:
     """Return a new element on the line of another one."""
-    element = XmlElement(tag)
+    element = FileElement(tag)
     element.line, element.text = line_of(original), text.strip().replace("\n", " ")
     return element
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -21,7 +20,8 @@ from ..common.names import plain_path, quoted
 from .mesh_files import Mesh, Unreadable, read_meshes
 from .read_urdf import URDFDOM, with_deep_stack
 from .robot_files import read_xml
-from .urdf_elements import replace_commas, tree_depth
+from .urdf_elements import prepare, reduced_text, replace_commas, tree_depth
+from .urdf_loops import take_closing_joints
 from .visuals import Visuals
 
 _MOST_LINKS = 2000  # Pinocchio's time for shapes is quadratic in the number of links.
@@ -82,8 +82,10 @@ def read_shapes(path: Path, folders: Sequence[str]) -> Shapes:
     replace_commas(robot)
     if (links := len(robot.findall("link"))) > _MOST_LINKS:
         raise LoadError(f"{plain_path(path)} has {links} links; at most {_MOST_LINKS} are drawn")
+    prepare(robot)
+    take_closing_joints(robot)
     meshes = _take_meshes(robot)
-    text = ElementTree.tostring(robot, encoding="unicode")
+    text = reduced_text(robot, shapes=True)
 
     def parse() -> Visuals:
         raw = pin.buildModelFromXML(text)

@@ -214,6 +214,7 @@ def test_perturbation_satisfies_couplings() -> None:
     *(pytest.param(name, marks=pytest.mark.by_hand) for name in ("tiago_pro", "pr2", "talos_full")),
 ])  # fmt: skip
 @pytest.mark.sampled
+@pytest.mark.filterwarnings("ignore::pinred.LeftOutWarning")
 def test_compare_passes_for_robots_with_grippers(name: str) -> None:
     """Robots of example-robot-data, with both engines."""
     pytest.importorskip("example_robot_data")

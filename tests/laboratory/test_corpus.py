@@ -52,6 +52,13 @@ CASES = {
     "two": (TWO, "passed", "", True, "root=other"),
     "loop": (LOOP, "refused", "closed loop", False, ""),
     "mimic": (MIMIC, "passed", "", True, ""),
+    "rotor": (
+        FLOATING.replace("<limit", '<dynamics armature="3"/><limit'),
+        "passed",
+        "",
+        True,
+        "",
+    ),
     "massless": (MASSLESS, "refused", "singular everywhere", False, ""),
     "broken": ("<robot><link", "refused", "not read", False, ""),
 }
@@ -68,6 +75,15 @@ def write_robot(folder: Path, text: str, name: str = "robot") -> str:
 def description_of(file: str) -> Description:
     """Return the description of a file."""
     return Description(file, "urdf" if file.endswith("urdf") else "mjcf")
+
+
+def test_quaternions_are_compared_with_the_reader_that_knows_them(tmp_path: Path) -> None:
+    """MuJoCo ignores quat_xyzw, so only Pinocchio's reading counts."""
+    text = FLOATING.replace('rpy="0.1 0.2 0.3"', 'quat_xyzw="0.5 0.5 0.5 0.5"')
+    text = text.replace("<robot", '<robot version="1.1"')
+    entry = run_trial(description_of(write_robot(tmp_path, text)), QUICK)
+    assert (entry.outcome, entry.reader) == ("passed", "Pinocchio")
+    assert "does not read the attribute quat_xyzw" in entry.second
 
 
 @pytest.mark.parametrize("case", CASES)

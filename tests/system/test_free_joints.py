@@ -115,7 +115,7 @@ def test_floating_joint_of_urdf_is_read(tmp_path: Path) -> None:
     """Inside the tree a floating joint is three slides and a ball."""
     text = robot(*(link(name) for name in "abc"), joint("a", "b", content="<axis xyz='1 0 0'/>"))
     path = write(tmp_path, text.replace("</robot>", joint("b", "c", "floating", "") + "</robot>"))
-    split = split_joints(read_urdf(path)[0])
+    split = split_joints(read_urdf(path).model)
     assert list(split.model.names)[2:] == ["b-c.x", "b-c.y", "b-c.z", "b-c.ball"]
 
 

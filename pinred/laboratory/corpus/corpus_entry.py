@@ -26,7 +26,8 @@ class Entry:
         kind: "urdf", "mjcf" or "name".
         outcome: "passed"; "without gravity" (gravity breaks the symmetry of its root);
             "refused" (an error of pinred); "stopped" (the simulation or the time limit);
-            "FAILED" (differs from ABA or MuJoCo); "error" (other exception, or a crash);
+            "FAILED" (differs from ABA, MuJoCo or the independent reader); "error" (other exception,
+            or a crash);
             "fragment" (only part of other files).
         reason: Reason of the outcome in one line.
         about: Category of the reason, for the summary.
@@ -41,6 +42,9 @@ class Entry:
         mass: Largest relative error of the mass matrix against MuJoCo's reading; NaN if none.
         forces: Largest relative error of the forces against MuJoCo's reading; NaN if none.
         second: Reason why there is no comparison with MuJoCo's reading.
+        reader: Independent reader of the format whose reading was compared; "" if there is none
+            or if it does not open the file.
+        unread: Reason why that reader does not open the file.
         load: Time for loading [s].
         simulate: Time for the first simulation [s].
         wall: Total time [s].
@@ -62,6 +66,8 @@ class Entry:
     mass: float = math.nan
     forces: float = math.nan
     second: str = ""
+    reader: str = ""
+    unread: str = ""
     load: float = math.nan
     simulate: float = math.nan
     wall: float = math.nan

@@ -59,6 +59,10 @@ class Corpus:
         for name in (*GOOD, "refused", "stopped", "FAILED", "error"):
             row(f"  {name}", outcome(name))
         row("compared with MuJoCo's reading", lambda entries: len(_compared(entries)))
+        row(
+            "compared with another reader",
+            lambda entries: sum(bool(e.reader) for e in entries),
+        )
         row("should work (no names)", lambda entries: len(_due(entries)))
         row("  of these, good", lambda entries: _success_rate(_due(entries)))
         rows.append(

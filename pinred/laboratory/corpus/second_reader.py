@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from ...system.mjcf.compile import compiled
 from ...system.mjcf.package import mujoco_package, warnings_kept
 from ...system.mjcf.read import gravity_of
 from ...system.mjcf.world import robot_in
+from ...system.robot_files import read_text
 from ...system.system import System
 
 STATES = 3
@@ -80,6 +82,8 @@ def differences(
             first = model.jnt_dofadr[joint]
             model.dof_armature[first : first + 6] = 0.0  # pinred ignores it with a warning
         pair = _Pair(system, model, root)
+        if kind == "urdf":
+            pair.take_armature()
         rng = np.random.default_rng(0)
         samples = [pair.at_random(rng) for _ in range(STATES)]
     names = ("places", "mass", "forces")
@@ -92,6 +96,8 @@ def _read(system: System, file: str, kind: str, root: str | None) -> Any:
     spec = mj.MjSpec.from_file(file)
     spec.compiler.fusestatic = False
     if kind == "urdf":
+        if "quat_xyzw" in read_text(Path(file)):
+            raise LoadError("MuJoCo does not read the attribute quat_xyzw")
         spec.compiler.inertiafromgeom = int(mj.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE)
         for element in (*spec.geoms, *spec.meshes):
             spec.delete(element)
@@ -157,6 +163,13 @@ class _Pair:
             raise LoadError("MuJoCo has no body of the same name")
         # The position of the body nearest to the root has the smallest round-off.
         self._ref = min(moving, key=lambda pair: frames[pair[0]].parentJoint)
+
+    def take_armature(self) -> None:
+        """Give MuJoCo's joints the armature of pinred's, which MuJoCo does not read from URDF."""
+        model = self._system.model
+        for joint, number in zip(list(model.joints)[2:], self._shape, strict=True):
+            values = model.armature[joint.idx_v : joint.idx_v + joint.nv]
+            self._model.dof_armature[_dofs(self._model, [number])] = values
 
     def at_random(self, rng: np.random.Generator) -> Differences:
         """Compute the differences at a random state."""

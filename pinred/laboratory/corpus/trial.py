@@ -1,4 +1,4 @@
-"""Trial of one description: load, compare with MuJoCo, simulate, compare with ABA."""
+"""Trial of one description: load, compare with other readers, simulate, compare with ABA."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from ...common.errors import (
@@ -20,6 +21,7 @@ from ...common.errors import (
 from ...judge.compare import compare
 from ...judge.verdict import Report, Verdict
 from ...simulation.simulate import simulate
+from ...system.independent_reader import second_reading
 from ...system.load import load
 from ...system.mjcf.package import mujoco_package
 from ...system.system import System
@@ -84,6 +86,7 @@ def _try_description(description: Description, options: TrialOptions, entry: Ent
         choice=", ".join(f"{k}={v}" for k, v in choices.items() if k != "gravity"),
     )  # fmt: skip
     entry = _compare_with_mujoco(description, system, choices.get("root"), entry)
+    entry = _compare_readings(description, entry)
     began = time.perf_counter()
     try:
         try:
@@ -125,7 +128,7 @@ def _try_description(description: Description, options: TrialOptions, entry: Ent
 
 
 def _worse(entry: Entry, outcome: Any) -> Any:
-    """Return the outcome, unless the comparison with MuJoCo has already failed."""
+    """Return the outcome, unless a comparison with another reader has already failed."""
     return entry.outcome if entry.outcome == "FAILED" else outcome
 
 
@@ -172,6 +175,24 @@ def _compare_with_mujoco(
     if failures:
         reason = f"MuJoCo reads it differently: {'; '.join(failures)}"
         return replace(entry, outcome="FAILED", reason=reason, about="MuJoCo reads it differently")
+    return entry
+
+
+def _compare_readings(description: Description, entry: Entry) -> Entry:
+    """Compare with the reading of an independent reader; return the updated entry."""
+    if description.kind == "name":
+        return entry
+    reading = second_reading(Path(description.file))
+    if reading is None:
+        return entry
+    if reading.unread:
+        return replace(entry, unread=reading.unread)
+    entry = replace(entry, reader=reading.reader)
+    if reading.differences:
+        about = f"{reading.reader} reads it differently"
+        own = f"{about}: {'; '.join(reading.differences)}"
+        reason = f"{own}; {entry.reason}" if entry.outcome == "FAILED" else own
+        return replace(entry, outcome="FAILED", reason=reason[:400], about=about)
     return entry
 
 

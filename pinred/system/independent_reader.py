@@ -1,0 +1,222 @@
+"""Comparison of pinred's reading of a robot file with that of an independent reader.
+
+pinred prepares the text of a URDF before Pinocchio's parser reads it.  The independent reader gets
+the untouched file.  `READERS` has one reader for each format.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+from ..common.names import quoted
+from .joints import axes_of, joint_kind
+from .read_urdf import read_urdf, with_other_joints
+from .rebuild import NewJoint
+from .robot_files import outermost, read_text
+from .urdf_elements import UNLIMITED
+
+_SAME = 1e-9  # largest difference of equal numbers, relative to the largest of their kind
+_SHAPES = 3  # number of configurations at which mass matrices are compared
+_SECONDS = 60.0  # time limit of the independent reader [s]
+# The parser may crash or print, so it runs in a process of its own.
+_PINOCCHIO = """
+import json, sys
+sys.path[:] = json.loads(sys.argv[1])
+import pinocchio
+try:
+    model = pinocchio.buildModelFromUrdf(sys.argv[2])
+except Exception as error:
+    sys.exit(str(error).strip().splitlines()[-1] if str(error).strip() else type(error).__name__)
+model.saveToText(sys.argv[3])
+"""
+
+
+@dataclass(frozen=True)
+class SecondReading:
+    """The reading of a file by an independent reader, compared with that of pinred.
+
+    Attributes:
+        reader: Name of the independent reader.
+        differences: What differs, one phrase each.
+        unread: Why the reader does not open the file; "" if it does.
+    """
+
+    reader: str
+    differences: tuple[str, ...] = ()
+    unread: str = ""
+
+
+def second_reading(path: Path) -> SecondReading | None:
+    """Compare pinred's reading of a robot file with that of an independent reader.
+
+    Args:
+        path: The file.
+    Returns:
+        The comparison; None if there is no independent reader for the format.
+    Raises:
+        LoadError: pinred cannot read the file.
+        ModelError: Likewise.
+    """
+    reader = READERS.get(outermost(read_text(path)))
+    return None if reader is None else reader(path)
+
+
+def _read_by_pinocchio(path: Path) -> SecondReading:
+    """Compare with Pinocchio's reading of the untouched URDF file.
+
+    Pinocchio reads neither armature and springs nor loops, so these are not compared.  It ignores
+    the normal of a planar joint, so this joint is compared as if its normal were z.
+
+    Returns:
+        The comparison.
+    """
+    robot = read_urdf(path)
+    with tempfile.TemporaryDirectory(prefix="pinred-") as folder:
+        file = Path(folder) / "model"
+        command = [sys.executable, "-c", _PINOCCHIO, json.dumps(sys.path), str(path), str(file)]
+        try:
+            child = subprocess.run(
+                command, capture_output=True, timeout=_SECONDS, check=False,
+                stdin=subprocess.DEVNULL,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return SecondReading("Pinocchio", unread=f"it takes more than {_SECONDS:g} s")
+        if child.returncode or not file.exists():
+            lines = child.stderr.decode(errors="replace").strip().splitlines()
+            reason = lines[0] if lines else f"its process ended with code {child.returncode}"
+            return SecondReading("Pinocchio", unread=reason)
+        other = pin.Model()
+        other.loadFromText(str(file))
+    own = _with_z_normals(robot.model, robot.special)
+    return SecondReading("Pinocchio", tuple(differences(own, other)))
+
+
+# Reader by outermost XML element of the file.
+READERS: dict[str, Callable[[Path], SecondReading]] = {"robot": _read_by_pinocchio}
+
+
+def _with_z_normals(model: pin.Model, special: Mapping[str, NewJoint]) -> pin.Model:
+    """Return a model whose planar joints have the normal z, as Pinocchio reads them."""
+    replaced = {
+        name: NewJoint(name, joint.joint, joint.placement.inverse(), body=joint.body.inverse())
+        for name, joint in special.items()
+        if joint.body is not None
+    }
+    return with_other_joints(model, replaced)
+
+
+def differences(own: pin.Model, other: pin.Model) -> Iterator[str]:
+    """Yield the differences between two readings of a robot, one phrase each.
+
+    Masses, inertias, placements, types and axes of joints, stated limits, damping, dry friction,
+    and mass matrices at random configurations are compared.
+
+    Args:
+        own: pinred's reading.
+        other: Independent reading.
+    """
+    names = [str(name) for name in own.names[1:]]
+    others = [str(name) for name in other.names[1:]]
+    missing, more = set(others) - set(names), set(names) - set(others)
+    for words, joints in (("is not read", missing), ("is read by pinred only", more)):
+        yield from (f"joint {quoted(name)} {words}" for name in sorted(joints))
+    if missing or more:
+        return
+    yield from _of_body(own, other, 0, 0, "the root link")
+    found = False
+    for name in names:
+        i, j = own.getJointId(name), other.getJointId(name)
+        for phrase in _of_joint(own, other, i, j):
+            found = True
+            yield f"joint {quoted(name)}: {phrase}"
+        for phrase in _of_body(own, other, i, j, f"the body of joint {quoted(name)}"):
+            found = True
+            yield phrase
+    if not found and own.nv:
+        yield from _of_mass_matrices(own, other, names)
+
+
+def _of_body(own: pin.Model, other: pin.Model, i: int, j: int, words: str) -> Iterator[str]:
+    """Yield the differences between the inertias that two joints carry."""
+    ours, theirs = own.inertias[i], other.inertias[j]
+    scale = max(float(np.abs(theirs.matrix()).max()), float(np.abs(ours.matrix()).max()))
+    if abs(ours.mass - theirs.mass) > _SAME * max(ours.mass, theirs.mass):
+        yield f"{words} has the mass {ours.mass:g} instead of {theirs.mass:g}"
+    elif scale and np.abs(ours.matrix() - theirs.matrix()).max() > _SAME * scale:
+        yield f"{words} has another inertia"
+
+
+def _of_joint(own: pin.Model, other: pin.Model, i: int, j: int) -> Iterator[str]:
+    """Yield the differences between two joints."""
+    ours, theirs = own.joints[i], other.joints[j]
+    parents = own.names[own.parents[i]], other.names[other.parents[j]]
+    if parents[0] != parents[1]:
+        yield f"it is on {quoted(parents[0])} instead of {quoted(parents[1])}"
+    at, there = own.jointPlacements[i].homogeneous, other.jointPlacements[j].homogeneous
+    if np.abs(at - there).max() > _SAME * max(1.0, float(np.abs(there).max())):
+        yield "it has another placement"
+    if ours.nq != theirs.nq or ours.nv != theirs.nv:
+        yield f"it is of type {joint_kind(ours)} instead of {joint_kind(theirs)}"
+        return
+    if np.abs(axes_of(ours) - axes_of(theirs)).max() > _SAME:
+        yield "it has another axis"
+    q = [slice(joint.idx_q, joint.idx_q + joint.nq) for joint in (ours, theirs)]
+    v = [slice(joint.idx_v, joint.idx_v + joint.nv) for joint in (ours, theirs)]
+    if ours.nq == 1:
+        for words in ("lowerPositionLimit", "upperPositionLimit"):
+            if not _same_limits(getattr(own, words)[q[0]], getattr(other, words)[q[1]]):
+                yield f"it has another {words}"
+    if ours.nv == 1:  # Pinocchio drops these numbers of other joints.
+        for words in ("upperVelocityLimit", "upperEffortLimit"):
+            if not _same_limits(getattr(own, words)[v[0]], getattr(other, words)[v[1]]):
+                yield f"it has another {words}"
+        for words in ("damping", "upperDryFrictionLimit"):
+            if not np.allclose(getattr(own, words)[v[0]], getattr(other, words)[v[1]], _SAME, 0.0):
+                yield f"it has another {words}"
+
+
+def _same_limits(ours: Array, theirs: Array) -> bool:
+    """Return whether limits are equal; numbers that state no limit are equal."""
+    ours, theirs = (
+        np.where(np.isfinite(limit) & (np.abs(limit) < UNLIMITED), limit, 0.0)
+        for limit in (ours, theirs)
+    )
+    return bool(np.allclose(ours, theirs, _SAME, 0.0))
+
+
+def _of_mass_matrices(own: pin.Model, other: pin.Model, names: list[str]) -> Iterator[str]:
+    """Yield a phrase if the mass matrices differ at random configurations."""
+    rng, worst = np.random.default_rng(0), 0.0
+    entries = [
+        (own.joints[own.getJointId(name)], other.joints[other.getJointId(name)]) for name in names
+    ]
+    order = [k for joint, _ in entries for k in range(joint.idx_v, joint.idx_v + joint.nv)]
+    other_order = [k for _, joint in entries for k in range(joint.idx_v, joint.idx_v + joint.nv)]
+    data, other_data = own.createData(), other.createData()
+    for _ in range(_SHAPES):
+        q = pin.integrate(own, pin.neutral(own), rng.uniform(-1.0, 1.0, own.nv))
+        other_q = pin.neutral(other)
+        for ours, theirs in entries:
+            value = q[ours.idx_q : ours.idx_q + ours.nq]
+            other_q[theirs.idx_q : theirs.idx_q + theirs.nq] = value
+        H, other_H = _mass_matrix(own, data, q), _mass_matrix(other, other_data, other_q)
+        gap = np.abs(H[np.ix_(order, order)] - other_H[np.ix_(other_order, other_order)]).max()
+        worst = max(worst, float(gap / max(np.abs(other_H).max(), 1e-300)))
+    if not worst <= _SAME:
+        yield f"the mass matrix differs by {worst:.2g} of its largest entry"
+
+
+def _mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
+    """Return the mass matrix without armature, which Pinocchio does not read."""
+    upper = np.triu(pin.crba(model, data, q))
+    return np.asarray(upper + np.triu(upper, 1).T - np.diag(model.armature))
