@@ -13,13 +13,17 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
+from ..common.errors import LoadError
 from ..common.names import quoted
+from .drake_comparison import ROUNDED, mass_difference
 from .joints import axes_of, joint_kind
+from .read_sdf import read_sdf
 from .read_urdf import read_urdf, with_other_joints
 from .rebuild import NewJoint
 from .robot_files import outermost, read_text
@@ -56,11 +60,15 @@ class SecondReading:
     unread: str = ""
 
 
-def second_reading(path: Path) -> SecondReading | None:
+def second_reading(
+    path: Path, folders: tuple[str, ...] = (), root: str | None = None
+) -> SecondReading | None:
     """Compare pinred's reading of a robot file with that of an independent reader.
 
     Args:
         path: The file.
+        folders: Folders in which models are searched that an SDF file includes.
+        root: Robot of an SDF file, if several can move.
     Returns:
         The comparison; None if there is no independent reader for the format.
     Raises:
@@ -68,10 +76,14 @@ def second_reading(path: Path) -> SecondReading | None:
         ModelError: Likewise.
     """
     reader = READERS.get(outermost(read_text(path)))
-    return None if reader is None else reader(path)
+    return None if reader is None else reader(path, folders, root)
 
 
-def _read_by_pinocchio(path: Path) -> SecondReading:
+def _read_by_pinocchio(
+    path: Path,
+    folders: tuple[str, ...],  # noqa: ARG001
+    root: str | None,  # noqa: ARG001
+) -> SecondReading:
     """Compare with Pinocchio's reading of the untouched URDF file.
 
     Pinocchio reads neither armature and springs nor loops, so these are not compared.  It ignores
@@ -101,8 +113,21 @@ def _read_by_pinocchio(path: Path) -> SecondReading:
     return SecondReading("Pinocchio", tuple(differences(own, other)))
 
 
+def _read_by_drake(path: Path, folders: tuple[str, ...], root: str | None) -> SecondReading:
+    """Compare mass matrices with those of Drake, which reads the untouched SDF file."""
+    robot = read_sdf(path, folders, root)
+    try:
+        difference = mass_difference(path, robot, folders)
+    except LoadError as error:
+        return SecondReading("Drake", unread=str(error))
+    if difference <= ROUNDED:
+        return SecondReading("Drake")
+    return SecondReading("Drake", (f"its mass matrix differs by {difference:.1e}",))
+
+
+_Reader: TypeAlias = Callable[[Path, tuple[str, ...], "str | None"], SecondReading]
 # Reader by outermost XML element of the file.
-READERS: dict[str, Callable[[Path], SecondReading]] = {"robot": _read_by_pinocchio}
+READERS: dict[str, _Reader] = {"robot": _read_by_pinocchio, "sdf": _read_by_drake}
 
 
 def _with_z_normals(model: pin.Model, special: Mapping[str, NewJoint]) -> pin.Model:

@@ -153,9 +153,9 @@ def load(
         root: For MJCF, the body of the world that carries the robot, if several can move.  For
             SDF, the base link of the robot, or its model.
         strict: Whether to reject robots with doubtful inertias instead of emitting a warning, and
-            URDF files that Pinocchio, given the untouched file, reads differently.  Inertias are
-            doubtful if no mass distribution has these moments, or if the mass matrix is singular
-            at isolated shapes.
+            URDF and SDF files that Pinocchio or Drake, given the untouched file, reads
+            differently.  Inertias are doubtful if no mass distribution has these moments, or if
+            the mass matrix is singular at isolated shapes.
         meshes: Folder, or folders, in which playback looks for the meshes of a URDF file, and
             `load` for the models that an SDF file includes, besides those above the file.
         parameters: Robot parameters {name: value} that replace values of the file, such as masses
@@ -197,14 +197,14 @@ def load(
     if text is None:
         system = _load_source(source, requested, locked, new_gravity, root, merged, folders, added)
         if strict:
-            _check_second_reading(source)
+            _check_second_reading(source, folders, root)
     else:
         with text_in_file(text) as path:
             system = _load_source(
                 path, requested, locked, new_gravity, root, merged, folders, added
             )
             if strict:
-                _check_second_reading(path)
+                _check_second_reading(path, folders, root)
         # The file is gone, so the text itself is the origin.
         vars(system)["origin"] = Origin("", locked, root, folders, text)
     _report(system, strict=strict)
@@ -255,7 +255,7 @@ def _load_source(
     return _load_model(robot, locked, gravity, visuals, balls, loops)
 
 
-def _check_second_reading(source: object) -> None:
+def _check_second_reading(source: object, folders: tuple[str, ...], root: str | None) -> None:
     """Reject a file that an independent reader reads differently.  Raises ModelError."""
     if not isinstance(source, (str, Path)):
         return
@@ -264,7 +264,7 @@ def _check_second_reading(source: object) -> None:
         path = bundled.path
     else:
         path = Path(source) if is_path(name) else catalogue.example_robot(name).urdf
-    reading = second_reading(path)
+    reading = second_reading(path, folders, root)
     if reading is not None and reading.differences:
         raise ModelError(
             f"{quoted(path.stem)} is refused because of strict=True: {reading.reader} reads the "
@@ -413,7 +413,6 @@ def _load_model(
             *passive.left_out,
             *merge.left_out(forces),
             *merge.limits(split.model),
-            *robot.left_out,
             *stated_limits(robot.raw, locked=split.whole(locked), merged=merge.hinges),
         ),
         passive=merge.forces(passive.passive),

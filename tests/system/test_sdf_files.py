@@ -16,6 +16,7 @@ from test_sdf import LINKS, axis, joint, link, sdf, write
 
 import pinred
 from pinred.common.errors import ChoiceError
+from pinred.system import independent_reader
 from pinred.system.drake_comparison import ROUNDED, mass_difference
 from pinred.system.loops.loop import parse_loops
 from pinred.system.passive import Damper, Friction, Spring
@@ -598,3 +599,21 @@ def test_lines_count_from_the_start_of_the_file(tmp_path: Path) -> None:
     root = read_xml(path)
     assert [line_of(element) for element in root.iter()] == [7, 8]
     assert line_of(Element("new")) == 0
+
+
+def test_strict_compares_an_sdf_file_with_drake(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Drake reads the untouched file; a difference above its rounding of axes is refused."""
+    path = tmp_path / "arm.sdf"
+    path.write_text(
+        '<sdf version="1.9"><model name="arm"><link name="base"/><link name="l">'
+        '<pose>0.3 0 0 0 0 0</pose></link><joint name="j" type="revolute"><parent>base</parent>'
+        "<child>l</child><axis><xyz>0 1 0</xyz></axis></joint></model></sdf>"
+    )
+    assert pinred.load(path, strict=True).shape_names == ("j",)
+    reading = independent_reader.second_reading(path)
+    assert reading == independent_reader.SecondReading("Drake")
+    monkeypatch.setattr(independent_reader, "mass_difference", lambda *_: 1e-7)
+    with pytest.raises(pinred.ModelError, match=r"Drake reads the file differently: its mass"):
+        pinred.load(path, strict=True)
