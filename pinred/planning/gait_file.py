@@ -138,7 +138,7 @@ OPTIMISE = Table(
         **_LIMITS,
         "period": Key(POSITIVE, "time of one cycle [s]", default="1", command="--period T"),
         "starts": Key(
-            Whole(1), "number of random initial loops", default="5", command="--starts N"
+            Whole(1), "number of random initial loops", default="10", command="--starts N"
         ),
         "seed": Key(Whole(), "seed of the random loops", default="0", command="--seed S"),
     },

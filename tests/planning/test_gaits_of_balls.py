@@ -71,9 +71,9 @@ def test_slopes_of_costs_with_balls_equal_differences(kind: CostKind) -> None:
     c, change = 0.4 * np.random.default_rng(0).normal(size=(2, 5, A.m))
 
     def cost(c: Array) -> float:
-        return cost_of(kind, A, basis, c, path_lift(A, basis, c), 1.3, action=0.5).value
+        return cost_of(kind, A, basis, c, path_lift(A, basis, c), 1.3).value
 
-    slope = cost_of(kind, A, basis, c, path_lift(A, basis, c), 1.3, action=0.5).slope
+    slope = cost_of(kind, A, basis, c, path_lift(A, basis, c), 1.3).slope
     difference = (cost(c + step * change) - cost(c - step * change)) / (2.0 * step)
     assert np.sum(slope * change) == pytest.approx(difference, rel=1e-7, abs=1e-300)
 
@@ -85,7 +85,7 @@ def test_best_gait_of_ball_is_confirmed_by_independent_integration() -> None:
     best = pinred.optimise_gait(
         A, objective="rotation", axis="x", cost="torque", harmonics=1, limits=1.0, starts=1
     )
-    assert best.residual < 1e-6
+    assert best.residual < 1e-5
     assert best.margins["limits"] >= 0.0
     chart = A.chart
     assert chart is not None

@@ -18,9 +18,9 @@ from pinred.analysis.phases.path_basis import fourier_rows
 from pinred.common.arrays import Array
 from pinred.planning.optimisation import gait_search, optimise
 from pinred.planning.optimisation.gait_search import fourier_path_of
-from pinred.planning.optimisation.ipopt import Minimum, Problem, kkt_residual, minimum
-from pinred.planning.optimisation.limits import limits_of
-from pinred.planning.optimisation.loop_peaks import cells_of, loop_peaks
+from pinred.planning.optimisation.limit_checks import LimitChecks, LimitedLoop, Times, first_checks
+from pinred.planning.optimisation.limits import Limits, limits_of
+from pinred.planning.optimisation.nonlinear_program import Problem, kkt_residual, minimum
 from pinred.planning.optimisation.objective import COSTS, axis_aim, target_aim
 from pinred.planning.optimisation.transcription import Task, problem_of
 
@@ -107,10 +107,10 @@ def test_best_gait_certificate_agrees_with_aba_and_rnea() -> None:
 
 @pytest.mark.by_hand
 def test_limits_hold_between_sample_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the last stage the limits are violated."""
+    """Without checks at the peaks the limits are violated."""
     best = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
     assert np.abs(best.gait.limits).max() <= 1.0
-    monkeypatch.setattr(optimise, "finish", lambda s, gait: (s, s.optimise_from(gait)))
+    monkeypatch.setattr(LimitedLoop, "peaks_beyond", lambda _: Times(*np.zeros((4, 0))))
     loose = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
     assert np.abs(loose.gait.limits).max() > 1.0001
 
@@ -119,13 +119,13 @@ def test_optimum_within_limits_satisfies_kkt_conditions_of_ellipses() -> None:
     """An ellipse has extremes mean ± √(cos² + sin²): its KKT conditions have a closed form."""
     A = rods()
     best = pinred.optimise_gait(A, harmonics=1, limits=1.0, starts=1)
-    assert best.merit >= 0.10327496
+    assert best.merit >= 0.10327495
     arc = best.gait.series
     mean, cos, sin = arc.mean, arc.cos[0], arc.sin[0]
     radius, p = np.hypot(cos, sin), pinred.phase_slopes(A, best.gait)
     extremes = np.abs(mean) + radius
     assert (extremes <= 1.0).all()
-    close(extremes, np.ones(2), 2e-8)
+    close(extremes, np.ones(2), 6e-8)
     slope = p.twist[2] / p.length - p.pose[2] * p.length_slope / p.length**2
     normals = np.zeros((2, 3, 2))
     for j in range(2):
@@ -133,53 +133,54 @@ def test_optimum_within_limits_satisfies_kkt_conditions_of_ellipses() -> None:
     sign = np.sign(p.pose[2])
     multipliers, residual = nnls(normals.reshape(2, -1).T, sign * slope.ravel())
     assert (multipliers > 0.01).all()
-    assert residual < 1e-6 * best.merit
+    assert residual < 1e-4 * best.merit
 
 
-def test_cells_that_the_last_stage_exceeds_are_added(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without initial cells, a second round finds the same optimum; one round is too few."""
-    monkeypatch.setattr(gait_search, "_NEAR", 9.0)
-    best = pinred.optimise_gait(rods(), harmonics=1, limits=1.0, starts=1)
-    assert best.merit == pytest.approx(0.1032749605, rel=1e-7)
-    assert 0.0 <= best.margins["limits"] < 2e-8
+def test_limits_at_first_checks_alone_are_exceeded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounds with checks at the peaks are needed; one round alone raises NoOptimum."""
     monkeypatch.setattr(gait_search, "_ROUNDS", 1)
     with pytest.raises(pinred.NoOptimum, match="exceeds its limits"):
         pinred.optimise_gait(rods(), harmonics=1, limits=1.0, starts=1)
 
 
-def test_last_stage_returns_no_worse_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If the last stage ends at a worse loop, the optimum of the search is returned."""
-    A = rods()
-    task = Task(
-        A, axis_aim(A.group, "rotation", None), "torque", None, limits_of(A, 9.0, None, None), 1.0
-    )
-    search = gait_search.Search(task, fourier_path_of(task, 1))
-    start = pinred.Gait.fourier([0.3, -0.2], [[1.0, 0.2]], [[0.1, 0.9]])
-    gait = search.gait(search.optimise_from(start).z)
-    stuck = gait_search.Search.optimise_from
-
-    def worse(self: gait_search.Search, loop: pinred.Gait, *, most: int) -> Minimum:
-        best = stuck(self, loop, most=most)
-        return replace(best, z=1.1 * best.z, residual=0.0)
-
-    monkeypatch.setattr(gait_search.Search, "optimise_from", worse)
-    finished, best = gait_search.finish(search, gait)
-    close(best.z, search.unknowns(gait), 1e-12)
-    assert best.residual == kkt_residual(problem_of(task, finished.path), best.z) < 1e-5
+def test_perturbation_leaves_a_symmetric_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a perturbation the search ends at a stationary loop with a smaller merit."""
+    options = {"harmonics": 4, "limits": 0.7, "starts": 1}
+    best = pinred.optimise_gait(rods(), **options)  # type: ignore[arg-type]
+    assert best.merit == pytest.approx(0.05579261, rel=1e-6)
+    monkeypatch.setattr(optimise, "_PERTURBATION", 0.0)
+    assert pinred.optimise_gait(rods(), **options).merit < 0.05575  # type: ignore[arg-type]
 
 
-def test_loops_stay_near_their_limits_between_limited_cells() -> None:
-    """With no cells, the sample times limit the loop to 1.001 of its limits."""
-    A = rods()
-    limits = limits_of(A, 1.0, 3.0, None)
-    task = Task(A, axis_aim(A.group, "rotation", None), "length", None, limits, 1.0)
-    path = fourier_path_of(task, 1)
-    none = cells_of(limits, 1).select(np.zeros(len(cells_of(limits, 1).joint), dtype=bool))
-    z = minimum(problem_of(task, replace(path, cells=none)), np.full(path.size, 0.1)).z
-    values, slopes, _ = path.checked
-    c = path.coefficients(z)
-    assert 1.0 < np.abs(values @ c).max() <= 1.001 + 1e-7
-    assert np.abs(slopes @ c).max() <= 3.003 + 1e-6
+def test_checks_move_with_a_shifted_loop() -> None:
+    """A loop keeps the values of its checks if it is shifted along itself, to second order."""
+    A, c = rods(), np.random.default_rng(2).uniform(-0.5, 0.5, (5, 2))
+    limits = limits_of(A, 1.0, 3.0, 0.3)
+    nothing = Times(*np.zeros((4, 0)))
+    checks = first_checks(limits, 2).refined(nothing, c)
+    k = 2.0 * np.pi * np.arange(1, 3)[:, None]
+    cos, sin = c[1:3], c[3:]
+    before = LimitedLoop(A, limits, c, 1.3).values(checks).values
+    for shift, error in ((1e-3, 2e-4), (1e-4, 2e-6)):
+        C, S = np.cos(k * shift), np.sin(k * shift)
+        shifted = np.vstack([c[:1], C * cos + S * sin, C * sin - S * cos])
+        assert checks.shift(shifted) == pytest.approx(-shift, rel=1e-4)
+        close(LimitedLoop(A, limits, shifted, 1.3).values(checks).values, before, error)
+
+
+def test_refined_checks_divide_the_time_around_a_peak() -> None:
+    """The checks around a peak are eight times as dense, and others stay."""
+    limits, c = limits_of(rods(), 1.0, None, None), np.eye(3, 2)
+    checks = first_checks(limits, 1)
+    peak = Times(np.array([0]), np.array([1]), np.array([-1.0]), np.array([0.99]))
+    finer = checks.refined(peak, c).times
+    same = (finer.joint == 1) & (finer.sign == -1.0)
+    coarse = np.sort(checks.times.s[(checks.times.joint == 1) & (checks.times.sign == -1.0)])
+    added = np.setdiff1d(np.round(finer.s[same], 12), np.round(coarse, 12))
+    gap = coarse[1] - coarse[0]
+    close(added, coarse[-1] + gap * np.arange(1, 8) / 8, 1e-12)
+    assert same.sum() == len(coarse) + 7
+    assert len(finer.s) == len(checks.times.s) + 7
 
 
 @pytest.mark.by_hand
@@ -218,23 +219,23 @@ def test_least_torque_that_pitches_solo12_by_30_degrees() -> None:
     close(turned[3:], [0.0, np.sin(0.5 * pitch), 0.0, np.cos(0.5 * pitch)], 1e-8)
 
 
-@pytest.mark.by_hand
-def test_peaks_of_loop_equal_those_of_fine_grid() -> None:
-    """Maxima of shapes, speeds and torques in every cell, torques by RNEA."""
+def test_peaks_beyond_limits_are_those_of_a_fine_grid() -> None:
+    """Times of the maxima of shapes, speeds and torques beyond their limits, torques by RNEA."""
     A, T, system = rods(), 1.3, pinred.load("three_rods")
     limits = limits_of(A, [(-0.5, 1.0), (-1.0, 1.0)], 2.0, 0.3)
     c = np.random.default_rng(5).uniform(-0.5, 0.5, (5, 2))
-    cells = cells_of(limits, 2)
-    peaks = loop_peaks(A, limits, c, T, cells).values
-    s = (np.arange(cells.count)[:, None] + np.linspace(0.0, 1.0, 301)) / cells.count
-    x, rate, bend = (row @ c for row in fourier_rows(2, s.ravel()))
+    found = LimitedLoop(A, limits, c, T).peaks_beyond()
+    s = np.arange(4000) / 4000.0
+    x, rate, bend = (row @ c for row in fourier_rows(2, s))
     states = zip(x, rate / T, bend / T**2, strict=True)
     tau = np.array([joint_torques(system, *state) for state in states])
     scaled = np.stack([(x - limits.middle) / limits.reach, rate / T / 2.0, tau / 0.3])
-    on_grid = np.abs(scaled).reshape(3, cells.count, 301, 2).max(axis=2)
-    expected = on_grid.transpose(0, 2, 1).ravel()
-    assert (peaks >= expected * (1.0 - 1e-12)).all()
-    close(peaks, expected, 1e-4)
+    size = np.abs(scaled)
+    top = (size > 1.0) & (size >= np.roll(size, 1, 1)) & (size >= np.roll(size, -1, 1))
+    kind, time, joint = np.nonzero(top)
+    expected = sorted(zip(kind, joint, np.sign(scaled[top]), s[time], strict=True))
+    assert set(kind) == {0, 1, 2}
+    close(np.array(sorted(zip(*found, strict=True))), np.array(expected), 2.0 / 4000.0)
 
 
 def test_target_is_reached_at_minimal_torque() -> None:
@@ -262,6 +263,11 @@ def test_bound_on_cost_is_used_and_result_beats_random_loops() -> None:
             assert abs(p.pose[2]) < best.value
 
 
+def _moving_checks(limits: Limits, rng: np.random.Generator) -> LimitChecks:
+    """Return checks that move with a random loop of two harmonics."""
+    return first_checks(limits, 2).refined(Times(*np.zeros((4, 0))), rng.normal(size=(5, 2)))
+
+
 @pytest.mark.parametrize("exact", [False, True])
 @pytest.mark.parametrize("cost", COSTS)
 def test_transcription_derivatives_equal_differences(cost: str, *, exact: bool) -> None:
@@ -275,20 +281,20 @@ def test_transcription_derivatives_equal_differences(cost: str, *, exact: bool) 
             (target_aim(A.group, [0.1, 0.2, 0.3]), None),
         ):
             task = Task(A, aim, cost, most, limits, 1.3)  # type: ignore[arg-type]
-            path = fourier_path_of(task, 2)
-            if exact:
-                path = replace(path, cells=cells_of(limits, 2), action=0.3)
-            problem = problem_of(task, path)
+            path = fourier_path_of(task, 2, action=True)
             rng = np.random.default_rng(3)
+            if exact:
+                path = replace(path, action=False, checks=_moving_checks(limits, rng))
+            problem = problem_of(task, path)
             z = np.append(rng.uniform(-0.5, 0.5, path.size), 1.3)[: problem.size]
-            along_z, step = rng.normal(size=problem.size), 1e-5 if exact else 1e-3
+            along_z, step = rng.normal(size=problem.size), 1e-4 if exact else 1e-3
             expected = sum(
                 weight * problem.evaluate(z + k * step * along_z)[0] / (12.0 * step)
                 for k, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0))
             )
             found = problem.evaluate(z)[1] @ along_z
             size = 1.0 + np.abs(expected)
-            close(found / size, expected / size, 1e-6 if exact else 1e-8)
+            close(found / size, expected / size, 1e-8)
 
 
 def test_costs_equal_rnea_and_pinocchio_metric() -> None:
@@ -310,7 +316,7 @@ def test_costs_equal_rnea_and_pinocchio_metric() -> None:
     c = np.array([[0.2, -0.1], [0.5, 0.1], [-0.2, 0.6]])
     for cost, value in expected.items():
         task = Task(A, target_aim(A.group, 0.1), cost, None, limits_of(A, 3.0, None, None), T)  # type: ignore[arg-type]
-        path = fourier_path_of(task, 1)
+        path = fourier_path_of(task, 1, action=True)
         root = problem_of(task, path).evaluate(path.unknowns(c))[0][0]
         power = {"length": 1, "torque": 2, "power": 4, "acceleration": 2}[cost]
         if cost == "length":  # replaced by the action, which is never smaller
@@ -334,8 +340,7 @@ def test_kkt_residual_is_zero_at_optima_alone() -> None:
     assert kkt_residual(problem(1.0, 9.0), np.array([1.0])) == pytest.approx(1.0)
     assert kkt_residual(problem(-9.0, 9.0), np.array([1.0])) == pytest.approx(1.0)
     assert minimum(problem(-9.0, 1.0), np.zeros(1)).z == pytest.approx(1.0, abs=1e-6)
-    newton = minimum(problem(-9.0, 9.0), np.zeros(1), newton=True)
-    assert newton.z == pytest.approx(2.0, abs=1e-8)
+    assert kkt_residual(problem(-9.0, 1.0), np.array([1.0 + 2e-8])) == np.inf  # beyond its bound
 
 
 def test_wrong_winding_number_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:

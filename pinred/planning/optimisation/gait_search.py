@@ -10,23 +10,17 @@ from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import Phase, phase
 from ...common.arrays import Array
-from .ipopt import Minimum, kkt_residual, minimum
-from .loop_peaks import Cells, cells_of, loop_peaks
+from .limit_checks import LimitedLoop, first_checks
+from .nonlinear_program import Minimum, minimum
 from .objective import TargetAim, cost_of
 from .transcription import Path, Task, fourier_path, problem_of
 
 _PIECES = 2  # number of quadrature segments of order 16 per (harmonics + 3)
-_CHECKS = 4  # number of times at which limits are imposed per (harmonics + 1)
-_NEAR = 0.7  # peaks below this part of their limit constrain the last stage only if they exceed it
 RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
-# Weights of the root of the action in the length, in successive solves of the last stage.
-_WEIGHTS = (0.1, 0.05, 0.025, 0.01, 0.003, 0.001, 0.0003, 0.0)
-_QUICK = 1e-5  # residual that needs no second derivatives, if the cost is not the length
-_QUICK_STEPS = 500  # largest number of iterations without second derivatives in the last stage
-_NEWTON_STEPS = 40  # largest number of iterations with second derivatives
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
+_BOX = 0.1  # first box around a start, if torques make its limits strongly nonlinear [rad | m]
+_ROUNDS = 20  # largest number of rounds, each with checks at the peaks of the previous loop
 _TIMES = 512  # number of times at which rotation vectors of balls are checked
-_ROUNDS = 8  # largest number of last stages, each with the cells that the previous one exceeded
 
 
 class StartFailed(Exception):  # noqa: N818
@@ -45,38 +39,18 @@ class Search:
     task: Task
     path: Path
 
-    def optimise_from(self, gait: Gait, *, most: int = 500) -> Minimum:
+    def optimise_from(self, gait: Gait, *, most: int = 1000) -> Minimum:
         """Find the optimum near a Fourier gait.
 
         Args:
             gait: A gait with at most as many harmonics as the paths.
             most: Maximum number of iterations.
         Returns:
-            The result of IPOPT.
+            The optimum, if the search converged.
         """
-        return minimum(problem_of(self.task, self.path), self.unknowns(gait), most=most)
-
-    def polish(self, gait: Gait) -> Minimum:
-        """Find the optimum near a Fourier gait with second derivatives.
-
-        The length does not determine the speed along the loop, so that its Hessian is nearly
-        singular.  The root of the action, which does, is faded out in several solves.
-
-        Args:
-            gait: A gait with at most as many harmonics as the paths.
-        Returns:
-            The result with the smallest residual, which is that of the problem without action.
-        """
-        asked, z = problem_of(self.task, self.path), self.unknowns(gait)
-        results: list[Minimum] = []
-        for weight in _WEIGHTS if self.task.cost == "length" else _WEIGHTS[-1:]:
-            eased = problem_of(self.task, replace(self.path, action=weight))
-            result = minimum(eased, z, tolerance=1e-10, most=_NEWTON_STEPS, newton=True)
-            results.append(replace(result, residual=kkt_residual(asked, result.z)))
-            if not result.residual <= RESIDUAL:
-                break
-            z = result.z
-        return min(results, key=lambda result: result.residual)
+        radius = _BOX if np.isfinite(self.task.limits.torque).any() else np.inf
+        problem = problem_of(self.task, self.path)
+        return minimum(problem, self.unknowns(gait), most=most, radius=radius)
 
     def unknowns(self, gait: Gait) -> Array:
         """Return the unknowns z of the optimisation for a Fourier gait."""
@@ -96,71 +70,48 @@ class Search:
 
 
 def fourier_path_of(
-    task: Task, harmonics: int, more: Array | None = None, start: Array | None = None
+    task: Task, harmonics: int, *, start: Array | None = None, action: bool = False
 ) -> Path:
-    """Return the family of Fourier paths for a task; limits are imposed at sample times.
+    """Return the family of Fourier paths for a task.
 
     Args:
         task: The task.
         harmonics: Number of harmonics.
-        more: Additional times s = t/T in [0, 1], (C,), at which limits are imposed.
         start: Common initial shape of all paths, (m,), or None.
+        action: Whether the root of the action replaces the cost "length".
     Returns:
         The family of paths.
     """
-    count = _CHECKS * (harmonics + 1)
-    even = np.arange(count) / count
-    checks = even if more is None else np.union1d(even, more)
-    pieces = _PIECES * (harmonics + 3)
     power = 2 if task.cost in ("torque", "power", "acceleration") else 1
-    return fourier_path(
-        harmonics, task.connection.m, pieces=pieces, checks=checks, power=power, start=start,
+    path = fourier_path(
+        harmonics, task.connection.m, pieces=_PIECES * (harmonics + 3), power=power, start=start,
         passage=task.passage,
     )  # fmt: skip
+    return replace(path, checks=first_checks(task.limits, harmonics), action=action)
 
 
-def finish(search: Search, gait: Gait, *, newton: bool = True) -> tuple[Search, Minimum]:
-    """Solve the problem with limits of the true extremes, from one with limits at sample times.
-
-    With second derivatives, the length is not replaced by the root of the action either. Other
-    costs need them only if the optimum is not stationary without them.
+def finish(search: Search, gait: Gait, *, most: int = 1000) -> tuple[Search, Minimum]:
+    """Find the optimum near a Fourier gait whose peaks between checks are within the limits.
 
     Args:
-        search: The search of the first optimum.
-        gait: The first optimum.
-        newton: Whether to use second derivatives, which cost one gradient per unknown.
+        search: The search.
+        gait: The gait.
+        most: Maximum number of iterations of each round.
     Returns:
-        The search of the problem asked, and its optimum.
+        The search with the checks of the last round, and its optimum.
     Raises:
         StartFailed: The loop exceeds limits.
     """
     task = search.task
-    every = cells_of(task.limits, len(gait.series.cos))
-    peaks, first = _peaks(task, gait, every), gait
-    use = np.asarray(peaks > _NEAR)
-    quick = not newton or task.cost != "length"
     for _ in range(_ROUNDS):
-        path = replace(search.path, cells=every.select(use), action=0.0 if newton else 1.0)
-        search = Search(task, path)
-        best = search.optimise_from(gait, most=_QUICK_STEPS) if quick else search.polish(gait)
-        beyond = _peaks(task, search.gait(best.z), every) > 1.0
-        if newton and quick and not beyond.any() and not best.residual <= _QUICK:
-            polished = search.polish(search.gait(best.z))
-            best = min(best, polished, key=lambda each: each.residual)
-            beyond = _peaks(task, search.gait(best.z), every) > 1.0
-        gait = search.gait(best.z)
-        if not beyond.any():
-            return search, best if (peaks > 1.0).any() else _better(search, first, best)
-        use |= beyond
+        best = search.optimise_from(gait, most=most)
+        gait, c = search.gait(best.z), search.coefficients(best.z)
+        beyond = LimitedLoop(task.connection, task.limits, c, gait.period).peaks_beyond()
+        checks = search.path.checks
+        if checks is None or not len(beyond.s):
+            return search, best
+        search = Search(task, replace(search.path, checks=checks.refined(beyond, c)))
     raise StartFailed("the loop still exceeds its limits")
-
-
-def _better(search: Search, first: Gait, best: Minimum) -> Minimum:
-    """Return the better of a gait within its limits and an optimum."""
-    problem, z = problem_of(search.task, search.path), search.unknowns(first)
-    if problem.evaluate(z)[0][0] >= problem.evaluate(best.z)[0][0]:
-        return best
-    return replace(best, z=z, residual=kkt_residual(problem, z))
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,9 +169,3 @@ def measure(search: Search, best: Minimum, gait: Gait) -> Measured:
     else:
         value = task.aim.value(sampled.pose)[0]
     return Measured(gait, sampled, value, cost, task.merit(value, cost))
-
-
-def _peaks(task: Task, gait: Gait, cells: Cells) -> Array:
-    """Return the peaks of a gait, relative to the limits."""
-    c = gait.series.coefficients()
-    return loop_peaks(task.connection, task.limits, c, gait.period, cells).values

@@ -1,8 +1,8 @@
 """Objectives (functions of the pose after a loop) and costs of a loop, with exact derivatives.
 
-The optimisation starts with the square root of the action ∫x′ᵀMx′ ds in place of the length, and
-its last stage fades it out.  The root is never smaller than the length, and equals it at constant
-speed, so that it determines the speed along the loop, which the length does not.  For a path
+The optimisation starts with the square root of the action ∫x′ᵀMx′ ds in place of the length.  The
+root is never smaller than the length, and equals it at constant speed, so that it determines the
+speed along the loop, which the length does not.  For a path
 x(s), s = t/T, joint torques against inertia are f/T² with the covariant force f of the path.
 Joint torques against drag are M x′/T.
 """
@@ -322,7 +322,7 @@ def cost_of(
     lift: PathLift,
     period: float,
     *,
-    action: float = 1.0,
+    action: bool = False,
 ) -> Cost:
     """Compute the cost of a path and its derivatives.
 
@@ -333,7 +333,7 @@ def cost_of(
         coefficients: Coefficients of the path, (K, m).
         lift: Horizontal lift of the path: the motion of the base along it.
         period: Period T [s].
-        action: Weight of the root of the action in the cost "length"; with 0, it is the length.
+        action: Whether the root of the action replaces the cost "length".
     Returns:
         The cost.
     Raises:
@@ -343,9 +343,12 @@ def cost_of(
         return Cost(period, np.zeros_like(coefficients), period)
     x, slope, w, m = lift.x, lift.slope, basis.weights, connection.m
     if kind == "length":
-        root, speed = float(np.sqrt(w @ lift.square)), np.sqrt(lift.square)
-        length = action * root + (1.0 - action) * float(w @ speed)
-        factors = action / max(root, 1e-300) + (1.0 - action) / np.maximum(speed, 1e-300)
+        speed = np.sqrt(lift.square)
+        if action:  # the root mean square of the speed in place of its mean
+            length = float(np.sqrt(w @ lift.square))
+            factors = np.full_like(speed, 1.0 / max(length, 1e-300))
+        else:
+            length, factors = float(w @ speed), 1.0 / np.maximum(speed, 1e-300)
         derivatives = (0.5 * w * factors)[:, None] * lift.square_slopes
         return Cost(length, sum_over_nodes(basis, m, derivatives), 0.0)
     bend, order = basis.bends @ coefficients, torque_order(connection)

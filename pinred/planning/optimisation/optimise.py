@@ -18,8 +18,8 @@ from ...common.names import brief
 from ...common.progress import Progress, shown
 from .best_gait import BestGait, Optimum, group_optima
 from .gait_search import RESIDUAL, Search, StartFailed, finish, fourier_path_of, measure
-from .ipopt import Minimum, minimum
 from .limits import LimitsLike, limits_of, margins, require_two_joints
+from .nonlinear_program import Minimum, minimum
 from .objective import (
     AIMS,
     AimKind,
@@ -52,11 +52,8 @@ def polygon_path(corners: int, *, clockwise: bool) -> Path:
     matrix[:, 0, 0] = matrix[:, 1, 1] = 1.0
     for k, angle in enumerate(angles):
         matrix[k, :, 2 + k] = np.cos(angle), np.sin(angle)
-    at_corners = np.eye(corners), np.zeros((corners, corners)), np.zeros((corners, corners))
-    return Path(
-        polygon_basis(corners, _PIECES), at_corners, matrix.reshape(2 * corners, -1),
-        np.zeros((corners, 2)),
-    )  # fmt: skip
+    basis = polygon_basis(corners, _PIECES)
+    return Path(basis, matrix.reshape(2 * corners, -1), np.zeros((corners, 2)))
 
 
 def polygon_gait(path: Path, y: Array, period: float) -> Gait:
@@ -73,6 +70,7 @@ def polygon_gait(path: Path, y: Array, period: float) -> Gait:
 
 
 _CONTINUED = (1, 3, 5, 9)  # numbers of harmonics in the successive optimisations of a continuation
+_PERTURBATION = 0.2  # relative perturbation before the last stage, which leaves saddle points
 
 
 @checks_arguments
@@ -91,7 +89,7 @@ def optimise_gait(
     speeds: LimitsLike | None = None,
     torques: LimitsLike | None = None,
     period: float = 1.0,
-    starts: int = 5,
+    starts: int = 10,
     seed: int = 0,
     progress: Progress | bool | None = None,
 ) -> BestGait:
@@ -245,10 +243,13 @@ def _optimise_fourier(
     continued = winding is not None or m > 2
     ladder = sorted({h for h in _CONTINUED if h < harmonics and continued} | {harmonics})
     gait = _initial_loop(task, ladder[0], rng)
-    for h in ladder:
-        search = Search(task, fourier_path_of(task, h))
-        best = search.optimise_from(gait)
-        gait = search.gait(best.z)
+    for h in ladder[:-1]:
+        search = Search(task, fourier_path_of(task, h, action=True))
+        gait = search.gait(search.optimise_from(gait).z)
+    search = Search(task, fourier_path_of(task, harmonics))
+    if len(ladder) > 1:
+        z = search.unknowns(gait)
+        gait = search.gait(z + _PERTURBATION * np.abs(z).max() * rng.uniform(-1.0, 1.0, len(z)))
     search, best = finish(search, gait)
     gait = search.gait(best.z)
     turns = None
@@ -309,12 +310,12 @@ def _optimise_polygon(task: Task, vertices: int, rng: np.random.Generator) -> Op
         if task.aim.value(pose)[0] < 0.0:
             path = polygon_path(vertices, clockwise=True)
     problem = problem_of(task, path)
-    # Distances from the centre must not be negative.
-    rows = np.vstack([problem.rows, np.eye(len(y))[2:]])
+    # Corners are within the limits, and distances from the centre are not negative.
+    low, high = (np.tile(each, vertices) for each in task.limits.shape.T)
     problem = replace(
-        problem, rows=rows,
-        lower=np.concatenate([problem.lower, np.zeros(vertices)]),
-        upper=np.concatenate([problem.upper, np.full(vertices, np.inf)]),
+        problem, rows=np.vstack([problem.rows, path.matrix, np.eye(len(y))[2:]]),
+        lower=np.concatenate([problem.lower, low, np.zeros(vertices)]),
+        upper=np.concatenate([problem.upper, high, np.full(vertices, np.inf)]),
     )  # fmt: skip
     best = minimum(problem, y)
     gait = polygon_gait(path, best.z, task.period)

@@ -17,30 +17,23 @@ from ...analysis.phases.path_basis import (
     PathBasis,
     cycloid_basis,
     fourier_basis,
-    fourier_rows,
     path_lift,
 )
 from ...common.arrays import Array
 from ...common.errors import NoConvergence, SingularInertiaError
-from .ipopt import Problem
+from .limit_checks import LimitChecks, LimitedLoop
 from .limits import Limits
-from .loop_peaks import Cells, loop_peaks
+from .nonlinear_program import Problem
 from .objective import (
     DEGREES,
     AxisAim,
     CostKind,
     TargetAim,
     cost_of,
-    torque_order,
-    torque_slopes,
-    torques,
 )
 
-_INSIDE = 1e-6  # relative margin inside the limits, for round-off and small overshoot
-# Relative margin outside the limits at sample times, if the peaks are limited: no such limit is
-# active, but between cells without a limit of the peak, a loop cannot leave the limits far.
-_OUTSIDE = 1e-3
-_ROUND_OFF = 1e-8  # relative margin of the peaks inside the limits: the tolerance of IPOPT
+_INSIDE = 5e-8  # relative margin of checks inside the limits, which peaks between them may use
+_SHORTEST = 1e-6  # lower bound of a variable period [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,21 +111,17 @@ class Path:
 
     Attributes:
         basis: Basis functions at the Gauss nodes.
-        checked: Values, first and second derivatives of the basis functions at the times at which
-            limits are imposed, (C, K) each.
         matrix: Matrix L of the affine map, (K m, n).
         shift: Constant term c₀ of the affine map, (K, m).
-        cells: Cells in which the peaks of the loop are limited; None if limits are imposed at
-            sample times.
-        action: Weight of the root of the action in the cost "length".
+        checks: Checks of the limits of Fourier series; None for other paths.
+        action: Whether the root of the action replaces the cost "length".
     """
 
     basis: PathBasis
-    checked: tuple[Array, Array, Array]
     matrix: Array
     shift: Array
-    cells: Cells | None = None
-    action: float = 1.0
+    checks: LimitChecks | None = None
+    action: bool = False
 
     @property
     def size(self) -> int:
@@ -154,7 +143,6 @@ def fourier_path(
     m: int,
     *,
     pieces: int,
-    checks: Array,
     power: int,
     start: Array | None = None,
     passage: Passage | None = None,
@@ -165,7 +153,6 @@ def fourier_path(
         harmonics: Number of harmonics.
         m: Number of joints.
         pieces: Number of quadrature segments per cycle.
-        checks: Times s = t/T at which limits are imposed, (C,).
         power: Unknowns of harmonic k are k^power times its coefficients, so that all harmonics
             contribute equally to a cost of derivatives of this order.
         start: Common initial shape of all paths, (m,), or None.  If set, it determines the mean,
@@ -187,7 +174,7 @@ def fourier_path(
         basis = fourier_basis(harmonics, pieces)
     else:
         basis = cycloid_basis(harmonics, passage.cycles * pieces + passage.more, passage.cycles)
-    return Path(basis, fourier_rows(harmonics, checks), matrix, shift)
+    return Path(basis, matrix, shift)
 
 
 def problem_of(task: Task, path: Path) -> Problem:
@@ -197,14 +184,11 @@ def problem_of(task: Task, path: Path) -> Problem:
         task: The task.
         path: The family of paths over which the task is optimised.
     Returns:
-        The problem for IPOPT.
+        The problem; it has no limits of polygons.
     """
     connection, aim, limits = task.connection, task.aim, task.limits
-    m, n, free = connection.m, path.size, int(task.period_is_free)
+    n, free = path.size, int(task.period_is_free)
     size = n + free
-    values, slopes, bends = path.checked
-    limited = np.flatnonzero(np.isfinite(limits.torque))
-    order = torque_order(connection) if len(limited) else 0
 
     def evaluate(z: Array) -> tuple[Array, Array]:
         c, T = path.coefficients(z[:n]), float(z[n]) if free else task.period
@@ -248,45 +232,28 @@ def problem_of(task: Task, path: Path) -> Problem:
                 np.array([cost.value / task.most]), cost.slope[None] / task.most,
                 cost.by_log_period / T / task.most,
             )  # fmt: skip
-        if path.cells is not None:
-            peaks = loop_peaks(connection, limits, c, T, path.cells)
-            add(peaks.values, peaks.by_c, peaks.by_log_period / T)
-        elif len(limited):
-            x, x1, x2 = values @ c, slopes @ c, bends @ c
-            tau = torques(connection, x, x1, x2) / T**order
-            for k in limited:
-                most = limits.torque[k] * (1.0 - _INSIDE)
-                covector = np.zeros_like(x)
-                covector[:, k] = 1.0 / (most * T**order)
-                S = torque_slopes(connection, x, x1, x2, covector)
-                by_c = (
-                    values[:, :, None] * S[:, None, :m]
-                    + slopes[:, :, None] * S[:, None, m : 2 * m]
-                    + bends[:, :, None] * S[:, None, 2 * m :]
-                )
-                add(tau[:, k] / most, by_c, -order * tau[:, k] / (most * T))
+        if path.checks is not None:
+            checked = LimitedLoop(connection, limits, c, T).values(path.checks)
+            add(checked.values, checked.by_c, checked.by_log_period / T)
         return np.concatenate(results), np.vstack(jacobian)
 
     def evaluate_or_nan(z: Array) -> tuple[Array, Array]:
-        """Return NaN where the lift fails, so that IPOPT shortens its step."""
+        """Return NaN where the lift fails, so that a line search shortens its step."""
         try:
             return evaluate(z)
         except (SingularInertiaError, NoConvergence, FloatingPointError):
             count = 1 + len(g_lower)
             return np.full(count, np.nan), np.full((count, size), np.nan)
 
-    g_lower, g_upper = _nonlinear_bounds(task, path)
-    rows, lower, upper = _linear_constraints(task, path)
+    g_lower, g_upper = _bounds(task, path)
+    rows = np.eye(size)[n:]
     return Problem(
-        size,
-        evaluate_or_nan,
-        rows,
-        np.concatenate([g_lower, lower]),
-        np.concatenate([g_upper, upper]),
-    )
+        size, evaluate_or_nan, rows, np.append(g_lower, np.full(free, _SHORTEST)),
+        np.append(g_upper, np.full(free, np.inf)),
+    )  # fmt: skip
 
 
-def _nonlinear_bounds(task: Task, path: Path) -> tuple[Array, Array]:
+def _bounds(task: Task, path: Path) -> tuple[Array, Array]:
     """Return the bounds of the nonlinear constraints."""
     identity = task.connection.group.identity()
     residual, _ = (
@@ -298,45 +265,7 @@ def _nonlinear_bounds(task: Task, path: Path) -> tuple[Array, Array]:
     if task.most is not None:
         lower.append(np.array([-np.inf]))
         upper.append(np.ones(1))
-    if path.cells is not None:
-        lower.append(np.full(len(path.cells.joint), -np.inf))
-        upper.append(np.full(len(path.cells.joint), 1.0 - _ROUND_OFF))
-    else:
-        limited = len(path.checked[0]) * int(np.isfinite(task.limits.torque).sum())
-        lower.append(np.full(limited, -1.0))
-        upper.append(np.full(limited, 1.0))
+    if path.checks is not None:
+        lower.append(np.full(len(path.checks.times.s), -np.inf))
+        upper.append(np.full(len(path.checks.times.s), 1.0 - _INSIDE))
     return np.concatenate(lower), np.concatenate(upper)
-
-
-def _linear_constraints(task: Task, path: Path) -> tuple[Array, Array, Array]:
-    """Return matrix and bounds of the linear constraints on shapes, speeds and period."""
-    limits, n, free = task.limits, path.size, int(task.period_is_free)
-    values, slopes, _ = path.checked
-    L = path.matrix.reshape(*path.shift.shape, n)
-    rows, lower, upper = [], [], []
-    by_y = np.tensordot(values, L, 1).reshape(-1, n)  # (C m, n)
-    shift = (values @ path.shift).ravel()
-    inside = _INSIDE if path.cells is None else -_OUTSIDE
-    edge = inside * limits.reach
-    rows.append(np.hstack([by_y, np.zeros((len(by_y), free))]))
-    lower.append(np.tile(limits.shape[:, 0] + edge, len(values)) - shift)
-    upper.append(np.tile(limits.shape[:, 1] - edge, len(values)) - shift)
-    fast = np.flatnonzero(np.isfinite(limits.speed))
-    if len(fast):
-        by_y = np.tensordot(slopes, L[:, fast], 1).reshape(-1, n)
-        shift = (slopes @ path.shift[:, fast]).ravel()
-        most = np.tile(limits.speed[fast] * (1.0 - inside), len(slopes))
-        if free:
-            for sign in (1.0, -1.0):
-                rows.append(np.hstack([sign * by_y, -most[:, None]]))
-                lower.append(np.full(len(most), -np.inf))
-                upper.append(-sign * shift)
-        else:
-            rows.append(by_y)
-            lower.append(-most * task.period - shift)
-            upper.append(most * task.period - shift)
-    if free:
-        rows.append(np.eye(n + 1)[-1:])
-        lower.append(np.array([1e-6]))
-        upper.append(np.array([np.inf]))
-    return np.vstack(rows), np.concatenate(lower), np.concatenate(upper)

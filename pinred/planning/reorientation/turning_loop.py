@@ -171,11 +171,11 @@ def _shortest_loop(task: Task, aim: TargetAim, gait: Gait, start: Array) -> Gait
     if task.passage is not None:  # reserve range for the final Newton steps
         edge = _EDGE * task.limits.reach[:, None] * np.array([1.0, -1.0])
         task = replace(task, limits=replace(task.limits, shape=task.limits.shape + edge))
-    search = Search(task, fourier_path_of(task, _HARMONICS, start=start))
-    best = search.optimise_from(gait, most=_ITERATIONS)
+    search = Search(task, fourier_path_of(task, _HARMONICS, start=start, action=True))
+    search, best = finish(search, gait, most=_ITERATIONS)
     if not _newton_step(task, aim, search.path, best.z)[0] <= _REACHED:
         raise StartFailed(f"the optimiser did not reach the target ({best.status})")
-    return search.gait(finish(search, search.gait(best.z), newton=False)[1].z)
+    return search.gait(best.z)
 
 
 def fine_path(m: int, start: Array, passage: Passage | None, *, finer: int = 1) -> Path:
@@ -190,6 +190,4 @@ def fine_path(m: int, start: Array, passage: Passage | None, *, finer: int = 1) 
         The family of paths.
     """
     pieces = finer * (_FINE if passage is None else _FINE_PASSAGE)
-    return fourier_path(
-        _HARMONICS, m, pieces=pieces, checks=np.zeros(1), power=1, start=start, passage=passage
-    )
+    return fourier_path(_HARMONICS, m, pieces=pieces, power=1, start=start, passage=passage)

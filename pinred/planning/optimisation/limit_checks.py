@@ -1,0 +1,221 @@
+"""Limits of a Fourier loop as constraints at check times, which peaks beyond a limit extend.
+
+A limited quantity q of a joint is scaled so that its limits are −1 ≤ q ≤ 1.  A check is the
+constraint ±q(s) ≤ 1 at a fixed time s.  In contrast to a moving extreme, it is a smooth function of
+the loop, also where two extremes merge to a flat top.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...analysis.connections.connection import Connection
+from ...analysis.phases.path_basis import fourier_rows
+from ...common.arrays import Array
+from .limits import Limits
+from .objective import torque_order, torque_slopes, torques
+
+_PER_HARMONIC = 8  # initial checks per harmonic and period, of each quantity and sign
+_PARTS = 8  # parts into which a time between checks is divided if a peak in it exceeds its limit
+_SAMPLES = 64  # samples per harmonic and period from which peaks are located
+_TORQUE = 2  # kind of quantity; kinds 0 and 1 are shapes and speeds
+_REFINEMENTS = 4  # number of parabolas that refine a peak, the first through samples
+_NARROWER = 0.1  # width of each parabola, relative to the previous one
+
+
+class Times(NamedTuple):
+    """Times at which quantities are limited.
+
+    Attributes:
+        kind: Limited quantity: 0 shape, 1 speed, 2 torque, (N,).
+        joint: Index of the joint, (N,).
+        sign: +1 for the upper limit, −1 for the lower one, (N,).
+        s: Time s = t/T, (N,).
+    """
+
+    kind: NDArray[np.int_]
+    joint: NDArray[np.int_]
+    sign: Array
+    s: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LimitChecks:
+    """Checks that move with a loop which is shifted along itself, x(s) → x(s + shift).
+
+    Otherwise a loop could gain by a shift of its peaks to times between checks.
+
+    Attributes:
+        times: Times of the checks.
+        loop: Loop for which these times hold, (K, m).
+        shifts: Derivative of the shift with respect to the coefficients, (K, m).
+    """
+
+    times: Times
+    loop: Array
+    shifts: Array
+
+    def shift(self, c: Array) -> float:
+        """Return the shift of a loop along itself, relative to the loop of the checks."""
+        return float((self.shifts * (c - self.loop)).sum())
+
+    def refined(self, beyond: Times, c: Array) -> LimitChecks:
+        """Return the checks for a loop, and more between those around its peaks beyond limits.
+
+        Args:
+            beyond: The peaks.
+            c: Coefficients of the loop, (K, m).
+        Returns:
+            The checks, whose times move with the loop.
+        """
+        kinds, joints, signs, moments = self.times._replace(s=self.times.s + self.shift(c))
+        more = [Times(kinds, joints, signs, moments % 1.0)]
+        for kind, joint, sign, s in zip(*beyond, strict=True):
+            same = (kinds == kind) & (joints == joint) & (signs == sign)
+            distances = (moments[same] - s) % 1.0
+            between = np.linspace(distances.max() - 1.0, distances.min(), _PARTS + 1)[1:-1]
+            more.append(Times(*np.broadcast_arrays(kind, joint, sign, (s + between) % 1.0)))
+        times = Times(*(np.concatenate(each) for each in zip(*more, strict=True)))
+        k = 2.0 * np.pi * np.arange(1, (len(c) + 1) // 2)[:, None]
+        cos, sin = np.split(c[1:], 2)
+        by_shift = np.vstack([np.zeros_like(c[:1]), k * -sin, k * cos])
+        return LimitChecks(times, c, by_shift / (by_shift**2).sum())
+
+
+def first_checks(limits: Limits, harmonics: int) -> LimitChecks:
+    """Return checks of all limited quantities at equal distances.
+
+    Args:
+        limits: The limits.
+        harmonics: Number of harmonics of the loop.
+    Returns:
+        The checks, whose times are fixed.
+    """
+    count = _PER_HARMONIC * (harmonics + 1)
+    kind, joint = np.nonzero(np.isfinite([limits.reach, limits.speed, limits.torque]))
+    quantity, sign, k = (index.ravel() for index in np.indices((len(kind), 2, count)))
+    times = Times(kind[quantity], joint[quantity], 1.0 - 2.0 * sign, k / count)
+    still = np.zeros((1 + 2 * harmonics, len(limits.reach)))
+    return LimitChecks(times, still, still)
+
+
+class CheckedValues(NamedTuple):
+    """Values ±q of checks with derivatives.
+
+    Attributes:
+        values: Values, (N,).
+        by_c: Derivatives with respect to the path coefficients, (N, K, m).
+        by_log_period: Derivatives with respect to the logarithm of the period, (N,).
+    """
+
+    values: Array
+    by_c: Array
+    by_log_period: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LimitedLoop:
+    """A Fourier loop with the limits of its quantities.
+
+    Attributes:
+        connection: The connection.
+        limits: The limits.
+        c: Coefficients of the loop: mean, cosines and sines, (K, m).
+        period: Period T [s].
+    """
+
+    connection: Connection
+    limits: Limits
+    c: Array
+    period: float
+
+    @property
+    def harmonics(self) -> int:
+        """Number of harmonics."""
+        return (len(self.c) - 1) // 2
+
+    def order(self, kind: int) -> int:
+        """Return the power of 1/T with which a kind of quantity scales."""
+        return torque_order(self.connection) if kind == _TORQUE else kind
+
+    def scale(self, kind: int) -> Array:
+        """Return the limits of a kind of quantity for period 1, (m,)."""
+        size = (self.limits.reach, self.limits.speed, self.limits.torque)[kind]
+        return np.asarray(size * self.period ** self.order(kind))
+
+    def scaled(self, kind: int, s: Array) -> Array:
+        """Return the quantities q of one kind at times s (N,), (N, m)."""
+        states = [rows @ self.c for rows in fourier_rows(self.harmonics, s)]
+        q = torques(self.connection, *states) if kind == _TORQUE else states[kind]
+        return np.asarray((q - self.limits.middle * (kind == 0)) / self.scale(kind))
+
+    def values(self, checks: LimitChecks) -> CheckedValues:
+        """Compute the values of checks and their derivatives."""
+        kinds, joints, signs, s = checks.times
+        values, by_c, order = np.zeros(len(s)), np.zeros((len(s), *self.c.shape)), np.zeros(len(s))
+        for kind in np.unique(kinds):
+            at = np.flatnonzero(kinds == kind)
+            # Both signs of a quantity share its evaluation.
+            pairs, index = np.unique([joints[at], s[at]], axis=1, return_inverse=True)
+            q, q_by_c = self._with_slopes(kind, pairs[0].astype(int), pairs[1], checks)
+            values[at] = signs[at] * q[index]
+            by_c[at] = signs[at, None, None] * q_by_c[index]
+            order[at] = self.order(kind)
+        return CheckedValues(values, by_c, -order * values)
+
+    def _with_slopes(
+        self, kind: int, joint: NDArray[np.int_], s: Array, checks: LimitChecks
+    ) -> tuple[Array, Array]:
+        """Return q, (N,), and its derivatives, (N, K, m), at times that move with the loop."""
+        s, each = s + checks.shift(self.c), np.arange(len(s))
+        rows = fourier_rows(self.harmonics, s)
+        covector = np.zeros((len(s), self.c.shape[1]))
+        covector[each, joint] = 1.0 / self.scale(kind)[joint]
+        x, slope, bend = (row @ self.c for row in rows)
+        slopes = {kind: covector}
+        if kind == _TORQUE:
+            by_state = torque_slopes(self.connection, x, slope, bend, covector)
+            slopes = dict(enumerate(np.split(by_state, 3, axis=1)))
+        rates = (slope, bend, self.third_derivatives(rows[1]))
+        by_c = sum(rows[k][:, :, None] * slope[:, None] for k, slope in slopes.items())
+        rate = sum((slope * rates[k]).sum(axis=1) for k, slope in slopes.items())
+        by_c = by_c + np.multiply.outer(rate, checks.shifts)
+        return self.scaled(kind, s)[each, joint], np.asarray(by_c)
+
+    def third_derivatives(self, slope_rows: Array) -> Array:
+        """Return x‴, (N, m), from the rows of first derivatives."""
+        k = 2.0 * np.pi * np.arange(1.0, self.harmonics + 1.0)
+        return np.asarray(slope_rows @ (-(np.concatenate([[0.0], k, k])[:, None] ** 2) * self.c))
+
+    def peaks_beyond(self) -> Times:
+        """Return the local maxima of |q| that exceed 1."""
+        found = [Times(*(np.zeros(0, dtype) for dtype in (int, int, float, float)))]
+        count = _SAMPLES * (self.harmonics + 1)
+        for kind, size in enumerate((self.limits.reach, self.limits.speed, self.limits.torque)):
+            if not np.isfinite(size).any():
+                continue
+            q = self.scaled(kind, np.arange(count) / count)
+            inner, before, after = np.abs(q), np.roll(np.abs(q), 1, 0), np.roll(np.abs(q), -1, 0)
+            bound = inner + np.abs(after - before) + np.abs(after - 2.0 * inner + before)
+            k, joint = np.nonzero((inner >= before) & (inner >= after) & (bound > 1.0))
+            if not len(k):
+                continue
+            sign, s, step = np.sign(q[k, joint]), k / count, 1.0 / count
+            each = np.arange(len(k))[:, None]
+            for _ in range(_REFINEMENTS):
+                points = s[:, None] + step * np.array([-1.0, 0.0, 1.0])
+                at_points = self.scaled(kind, points.ravel()).reshape(*points.shape, -1)
+                left, middle, right = sign * at_points[each, [0, 1, 2], joint[:, None]].T
+                bend, slope = left - 2.0 * middle + right, 0.5 * (right - left)
+                vertex = np.divide(-slope, bend, out=np.zeros_like(s), where=bend < 0.0)
+                s = s + step * np.clip(vertex, -1.0, 1.0)
+                step *= _NARROWER
+            beyond = sign * self.scaled(kind, s)[each[:, 0], joint] > 1.0
+            found.append(
+                Times(np.full(beyond.sum(), kind), joint[beyond], sign[beyond], s[beyond] % 1.0)
+            )
+        return Times(*(np.concatenate(each) for each in zip(*found, strict=True)))
