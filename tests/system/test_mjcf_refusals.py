@@ -107,20 +107,31 @@ def test_joint_constraint_becomes_coupling() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("constraint", "words"),
-    [
-        ('<joint name="e" joint1="left"/>', ["'left'", "'e'", "lock={'left': 0.3}"]),
-        ('<joint joint1="left" polycoef=".5"/>', ["'left'", "lock={'left': 0.8}"]),
-    ],
-)
-def test_held_joint_is_refused_with_lock(constraint: str, words: list[str]) -> None:
-    """The message names the joint, and the suggested lock works."""
-    content = coupled(constraint)
-    with pytest.raises(ModelError) as caught:
-        loaded(content)
-    assert [word for word in words if word not in str(caught.value)] == []
-    assert loaded(content, lock={"left": 0.3}).shape_names == ("right",)
+@pytest.mark.parametrize(("polycoef", "value"), [("0", 0.3), (".5", 0.8)])
+def test_joint_that_an_equality_holds_is_locked(polycoef: str, value: float) -> None:
+    """It is locked where MuJoCo's residual is zero, unless `lock` states another value."""
+    content = coupled(f'<joint joint1="left" polycoef="{polycoef}"/>')
+    model = mujoco.MjSpec.from_string(content).compile()
+    data = mujoco.MjData(model)
+    data.qpos[model.joint("left").qposadr] = value
+    mujoco.mj_forward(model, data)
+    assert data.efc_pos[0] == pytest.approx(0.0, abs=1e-15)
+    system = loaded(content)
+    assert system.shape_names == ("right",)
+    H = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, H)
+    free = [k for k in range(model.nv) if k != model.joint("left").dofadr[0]]
+    right = data.qpos[model.joint("right").qposadr]
+    np.testing.assert_allclose(
+        pinred.Reduction(system).mass_matrix(right)[-1, -1], H[np.ix_(free, free)][-1, -1]
+    )
+    other = loaded(content, lock={"left": 0.1})
+    plain = loaded(
+        content.replace('joint1="left"', 'joint1="left" active="false"'), lock={"left": 0.1}
+    )
+    np.testing.assert_array_equal(
+        pinred.Reduction(other).mass_matrix(right), pinred.Reduction(plain).mass_matrix(right)
+    )
 
 
 def test_follower_of_locked_leader_is_locked() -> None:

@@ -188,11 +188,6 @@ REFUSED = {
     "contradiction": (
         '<tendon tendon1="a"/><tendon tendon1="a" polycoef=".1"/>', "contradicts .* by -0.1",
     ),
-    "held joint": ('<tendon tendon1="one" polycoef=".3"/>', r"lock={'knee0': 0.1}"),
-    "held by two": (
-        '<tendon tendon1="a"/><joint joint1="knee0" joint2="pitch0" polycoef="0 2 0 0 0"/>',
-        "equality that fixes a joint",
-    ),
 }  # fmt: skip
 
 
@@ -206,10 +201,27 @@ def test_other_constraints_of_tendons_are_refused(case: str) -> None:
     with pytest.raises(ModelError, match=words):
         loaded(text)
     lock = {"yaw0": 0.0, "pitch0": 0.0, "knee0": 0.1, "ankle0": 0.0}
-    if case == "held joint":
-        assert loaded(text, lock={"knee0": 0.1}).m == 3
-    elif case in ("spatial", "not in proportion"):
+    if case in ("spatial", "not in proportion"):
         assert loaded(text, lock=lock).m == 0
+
+
+HELD = {
+    "by a tendon of one joint": '<tendon tendon1="one" polycoef=".3"/>',
+    "by a tendon and a joint": (
+        '<tendon tendon1="a"/><joint joint1="knee0" joint2="pitch0" polycoef="0 2 0 0 0"/>'
+    ),
+}
+
+
+@pytest.mark.parametrize("case", HELD)
+def test_joints_that_tendons_hold_are_locked(case: str) -> None:
+    """They are locked where the residuals of MuJoCo are zero."""
+    text = robot(legs(1), TENDONS + tendon("one", knee0=1.0), HELD[case])
+    system = loaded(text)
+    locked = system.contents.locked
+    assert locked is not None
+    values = joint_values(system, np.full(system.m, 0.2)) | dict(locked.frozen)
+    assert np.abs(residuals(text, values)).max() < 1e-15
 
 
 def test_locked_joints_of_tendons_become_constants() -> None:

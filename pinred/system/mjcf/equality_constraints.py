@@ -55,8 +55,7 @@ def constraints_of(tree: Tree) -> Constraints:
     """Return the constraints that act on a robot, and add the frames of loops to its model.
 
     Raises:
-        ModelError: A constraint attaches the robot to the world, fixes a joint, or contradicts
-            another one.
+        ModelError: A constraint attaches the robot to the world, or contradicts another one.
     """
     couplings: list[Coupling] = []
     outside: list[str] = []
@@ -102,13 +101,6 @@ def _tendon_couplings(tree: Tree) -> list[Coupling]:
     world = tree.world
     values = {world.joint_names[joint]: value for joint, value in tree.locked.items()}
     laws = tendon_laws(world, proportional_couplings(world))
-    for name, (value, constraint) in laws.held.items():
-        if name not in values:
-            raise ModelError(
-                f"an equality that fixes a joint is not supported: joint '{name}' by equality "
-                f"'{constraint}'; lock the joint (lock={{'{name}': {value:g}}}), or remove the "
-                "constraint"
-            )
     free = [coupling for coupling in laws.couplings if coupling.follower not in values]
     return [with_constants(coupling, values) for coupling in free]
 
@@ -192,34 +184,42 @@ def _laws(tree: Tree, constraint: Constraint) -> Sequence[Coupling | JointPolyno
     MuJoCo's polynomial applies to displacements from the reference configuration (qpos0).
 
     Raises:
-        ModelError: The constraint fixes a joint, or its leader is locked.
+        ModelError: The leader is locked, and the follower is not.
     """
     world, free = tree.world, tree.free_joints
     first, second = constraint.objects
     if first not in free and second not in free:
         return ()
     follower = joint_of(world, first)
-    c0, _, *higher = constraint.coefficients
-    words = f"joint '{follower.name}' by equality '{constraint.name}'"
-    if second < 0:
-        raise ModelError(
-            f"an equality that fixes a joint is not supported: {words}; lock the joint "
-            f"(lock={{'{follower.name}': {follower.q0 + c0:g}}}), or remove the constraint"
-        )
     if first not in free:  # The follower is locked, so the constraint would fix its leader.
         return ()
     leader = joint_of(world, second)
     if second not in free:
         raise ModelError(
-            f"'{leader.name}' is the leader of {words}, but it is locked; lock the follower as "
-            f"well (lock=['{follower.name}']), or remove the constraint"
+            f"'{leader.name}' is the leader of joint '{follower.name}' by equality "
+            f"'{constraint.name}', but it is locked; lock the follower as well "
+            f"(lock=['{follower.name}']), or remove the constraint"
         )
-    if not any(higher):
+    if not any(constraint.coefficients[2:]):
         return (proportional(follower, leader, constraint),)
     name, coefficients = constraint.name, tuple(constraint.coefficients)
     return (
         JointPolynomial(follower.name, leader.name, coefficients, follower.q0, leader.q0, name),
     )
+
+
+def held_joints(world: World) -> dict[str, float]:
+    """Return the joints that active equality constraints hold, with their values."""
+    held = {
+        name: value
+        for name, (value, _) in tendon_laws(world, proportional_couplings(world)).held.items()
+    }
+    for constraint in active_constraints(world):
+        first, second = (*constraint.objects, -1)[:2]
+        if constraint.kind == "joint" and second < 0 and first in world.all_joints:
+            joint = joint_of(world, first)
+            held[joint.name] = joint.q0 + constraint.coefficients[0]
+    return held
 
 
 def locked_with_followers(

@@ -17,7 +17,7 @@ from ..locked_joints import LockedJoints, LockValue, separate_attitudes
 from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of, unlocked_balls
 from ..robot_file_contents import Contents, Coupling, Keyframe
 from .compile import compiled
-from .equality_constraints import constraints_of, locked_with_followers
+from .equality_constraints import constraints_of, held_joints, locked_with_followers
 from .mujoco_forces import left_out_actions, moving_tendons, passive_forces
 from .package import mujoco_package
 from .rotors import ignored_rotors
@@ -65,6 +65,7 @@ def read_mujoco(
     """
     what = str(source) if isinstance(source, (str, Path)) else "the model"
     world = robot_in(compiled(source), root, what)
+    lock = held_joints(world) | dict(lock)
     file_gravity = gravity_of(world)
     effective = file_gravity.effective if gravity is None else gravity
     if balls and lock:
