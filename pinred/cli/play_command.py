@@ -1,20 +1,24 @@
-"""`pinred play`: show a motion in a browser, or write it as an HTML page or a film."""
+"""`pinred play`: show a motion or a robot in a browser, or write it as an HTML page or a film."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
 from .command_options import option_adder
-from .motion_files import motion_in, show_motion
+from .motion_files import check_robot, motion_in, show_motion
+
+if TYPE_CHECKING:
+    from ..views.motion_source import MotionSource
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     from ..views.playback.viewers import VIEWER, VIEWERS
 
-    text = "motion traj.npz, or scene file (.toml)"
+    text = "motion traj.npz, scene file (.toml), or a robot, which is shown at rest"
     sub.add_argument("motion", metavar="MOTION", help=text)
     add = option_adder(sub)
     add("--robot R", "robot of a .npz file that names none")
@@ -55,19 +59,34 @@ def run(arguments: argparse.Namespace) -> int:
         from ..views.playback.server import check_port
 
         check_port(arguments.port)
-    motion = motion_in(arguments.motion, arguments.robot)
+    is_motion = Path(arguments.motion).suffix in (".npz", ".toml")
+    motion = (
+        motion_in(arguments.motion, arguments.robot)
+        if is_motion
+        else _at_rest(arguments.motion, arguments.meshes)
+    )
     show_motion(
         motion, out, view, viewer=arguments.viewer, port=arguments.port, show=not arguments.no_open
     )
     return 0
 
 
+def _at_rest(robot: str, meshes: list[str] | None) -> MotionSource:
+    """Return a motion in which a robot, given by name or file, stays in its neutral shape."""
+    from ..simulation.simulate import simulate
+    from ..system.load import load
+
+    system = load(robot, gravity=(0.0, 0.0, 0.0), meshes=meshes or ())
+    return simulate(
+        system, xdot0=[0.0] * system.m, momentum=0, passive=False, duration=1.0, times=[0.0, 1.0]
+    )
+
+
 def _check(arguments: argparse.Namespace) -> None:
     """Raise InputError for an unsupported kind of motion, or for an option without effect."""
     from ..views.playback.viewers import PAGES
 
-    if Path(arguments.motion).suffix not in (".npz", ".toml"):
-        raise InputError(f"play takes a .npz or a scene file (.toml), got '{arguments.motion}'")
+    check_robot(arguments.motion, arguments.robot)
     if arguments.out is not None and arguments.port is not None:
         raise InputError("--port applies to playback in a browser, not to --out")
     if arguments.out is not None and arguments.viewer is not None:

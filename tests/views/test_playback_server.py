@@ -11,10 +11,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from commands import refused
 
 import pinred
+from pinred.cli import play_command
 from pinred.cli.main import main
 from pinred.views.playback.server import Player, play
 from pinred.views.playback.view_options import View
@@ -175,7 +177,9 @@ def test_ctrl_c_during_play(when: str, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("traj.npy",), "play takes a .npz or a scene file (.toml)"),
+        (("traj.npy",), "no such file: traj.npy"),
+        (("unknown_robot",), "unknown_robot"),
+        (("cartpole", "--robot", "solo12"), "--robot applies to .npz files"),
         (("gone.npz",), "no such file: gone.npz"),
         (("gone.toml",), "gone.toml"),
         (("traj.npz", "--ghost"), "contains no forces"),
@@ -202,6 +206,27 @@ def test_bad_input_is_reported_in_one_line(
     pinred.simulate(pinred.load("elroys_beanie"), duration=0.1).save("traj.npz")
     assert words in refused(capsys, "play", *arguments)
     assert [path.name for path in tmp_path.iterdir()] == ["traj.npz"]
+
+
+@pytest.mark.parametrize("robot", ["satellite_two_arms", "cartpole", "four_bar", "pendulum.xml"])
+def test_play_command_shows_a_robot_at_rest(
+    robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Gravity and springs of the file do not move it."""
+    monkeypatch.chdir(tmp_path)
+    Path("pendulum.xml").write_text(
+        '<mujoco><worldbody><body><joint type="hinge" axis="0 1 0" stiffness="3" springref="40"/>'
+        '<geom size=".1" pos="1 0 0" contype="0" conaffinity="0"/><body pos="1 0 0"><joint '
+        'axis="1 0 0"/><geom size=".1" pos="0 .3 0" contype="0" conaffinity="0"/></body></body>'
+        "</worldbody></mujoco>"
+    )
+    shown: list[Any] = []
+    monkeypatch.setattr(play_command, "show_motion", lambda motion, *_, **__: shown.append(motion))
+    assert main(["play", robot]) == 0
+    (traj,) = shown
+    assert traj.t.tolist() == [0.0, 1.0]
+    assert np.abs(traj.v).max() < 1e-12
+    assert np.abs(traj.q[1] - traj.q[0]).max() < 1e-12
 
 
 def test_play_command_writes_pages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
