@@ -53,7 +53,7 @@ class TimeFunctions:
 
         Args:
             times: Times, (T,) [s].
-            numbers: Numbers of the forces, (p,).
+            numbers: Numbers of the forces, (p,), or (p, P) in each interval.
             within: Slice of the number that selects the segments of tables.
             spans: Value of that number at each time, (T,) or one for all [s].
         Returns:
@@ -74,7 +74,7 @@ class TimeFunctions:
         Args:
             starts: Starts of the intervals of time, (P,) [s].
             ends: Their ends, (P,) [s].
-            numbers: Numbers of the forces, (p,).
+            numbers: Numbers of the forces, (p,), or (p, P) in each interval.
             within: Slice of the number that selects the segments of tables.
             spans: Value of that number in each interval of time, (P,) [s].
         """

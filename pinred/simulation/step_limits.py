@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +42,7 @@ _UNSEEN, _HIDDEN, _SEEN, _FAINT = 8.0, 1e3, 1.0 / 512.0, 1e-3
 # their error estimates hold for a smaller part of a period.
 _HIGH, _LOW = 10.0, 2.5
 _RUNS = 16  # number of runs whose limits are cached
+_TOGETHER = 256  # number of runs whose functions are evaluated at once
 _RESTART = 2.0  # cost of a stop, in steps
 _PER_OCTAVE = 2.0  # number of longest steps per factor of two among which the cheapest is chosen
 
@@ -98,6 +100,8 @@ class StepLimits:
         Returns:
             The stops.
         """
+        if not (self.longest < longest).any():
+            return np.empty(0)
         lengths = np.diff(self.ends, prepend=0.0)
         parts = np.where(self.longest < longest, np.ceil(lengths / self.longest), 1.0).astype(int)
         starts = np.repeat(self.ends - lengths, parts)
@@ -124,10 +128,14 @@ class StepLimits:
     def cheapest(self) -> Limited:
         """Return a longest step and stops that resolve all functions, whatever the other steps."""
         end = float(self.ends[-1])
+        lengths = np.diff(self.ends, prepend=0.0)
         octaves = np.floor(_PER_OCTAVE * np.log2(self.longest)) / _PER_OCTAVE
         candidates = np.unique([self.longest.min(), *np.exp2(octaves), np.inf])
-        choices = [Limited(longest, self.stops(longest)) for longest in candidates.tolist()]
-        return min(choices, key=lambda each: end / each.longest + _RESTART * len(each.stops))
+        order = np.argsort(self.longest)
+        parts = np.append(0.0, np.cumsum((lengths / self.longest)[order]))
+        stops = parts[np.searchsorted(self.longest[order], candidates, side="left")]
+        longest = float(candidates[np.argmin(end / candidates + _RESTART * stops)])
+        return Limited(longest, self.stops(longest))
 
     def error_of_equal_steps(self, step: float, order: int) -> float:
         """Estimate the error of integrals of functions by equal steps, relative to their ranges.
@@ -161,10 +169,21 @@ def step_limits(
     key = end, rtol, order, numbers[functions_depend_on(forces)].tobytes()
 
     def make() -> StepLimits:
-        limits = _Search(forces, end, numbers, rtol).run()
-        return replace(limits, longest=limits.longest * min(1.0, order / _HIGH) ** _LOW)
+        return limits_of_runs(forces, end, numbers[None], rtol, order)[0]
 
     return recent(forces.time_functions, key, make, _RUNS, StepLimits)
+
+
+def limits_of_runs(
+    forces: ForceModel, end: float, numbers: Array, rtol: float, order: int
+) -> list[StepLimits]:
+    """Return the limits of N runs with force parameters (N, p); see `step_limits`."""
+    share = min(1.0, order / _HIGH) ** _LOW
+    limits = []
+    for first in range(0, len(numbers), _TOGETHER):
+        search = _Search(forces, end, numbers[first : first + _TOGETHER], rtol)
+        limits += [replace(each, longest=each.longest * share) for each in search.run()]
+    return limits
 
 
 def functions_depend_on(forces: ForceModel) -> list[int]:
@@ -201,16 +220,18 @@ class _Panels(NamedTuple):
 
 
 class _Search:
-    """The search for panels that resolve the functions of time of one run."""
+    """The search for panels that resolve the functions of time of N runs."""
 
     def __init__(self, forces: ForceModel, end: float, numbers: Array, rtol: float) -> None:
-        """Store the arguments of `step_limits`."""
-        breaks = forces.switching.breaks(end, numbers)
-        self._starts, self._stops = np.append(0.0, breaks), np.append(breaks, end)
+        """Store the arguments of `limits_of_runs`."""
+        breaks = [forces.switching.breaks(end, row) for row in numbers]
+        self._starts = np.concatenate([np.append(0.0, each) for each in breaks])
+        self._stops = np.concatenate([np.append(each, end) for each in breaks])
+        self._run = np.repeat(np.arange(len(numbers)), [len(each) + 1 for each in breaks])
         self._within = time_within(self._starts, self._stops)
         self._forces, self._end, self._numbers, self._rtol = forces, end, numbers, rtol
 
-    def run(self) -> StepLimits:
+    def run(self) -> list[StepLimits]:
         """Bisect panels until they resolve all functions, and join those that do so together."""
         lengths = self._stops - self._starts
         levels = np.ceil(np.log2(np.maximum(_FIRST * lengths / self._end, 1.0))).astype(int)
@@ -220,7 +241,7 @@ class _Search:
         while True:
             scale = self._scales(panels)
             divided = self._are_divided(panels, scale)
-            if not divided.any() or len(divided) > _MOST:
+            if not divided.any():
                 break
             parents = panels.at(divided)
             halves = [
@@ -230,34 +251,46 @@ class _Search:
             ]
             panels = _joined(panels.at(~divided), self._panels(halves[0], halves[1], halves[2]))
         resolved = self._growth(panels, scale) >= 1.0
-        panels, failed = self._join(panels.at(resolved), scale), panels.at(~resolved)
-        panels = _joined(panels, failed)
+        failed = panels.at(~resolved)
+        panels = _joined(self._join(panels.at(resolved), scale), failed)
         starts, lengths = self._times(panels)
-        order = np.argsort(starts)
+        order = np.lexsort((starts, self._run[panels.span]))
+        panels, starts, lengths = panels.at(order), starts[order], lengths[order]
         growth = np.clip(self._growth(panels, scale), 1.0, 2.0)
-        longest = np.where(panels.level == 0, np.inf, lengths * growth)[order]
-        decay = np.abs(panels.coefficients) * lengths[:, None, None] / _positive(scale)[:, None]
-        return StepLimits(
-            read_only((starts + lengths)[order]),
-            read_only(longest),
-            read_only(decay.max(axis=1)[order]),
-            read_only(np.sort(self._times(failed)[0])),
-        )
+        longest = np.where(panels.level == 0, np.inf, lengths * growth)
+        relative = lengths[:, None, None] / _positive(scale[self._run[panels.span]])[:, :, None]
+        decay = (np.abs(panels.coefficients) * relative).max(axis=1)
+        unresolved = self._times(failed)[0]
+        firsts = np.searchsorted(self._run[panels.span], np.arange(len(self._numbers) + 1))
+        return [
+            StepLimits(
+                read_only((starts + lengths)[first:last]),
+                read_only(longest[first:last]),
+                read_only(decay[first:last]),
+                read_only(np.sort(unresolved[self._run[failed.span] == k])),
+            )
+            for k, (first, last) in enumerate(pairwise(firsts.tolist()))
+        ]
 
     def _times(self, panels: _Panels) -> tuple[Array, Array]:
         """Return starts and lengths, (P,) [s]."""
         lengths = (self._stops - self._starts)[panels.span] * np.exp2(-panels.level)
         return self._starts[panels.span] + panels.place * lengths, lengths
 
-    def _panels(self, span: Indices, level: Indices, index: Indices) -> _Panels:
-        """Evaluate the functions on panels."""
+    def _panels(
+        self, span: Indices, level: Indices, index: Indices, *, bounded: bool = True
+    ) -> _Panels:
+        """Evaluate the functions on panels, and their bounds if `bounded`."""
         functions, nodes, transform = self._forces.time_functions, *_chebyshev()
         bare = _Panels(span, level, index, *[np.empty(0)] * 4)
         starts, lengths = self._times(bare)
         times = starts[:, None] + 0.5 * lengths[:, None] * (1.0 + nodes)
-        within = self._within[span]
-        arguments = self._numbers, self._forces.within
-        values = functions(times.ravel(), *arguments, np.repeat(within, DEGREE + 1))
+        within, count = self._within[span], DEGREE + 1
+        # Scalars allow for tighter bounds, for example of powers.
+        alone = len(self._numbers) == 1
+        numbers = self._numbers[0] if alone else self._numbers[self._run[span]].T
+        everywhere = numbers if alone else np.repeat(numbers, count, axis=1)
+        values = functions(times.ravel(), everywhere, self._forces.within, np.repeat(within, count))
         values = np.moveaxis(values.reshape(-1, *times.shape), 0, 1)
         values = np.where(np.isfinite(values), values, 0.0)
         rates = np.abs(np.diff(values)).max(axis=2) / (np.diff(nodes).min() * 0.5)
@@ -265,38 +298,52 @@ class _Search:
         # A time t is rounded, which changes the function by its rate times the round-off of t.
         late = ((starts + lengths) / lengths)[:, None]
         noise = _ROUND_OFF * (sizes + np.minimum(rates * late, np.inf))
-        bounds = functions.widths(starts, starts + lengths, *arguments, within)
+        bounds = np.zeros(sizes.T.shape)
+        if bounded:
+            bounds = functions.widths(
+                starts, starts + lengths, numbers, self._forces.within, within
+            )
         return _Panels(
             span, level, index, values @ transform, noise, np.ptp(values, axis=2), bounds.T
         )
 
     def _scales(self, panels: _Panels) -> Array:
-        """Return the range of the integral of each function over the run, (F,)."""
+        """Return the range of the integral of each function over each run, (N, F)."""
         starts, lengths = self._times(panels)
+        run = self._run[panels.span]
+        order = np.lexsort((starts, run))
+        first = np.searchsorted(run[order], np.arange(len(self._numbers)))
         means = panels.coefficients[:, :, ::2] @ _MEANS
-        sums = np.cumsum((lengths[:, None] * means)[np.argsort(starts)], axis=0)
-        inside = (lengths[:, None] * panels.range).max(axis=0) / DEGREE
-        ranges = np.maximum(sums.max(axis=0), 0.0) - np.minimum(sums.min(axis=0), 0.0)
-        return np.asarray(np.maximum(ranges, inside))
+        steps = (lengths[:, None] * means)[order]
+        sums = np.cumsum(steps, axis=0)
+        sums -= (sums - steps)[first][run[order]]
+        highest = np.maximum(np.maximum.reduceat(sums, first), 0.0)
+        lowest = np.minimum(np.minimum.reduceat(sums, first), 0.0)
+        inside = np.maximum.reduceat((lengths[:, None] * panels.range)[order], first) / DEGREE
+        return np.asarray(np.maximum(highest - lowest, inside))
 
     def _growth(self, panels: _Panels, scale: Array) -> Array:
         """Return the ratio of the longest resolved step to each panel, (P,)."""
         lengths = self._times(panels)[1][:, None]
         tails = np.abs(panels.coefficients[:, :, -_TAIL:]).max(axis=2)
-        allowed = _ALLOWED * self._rtol * scale / lengths + panels.noise
+        sizes = scale[self._run[panels.span]]
+        allowed = _ALLOWED * self._rtol * sizes / lengths + panels.noise
         ratio = np.where(tails <= 0.0, np.inf, allowed / _positive(tails))
         return np.asarray(ratio.min(axis=1, initial=np.inf) ** (1.0 / (DEGREE - 1)))
 
     def _are_divided(self, panels: _Panels, scale: Array) -> NDArray[np.bool_]:
         """Return which panels do not resolve a function, or may hide a part of it."""
-        lengths = self._times(panels)[1] / self._end
+        lengths, run = self._times(panels)[1] / self._end, self._run[panels.span]
+        counts = np.bincount(run, minlength=len(self._numbers))[run]
         rough = self._growth(panels, scale) < 1.0
         wide, widths = panels.bounds > _UNSEEN * panels.range, panels.bounds
         unseen = wide & (lengths[:, None] > _SEEN)
-        if len(rough) < _LOOK:
-            faint = _FAINT * panels.range.max(axis=0)
-            unseen |= (widths > _HIDDEN * panels.range) & (widths > faint) & np.isfinite(widths)
-        return (rough | unseen.any(axis=1)) & (lengths > _SHORTEST)
+        ranges = np.zeros_like(scale)
+        np.maximum.at(ranges, run, panels.range)
+        visible = (widths > _FAINT * ranges[run]) & np.isfinite(widths)
+        hidden = (widths > _HIDDEN * panels.range) & visible & (counts < _LOOK)[:, None]
+        divided = rough | (unseen | hidden).any(axis=1)
+        return divided & (lengths > _SHORTEST) & (counts <= _MOST)
 
     def _join(self, panels: _Panels, scale: Array) -> _Panels:
         """Replace pairs of panels by the panel that contains both, where it is resolved."""
@@ -309,12 +356,11 @@ class _Search:
             if not first.size:
                 continue
             levels = np.full(first.size, level - 1)
-            whole = self._panels(span[first], levels, index[first] // 2)
+            whole = self._panels(span[first], levels, index[first] // 2, bounded=False)
             joins = self._growth(whole, scale) >= 1.0
-            gone = np.concatenate([order[first[joins]], order[first[joins] + 1]])
-            panels = _joined(
-                panels.at(np.setdiff1d(np.arange(len(panels.span)), gone)), whole.at(joins)
-            )
+            others = np.ones(len(panels.span), dtype=bool)
+            others[order[first[joins]]] = others[order[first[joins] + 1]] = False
+            panels = _joined(panels.at(others), whole.at(joins))
         return panels
 
 

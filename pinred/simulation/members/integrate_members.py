@@ -21,7 +21,7 @@ from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import wild_steps
 from ..plan import Plan, joined_stops
-from ..step_limits import functions_depend_on, step_limits
+from ..step_limits import functions_depend_on, limits_of_runs
 from .trajectories import Batch, Failure
 
 # Largest number of kernel instructions for which the state of sixteen lanes fits in registers.
@@ -163,7 +163,8 @@ def _stops_of_members(plan: Plan, numbers: Array) -> tuple[Method, list[Array], 
             warnings.warn(notice, AccuracyWarning, stacklevel=6)
         return method, stops, vary
     settings = method.rtol, method.controlled_order
-    limits = [step_limits(forces, plan.scene.end, numbers[k], *settings).cheapest() for k in first]
+    all_limits = limits_of_runs(forces, plan.scene.end, numbers[first], *settings)
+    limits = [each.cheapest() for each in all_limits]
     longest = min(each.longest for each in limits)
     method = replace(method, max_step=min(method.max_step, longest))
     if not any(each.stops.size for each in limits):
