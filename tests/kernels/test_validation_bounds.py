@@ -16,6 +16,7 @@ import pinred
 from pinred.analysis.connections import mechanical_connection
 from pinred.common.arrays import Array
 from pinred.common.differences import central_differences
+from pinred.forces import Spring
 from pinred.forces.force_numbers import random_numbers
 from pinred.kernels import (
     closing_code,
@@ -117,7 +118,16 @@ def test_states_are_equal_in_own_units(robot: str) -> None:
     """States, parameters and times, relative to their sizes, do not depend on units."""
 
     def relative(units: Units) -> Array:
-        kernel = build(robot, units)
+        system, options = scaled(robot, units)
+        # A rest position of zero would get the size one in SI units.
+        (spring, *others), scalars = (
+            options["forces"],
+            dict(zip(system.shape_names, system.units, strict=False)),
+        )
+        rest = 0.3 * (units.length if scalars[spring.joint] == "m" else 1.0)
+        pulls = [Spring(spring.joint, spring.stiffness, rest=rest), *others]
+        scene = pinred.Scene(system=system, **options | {"forces": pulls})
+        kernel = kernel_of(plan_of(scene), zero_momentum=False)
         at, r = random_state(kernel, np.random.default_rng(3), 1.0), kernel.system.r
         assert at is not None
         sizes = at.sizes
