@@ -256,7 +256,8 @@ def _validate(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
     # A momentum input has the round-off of its summands, which propagates to the twist.
     velocity = np.abs(np.concatenate([xi, xdot]))
     terms = np.abs(H) @ velocity
-    velocity[:r] += np.abs(np.linalg.inv(H[:r, :r])) @ np.full(r, terms[:r].max())
+    largest = [terms[:k].max(initial=0.0), terms[k:r].max(initial=0.0)]
+    velocity[:r] += np.abs(np.linalg.inv(H[:r, :r])) @ np.repeat(largest, [k, r - k])
     terms = np.abs(H) @ velocity
     distance = np.abs(c).sum() + np.abs(pose[:k]).sum()
     angular, linear = terms[k:r].sum(), terms[:k].sum()

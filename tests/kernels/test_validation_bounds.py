@@ -1,0 +1,275 @@
+"""Bounds of the validation of derived code: how far values may differ, and at which states.
+
+Robots of a metre, a millimetre and a kilometre have the same bounds relative to their values.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from loop_robots import five_bar
+from scaled_robots import ROBOTS, Units, evaluate_connection, scaled
+
+import pinred
+from pinred.analysis.connections import mechanical_connection
+from pinred.common.arrays import Array
+from pinred.common.differences import central_differences
+from pinred.forces import Spring
+from pinred.forces.force_numbers import random_numbers
+from pinred.kernels import (
+    closing_code,
+    derived_code,
+    differentiable,
+    flow_functions,
+    initial_conditions,
+    validation,
+)
+from pinred.kernels.connection import connection_validation
+from pinred.kernels.derived_code import jacobian_by_columns, tangent_of, validate_jacobian
+from pinred.kernels.differentiable import Differentiable, Sample, values_near
+from pinred.kernels.evaluate import evaluate
+from pinred.kernels.flow_functions import initial_conditions_of, rate_of
+from pinred.kernels.initial_conditions import initial_conditions_kernel
+from pinred.kernels.kernel import Kernel
+from pinred.kernels.reference_state import random_state
+from pinred.reduction.tree.loop_constraints import GAUGE_RATE
+from pinred.simulation.compiled.compiled_flow import kernel_of
+from pinred.simulation.plan import plan_of
+from pinred.system.loops.looped_system import loop_jacobian
+
+MODULES = (
+    validation, derived_code, differentiable, flow_functions, closing_code, initial_conditions,
+    connection_validation, mechanical_connection,
+)  # fmt: skip
+SMALL, LARGE = Units(1e-3, 1e-3, 1e-3), Units(1e3, 1e-3, 1e-3)
+
+
+def build(robot: str, units: Units = Units()) -> Kernel:  # noqa: B008
+    """Return the kernel of a robot in other units."""
+    system, options = scaled(robot, units)
+    return kernel_of(plan_of(pinred.Scene(system=system, **options)), zero_momentum=False)
+
+
+# For each comparison: its tolerance, and the largest magnitude of the summed terms relative to the
+# largest value, at most three times that of the robots of these tests.
+LIMITS = {
+    "canonical momenta": (1e-10, 8e3),
+    "angular momentum": (1e-10, 2e3),
+    "spatial angular momentum": (1e-10, 2e3),
+    "centre of mass": (1e-10, 10.0),
+    "momentum": (1e-10, 250.0),
+    "the body velocity": (1e-10, 100.0),
+    "the metric": (1e-10, 1e3),
+    "A": (1e-10, 25.0),
+    "P_b": (1e-10, 3.0),
+    "the form": (1e-10, 3.0),
+    "M": (1e-10, 150.0),
+    "A of the curvature": (1e-10, 25.0),
+    "the curvature": (1e-7, 3e5),
+    "the slope of its velocity": (1e-7, 1.5e5),
+    "the slope of its metric": (1e-7, 5e5),
+    "the multipliers": (1e-9, 150.0),
+    "the pull": (1e-10, 3.0),
+    "the gap": (1e-10, 70.0),
+    "the result": (1e-10, 1.2),
+    "the value": (1e-10, 8.0),
+}
+
+
+@pytest.mark.parametrize("units", [Units(), SMALL, LARGE], ids=["metre", "small", "large"])
+@pytest.mark.parametrize("robot", ["tree", "loop"])
+def test_bounds_are_relative_to_values(
+    robot: str, units: Units, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tolerances are those documented, and terms are of the size of values, in any units."""
+    system, _ = scaled(robot, units)
+    kernel = build(robot, units)
+    require_agreement, seen = validation.require_agreement, set()
+
+    def record(
+        who: str, what: str, found: Array, expected: Array, terms: Any,
+        tolerance: float = validation.TOLERANCE, reference: str = "Pinocchio",
+    ) -> None:  # fmt: skip
+        require_agreement(who, what, found, expected, terms, tolerance, reference)
+        if what in LIMITS:
+            most, limit = LIMITS[what]
+            assert tolerance <= most, what
+            assert np.max(terms) <= limit * np.abs(expected).max(), what
+            seen.add(what)
+
+    for module in MODULES:
+        monkeypatch.setattr(module, "require_agreement", record)
+    for given in ("xi", "mu"):
+        initial_conditions_kernel(system, given)
+    _ = initial_conditions_of(kernel, "xi").value, rate_of(kernel).pair
+    if system.loops:
+        monkeypatch.setattr(validation, "require_agreement", require_agreement)
+        closing_code.with_multipliers(kernel)
+        assert {"the multipliers", "the pull", "the gap"} <= seen
+    else:
+        evaluate_connection(system)
+        assert set(LIMITS) - seen == {"the multipliers", "the pull", "the gap"}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_states_are_equal_in_own_units(robot: str) -> None:
+    """States, parameters and times, relative to their sizes, do not depend on units."""
+
+    def relative(units: Units) -> Array:
+        system, options = scaled(robot, units)
+        # A rest position of zero would get the size one in SI units.
+        (spring, *others), scalars = (
+            options["forces"],
+            dict(zip(system.shape_names, system.units, strict=False)),
+        )
+        rest = 0.3 * (units.length if scalars[spring.joint] == "m" else 1.0)
+        pulls = [Spring(spring.joint, spring.stiffness, rest=rest), *others]
+        scene = pinred.Scene(system=system, **options | {"forces": pulls})
+        kernel = kernel_of(plan_of(scene), zero_momentum=False)
+        at, r = random_state(kernel, np.random.default_rng(3), 1.0), kernel.system.r
+        assert at is not None
+        sizes = at.sizes
+        return np.concatenate([
+            at.y / sizes.of_state(kernel.layout, r),
+            at.parameters / sizes.of_parameters(kernel.layout, r, at.parameters),
+            at.com_path / sizes.of_path(kernel.system.group.linear),
+            [sizes.length / units.length, sizes.mass / units.mass, sizes.time / units.time],
+        ])  # fmt: skip
+
+    expected = relative(Units())
+    for units in (SMALL, LARGE):
+        assert relative(units) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(("part", "passes"), [(0.3, True), (3.0, False)])
+def test_jacobian_tolerance(part: float, passes: bool) -> None:
+    """Entries may differ by 1e-6 of the largest entry of their column, relative to sizes."""
+    kernel = build("tree", SMALL)
+    tangent, layout, r = tangent_of(kernel), kernel.layout, kernel.system.r
+    at = random_state(kernel, np.random.default_rng(0), 1.0)
+    assert at is not None
+    units = at.sizes.of_state(layout, r)
+
+    def shifted(y: Array, parameters: Array) -> Array:
+        relative = jacobian_by_columns(tangent, y, parameters) / units[:, None] * units
+        relative[-1] += part * 1e-6 * np.abs(relative).max(axis=0)
+        return relative * units[:, None] / units
+
+    if passes:
+        validate_jacobian(kernel, shifted)
+        return
+    with pytest.raises(pinred.KernelMismatch, match="column 0 is off"):
+        validate_jacobian(kernel, shifted)
+
+
+@pytest.mark.parametrize(("part", "passes"), [(0.3, True), (3.0, False)])
+def test_tolerance_of_directional_derivatives(
+    part: float, passes: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Derivatives may differ by 1e-6 of the magnitude of their terms."""
+    function = rate_of(build("tree", SMALL))
+    monkeypatch.setattr("pinred.kernels.derived_code.once", lambda _k, _key, make: make())
+    validate = Differentiable._validate_derivative
+
+    def shifted_validation(self: Differentiable, name: str, derivative: Any) -> None:
+        def shifted(at: Sample, da: Array, db: Array, covector: Array) -> Array:
+            def value(s: Array) -> Array:
+                moved = Sample(at.a + s * da, at.b + s * db, at.sizes_a, at.sizes_b, at.sizes)
+                return values_near(self._reference, moved, np.zeros(len(at.a)))
+
+            columns = central_differences(value, np.zeros(1), 1e-3)[:, 0]
+            fault = part * 1e-6 * float(np.abs(covector) @ np.abs(columns))
+            assert self._noise_of(at, covector) < 1e-12 * _size_of(self, at, covector)
+            return np.asarray(derivative(at, da, db, covector) + fault)
+
+        validate(self, name, shifted)
+
+    monkeypatch.setattr(Differentiable, "_validate_derivative", shifted_validation)
+    fresh = Differentiable(
+        function.kernel, function.name, function.write, function.sample, function.judge
+    )
+    if passes:
+        _ = fresh.tangent, fresh.adjoint
+        return
+    for mode in ("tangent", "adjoint"):
+        with pytest.raises(pinred.KernelMismatch, match="disagrees with differences"):
+            getattr(fresh, mode)
+
+
+def _size_of(function: Differentiable, at: Sample, covector: Array) -> float:
+    values = values_near(function._reference, at, np.zeros(len(at.a)))
+    return float(np.abs(covector) @ np.abs(values))
+
+
+@pytest.mark.parametrize("own_parameters", [False, True])
+def test_each_lane_is_compared(own_parameters: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of 1e-9 in the last entry of any lane is found."""
+    kernel, lanes = build("tree", SMALL), 4
+    code = derived_code.wide_rate(kernel, lanes, own_parameters=own_parameters)
+    for lane in range(lanes):
+
+        def faulty(
+            address: int, parameters: Array, y: Array, entries: int, lane: int = lane
+        ) -> Array:
+            values = evaluate(address, parameters, y, entries)
+            values.reshape(-1, lanes)[:, lane] *= 1.0 + 1e-9
+            return values
+
+        with monkeypatch.context() as patch:
+            patch.setattr(derived_code, "evaluate", faulty)
+            with pytest.raises(pinred.KernelMismatch, match=f"in lane {lane}"):
+                derived_code._validate_wide_rate(kernel, code, lanes, own_parameters=own_parameters)
+
+
+def test_round_off_near_is_ten_times_the_spread() -> None:
+    """The spread of 1 + ε k, with k from −4 to 4, is at most 8 ε."""
+    epsilon = np.finfo(float).eps
+    spread = derived_code.round_off_near(lambda step: 1.0 + step, 200) / epsilon
+    assert spread == pytest.approx(80.0)
+    assert derived_code.round_off_near(lambda _: np.ones(2), 3) == 0.0
+
+
+def test_random_numbers_have_the_size_of_values() -> None:
+    """Numbers of forces keep their magnitude; zero becomes a number of size one."""
+    values = np.array([0.0, 1e-6, -1e6, 2e3])
+    draws = [random_numbers(values, [3], np.random.default_rng(k)) for k in range(200)]
+    spread = np.sqrt(np.mean(np.square(draws), axis=0))
+    assert spread[:3] == pytest.approx([1.0, 1e-6, 1e6], rel=0.15)
+    assert np.abs(np.array(draws)[:, 3] / 2e3 - 1.0).max() < 0.5
+
+
+def test_terms_of_accelerations_with_loops(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The drift J̇ ẋ of the loops, and the multipliers of the impetus, are among the terms."""
+    model, loops = five_bar()
+    scene = pinred.Scene(system=pinred.load(model, loops=loops), seed=0)
+    kernel, found = kernel_of(plan_of(scene), zero_momentum=False), {}
+    system, r = kernel.system, kernel.system.r
+    at = random_state(kernel, np.random.default_rng(0), 1.0)
+    assert at is not None
+    assert system.closure is not None
+
+    def record(_: str, what: str, _found: Array, expected: Array, terms: Any) -> None:
+        found[what] = expected, terms
+
+    monkeypatch.setattr(validation, "require_agreement", record)
+    validation._validate_at(kernel, at)
+    rows, rates = system.closure.rows, at.v[r:]
+
+    def jacobian(t: Array) -> Array:
+        moved = system.space.integrate(at.x, t[0] * rates)
+        return np.asarray(loop_jacobian(system, moved)[rows]).ravel()
+
+    step = 1e-3 / np.abs(rates).max()
+    turning = central_differences(jacobian, np.zeros(1), step)[:, 0].reshape(len(rows), -1)
+    expected, terms = found["acceleration"]
+    sums = at.force_terms + at.gravity_terms + np.abs(at.H) @ np.abs(expected)
+    J = np.abs(loop_jacobian(system, at.x)[rows])
+    sums[r:] += np.abs(at.nu) @ (np.abs(turning) + GAUGE_RATE * J)
+    H, drift = np.linalg.inv(at.H), np.abs(turning) @ np.abs(rates)
+    opened = np.abs(H) @ sums
+    response = H[:, r:] @ loop_jacobian(system, at.x)[rows].T
+    mobility = loop_jacobian(system, at.x)[rows] @ response[r:]
+    multipliers = np.abs(np.linalg.inv(mobility)) @ (J @ opened[r:] + drift)
+    assert terms == pytest.approx(opened + np.abs(response) @ multipliers, rel=1e-6)
