@@ -355,7 +355,8 @@ def random_state(
     pose = group.exp(steps[:r] * rng.uniform(-1.0, 1.0, r))
     pose = pose if r > k else group.identity()
     displacement, v = steps[r:] * rng.uniform(-2.0, 2.0, m), steps * rng.normal(size=system.n)
-    time = float(rng.uniform(*_span(forces)))
+    span = _span(forces)
+    time = float(rng.uniform(*span))
     prescribed = list(layout.prescribed)
     force_parameters, accelerations = np.empty(0), np.zeros(len(prescribed))
     rest = system.space.neutral
@@ -386,6 +387,8 @@ def random_state(
     ) or np.sqrt(np.linalg.norm(fall) / length)
     if prescribed:
         rate = max(rate, float((np.abs(motion.xdot) / steps[r:][prescribed]).max()))
+    if layout.clock:  # forces that vary with time may vanish at the time that was drawn
+        rate = max(rate, 1.0 / max(span[1] - span[0], np.finfo(float).tiny))
     period = 1.0 / rate if rate > 0.0 else 1.0
     sizes = Sizes(length, system.mass, period, steps, np.diag(H) * steps / period)
     v *= reach / period

@@ -37,10 +37,13 @@ def _polynomial(c: float, a: float, b: float) -> tuple[float, float, float]:
     return a * b / scale, -(a + b) / scale, 1.0 / scale
 
 
-# End derivatives of the Lagrange polynomials of the stages, which vanish at 0.
-_POWERS = np.array(
-    [_polynomial(_C1, _C2, 1.0), _polynomial(_C2, _C1, 1.0), _polynomial(1.0, _C1, _C2)]
-).T
+# End derivatives of the Lagrange polynomials of the stages, which vanish at 0.  The rows are
+# contiguous, because numba compiles the addresses of other arrays instead of their values.
+_POWERS = np.ascontiguousarray(
+    np.transpose(
+        [_polynomial(_C1, _C2, 1.0), _polynomial(_C2, _C1, 1.0), _polynomial(1.0, _C1, _C2)]
+    )
+)
 _SLOPE, _BEND, _LAST_BEND = _POWERS[0], 2.0 * _POWERS[1], 2.0 * _POWERS[1] + 6.0 * _POWERS[2]
 
 
