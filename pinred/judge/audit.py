@@ -71,6 +71,26 @@ def audit_trajectory(traj: Trajectory, states: State) -> Audit:
     return replace(audit, momenta=np.column_stack([audit.momenta, *drifts]))
 
 
+def audit_with_reference(full: FullState, states: State, reference: Array) -> Audit:
+    """Audit states with the work and the impulse that a reference solution receives.
+
+    In stiff scenes, powers amplify errors of dense output between step ends.
+
+    Args:
+        full: Full simulation of the scene.
+        states: States at T times.
+        reference: Full states of the reference solution at these times, (T, n).
+    Returns:
+        Drifts and inconsistencies. Drifts are the differences from the energies and momenta of the
+        reference solution.
+    """
+    q, (x, v), totals = full.q(reference), full.shapes_and_velocities(reference), full.totals
+    energies = totals.kinetic_energy(q, v) + totals.potential_energy(q) + full.force_potential(x)
+    return audit_states(
+        full, states, energies, totals.momentum(q, v, np.zeros(3), about_pivot=True)
+    )
+
+
 def audit_states(full: FullState, states: State, work: Array, impulse: Array | None) -> Audit:
     """Audit states with energies, momenta and kinematics computed by Pinocchio.
 

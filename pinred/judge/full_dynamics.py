@@ -51,6 +51,10 @@ class FullDynamics:
         self._scene, self._forces = scene, scene.force_model
         self._stops, self._switches = stops_of(scene), np.empty(0)
         self._parameters = np.empty(0) if self._forces is None else self._forces.numbers.copy()
+        self._changing = np.zeros(len(self._parameters), dtype=bool)
+        if self._forces is not None:
+            for where in (self._forces.within, *(where for _, where in self._forces.held)):
+                self._changing[where] = True
         if self._forces is not None and self._forces.switching.conditions is not None:
             written = condition_times(self._forces, self._stops, self._parameters)
             self._stops = self._switches = np.union1d(self._stops, written)
@@ -100,8 +104,11 @@ class FullDynamics:
         return self._m
 
     def set_parameters(self, parameters: Array) -> None:
-        """Set the parameters (p,) of forces, including the commands of controllers."""
-        self._parameters[:] = parameters
+        """Set the commands of controllers and the sides of switches from parameters (p,) of forces.
+
+        All other parameters keep the values of the scene, whatever a trajectory used.
+        """
+        self._parameters[self._changing] = np.asarray(parameters)[self._changing]
 
     def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
         """Assemble y (..., n).
@@ -137,6 +144,11 @@ class FullDynamics:
         xi, mu = self.totals.about_com(q, v)
         base = self.base_in_space(q, y[:size], v)
         return Sample(self._shape(x), couplings.shape_rate(v[r:]), xi, mu, np.zeros(3), base)
+
+    def shapes_and_velocities(self, y: Array) -> tuple[Array, Array]:
+        """Return the shapes (T, nx) and Pinocchio's velocities (T, nv) of full states (T, n)."""
+        x, v = np.split(y[:, self._size :], [self._m], axis=1)
+        return np.array([self._shape(row) for row in x]), v
 
     def _shape(self, x: Array) -> Array:
         """Return the shape (nx,), with quaternions of length one, from all coordinates."""

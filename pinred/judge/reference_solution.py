@@ -5,6 +5,7 @@ The vector field (full_dynamics.py) and the integrators share nothing with the r
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -12,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
+from ..common.errors import IntegrationError
 from ..forces.switch_times import time_within
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
@@ -19,6 +21,7 @@ from .distances import Distance, FullMotion, Size
 from .full_dynamics import FullDynamics
 from .hairer_dense_output import DenseOutput
 from .hairer_integrators import Hairer
+from .stiff_integrator import StiffIntegrator, jacobian
 from .time_budget import AbaStopped, TimeBudget
 
 FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy
@@ -26,6 +29,8 @@ OFFSET = 1e-5  # least length unit, as a fraction of the distance from the origi
 SPREAD_MARGIN = 10.0  # assumed ratio of round-off to the difference of two evaluations
 _ROUND_OFF = 1e-12  # distance of equal times, relative to the duration
 PERTURBATION = 1e-6  # relative size of the perturbation whose growth is measured
+_PATIENCE = 12_000  # evaluations of dop853 after which an implicit method is tried
+_CHEAPER = 4.0  # gain of the implicit method from which on it is used
 
 
 @dataclass(frozen=True)
@@ -34,15 +39,24 @@ class Solution:
 
     Attributes:
         motion: The motion at the requested times.
+        states: Full states at these times, (T, n).
         steps: The steps of dop853 that contain these times; None without such steps.
         parameters: Parameters of forces in each of `steps`, (p,) each.
         step_ends: Ends of all steps of dop853, (N,) [s].
+        estimates: Accumulated and largest error of Radau's steps at the times, (T, 2), relative to
+            the units; None for other methods.
     """
 
     motion: FullMotion
+    states: Array
     steps: DenseOutput | None
     parameters: list[Array]
     step_ends: Array
+    estimates: Array | None = None
+
+
+class StiffError(IntegrationError):
+    """The implicit method needs fewer evaluations than the explicit one."""
 
 
 class FullState(FullDynamics):
@@ -90,7 +104,14 @@ class FullState(FullDynamics):
         return self._apply_couplings(perturbed)
 
     def growth(
-        self, y0: Array, motion: FullMotion, times: Array, rtol: float, atol: float
+        self,
+        y0: Array,
+        motion: FullMotion,
+        times: Array,
+        rtol: float,
+        atol: float,
+        *,
+        units: Array | None = None,
     ) -> Array:
         """Compute the factors by which a small perturbation of y0 has grown over time.
 
@@ -100,11 +121,16 @@ class FullState(FullDynamics):
             times: Times, (T,) [s].
             rtol: Relative tolerance of the perturbed run.
             atol: Absolute tolerance of the perturbed run.
+            units: Units of the numbers in a state, (n,), if the equations are stiff.
         Returns:
             (T,) non-decreasing factors, at least 1.
         """
-        perturbed = self.run(self.perturb(y0, self._scene.end, PERTURBATION), times, rtol, atol)
-        distance = self.distance(motion, perturbed).relative(self.size(motion))
+        perturbed = self.perturb(y0, self._scene.end, PERTURBATION)
+        if units is None:
+            other = self.run(perturbed, times, rtol, atol)
+        else:
+            other = self.solve_stiff(perturbed, times, rtol, units).motion
+        distance = self.distance(motion, other).relative(self.size(motion))
         return np.maximum.accumulate(np.maximum(1.0, distance / PERTURBATION))
 
     def run(
@@ -125,38 +151,177 @@ class FullState(FullDynamics):
         """
         return self.solve(y0, times, rtol, atol, method=method).motion
 
+    def run_unless_stiff(
+        self, y0: Array, end: float, rtol: float, atol: float, units: Array
+    ) -> None:
+        """Integrate with dop853 from t = 0 to the end.
+
+        Args:
+            y0: Initial state, (n,).
+            end: End [s].
+            rtol: Relative tolerance.
+            atol: Absolute tolerance.
+            units: Units of the numbers in a state, (n,).
+        Raises:
+            StiffError: An implicit method needs far fewer evaluations.
+            AbaStopped: The end cannot be reached at this tolerance, or within the budget.
+        """
+        rate, count, due, since, last = self._limited_rate, 0, _PATIENCE, 0, 0.0
+
+        def watched(t: float, y: Array) -> Array:
+            nonlocal count, due, since, last
+            count += 1
+            if count == due:
+                most = int((count - since) / _CHEAPER)
+                if self._needs_fewer(most, y, (t, min(2.0 * t - last, end)), rtol, units):
+                    raise StiffError(f"an explicit method needs {count} evaluations until {t:g} s")
+                due, since, last = 4 * due, count, t
+            return rate(t, y)
+
+        self._limited_rate = watched
+        try:
+            self.run(y0, np.array([end]), rtol, atol)
+        finally:
+            self._limited_rate = rate
+
+    def _needs_fewer(
+        self, most: int, y: Array, ends: tuple[float, float], tolerance: float, units: Array
+    ) -> bool:
+        """Return whether the implicit method integrates a span with at most `most` evaluations."""
+        solver = StiffIntegrator(self._limited_rate, y, ends[0], tolerance, units, ends[1])
+        solver.most_evaluations = most
+        return ends[1] > ends[0] and solver.integrate(ends[1], np.empty(0))[0] is not None
+
     def solve(
         self, y0: Array, times: Array, rtol: float, atol: float, *, method: str = "dop853"
     ) -> Solution:
         """Integrate as `run` does, and return the steps as well."""
-        end, y, t = float(times[-1]), y0, 0.0
-        states, spans, step_ends = np.tile(y0, (len(times), 1)), [], []
+        y, states, spans, step_ends = y0, np.tile(y0, (len(times), 1)), list[DenseOutput](), []
         parameters: list[Array] = []
-        actions = self._replay or Control(self._scene)
-        solver = Hairer(self._limited_rate, method, y, t, rtol, atol, self._scene.end)
+        solver = Hairer(self._limited_rate, method, y, 0.0, rtol, atol, self._scene.end)
+
+        def advance(y: Array, reach: float, span: slice) -> Array:
+            if method != "dop853":
+                y, states[span] = self._stop_at_times(solver, y, reach, times[span])
+                return y
+            y = self._integrate(solver, reach, times[span])
+            step_ends.extend(solver.step_ends)
+            dense = solver.dense()
+            if dense is not None:
+                states[span] = dense(times[span])
+                spans.append(dense)
+                parameters.extend(len(dense.ends) * [self._parameters.copy()])
+            return y
+
+        self._through_stops(y0, times, states, advance)
+        steps = DenseOutput.joined(spans) if spans else None
+        return Solution(self._motion(states), states, steps, parameters, np.array(step_ends))
+
+    def solve_stiff(self, y0: Array, times: Array, tolerance: float, units: Array) -> Solution:
+        """Integrate with Radau IIA of order 13, for equations that are stiff for explicit methods.
+
+        Args:
+            y0: Initial state, (n,).
+            times: Increasing times, (T,) [s].
+            tolerance: Tolerance of a step, relative to the units.
+            units: Units of the numbers in a state, (n,).
+        Returns:
+            The solution, with estimates of its errors.
+        Raises:
+            AbaStopped: A time cannot be reached at this tolerance, or within the budget.
+        """
+        states, ends = np.tile(y0, (len(times), 1)), [0.0]
+        errors, lasting = [0.0], [0.0]
+        solver = StiffIntegrator(self._limited_rate, y0, 0.0, tolerance, units, self._scene.end)
+
+        def advance(_: Array, reach: float, span: slice) -> Array:
+            reached, states[span] = solver.integrate(reach, times[span])
+            ends.extend(solver.step_ends)
+            errors.extend(solver.errors)
+            lasting.extend(solver.lasting)
+            return self._reached(reached, reach, solver.t, tolerance)
+
+        self._through_stops(y0, times, states, advance)
+        step = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
+        estimates = np.cumsum(lasting)[step], np.maximum.accumulate(errors)[step]
+        none = np.array(ends[1:])
+        return Solution(self._motion(states), states, None, [], none, np.column_stack(estimates))
+
+    def jacobian(self, t: float, y: Array, units: Array) -> Array:
+        """Return the Jacobian (n, n) of ABA at a state by difference quotients.
+
+        Args:
+            t: Time [s].
+            y: State, (n,).
+            units: Units of the numbers in a state, (n,).
+        """
+        return jacobian(self._limited_rate, t, y, units)
+
+    def solve_step(
+        self,
+        y: Array,
+        ends: tuple[float, float],
+        inside: Array,
+        tolerance: float,
+        units: Array,
+    ) -> tuple[Array, float]:
+        """Integrate over a step of a trajectory, with the parameters of forces that are set.
+
+        Args:
+            y: State at its start, (n,).
+            ends: Start and end of the step [s].
+            inside: Increasing times within the step, (T,) [s].
+            tolerance: Tolerance, relative to the units.
+            units: Units of the numbers in a state, (n,).
+        Returns:
+            The states inside the step and at its end, (T + 1, n), and an estimate of their error,
+            relative to the units.
+        Raises:
+            AbaStopped: The end cannot be reached at this tolerance, or within the budget.
+        """
+        a, b = ends
+        solver = StiffIntegrator(self._limited_rate, y, a, tolerance, units, b, first_step=b - a)
+        reached, states = solver.integrate(b, inside)
+        end = self._reached(reached, b, solver.t, tolerance)
+        return np.vstack([states, end]), sum(solver.errors)
+
+    def _motion(self, states: Array) -> FullMotion:
+        x = states[:, self._size : self._size + self._m].copy()
+        return FullMotion(x=x, q=self.q(states))
+
+    def _through_stops(
+        self,
+        y: Array,
+        times: Array,
+        states: Array,
+        advance: Callable[[Array, float, slice], Array],
+    ) -> None:
+        """Integrate from stop to stop, with the parameters of forces in each span.
+
+        Args:
+            y: Initial state, (n,).
+            times: Increasing times, (T,) [s].
+            states: States at the times, (T, n), which are written.
+            advance: Function (state, end of the span, times in it) that writes the states at these
+                times and returns the state at the end.
+        """
+        end, t = float(times[-1]), 0.0
+        actions, reached = self._replay or Control(self._scene), 0.0
         while t < end:
             stop = next((float(stop) for stop in self._stops if stop > t), end)
-            stop = actions.begin(self._parameters, t, stop, partial(self.sample, y))
+            parameters = self._parameters.copy()
+            stop = actions.begin(parameters, t, stop, partial(self.sample, y))
+            self.set_parameters(parameters)
             if self._switches.size and self._forces is not None:
                 self._parameters[self._forces.within] = time_within(t, stop)
             span = slice(*np.searchsorted(times, [t, stop], side="right"))
             reach = min(stop, end)
-            if reach - solver.t <= _ROUND_OFF * self._scene.end:
+            if reach - reached <= _ROUND_OFF * self._scene.end:
                 states[span] = y
-            elif method == "dop853":
-                y = self._integrate(solver, reach, times[span])
-                step_ends += solver.step_ends
-                dense = solver.dense()
-                if dense is not None:
-                    states[span] = dense(times[span])
-                    spans.append(dense)
-                    parameters += len(dense.ends) * [self._parameters.copy()]
             else:
-                y, states[span] = self._stop_at_times(solver, y, reach, times[span])
+                y = advance(y, reach, span)
+                reached = reach
             t = stop
-        motion = FullMotion(x=states[:, self._size : self._size + self._m].copy(), q=self.q(states))
-        steps = DenseOutput.joined(spans) if spans else None
-        return Solution(motion, steps, parameters, np.array(step_ends))
 
     def _stop_at_times(
         self, solver: Hairer, y: Array, end: float, times: Array
@@ -180,14 +345,17 @@ class FullState(FullDynamics):
 
     def _integrate(self, solver: Hairer, t: float, times: Array) -> Array:
         """Return the state (n,) at time t; raise AbaStopped if it cannot be reached."""
-        reached = solver.integrate(t, times.tolist())
-        if reached is None:
+        return self._reached(solver.integrate(t, times.tolist()), t, solver.t, solver.rtol)
+
+    def _reached(self, y: Array | None, t: float, until: float, rtol: float) -> Array:
+        """Return y (n,), the state at time t; raise AbaStopped if it is None."""
+        if y is None:
             raise AbaStopped(
                 f"the full simulation of '{self._model.name}' cannot be integrated to "
-                f"t = {t:g} s at rtol = {solver.rtol:g}",
-                solver.t,
+                f"t = {t:g} s at rtol = {rtol:g}",
+                until,
             )
-        return reached
+        return y
 
     def distance(self, a: FullMotion, b: FullMotion) -> Distance:
         """Compute the distance between two motions over time."""

@@ -23,17 +23,21 @@ from ..system.coordinates import Indices
 from ..system.system import System
 from .quadrature import (
     COUNT,
-    SLOPE_STEP,
-    Quadrature,
     integrate_residuals,
     propagate_residuals,
 )  # fmt: skip
 from .reference_solution import OFFSET, SPREAD_MARGIN, FullState
+from .stiff_integrator import NODES, spectral_radius
 
 _MOST_STEPS = 200  # number of randomly sampled steps that are evaluated for longer trajectories
 # Defects above this multiple of the median defect indicate a kink of a force within the step.
 _KINK = 10.0
-_MOST_GROWTH = 1.0  # largest growth exponent over a step for which defects are filtered
+# Product of spectral radius of ABA's Jacobian and the longer of the step and the time below, above
+# which a step is stiff.
+_STIFF = 1.0
+_SETTLED = 0.01  # time after which decaying errors count, relative to the duration
+_SUSPECT = 0.1  # residual above which a stiff step is solved, in tolerances
+_FINER = 0.01  # local tolerance of ABA's solution of a stiff step, in tolerances of the scene
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,8 @@ class Defects:
             by their effect on its end, even if they cancel in the integral.
         motion_subintervals: The same for subintervals, (S,).
         round_off_rate: Rate at which round-off of ABA itself perturbs the motion [1/s].
+        with_decay: Errors of steps before they decay, (S,). Only in stiff steps they differ from
+            `steps`.
     """
 
     steps: Array
@@ -62,6 +68,7 @@ class Defects:
     motion_steps: Array
     motion_subintervals: Array
     round_off_rate: float
+    with_decay: Array
 
     @property
     def worst(self) -> float:
@@ -95,7 +102,6 @@ def compute_defects(
     *,
     max_steps: int = _MOST_STEPS,
     propagate: bool = True,
-    stiff: bool = False,
 ) -> Defects:
     """Compute the defects of a trajectory with ABA.
 
@@ -105,16 +111,23 @@ def compute_defects(
         max_steps: Largest number of steps to evaluate; longer trajectories are sampled randomly.
         propagate: Propagate residuals inside a step to its end. Without it, motion_steps omits
             residuals that cancel in the integral.
-        stiff: Filter the defects of steps, see `filter_defect`. Such defects show less, so they
-            cannot pass a motion.
     Returns:
         Defects of the steps and of their subintervals.
     """
-    count = len(traj.motion.knots) - 1
-    steps = np.arange(count)
-    if count > max_steps:
+    steps = _sampled_steps(traj, max_steps)
+    return _without_kinks(traj, _defects_of_steps(traj, full, steps, propagate=propagate))
+
+
+def _sampled_steps(traj: Trajectory, max_steps: int) -> Indices:
+    steps = np.arange(len(traj.motion.knots) - 1)
+    if len(steps) > max_steps:
+        last = steps[-1]  # errors of the last step cannot decay
         steps = np.sort(np.random.default_rng(0).choice(steps, max_steps, replace=False))
-    defects = _defects_of_steps(traj, full, steps, propagate=propagate, stiff=stiff)
+        steps[-1] = last
+    return steps
+
+
+def _without_kinks(traj: Trajectory, defects: Defects) -> Defects:
     forces = traj.scene.force_model
     if forces is None or not forces.has_kinks:
         return defects
@@ -123,8 +136,78 @@ def compute_defects(
     return replace(defects, smooth=~(defects.steps > threshold))
 
 
+def solve_stiff_steps(
+    traj: Trajectory, full: FullState, defects: Defects, tolerance: float
+) -> tuple[Defects, int]:
+    """Replace the defects of stiff steps by their errors against ABA's own solution of the step.
+
+    In a stiff step of length h, an error w of a state between the step ends contributes h J w to
+    the defect, although it decays. There, ABA is integrated from the start of the step by an
+    implicit method. The error of the step is the difference at its end. `steps` is what the
+    linearised ABA dynamics leave of it after a small fraction of the duration, or at the end of the
+    motion if that comes first. `with_decay` is the whole error.
+
+    Args:
+        traj: The trajectory.
+        full: Full simulation of its scene.
+        defects: Result of `compute_defects` with the default number of steps.
+        tolerance: Sum of relative and absolute tolerance.
+    Returns:
+        The defects and the number of stiff steps. The defects of other steps are unchanged.
+    Raises:
+        AbaStopped: A step cannot be integrated, or not within the budget.
+    """
+    from scipy.linalg import expm  # its import takes longer than most comparisons
+
+    steps = _sampled_steps(traj, _MOST_STEPS)
+    a, b = traj.motion.knots[steps], traj.motion.knots[steps + 1]
+    sizes, motion_sizes = defect_units(traj, full)
+    inside = a[:, None] + np.outer(b - a, NODES[:-1])
+    times = np.column_stack([a, inside, b]).ravel()
+    courses = full_states(traj, full, times).reshape(len(steps), len(NODES) + 1, -1)
+    parameters = traj.motion.numbers(0.5 * (a + b))
+    of_steps, of_motion, within, within_motion, with_decay = (
+        values.copy()
+        for values in (
+            defects.steps, defects.motion_steps, defects.subintervals, defects.motion_subintervals,
+            defects.with_decay,
+        )
+    )  # fmt: skip
+    count, settled = 0, _SETTLED * traj.scene.end
+    # Small residuals need no second measurement.
+    suspect = ~(np.maximum(defects.steps, defects.motion_steps) <= _SUSPECT * tolerance)
+    for k in np.flatnonzero(suspect):
+        course, start, end = courses[k], float(a[k]), float(b[k])
+        full.set_parameters(parameters[k])
+        J = full.jacobian(start, course[0], sizes)
+        if np.isfinite(J).all() and spectral_radius(J) * max(end - start, settled) <= _STIFF:
+            continue
+        count += 1
+        solved, noise = full.solve_step(
+            course[0], (start, end), inside[k], _FINER * tolerance, sizes
+        )
+        errors = course[1:] - solved
+        decay = expm(min(settled, traj.scene.end - end) * J)
+        lasting = np.maximum(np.abs(decay @ errors[-1]) - noise * sizes, 0.0)
+        errors = np.maximum(np.abs(errors) - noise * sizes, 0.0)
+        of_steps[k] = min(of_steps[k], (lasting / sizes).max())
+        with_decay[k] = max(of_steps[k], (errors[-1] / sizes).max())
+        of_motion[k] = (lasting / motion_sizes).max()
+        within[k] = (errors / sizes).max()
+        within_motion[k] = (errors / motion_sizes).max()
+    stiff = replace(
+        defects,
+        steps=of_steps,
+        subintervals=within,
+        motion_steps=of_motion,
+        motion_subintervals=within_motion,
+        with_decay=with_decay,
+    )
+    return _without_kinks(traj, stiff), count
+
+
 def _defects_of_steps(
-    traj: Trajectory, full: FullState, steps: Indices, *, propagate: bool, stiff: bool
+    traj: Trajectory, full: FullState, steps: Indices, *, propagate: bool
 ) -> Defects:
     a, b, first = _subintervals(traj, steps)
     quadrature = integrate_residuals(
@@ -141,56 +224,22 @@ def _defects_of_steps(
     missed = quadrature.defects
     of_steps = np.add.reduceat(missed, first)  # step ends between subintervals cancel
     propagated = propagate_residuals(full, quadrature, first, sizes) if propagate else of_steps
-    if stiff:
-        of_steps = _filter_defects(full, quadrature, first, of_steps, sizes)
     # Round-off of ABA where the mass matrix is almost singular is not a defect.
     noise, durations = SPREAD_MARGIN * spread, np.add.reduceat(b - a, first)
     of_steps, propagated, missed = (
         np.maximum(np.abs(defects) - np.outer(time, noise), 0.0)
         for defects, time in ((of_steps, durations), (propagated, durations), (missed, b - a))
     )
+    relative = (of_steps / sizes).max(axis=1)
     return Defects(
-        steps=(of_steps / sizes).max(axis=1),
+        steps=relative,
+        with_decay=relative,
         subintervals=np.maximum.reduceat((missed / sizes).max(axis=1), first),
         smooth=np.ones(len(steps), dtype=bool),
         motion_steps=(np.maximum(of_steps, propagated) / motion_sizes).max(axis=1),
         motion_subintervals=np.maximum.reduceat((missed / motion_sizes).max(axis=1), first),
         round_off_rate=float((spread / motion_sizes).max()),
     )
-
-
-def _filter_defects(
-    full: FullState, quadrature: Quadrature, first: Indices, defects: Array, sizes: Array
-) -> Array:
-    """Return the filtered defects of steps, (S, n), with Jacobians by difference quotients."""
-    filtered, lengths = np.empty_like(defects), np.add.reduceat(quadrature.lengths, first)
-    moves = np.diag(SLOPE_STEP * sizes)
-    for row, defect, interval, h in zip(filtered, defects, first, lengths, strict=True):
-        k = int(interval) * COUNT + COUNT // 2
-        full.set_parameters(quadrature.parameters[k])
-        t, y = float(quadrature.nodes[k]), quadrature.y[k]
-        changes = [full.rate(t, y + move) - quadrature.rates[k] for move in moves]
-        row[:] = filter_defect(np.array(changes).T / (SLOPE_STEP * sizes), float(h), defect)
-    return filtered
-
-
-def filter_defect(J: Array, h: float, defect: Array) -> Array:
-    """Compute (1 − h J / 2)⁻¹ · defect, the change of the state that explains a stiff defect.
-
-    A stiff damper turns a round-off of the rates into a large residual, which decays within the
-    step. Implicit integrators filter their error estimates in the same way. A defect that grows is
-    not filtered.
-
-    Args:
-        J: Jacobian of the rates of the state, (n, n).
-        h: Length of the step [s].
-        defect: Defect of the step, (n,).
-    Returns:
-        (n,) filtered defect.
-    """
-    if not h * np.linalg.eigvals(J).real.max() < _MOST_GROWTH:
-        return defect
-    return np.asarray(np.linalg.solve(np.eye(len(J)) - 0.5 * h * J, defect))
 
 
 def _subintervals(traj: Trajectory, steps: Indices) -> tuple[Array, Array, Indices]:

@@ -130,8 +130,9 @@ class Motion:
         return [self._numbers(self.segments[k]) for k in self._which(t)]
 
     def changes(self, t: Array) -> Changes:
-        """Return reduced states and their rates at times (T,)."""
-        y, which = self.reduced(t), self._which(t)
+        """Return reduced states and their rates at times (T,), without round-off of the time."""
+        y, which = np.array(self.reduced(t)), self._which(t)
+        y[:, self.flow.clock] = t[:, None]
         rates = np.empty_like(y)
         for segment, rows in self._by_segment(which):
             rates[rows] = self.flow.rates(t[rows], y[rows], segment.parameters)

@@ -34,6 +34,10 @@ class ReducedFlow(Protocol):
     def numbers_at(self) -> slice:
         """Indices of the force parameters among `parameters`."""
 
+    @property
+    def clock(self) -> slice:
+        """Index of the integrated time in a reduced state; empty if the time is not integrated."""
+
     def sample(self, t: float, y: Array, parameters: Array) -> Sample:
         """Return the state at time t that forces depend on."""
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -13,7 +15,10 @@ from trees import random_model
 
 import pinred
 from pinred.cli.compare_command import print_comparison
+from pinred.forces import Torque
+from pinred.judge.compare import largest_passing_defect
 from pinred.judge.distances import FullMotion
+from pinred.judge.equation_errors import equation_errors
 from pinred.judge.reference_solution import FullState
 from pinred.judge.verdict import EXIT_CODES, Verdict, _closest
 
@@ -316,3 +321,41 @@ def test_report_is_true_if_passed() -> None:
         assert str(report.verdict) in repr(report)
     assert "equations of motion [relative] 1.0e+00 of 1.0e-12" in repr(failed)
     assert "no reason" in repr(replace(passing_report(), reasons=("no reason",)))
+
+
+def test_single_step_may_exceed_bound_if_mean_passes() -> None:
+    """A step may have 100 tolerances among many small ones; jumps and loose runs still fail."""
+    steps = np.full(200, 0.01)
+    assert largest_passing_defect(steps, 2.0) == 6.0
+    steps[7] = 80.0
+    assert largest_passing_defect(steps, 2.0) == 200.0
+    assert largest_passing_defect(np.full(200, 6.1), 2.0) == 6.0
+    steps[8] = np.nan
+    assert largest_passing_defect(steps, 2.0) == 6.0
+
+
+def test_jump_at_one_step_end_fails_defects() -> None:
+    """A jump of 200 tolerances fails in the line of defects, and one of 20 does not."""
+    traj = pinred.simulate(pinred.load("falling_cat"), duration=2.0, rtol=1e-10, atol=1e-12)
+    when, unit = traj.motion.knots[len(traj.motion.knots) // 2], np.abs(traj.states.x).max()
+    for size, fails in ((200.0, True), (20.0, False)):
+
+        def change(state: pinred.State, jump: float = size * 1.01e-10 * unit) -> pinred.State:
+            x = state.x.copy()
+            x[state.t >= when, 0] += jump
+            return replace(state, x=x)
+
+        report = pinred.compare(tampered(traj, change))
+        assert (not report.defect <= report.defect_bound) == fails, str(report)
+
+
+def test_round_off_of_time_is_no_error_of_equations() -> None:
+    """The integrated time is off by 1e-14 s, and this torque changes at 4000 rad/s."""
+
+    def torque(s: Any) -> dict[str, Any]:
+        return {"bend": 3.0 * ca.sin(4000.0 * s.t) * ca.exp(-(((s.t - 1.5) / 0.1) ** 2))}
+
+    force = Torque(torque)
+    traj = pinred.simulate(pinred.load("falling_cat"), seed=1, duration=1.6, forces=[force])
+    full = FullState(traj.scene)
+    assert equation_errors(traj, full, np.linspace(1.4, 1.6, 41)).max() < 1e-13

@@ -231,7 +231,7 @@ def test_size_is_that_of_the_initial_configuration(monkeypatch: pytest.MonkeyPat
         full = FullState(traj.scene)
         equation_errors(traj, full, TIMES[TIMES <= 0.5])
     assert full is not None
-    q = traj.system.sorted_q(traj.q)
+    q = traj.system.sort_q(traj.q)
     radii = [full.totals.radius_of_gyration(q_t) for q_t in q]
     assert abs(radii[1] / radii[0] - 1.0) > 1e-3
     assert sizes == [radii[0], radii[0]]

@@ -360,7 +360,7 @@ def test_steps_with_kinks_are_not_smooth(monkeypatch: pytest.MonkeyPatch, kinks:
     steps = np.array([2.0, 2.0, 2.0, 19.8, 20.2])
 
     def made(*_: object, **__: object) -> Defects:
-        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps, 0.0)
+        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps, 0.0, steps)
 
     monkeypatch.setattr(module, "_defects_of_steps", made)
     scene = pinred.Scene(system=system, duration=0.1, xdot0=[1.0], forces=acting)

@@ -13,6 +13,7 @@ from tampering import offset, tampered
 import pinred
 from pinred.judge.compare import _compare
 from pinred.judge.hairer_integrators import Hairer
+from pinred.judge.stiff_integrator import StiffIntegrator
 from pinred.judge.time_budget import AbaStopped, TimeBudget, default_budget
 from pinred.judge.verdict import Verdict
 
@@ -62,8 +63,10 @@ def test_budget_that_suffices_changes_nothing(traj: pinred.Trajectory) -> None:
 def test_motion_that_aba_cannot_follow_gives_no_verdict(
     traj: pinred.Trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A failure of Hairer's codes is a verdict, not an error."""
+    """A failure of all integrators is a verdict, not an error."""
     monkeypatch.setattr(Hairer, "integrate", lambda *_: None)
+    nothing = None, np.zeros((1, 1))
+    monkeypatch.setattr(StiffIntegrator, "integrate", lambda *_: nothing)
     began = time.perf_counter()
     report = pinred.compare(traj)
     assert 0.0 < report.wall_full < time.perf_counter() - began

@@ -103,6 +103,12 @@ class CompiledFlow:
         return slice(layout.parameters - layout.numbers, layout.parameters)
 
     @property
+    def clock(self) -> slice:
+        """Index of the integrated time in a reduced state; empty if the time is not integrated."""
+        layout = self.kernel.layout
+        return slice(layout.size - layout.clock, layout.size)
+
+    @property
     def numbers(self) -> Array:
         """Force parameters: a view of the last entries of `parameters`."""
         return self.parameters[..., self.numbers_at]

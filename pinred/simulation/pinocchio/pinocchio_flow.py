@@ -30,6 +30,7 @@ class PinocchioFlow:
         y0: Initial reduced state, (k,).
         parameters: Force parameters, (p,).
         numbers_at: Indices of the force parameters among `parameters`, which has no others.
+        clock: Index of the time in a reduced state; empty, because the time is not integrated.
         base: The motion of the base.
     """
 
@@ -52,6 +53,7 @@ class PinocchioFlow:
         self._weight = plan.acting.weight
         self._form = CanonicalForm(system, self._potential)
         self.parameters, self.numbers_at = plan.numbers, slice(None)
+        self.clock = slice(0)
         self.base = base = Base(plan, start)
         pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
         columns = [start.x[self._free_x], pi[self._free]]
