@@ -264,6 +264,16 @@ def test_target_out_of_reach_is_named_with_its_deviation() -> None:
     assert float(deviation[1]) == pytest.approx(target - most, abs=0.1 * most)
 
 
+def test_functions_are_undefined_without_a_positive_period() -> None:
+    """A step of the period to zero or below gives NaN and no division by zero."""
+    A = rods()
+    limits = limits_of(A, 1.0, 3.0, None)
+    task = Task(A, axis_aim(A.group, "rotation", None), "time", None, limits, 1.0)
+    problem = problem_of(task, fourier_path_of(task, 1))
+    for period in (0.0, -1.0):
+        assert np.isnan(problem.evaluate(np.append(np.full(6, 0.1), period))[0]).all()
+
+
 def test_boxes_below_round_off_end_the_search() -> None:
     """A search from zero for 0.1 + (z − 1)² = 0 fails at z = 1, in a box relative to 1."""
 

@@ -282,7 +282,9 @@ def _optimise_fourier(
     search = Search(task, fourier_path_of(task, harmonics))
     if len(ladder) > 1:
         z = search.unknowns(gait)
-        gait = search.gait(z + change * np.abs(z).max() * rng.uniform(-1.0, 1.0, len(z)))
+        y = z[: search.path.size]  # the loop without its period, which stays positive
+        y += change * np.abs(y).max() * rng.uniform(-1.0, 1.0, len(y))
+        gait = search.gait(z)
     search, best = finish(search, gait)
     gait = search.gait(best.z)
     turns = None
