@@ -20,11 +20,14 @@ TASKS: dict[str, dict[str, dict[str, Any]]] = {
     "three_rods": {
         "rotation-length": {},
         "rotation-torque": {"cost": "torque"},
+        "rotation-acceleration": {"cost": "acceleration"},
         "rotation-time": {"cost": "time", "speeds": 3.0},
     },
     "purcell_swimmer": {
         "rotation-length": {},
         "rotation-torque": {"cost": "torque"},
+        "rotation-power": {"cost": "power"},
+        "rotation-time": {"cost": "time", "speeds": 3.0},
     },
     "falling_cat": {
         "rotation-x-length": {"axis": "x"},

@@ -148,7 +148,7 @@ def test_perturbation_leaves_a_symmetric_loop(monkeypatch: pytest.MonkeyPatch) -
     options = {"harmonics": 4, "limits": 0.7, "starts": 1}
     best = pinred.optimise_gait(rods(), **options)  # type: ignore[arg-type]
     assert best.merit == pytest.approx(0.05579261, rel=1e-6)
-    monkeypatch.setattr(optimise, "_PERTURBATION", 0.0)
+    monkeypatch.setattr(optimise, "_PERTURBATIONS", (0.0,))
     assert pinred.optimise_gait(rods(), **options).merit < 0.05575  # type: ignore[arg-type]
 
 
@@ -248,6 +248,49 @@ def test_target_is_reached_at_minimal_torque() -> None:
     assert one.phase.pose[2] == pytest.approx(target, abs=1e-9)
     assert one.cost == pytest.approx(8.0 * two.cost, rel=1e-5)  # ∫τ² dt goes with T⁻³
     assert one.value < 1e-9
+
+
+def test_target_out_of_reach_is_named_with_its_deviation() -> None:
+    """The nearest loop is the one of largest rotation, found by the search without a cost."""
+    limits, target = 0.5, 2.0
+    most = pinred.optimise_gait(rods(), cost=None, limits=limits, harmonics=1, starts=1).value
+    with pytest.raises(pinred.NoOptimum, match="reaches it within the limits") as raised:
+        pinred.optimise_gait(
+            rods(), objective="target", target=target, limits=limits, harmonics=1, starts=2
+        )
+    deviation = re.search(r"deviates by ([0-9.]+)\.", str(raised.value))
+    assert deviation is not None
+    # Checks at fixed times let the extremes between them exceed the limits.
+    assert float(deviation[1]) == pytest.approx(target - most, abs=0.1 * most)
+
+
+def test_functions_are_undefined_without_a_positive_period() -> None:
+    """A step of the period to zero or below gives NaN and no division by zero."""
+    A = rods()
+    limits = limits_of(A, 1.0, 3.0, None)
+    task = Task(A, axis_aim(A.group, "rotation", None), "time", None, limits, 1.0)
+    problem = problem_of(task, fourier_path_of(task, 1))
+    for period in (0.0, -1.0):
+        assert np.isnan(problem.evaluate(np.append(np.full(6, 0.1), period))[0]).all()
+
+
+def test_boxes_below_round_off_end_the_search() -> None:
+    """A search from zero for 0.1 + (z − 1)² = 0 fails at z = 1, in a box relative to 1."""
+
+    def evaluate(z: Array) -> tuple[Array, Array]:
+        x = z[0] - 1.0
+        return np.array([0.01 * x, 0.1 + x * x]), np.array([[0.01], [2.0 * x]])
+
+    problem = Problem(1, evaluate, np.zeros((0, 1)), np.zeros(1), np.zeros(1))
+    assert minimum(problem, np.zeros(1)).residual == np.inf
+
+
+def test_further_starts_reach_an_optimum_that_the_first_misses() -> None:
+    """Large perturbations leave the optimum to which the continuation from ellipses leads."""
+    options = {"axis": "y", "limits": 1.3, "harmonics": 2}
+    cat = pinred.Connection.mechanical(pinred.load("falling_cat"))
+    first = pinred.optimise_gait(cat, **options, starts=1)  # type: ignore[arg-type]
+    assert pinred.optimise_gait(cat, **options, starts=4).merit > 1.003 * first.merit  # type: ignore[arg-type]
 
 
 def test_bound_on_cost_is_used_and_result_beats_random_loops() -> None:

@@ -19,12 +19,26 @@ _PIECES = 2  # number of quadrature segments of order 16 per (harmonics + 3)
 RESIDUAL = 1e-4  # largest relative KKT residual of an accepted optimum
 _PHASE_ERROR = 1e-6  # largest difference between sampled and transcribed phase [rad | m]
 _BOX = 0.1  # first box around a start, if torques make its limits strongly nonlinear [rad | m]
+_MISSED = 1e-4  # smallest deviation of a target that is out of reach [rad | m]
 _ROUNDS = 20  # largest number of rounds, each with checks at the peaks of the previous loop
 _TIMES = 512  # number of times at which rotation vectors of balls are checked
 
 
 class StartFailed(Exception):  # noqa: N818
     """An initial loop did not converge to an optimum; the message states the reason."""
+
+
+class TargetMissed(StartFailed):
+    """No loop near an initial one reaches the target within the limits.
+
+    Attributes:
+        deviation: Smallest deviation from the target [rad | m].
+    """
+
+    def __init__(self, deviation: float) -> None:
+        """Create the error; its message does not depend on the deviation."""
+        super().__init__("no loop near this start reaches the target within the limits")
+        self.deviation = deviation
 
 
 @dataclass(frozen=True)
@@ -112,6 +126,39 @@ def finish(search: Search, gait: Gait, *, most: int = 1000) -> tuple[Search, Min
             return search, best
         search = Search(task, replace(search.path, checks=checks.refined(beyond, c)))
     raise StartFailed("the loop still exceeds its limits")
+
+
+def check_target(task: Task, path: Path, gait: Gait) -> None:
+    """Raise TargetMissed if loops near a Fourier gait cannot reach the target within the limits.
+
+    The squared deviation is minimised.  A loop that minimises the cost would satisfy no constraint
+    if the target is out of reach.
+
+    Args:
+        task: The task, with a target.
+        path: The family of paths.
+        gait: The gait.
+    Raises:
+        TargetMissed: A local minimum of the deviation exceeds _MISSED.
+    """
+    assert isinstance(task.aim, TargetAim)
+    problem, search = problem_of(task, path), Search(task, path)
+    k = 1 + len(task.aim.error(task.connection.group.identity())[0])
+
+    def evaluate(z: Array) -> tuple[Array, Array]:
+        values, slopes = problem.evaluate(z)
+        errors, by_z = values[1:k], slopes[1:k]
+        return (
+            np.append(0.5 * errors @ errors, values[k:]), np.vstack([errors @ by_z, slopes[k:]])
+        )  # fmt: skip
+
+    nearest = replace(
+        problem, evaluate=evaluate, lower=problem.lower[k - 1 :], upper=problem.upper[k - 1 :]
+    )
+    values = nearest.at(minimum(nearest, search.unknowns(gait)).z)[0]
+    deviation = float(np.sqrt(2.0 * values[0]))
+    if not deviation <= _MISSED:
+        raise TargetMissed(deviation)
 
 
 @dataclass(frozen=True, eq=False)

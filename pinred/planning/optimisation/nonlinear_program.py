@@ -19,7 +19,7 @@ _TOLERANCE = 1e-11  # SLSQP's tolerance of the scaled objective and of the sum o
 _GAIN = 1e-9  # relative gain of a run below which no further run follows
 _RUNS = 30  # largest number of runs
 _SMALLER = 0.2  # size of the box around the start, relative to that of a run which failed
-_SMALLEST = 1e-5  # size of the smallest box, relative to the start
+_SMALLEST = 1e-5  # size of the smallest box, relative to its centre
 _EDGE = 0.999  # part of the radius of its box at which a run has reached the edge
 _LESS = 0.5  # a run from a point that violates constraints succeeds if it leaves this part
 _VIOLATION = 1e-8  # largest violation of a constraint at a minimum
@@ -100,8 +100,10 @@ def minimum(problem: Problem, start: Array, *, most: int = 1000, radius: float =
     Returns:
         The result at the final iterate.
     """
-    z, left, status, size = start, most, "", max(float(np.abs(start).max()), 1e-300)
+    z, left, status = start, most, ""
     for _ in range(_RUNS):
+        # Boxes are relative to the current point: below its round-off, both edges would be equal.
+        size = max(float(np.abs(z).max()), 1e-300)
         run = _run(problem, z, left, radius)
         trial, status, left = np.asarray(run.x, dtype=float), str(run.message), left - int(run.nit)
         value, violation = problem.at(z)[0][0], problem.violation(z)

@@ -17,7 +17,16 @@ from ...common.errors import InputError, IntegrationError, NoOptimum, SingularIn
 from ...common.names import brief
 from ...common.progress import Progress, shown
 from .best_gait import BestGait, Optimum, group_optima
-from .gait_search import RESIDUAL, Search, StartFailed, finish, fourier_path_of, measure
+from .gait_search import (
+    RESIDUAL,
+    Search,
+    StartFailed,
+    TargetMissed,
+    check_target,
+    finish,
+    fourier_path_of,
+    measure,
+)
 from .limits import LimitsLike, limits_of, margins, require_two_joints
 from .nonlinear_program import Minimum, minimum
 from .objective import (
@@ -70,7 +79,9 @@ def polygon_gait(path: Path, y: Array, period: float) -> Gait:
 
 
 _CONTINUED = (1, 3, 5, 9)  # numbers of harmonics in the successive optimisations of a continuation
-_PERTURBATION = 0.2  # relative perturbation before the last stage, which leaves saddle points
+# Relative perturbations before the last stage of the first and of further starts.  A small one
+# leaves saddle points; large ones reach optima that the continuation from ellipses misses.
+_PERTURBATIONS = (0.2, 1.2)
 
 
 @checks_arguments
@@ -149,7 +160,7 @@ def optimise_gait(
         whole(harmonics, "harmonics"), whole(starts, "starts"), whole(seed, "seed", 0)
     )  # fmt: skip
     optima: list[Optimum] = []
-    failures: list[str] = []
+    failures: list[Exception] = []
     with shown(progress, "gaits") as report:
         for k in range(starts):
             rng = np.random.default_rng([seed, k])
@@ -157,18 +168,26 @@ def optimise_gait(
                 if vertices is not None:
                     optima.append(_optimise_polygon(task, vertices, rng))
                 else:
-                    optima.append(_optimise_fourier(task, harmonics, winding, rng))
+                    change = _PERTURBATIONS[min(k, 1)]
+                    optima.append(_optimise_fourier(task, harmonics, winding, rng, change))
             except (StartFailed, SingularInertiaError, IntegrationError) as error:
-                failures.append(str(error))
+                failures.append(error)
             if report is not None:
                 report((k + 1) / starts)
+    lost = tuple(str(error) for error in failures)
     if not optima:
+        missed = [error.deviation for error in failures if isinstance(error, TargetMissed)]
+        if len(missed) == starts:
+            raise NoOptimum(
+                f"target: no loop from {starts} starts reaches it within the limits; the nearest "
+                f"one deviates by {min(missed):.6g}. Choose a nearer target, larger limits or more "
+                "harmonics."
+            )
         raise NoOptimum(
-            f"none of {starts} starts converged to an optimum: {'; '.join(sorted(set(failures)))}; "
+            f"none of {starts} starts converged to an optimum: {'; '.join(sorted(set(lost)))}; "
             "try more starts, other limits, or fewer harmonics"
         )
     distinct = group_optima(optima)
-    lost = tuple(failures)
     return BestGait(**vars(distinct[0]), task=task, optima=distinct, starts=starts, lost=lost)
 
 
@@ -236,20 +255,36 @@ def _check_loops(task: Task, vertices: int | None, winding: int | None) -> None:
 
 
 def _optimise_fourier(
-    task: Task, harmonics: int, winding: int | None, rng: np.random.Generator
+    task: Task, harmonics: int, winding: int | None, rng: np.random.Generator, change: float
 ) -> Optimum:
-    """Return the optimum reached from a random ellipse.  Raises StartFailed."""
+    """Return the optimum reached from a random ellipse.
+
+    Args:
+        task: The task.
+        harmonics: Number of harmonics.
+        winding: Winding number 1, or None for any.
+        rng: Random numbers.
+        change: Relative perturbation before the last stage.
+    Returns:
+        The optimum.
+    Raises:
+        StartFailed: No optimum was reached.
+    """
     m = task.connection.m
     continued = winding is not None or m > 2
     ladder = sorted({h for h in _CONTINUED if h < harmonics and continued} | {harmonics})
     gait = _initial_loop(task, ladder[0], rng)
+    if isinstance(task.aim, TargetAim):
+        check_target(task, fourier_path_of(task, harmonics), gait)
     for h in ladder[:-1]:
         search = Search(task, fourier_path_of(task, h, action=True))
         gait = search.gait(search.optimise_from(gait).z)
     search = Search(task, fourier_path_of(task, harmonics))
     if len(ladder) > 1:
         z = search.unknowns(gait)
-        gait = search.gait(z + _PERTURBATION * np.abs(z).max() * rng.uniform(-1.0, 1.0, len(z)))
+        y = z[: search.path.size]  # the loop without its period, which stays positive
+        y += change * np.abs(y).max() * rng.uniform(-1.0, 1.0, len(y))
+        gait = search.gait(z)
     search, best = finish(search, gait)
     gait = search.gait(best.z)
     turns = None

@@ -238,8 +238,10 @@ def problem_of(task: Task, path: Path) -> Problem:
         return np.concatenate(results), np.vstack(jacobian)
 
     def evaluate_or_nan(z: Array) -> tuple[Array, Array]:
-        """Return NaN where the lift fails, so that a line search shortens its step."""
+        """Return NaN where the lift fails or T ≤ 0, so that a line search shortens its step."""
         try:
+            if free and not z[n] > 0.0:  # SLSQP also evaluates points beyond linear constraints
+                raise FloatingPointError("period")
             return evaluate(z)
         except (SingularInertiaError, NoConvergence, FloatingPointError):
             count = 1 + len(g_lower)
