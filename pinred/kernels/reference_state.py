@@ -394,7 +394,8 @@ def random_state(
     v *= reach / period
     if prescribed:
         v[[r + j for j in prescribed]] = motion.xdot
-    if not layout.clock:
+    # Conditions on time were evaluated at the time that was drawn.
+    if not layout.clock and (forces is None or forces.within.start == forces.within.stop):
         time *= period
     v, mu = _with_known_momentum(kernel, H, v)
     v, impetus, nu = with_closed_loops(system, x, H, v, rng, prescribed)
