@@ -87,7 +87,7 @@ def simulate(
             "the compiled engine"
         )
     with _opened(checkpoint) as file, shown(progress, "reduced") as done:
-        if done is None and isinstance(plan.method, EqualSteps):
+        if done is None and engine == "compiled" and isinstance(plan.method, EqualSteps):
             done = _notice_of(plan.method, scene.end)
         trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)
     for notice in trajectory.run.notices:

@@ -99,7 +99,7 @@ def test_root_chooses_among_several_bodies(tmp_path: Path) -> None:
 
 def test_root_argument_is_refused_for_urdf() -> None:
     """In a URDF one link carries all others."""
-    with pytest.raises(InputError, match="root='trunk' applies to MJCF only"):
+    with pytest.raises(InputError, match="root='trunk' applies to MJCF and SDF only"):
         pinred.load("falling_cat", root="trunk")
 
 

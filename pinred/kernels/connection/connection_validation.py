@@ -204,7 +204,7 @@ def trial_shapes(form: ConnectionForm) -> Iterator[tuple[TrialShape, np.random.G
 def _is_linear(form: ConnectionForm) -> NDArray[np.bool_]:
     """Return whether each velocity is a translation, (n,)."""
     base = np.arange(form.r) < form.group.linear
-    return np.append(base, [unit == "m" for unit in form.units])
+    return np.append(base, np.array([unit == "m" for unit in form.units], dtype=bool))
 
 
 def _length_of(form: ConnectionForm) -> float:
