@@ -281,7 +281,7 @@ def test_tolerances_after_slow_run_are_skipped() -> None:
 def test_record_round_trip(tmp_path: Path) -> None:
     """NaN and failures are preserved."""
     path = tmp_path / "accuracy.csv"
-    with pytest.raises(LoadError, match="No such file"):
+    with pytest.raises(LoadError, match="no such file"):
         read_record(path)
     result = result_of(point("a", 1.0 / 3.0, 0.1), Point("b", 1e-9, failure='stopped, "here"'))
     other = result_of(point("a", 1e-3, 0.2), Point("b", 1e-9, failure="again"), run="later")

@@ -193,7 +193,8 @@ def test_locked_joints_leave_the_order_of_the_others(group: str, joints: int, se
 def test_root_joint_that_is_added_comes_first() -> None:
     """A robot that floats on a new root joint keeps the order of its joints."""
     model = unsorted_model("SO2", 6, 1)
-    model.appendBodyToJoint(0, pin.Inertia.Random(), pin.SE3.Identity())
+    inertia = pin.Inertia(2.0, np.array([0.1, 0.2, -0.1]), np.diag([0.3, 0.4, 0.5]))
+    model.appendBodyToJoint(0, inertia, pin.SE3.Identity())
     system = pinred.load(model, group="SE3")
     assert list(system.model.names)[2:] == list(model.names)[1:]
     q = np.append(pin.SE3ToXYZQUAT(pin.SE3.Identity()), random_q(model, 4))
