@@ -77,6 +77,10 @@ class StepLimits:
     decay: Array
     unresolved: Array
 
+    def shorter(self, share: float) -> StepLimits:
+        """Return the limits with all steps shorter by a factor."""
+        return replace(self, longest=share * self.longest)
+
     def within(self, starts: Array, ends: Array) -> Array:
         """Return the longest step in each of K intervals of time, (K,) [s].
 

@@ -30,7 +30,10 @@ _COMPARED = 16  # number of times at which two runs are compared
 _DEFECT = 5.0  # largest defect of a step that resolves all functions, in tolerances
 _NODES = 16  # number of nodes of the quadrature over a part of a step
 _MOST_PARTS = 1 << 12  # largest number of these parts of all steps of a run
-_LONGER = 1.0 + 1e-9  # ratio of lengths that round-off explains
+_CHECKED = 0.5  # length of the shortest steps that are checked, relative to the limits
+# Lengths of steps in further runs, relative to the limits.  The error estimate of a step in the
+# flank of a pulse may fail although the step sees the whole function.
+SHARES = (1.0, 0.4)
 
 
 class Steps(NamedTuple):
@@ -62,17 +65,22 @@ def resolve(plan: Plan, trajectory: Trajectory, run: Callable[[Plan], Trajectory
     """
     if plan.forces is None:
         return trajectory
-    engine, runs, motion = trajectory.run.engine, [trajectory], trajectory.motion
-    divisions = divisions_of(plan) if engine == "compiled" else 1
+    engine, runs = trajectory.run.engine, [trajectory]
+    limited = plan
     tolerance = tolerance_of(plan, engine)
     arguments = plan.forces, plan.scene.end, plan.numbers, tolerance[0]
     limits = step_limits(*arguments, order_of(plan) if engine == "compiled" else DOP853.order)
-    steps = [Steps(s.knots[::divisions], s.at, s.parameters) for s in motion.segments]
-    if is_unresolved(limits, steps, motion.flow.rates, tolerance):
-        limited = plan.limited(*limits.cheapest())
+    for share in SHARES:
+        motion = runs[-1].motion
+        divisions = divisions_of(limited) if engine == "compiled" else 1
+        steps = [Steps(s.knots[::divisions], s.at, s.parameters) for s in motion.segments]
+        if not is_unresolved(limits, steps, motion.flow.rates, tolerance):
+            break
+        limited = plan.limited(*limits.shorter(share).cheapest())
         if engine == "compiled" and limited.method.name != plan.method.name:
             # The choice of the method takes stops into account.
-            limited = plan.limited(*step_limits(*arguments, order_of(limited)).cheapest())
+            limits = step_limits(*arguments, order_of(limited))
+            limited = plan.limited(*limits.shorter(share).cheapest())
         runs.append(run(limited))
     last, notices = runs[-1], runs[-1].run.notices
     if limits.unresolved.size:
@@ -144,7 +152,7 @@ def is_unresolved(
     for each in steps:
         starts, lengths = each.ends[:-1], np.diff(each.ends)
         allowed = limits.within(starts, each.ends[1:])
-        long = lengths > _LONGER * allowed
+        long = lengths > _CHECKED * allowed
         if not long.any():
             continue
         counts = np.ceil(lengths[long] / allowed[long])

@@ -16,6 +16,7 @@ from ..plan import Plan, Span
 from ..singular_loops import may_pass_singular_shape, refuse_singular_shapes
 from ..step_limits import step_limits
 from ..time_resolution import (
+    SHARES,
     Steps,
     describe_unresolved,
     is_unresolved,
@@ -68,10 +69,13 @@ def resolve_run(
     tolerance = tolerance_of(plan, "compiled")
     end, order = plan.scene.end, order_of(plan)
     limits = step_limits(plan.forces, end, flow.numbers, tolerance[0], order)
-    steps = [_steps_of(*pair) for pair in zip(spans, solutions, strict=True)]
-    if is_unresolved(limits, steps, flow.rates, tolerance):
-        stops = read_only(np.array([span.stop for span in spans]))
-        spans, solutions = solve(replace(plan, stops=stops).limited(*limits.cheapest()))
+    stops = read_only(np.array([span.stop for span in spans]))
+    for share in SHARES:
+        steps = [_steps_of(*pair) for pair in zip(spans, solutions, strict=True)]
+        if not is_unresolved(limits, steps, flow.rates, tolerance):
+            break
+        limited = replace(plan, stops=stops).limited(*limits.shorter(share).cheapest())
+        spans, solutions = solve(limited)
     if limits.unresolved.size:
         warnings.warn(describe_unresolved(plan, limits.unresolved), AccuracyWarning, stacklevel=5)
     return spans, solutions

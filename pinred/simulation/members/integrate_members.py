@@ -26,6 +26,8 @@ from .trajectories import Batch, Failure
 
 # Largest number of kernel instructions for which the state of sixteen lanes fits in registers.
 _SMALL = 400
+# Length of steps relative to their limits, because the steps of batches are not checked.
+_SHARE = 0.5
 
 
 def integrate_members(
@@ -164,7 +166,7 @@ def _stops_of_members(plan: Plan, numbers: Array) -> tuple[Method, list[Array], 
         return method, stops, vary
     settings = method.rtol, method.controlled_order
     all_limits = limits_of_runs(forces, plan.scene.end, numbers[first], *settings)
-    limits = [each.cheapest() for each in all_limits]
+    limits = [each.shorter(_SHARE).cheapest() for each in all_limits]
     longest = min(each.longest for each in limits)
     method = replace(method, max_step=min(method.max_step, longest))
     if not any(each.stops.size for each in limits):
