@@ -27,7 +27,7 @@ _SHOWN = 5  # largest number of times in a notice
 # Change of states between two runs that is an error, in tolerances.
 _CHANGED = 100.0
 _COMPARED = 16  # number of times at which two runs are compared
-_DEFECT = 5.0  # largest defect of a step that resolves all functions, in tolerances
+_DEFECT = 20.0  # largest defect of a step that resolves all functions, in tolerances
 _NODES = 16  # number of nodes of the quadrature over a part of a step
 _MOST_PARTS = 1 << 12  # largest number of these parts of all steps of a run
 _CHECKED = 0.5  # length of the shortest steps that are checked, relative to the limits
