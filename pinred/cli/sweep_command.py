@@ -39,11 +39,16 @@ def run(arguments: argparse.Namespace) -> int:
     from ..scene.toml.reader import read_scene_file
     from ..simulation.simulate import as_scene
     from ..sweeps.sweep import sweep
+    from ..system.body_parameters import refuse_vague
+    from ..system.variants import nominal
 
     file = read_scene_file(arguments.scene)
     scene = file.scene
     if parameters := parameters_in(arguments.parameter):
         scene = as_scene(scene, {"parameters": parameters}, "sweep")
+    with naming(file.place):
+        for name in file.sweep.get("vary", {}):
+            refuse_vague(nominal(scene.system), name)
     others = {name: key for name, key in SWEEP_OPTIONS.items() if name not in ("vary", "outputs")}
     stated = options_in(arguments, others)
     if arguments.vary:

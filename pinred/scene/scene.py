@@ -55,14 +55,15 @@ class Scene(SceneFields):
     Without an initial state, the scene starts from the robot's own initial state.  `compare` uses
     rtol and atol as its scale.  Methods with equal steps ignore both tolerances.
 
-    The option `parameters` makes robot parameters inputs of the kernel.  For a link or joint
-    "hand", the names are "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz about
-    the centre of mass), "hand.log_cholesky", and "hand.payload.mass" with "hand.payload.at" for
-    a point mass on the body.  For a joint "elbow", the names are "elbow.placement" (x, y, z, roll,
-    pitch, yaw) and "elbow.translation"; for a locked joint, "elbow.lock".  The names for gravity
-    are "gravity" (vector in the world frame) and "gravity.strength".  Names without values,
-    or "all" for inertias and placements, keep the current values.  So do parameters of the system
-    (System.parameters).
+    The option `parameters` makes robot parameters inputs of the kernel.  For a link "hand", the
+    names are "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz about the centre of
+    mass) and "hand.log_cholesky", in the frame of the link, as in the file; "hand.body.mass" and
+    so on for the body of all links that are fixed to it, in the frame of its joint; and
+    "hand.payload.mass" with "hand.payload.at" for a point mass on the body.  For a joint "elbow",
+    the names are "elbow.placement" (x, y, z, roll, pitch, yaw) and "elbow.translation"; for a
+    locked joint, "elbow.lock".  The names for gravity are "gravity" (vector in the world frame)
+    and "gravity.strength".  Names without values, or "all" for inertias and placements, keep the
+    current values.  So do parameters of the system (System.parameters).
 
     The scene converts its options: joint values by name to arrays, motions of prescribed joints
     to Signals, and names of methods to methods.

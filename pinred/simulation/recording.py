@@ -26,6 +26,7 @@ from ..common.errors import InputError, LoadError, PinredError
 from ..common.files import is_file
 from ..common.names import plain_path, quoted, quoted_path
 from ..lie.groups import GROUPS
+from ..system.body_parameters import refuse_vague
 from ..system.catalogue import bundled_robots
 from ..system.load import is_path
 from ..system.state_fields import FIELDS, Axis, ShapeState, State
@@ -205,6 +206,7 @@ def load_recorded_robot(
         LoadError: No source is stated, the source is not trusted, or the robot cannot be loaded.
     """
     from ..system.load import load
+    from ..system.model_parameters import with_parameters
 
     source = str(origin.get("source", ""))
     if not source:
@@ -216,10 +218,13 @@ def load_recorded_robot(
         source = _find_trusted_source(path, source)
     try:
         root = str(origin["root"]) if "root" in origin else None
-        return load(
-            source, group=group, lock=lock_in(origin), gravity=origin.get("gravity"), root=root,
-            parameters=parameters_in(origin),
-        )  # fmt: skip
+        parameters = parameters_in(origin)
+        system = load(
+            source, group=group, lock=lock_in(origin), gravity=origin.get("gravity"), root=root
+        )
+        for name in parameters:
+            refuse_vague(system, name)
+        return with_parameters(system, parameters)
     except (PinredError, ValueError, TypeError) as error:
         raise LoadError(
             f"the robot of {path} cannot be loaded: {error}; name another (--robot, or robot=)"

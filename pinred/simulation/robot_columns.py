@@ -238,6 +238,22 @@ def with_own(scene: Scene, names: Sequence[Any]) -> Scene:
     return replace(scene, parameters=values)
 
 
+def without_own(scene: Scene) -> Scene:
+    """Return a scene without robot parameters whose values are those of the robot's file.
+
+    A number that may vary is an input of the kernel, where the file's number is folded, which
+    changes round-off.
+    """
+    if scene.varied is None:
+        return scene
+    own = scene.varied.own()
+    equal = {name for name in own if np.array_equal(np.ravel(scene.parameters[name]), own[name])}
+    if not equal:
+        return scene
+    values = {name: value for name, value in scene.parameters.items() if name not in equal}
+    return replace(scene, system=nominal(scene.system), parameters=values)
+
+
 def _map_slopes(matrix: Array, slopes: Slopes) -> Slopes:
     return {name: matrix @ slope for name, slope in slopes.items()}
 

@@ -23,6 +23,7 @@ from ..system.model_parameters import joined
 from ..system.system import System, checked_system
 from .compiled.code_ahead import expect_integration
 from .plan import Plan, plan_of
+from .robot_columns import without_own
 
 if TYPE_CHECKING:
     from .checkpoint import Checkpoint
@@ -76,7 +77,7 @@ def simulate(
         raise InputError(
             "method: expected none with engine 'pinocchio', which integrates with SciPy's DOP853"
         )
-    plan = plan_of(scene)
+    plan = plan_of(without_own(scene))
     if explain:
         from .explain import explain as explained
 

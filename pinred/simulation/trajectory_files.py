@@ -18,10 +18,12 @@ from ..common.zarr_folders import (
     open_group,
     replace_folder,
 )
+from ..system.body_parameters import name_in_files
 from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY
 from ..system.state_fields import FIELDS, arrays_of, axis_labels, dimension
 from ..system.system import System
+from ..system.variants import nominal
 from .over_time import OverTime
 
 _GREEK = str.maketrans({"θ": "theta"})
@@ -77,7 +79,8 @@ def robot_arrays(system: System) -> dict[str, Any]:
     """
     origin = system.origin
     lock = dict({} if origin is None else origin.lock)
-    parameters = dict(system.parameters)
+    loaded = nominal(system)
+    parameters = {name_in_files(loaded, n): value for n, value in system.parameters.items()}
     for name in system.parameters:
         if name.endswith(".lock"):
             lock[name.removesuffix(".lock")] = float(parameters.pop(name))

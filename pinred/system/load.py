@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -25,6 +25,7 @@ from ..common.names import brief, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from . import catalogue
+from .body_parameters import link_inertias
 from .choose_root import on_root
 from .constant_loops import with_constant_loops
 from .coordinates import InitialState
@@ -83,6 +84,7 @@ class _Robot:
         springs: Springs at joints.
         loops: Loops that the file closes; their frames are in the model.
         left_out: Words and actions of the file that are left out.
+        links: Inertia of each link with mass, in its own frame.
     """
 
     raw: pin.Model
@@ -95,6 +97,7 @@ class _Robot:
     springs: tuple[Spring, ...] = ()
     loops: tuple[Loop, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
+    links: Mapping[str, pin.Inertia] = field(default_factory=dict)
 
 
 def _of_urdf(
@@ -107,7 +110,7 @@ def _of_urdf(
     """Return the robot in a URDF file; the other arguments are those of _Robot."""
     return _Robot(
         urdf.model, urdf.couplings, name, origin, group, initial, urdf.warning, urdf.springs,
-        urdf.loops, urdf.left_out,
+        urdf.loops, urdf.left_out, urdf.links,
     )  # fmt: skip
 
 
@@ -337,7 +340,8 @@ def _read(
 ) -> _Robot:
     """Read a robot from a name, a URDF or SDF file or a model; see `load` for the arguments."""
     if isinstance(source, pin.Model):
-        return _Robot(*without_mimics(source), source.name, None, group)
+        plain = without_mimics(source)
+        return _Robot(*plain, source.name, None, group, links=link_inertias(source))
     name = str(source)
     origin = Origin(name, locked, meshes=folders)
     if (robot := catalogue.bundled_robots().get(name)) is not None:
@@ -362,6 +366,7 @@ def _read(
             springs=sdf.springs,
             loops=sdf.loops,
             left_out=sdf.left_out,
+            links=sdf.inertias,
         )
     if is_path(name):
         origin = replace(origin, source=str(Path(source).absolute()))
@@ -416,6 +421,7 @@ def _load_model(
             *stated_limits(robot.raw, locked=split.whole(locked), merged=merge.hinges),
         ),
         passive=merge.forces(passive.passive),
+        links=robot.links,
         visuals=visuals,
         warnings=(*([robot.warning] if robot.warning else []), *merge.warnings(split.model)),
         couplings=couplings,

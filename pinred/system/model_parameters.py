@@ -13,7 +13,14 @@ from ..common.arrays import Array, entries_of, read_only
 from ..common.errors import InputError, UnsupportedOperationError
 from ..common.names import brief, listed, nearest, quoted
 from .body_parameters import SIZES as BODY_SIZES
-from .body_parameters import Bodies, body_names, body_parameter, inertia_of, numbers
+from .body_parameters import (
+    Bodies,
+    body_names,
+    body_parameter,
+    inertia_of,
+    numbers,
+    whole_body,
+)
 from .joint_parameters import PLACED, Joints, joint_parameter
 from .loops.loop import Loop
 from .loops.loop_closure import moving_joints
@@ -101,7 +108,8 @@ def all_names(system: System) -> list[str]:
     """Return the parameter names of all bodies (mass, com, inertia) and of all placements."""
     names = [str(name) for name in system.sorted_model.names]
     bodies = [i for i in range(1, len(names)) if system.sorted_model.inertias[i].mass > 0.0]
-    inertial = [f"{names[i]}.{kind}" for i in bodies for kind in _INERTIAL]
+    words = [whole_body(system, i - 1) for i in bodies]
+    inertial = [f"{word}.{kind}" for word in words for kind in _INERTIAL]
     return [*inertial, *(f"{name}.placement" for name in names[2:])]
 
 

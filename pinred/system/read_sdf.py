@@ -57,6 +57,7 @@ class SdfRobot:
         links: Model and name in the file of each link.
         base: Name of the link that carries the others; "" if the world carries several.
         fixed: Names of the links that the file fixes to the world.
+        inertias: Inertia of each link with mass, in its own frame.
     """
 
     model: pin.Model
@@ -69,6 +70,7 @@ class SdfRobot:
     links: Mapping[str, Key]
     base: str
     fixed: tuple[str, ...]
+    inertias: Mapping[str, pin.Inertia]
 
 
 def read_sdf(path: Path, folders: Sequence[str] = (), root: str | None = None) -> SdfRobot:
@@ -109,6 +111,7 @@ def read_sdf(path: Path, folders: Sequence[str] = (), root: str | None = None) -
         links={name: key for key, name in tree.link_names.items()},
         base="" if base is None else tree.link_names[assembly.link(base)],
         fixed=tuple(tree.fixed),
+        inertias=tree.inertias,
     )
 
 
@@ -339,6 +342,7 @@ class _Tree:
         loops: Loops that close.
         joint_names: Name of each joint.
         link_names: Name of each link.
+        inertias: Inertia of each link with mass, in its own frame.
     """
 
     def __init__(self, assembly: _Assembly, robot: _Robot) -> None:
@@ -347,6 +351,7 @@ class _Tree:
         self._builder = ModelBuilder()
         self.fixed, self.loops = list[str](), list[Loop]()
         self.springs: tuple[Spring, ...] = ()
+        self.inertias: dict[str, pin.Inertia] = {}
         self._losses = [np.empty((2, 0))]
         self._most = [np.empty((2, 0))]  # largest rates and efforts
         self._places: dict[int, tuple[int, pin.SE3]] = {_WORLD: (0, pin.SE3.Identity())}
@@ -449,8 +454,11 @@ class _Tree:
     def _add_body(self, body: int, carrier: int, at: pin.SE3) -> None:
         """Add a body at a placement on a joint."""
         model = self._builder.model
-        model.appendBodyToJoint(carrier, _inertia(self._plant.get_body(_index("Body", body))), at)
-        model.addFrame(pin.Frame(self._link(body), carrier, 0, at, pin.FrameType.BODY), False)
+        name, inertia = self._link(body), _inertia(self._plant.get_body(_index("Body", body)))
+        model.appendBodyToJoint(carrier, inertia, at)
+        model.addFrame(pin.Frame(name, carrier, 0, at, pin.FrameType.BODY), False)
+        if inertia.mass > 0.0:
+            self.inertias[name] = inertia
         self._places[body] = (carrier, at)
 
     def _attach(self, joint: Any, body: int, other: int) -> None:

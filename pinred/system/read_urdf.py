@@ -34,13 +34,13 @@ from .urdf_elements import (
     file_frames,
     file_springs,
     keep_numbers,
+    link_inertias,
     mimic_couplings,
     prepare,
     reduced_text,
     replace_commas,
     rotor_inertias,
     special_joints,
-    total_mass,
     tree_depth,
 )
 from .urdf_loops import add_loops, take_closing_joints
@@ -69,6 +69,7 @@ class UrdfRobot:
         left_out: Words of the file that are left out.
         warning: Warning about the text of the file, or "".
         special: Joints that Pinocchio's parser does not read, by name.
+        links: Inertia of each link with mass, in its own frame.
     """
 
     model: pin.Model
@@ -78,6 +79,7 @@ class UrdfRobot:
     left_out: tuple[LeftOut, ...] = ()
     warning: str = ""
     special: Mapping[str, NewJoint] = field(default_factory=dict)
+    links: Mapping[str, pin.Inertia] = field(default_factory=dict)
 
 
 def read_urdf(path: Path) -> UrdfRobot:
@@ -107,7 +109,8 @@ def read_urdf(path: Path) -> UrdfRobot:
     springs, more = file_springs(root)
     couplings = mimic_couplings(root)
     model = _parsed(path, root)
-    _check_mass(path, model, total_mass(root))
+    inertias = link_inertias(root)
+    _check_mass(path, model, sum(inertia.mass for inertia in inertias.values()))
     for limits in (model.lowerPositionLimit, model.upperPositionLimit):
         limits[np.abs(limits) >= UNLIMITED] *= np.inf
     special = special_joints(root)
@@ -117,7 +120,7 @@ def read_urdf(path: Path) -> UrdfRobot:
     file_frames(root, model)
     loops = add_loops(model, closing)
     left_out = (*left_out, *beyond, *more, *rotors)
-    return UrdfRobot(model, couplings, springs, loops, left_out, warning, special)
+    return UrdfRobot(model, couplings, springs, loops, left_out, warning, special, inertias)
 
 
 def _parsed(path: Path, root: ElementTree.Element) -> pin.Model:

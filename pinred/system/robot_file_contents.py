@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
+import pinocchio as pin
+
 from ..common.arrays import Array, FrozenArrays
 from ..common.names import plain
 from .force_interface import Force
@@ -120,6 +122,8 @@ class Contents:
         loops: Constraints that close kinematic loops.
         coupled_loops: Loops that couplings replace, because their closed shapes are linear in
             independent joints.
+        links: Inertia of each link with mass, in its own frame; links fixed to each other are
+            merged in the model.
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -133,6 +137,7 @@ class Contents:
     merged: tuple[HingeTriple, ...] = ()
     loops: tuple[Constraint, ...] = ()
     coupled_loops: tuple[Constraint, ...] = ()
+    links: Mapping[str, pin.Inertia] = field(default_factory=lambda: MappingProxyType({}))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of mappings cannot be pickled.

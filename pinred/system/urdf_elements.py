@@ -144,9 +144,22 @@ def check_urdf(robot: Element) -> None:
             _check_origin(robot, inertial.find("origin"), owner)
 
 
-def total_mass(robot: Element) -> float:
-    """Return the mass of all links [kg]; call `check_urdf` first."""
-    return sum(float(mass.get("value", "0")) for mass in robot.iterfind("link/inertial/mass"))
+def link_inertias(robot: Element) -> dict[str, pin.Inertia]:
+    """Return the inertia of each link with mass, in its own frame; call `check_urdf` first."""
+    inertias = {}
+    for link in robot.findall("link"):
+        inertial, name = link.find("inertial"), link.get("name", "?")
+        if inertial is None:
+            continue
+        mass, moments = inertial.find("mass"), inertial.find("inertia")
+        value = 0.0 if mass is None else float(mass.get("value", "0"))
+        if value > 0.0 and moments is not None:
+            xx, yy, zz, xy, xz, yz = (float(moments.get(key, "0")) for key in _MOMENTS)
+            I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            at = origin_of(inertial.find("origin"), f"link {quoted(name)}")
+            I = at.rotation @ I @ at.rotation.T
+            inertias[name] = pin.Inertia(value, at.translation, 0.5 * (I + I.T))
+    return inertias
 
 
 def tree_depth(robot: Element) -> int:

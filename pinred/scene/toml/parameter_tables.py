@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ...system.body_parameters import refuse_vague
 from ...system.model_parameters import kinds_near, size_of, with_parameters
 from ...system.system import System
 from .file_place import Place, naming
@@ -98,6 +99,7 @@ def with_robot_parameters(
             if size_of(system, parameter.name) is None:
                 others.append(parameter)
                 continue
+            refuse_vague(system, parameter.name)
             values[parameter.name] = parameter.value
             with_parameters(system, {parameter.name: parameter.value})
     with naming(place / "parameters", "parameters: "):

@@ -114,6 +114,7 @@ def read_mujoco(
             locked=locked,
             merged=merge.triples,
             loops=constraints.loops,
+            links=tree.links,
         )
 
     name = bytes(world.model.names).split(b"\0", 1)[0].decode(errors="replace")

@@ -44,6 +44,7 @@ class Tree:
         locked: Values of locked joints by id [rad | m]; zero for balls.
         attitudes: Unit quaternions (x, y, z, w) of locked balls by name, {ball: (4,)}.
         keep_frozen: Whether locked joints whose value may vary remain joints of the model.
+        links: Inertia of each body with mass, in its own frame.
     """
 
     world: World
@@ -55,6 +56,7 @@ class Tree:
     locked: dict[int, float] = field(default_factory=dict)
     attitudes: Mapping[str, Array] = field(default_factory=dict)
     keep_frozen: bool = False
+    links: dict[str, pin.Inertia] = field(default_factory=dict)
 
     @property
     def model(self) -> pin.Model:
@@ -231,6 +233,8 @@ def _add_body(tree: Tree, body: int) -> None:
     inertia = pin.Inertia(
         float(mujoco.body_mass[body]), np.zeros(3), np.diag(mujoco.body_inertia[body])
     )
-    model.appendBodyToJoint(carrier.joint, inertia, carrier.at * frame(place, turn))
-    name = tree.world.body_names[body]
+    at, name = frame(place, turn), tree.world.body_names[body]
+    model.appendBodyToJoint(carrier.joint, inertia, carrier.at * at)
+    if inertia.mass > 0.0:
+        tree.links[name] = at.act(inertia)
     model.addFrame(pin.Frame(name, carrier.joint, 0, carrier.at, pin.FrameType.BODY), False)
