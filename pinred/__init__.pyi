@@ -72,6 +72,7 @@ from .common.errors import NotCopyable as NotCopyable
 from .common.errors import OutputError as OutputError
 from .common.errors import PinredError as PinredError
 from .common.errors import RejectedWarning as RejectedWarning
+from .common.errors import SceneWarning as SceneWarning
 from .common.errors import ShapeError as ShapeError
 from .common.errors import SingularInertiaError as SingularInertiaError
 from .common.errors import StepSizeUnderflow as StepSizeUnderflow

@@ -25,12 +25,14 @@ from ..common.errors import (
     ModelWarning,
     PinredError,
     RejectedWarning,
+    SceneWarning,
     shorten_message,
 )
 from ..common.names import plain
 from ..common.version import __version__
 from .interrupt import CODE, say
 
+_SHOWN = (AccuracyWarning, ModelWarning, LeftOutWarning, RejectedWarning, SceneWarning)
 _LONGEST = 2000  # largest number of characters of a message
 _OPTION, _NEGATIVE = re.compile(r"--[\w-]+"), re.compile(r"-(\d|\.\d|inf|nan)")
 COMMANDS = {  # {command: description}
@@ -86,7 +88,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         with warnings.catch_warnings():
             # Overflow and NaN are reported by pinred, so numpy's warnings would repeat them.
             warnings.simplefilter("ignore", RuntimeWarning)
-            for category in (AccuracyWarning, ModelWarning, LeftOutWarning, RejectedWarning):
+            for category in _SHOWN:
                 warnings.simplefilter("always", category)
             warnings.showwarning = _print_warning  # type: ignore[assignment]
             code: int = options.run(options)

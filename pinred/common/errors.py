@@ -216,6 +216,10 @@ class AccuracyWarning(UserWarning):
     """The error of a simulation may be larger than its tolerance."""
 
 
+class SceneWarning(UserWarning):
+    """Joints move freely beside prescribed ones, or a motion goes beyond limits of the file."""
+
+
 class LoopWarning(UserWarning):
     """An initial state leaves a closed loop open, so the nearest closed state is used."""
 

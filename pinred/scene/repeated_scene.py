@@ -104,4 +104,6 @@ def _key_of(name: str, value: Any) -> Hashable:
         raise NotKeyedError  # The state is drawn for each scene.
     if name == "parameters" and not is_empty_table(value):
         raise NotKeyedError  # Robot parameters replace the system.
+    if name == "hold" and value == "others":
+        raise NotKeyedError  # The initial state is that of the joints that are held.
     return key_of_option(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,6 +18,8 @@ from ..common.memo import recent
 from ..common.names import brief, one_of
 from ..common.parameter import Parameter, by_name
 from ..forces.force import Force
+from ..forces.signals import Attitude, Constant
+from ..forces.signals.attitude_signal import parse_attitude
 from ..integrators.methods import Method
 from ..system.model_parameters import ModelParameters
 from ..system.system import checked_system
@@ -36,7 +38,14 @@ from .option_checks import (
 from .parameters import GivenParameters, given_parameters
 from .passive_forces import acting_passive, check_passive, passive_left_out
 from .random_state import random_state
-from .scene_options import ARRAYS_OF_STATE, OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields
+from .scene_options import (
+    ARRAYS_OF_STATE,
+    HELD,
+    OUTPUTS,
+    SCENE_OPTIONS,
+    SceneFields,
+    describe_fields,
+)
 from .scene_options import ENGINES as ENGINES
 from .scene_options import Engine as Engine
 from .scene_structure import MOST_STRUCTURES, Shared, structure_key
@@ -75,6 +84,7 @@ class Scene(SceneFields):
 
     def __post_init__(self) -> None:
         owner, key = checked_system(self.system, "a scene", loops=True), structure_key(self)
+        self._keep("_held_plans", self._plans_that_hold())
         if key is None:
             shared = self._check_structure()
         else:
@@ -260,7 +270,8 @@ class Scene(SceneFields):
         self._keep("forces", forces)
         self._keep("prescribed", prescribed)
         watched = self._check_events()
-        if not (self.springs or forces or file_forces or prescribed):
+        held: Mapping[str, Constant | Attitude] = vars(self)["_held_plans"]
+        if not (self.springs or forces or file_forces or prescribed or held):
             self._keep("_forces", None)
             self._check_parameters(watched)
             return
@@ -269,11 +280,47 @@ class Scene(SceneFields):
         )
 
         acting = (*forces, *file_forces)
-        model = cached_force_model(self.system, self.springs, acting, prescribed, self.varied)
+        model = cached_force_model(
+            self.system, self.springs, acting, {**prescribed, **held}, self.varied
+        )
         self._check_parameters((*model.parameters, *watched))
         model = model.with_values(self.parameters)
         check_span(model, self.end, base=self.outputs == "all")
         self._keep("_forces", model)
+
+    def _plans_that_hold(self) -> dict[str, Constant | Attitude]:
+        """Return the motions of the joints that `hold` keeps at their initial positions.
+
+        Raises:
+            InputError: `hold` has another value, or loops determine the other joints.
+        """
+        if not (self.hold is None or one_of(self.hold, HELD)):
+            raise InputError(f"hold must be one of {', '.join(HELD)}, got {brief(self.hold)}")
+        if self.hold != "others":
+            return {}
+        if self.system.loops:
+            raise InputError(
+                f"hold: the loops of '{self.system.name}' determine some of the other joints; name "
+                "the joints to hold in prescribed"
+            )
+        x = replace(self, hold="free").given.x[0]
+        plans: dict[str, Constant | Attitude] = {}
+        for joint in self.system.space.joints:
+            if joint.name not in self.prescribed:
+                value = x[joint.x].tolist()
+                is_ball = joint.kind.is_ball
+                plans[joint.name] = parse_attitude(value) if is_ball else Constant(value[0])
+        return plans
+
+    @property
+    def free_joints(self) -> tuple[str, ...]:
+        """Joints that move freely beside prescribed ones: nothing prescribes or drives them."""
+        model = self.force_model
+        if model is None or not self.prescribed:
+            return ()
+        busy = {*model.joints, *model.touched}
+        joints = self.system.space.joints
+        return tuple(j.name for j in joints if not busy & {*range(j.v.start, j.v.stop)})
 
     def _check_events(self) -> Sequence[Parameter]:
         """Validate and store the events; return the Parameters in them."""

@@ -23,6 +23,7 @@ def scene_card(scene: Any) -> str:
         *((force.label, repr(force)) for force in forces),
         *((f"{force.label}, of the file", repr(force)) for force in scene.own_forces),
         *((f"prescribed {name}", repr(plan)) for name, plan in scene.prescribed.items()),
+        *([("hold", scene.hold)] if scene.hold else []),
     ]
     method = scene.integrator or scene.method
     return card(

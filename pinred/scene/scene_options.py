@@ -35,6 +35,8 @@ Engine: TypeAlias = Literal["compiled", "pinocchio"]
 Level: TypeAlias = float | Parameter
 JointPlan: TypeAlias = Signal | Level | str | Attitude | Sequence[Signal | Level | str]
 WantedOutputs: TypeAlias = Literal["all", "shape"]
+Held: TypeAlias = Literal["others", "free"]
+HELD: tuple[Held, ...] = get_args(Held)
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 OUTPUTS: tuple[WantedOutputs, ...] = get_args(WantedOutputs)
 BY_JOINT = "V1,V2,… or J1=V1,…"  # command-line format of values in joint order or by joint
@@ -90,6 +92,7 @@ class SceneOptions(TypedDict, total=False):
     springs: Mapping[str, tuple[Level, Level]]
     forces: Sequence[Force] | Force
     prescribed: Mapping[str, JointPlan]
+    hold: Held | None
     passive: bool
     friction: float | None
     parameters: Any
@@ -187,6 +190,11 @@ class SceneFields:
         "0.4*sin(t); a ball has three of these as a rotation vector, or a quaternion",
         formats="{joint: Signal, number, or formula in t; Attitude or three of these for a ball}",
         command="--prescribed J=PLAN",
+    ))  # fmt: skip
+    hold: Held | None = field(default=None, metadata=_option(
+        Text(HELD), "others: keep joints without prescribed motion at their initial positions; "
+        "free: let them move, without the warning that names them",
+        default="the others move freely, and a warning names them", command="--hold W",
     ))  # fmt: skip
     passive: bool = field(default=False, metadata=_option(
         Flag(), "let the springs and dampers of the robot's file act", default="false",

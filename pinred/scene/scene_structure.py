@@ -43,6 +43,8 @@ def structure_key(scene: SceneFields) -> Hashable:
     options = vars(scene)
     if not is_empty_table(options["parameters"]):
         return None  # Robot parameters replace the system.
+    if options["hold"] == "others":
+        return None  # The initial state is that of the joints that are held.
     try:
         key = (
             tuple([_key_of_state(options[name]) for name in _STATE]),

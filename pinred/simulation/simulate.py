@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from ..common.argument_kinds import checks_arguments
-from ..common.errors import AccuracyWarning, InputError
-from ..common.names import brief, one_of
+from ..common.errors import AccuracyWarning, InputError, SceneWarning
+from ..common.memo import once
+from ..common.names import brief, listed, one_of
 from ..common.progress import LongRunNotice, Progress, shown
 from ..common.signatures import shows_fields
 from ..integrators.methods import EqualSteps
@@ -21,7 +22,9 @@ from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
+from ..system.variants import nominal
 from .compiled.code_ahead import expect_integration
+from .limit_excess import excess_notice
 from .plan import Plan, plan_of
 from .robot_columns import without_own
 
@@ -93,7 +96,23 @@ def simulate(
         trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)
     for notice in trajectory.run.notices:
         warnings.warn(notice, AccuracyWarning, stacklevel=3)
+    beyond = excess_notice(trajectory.plan, trajectory.motion, trajectory.outputs)
+    for notice in filter(None, (free_joints_notice(scene), beyond)):
+        warnings.warn(notice, SceneWarning, stacklevel=3)
     return trajectory
+
+
+def free_joints_notice(scene: Scene) -> str:
+    """Return a sentence that names the joints that move freely beside prescribed ones, or ""."""
+    if scene.hold is not None or not (names := scene.free_joints):
+        return ""
+    first = object()
+    if once(nominal(scene.system), (free_joints_notice, names), lambda: first) is not first:
+        return ""
+    return (
+        f"prescribed: nothing drives {listed(names, 8)} of '{scene.system.name}', which move "
+        "freely; hold='others' keeps them at their initial positions, hold='free' omits this line"
+    )
 
 
 _MANY_STEPS = 10**6  # number of steps of which a run may take long

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, Unpack
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import entries_of, whole
-from ..common.errors import InputError, IntegrationError
+from ..common.errors import InputError, IntegrationError, SceneWarning
 from ..common.names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
@@ -20,7 +21,7 @@ from .members.member_groups import Members, of_scenes
 from .members.member_options import MemberOptions
 from .members.rejected_members import INVALID, Invalid, separate_rejected, warn_of_rejected
 from .members.trajectories import Batch, Failure, Trajectories
-from .simulate import trajectory_of
+from .simulate import free_joints_notice, trajectory_of
 from .trajectory import Trajectory
 
 
@@ -97,6 +98,8 @@ def simulate_many(
         if not scenes:
             raise InputError("simulate_many needs at least one member")
         resolved = of_scenes(scenes)
+    if notice := free_joints_notice(resolved.groups[0].plan.scene):
+        warnings.warn(notice, SceneWarning, stacklevel=3)
     if device is not None:
         _check_device(device, threads, resolved)
     if explain:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .balances import EnergyBalance, MomentumBalance
     from .control import ControlAction
     from .events import Crossings
+    from .limit_excess import LimitTable
     from .motion import Motion
 
 
@@ -164,6 +165,16 @@ class Trajectory(OverTime):
         from .balances import driving_torques
 
         return driving_torques(self.plan, self.t, *self.motion.samples(self.t))
+
+    @cached_property
+    def limits(self) -> LimitTable:
+        """Limits of joints in the robot's file, with the extremes of positions, rates and efforts.
+
+        No simulation enforces them.
+        """
+        from .limit_excess import limit_table
+
+        return limit_table(self.plan, self.motion)
 
     @cached_property
     def loop_forces(self) -> Mapping[str, Array]:

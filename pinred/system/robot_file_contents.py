@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import pinocchio as pin
 
@@ -16,6 +16,8 @@ from .hinge_triples import HingeTriple
 from .locked_joints import LockedJoints, LockValue
 from .loops.loop import Constraint
 from .visuals import Visuals
+
+LimitKind: TypeAlias = Literal["position", "rate", "effort"]
 
 
 @dataclass(frozen=True)
@@ -92,8 +94,8 @@ class LeftOut:
     Attributes:
         what: Kind of action, such as "actuators".
         names: Names of the actions.
-        demanded: Whether most files contain such entries, so that they cause no warning: limits,
-            which URDF demands, and plugins.
+        demanded: Whether loading emits no warning: limits, which a simulation reports that exceeds
+            them, and plugins, which most files contain.
     """
 
     what: str
@@ -102,6 +104,23 @@ class LeftOut:
 
     def __str__(self) -> str:
         return f"{self.what}: {shortened(self.names)}"
+
+
+@dataclass(frozen=True)
+class StatedLimit:
+    """A limit of one joint in the robot's file.
+
+    Attributes:
+        joint: Name of the joint.
+        kind: "position", "rate" or "effort".
+        lower: Lowest value [rad | m | rad/s | m/s | N·m | N].
+        upper: Highest value.
+    """
+
+    joint: str
+    kind: LimitKind
+    lower: float
+    upper: float
 
 
 @dataclass(frozen=True)
@@ -124,6 +143,7 @@ class Contents:
             independent joints.
         links: Inertia of each link with mass, in its own frame; links fixed to each other are
             merged in the model.
+        limits: Limits of joints; None if the model alone states them.
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -138,6 +158,7 @@ class Contents:
     loops: tuple[Constraint, ...] = ()
     coupled_loops: tuple[Constraint, ...] = ()
     links: Mapping[str, pin.Inertia] = field(default_factory=lambda: MappingProxyType({}))
+    limits: tuple[StatedLimit, ...] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of mappings cannot be pickled.

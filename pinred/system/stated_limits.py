@@ -1,4 +1,4 @@
-"""Limits of joints in a URDF or SDF file or a pin.Model, which no simulation enforces."""
+"""Limits of joints in a robot's file or a pin.Model, which no simulation enforces."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from .robot_file_contents import LeftOut
+from ..common.memo import once
+from .robot_file_contents import LeftOut, LimitKind, StatedLimit
+from .system import System
 from .urdf_elements import UNLIMITED
+from .variants import nominal
 
 POSITION, VELOCITY, EFFORT = ("joint limits", "velocity limits", "effort limits")
 
@@ -54,3 +57,32 @@ def _nonzero(limits: Array) -> Array:
 def _has_bound(*limits: Array) -> bool:
     """Return whether any of the limits is a number instead of an infinity."""
     return any(bool((np.abs(values) < UNLIMITED).any()) for values in limits)
+
+
+def limits_in(model: pin.Model) -> tuple[StatedLimit, ...]:
+    """Return the limits of the joints with one coordinate; see `stated_limits`."""
+    limits = []
+    for i in range(1, model.njoints):
+        joint, name = model.joints[i], str(model.names[i])
+        if joint.nq != 1 or joint.nv != 1:
+            continue
+        q, v = joint.idx_q, joint.idx_v
+        low, high = float(model.lowerPositionLimit[q]), float(model.upperPositionLimit[q])
+        if low <= high and (abs(low) < UNLIMITED or abs(high) < UNLIMITED):
+            limits.append(StatedLimit(name, "position", low, high))
+        most: dict[LimitKind, float] = {
+            "rate": float(model.upperVelocityLimit[v]), "effort": float(model.upperEffortLimit[v])
+        }  # fmt: skip
+        limits += [StatedLimit(name, k, -m, m) for k, m in most.items() if 0.0 < m < UNLIMITED]
+    return tuple(limits)
+
+
+def limits_of(system: System) -> tuple[StatedLimit, ...]:
+    """Return the limits of a robot's joints in its file, followers included."""
+
+    def make() -> tuple[StatedLimit, ...]:
+        stated, names = system.contents.limits, {*system.sorted_model.names}
+        limits = limits_in(system.sorted_model) if stated is None else stated
+        return tuple(limit for limit in limits if limit.joint in names - {system.root_name})
+
+    return once(nominal(system), StatedLimit, make)

@@ -109,6 +109,9 @@ class _Builder:
             "pose0": self._pose,
             "momentum": self._momentum,
         }
+        if options.get("prescribed", {}).get("others") == "hold":  # a short form of hold
+            options["prescribed"] = dict(options["prescribed"])
+            options["hold"] = {"hold": "others"}[options["prescribed"].pop("others")]
         for name in convert:
             if name in options:
                 options[name] = convert[name](options[name], self._option_place(name))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -12,7 +13,7 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats
-from ...common.errors import InputError, ShapeError
+from ...common.errors import InputError, SceneWarning, ShapeError
 from ...common.memo import once
 from ...common.names import brief, listed, nearest, quoted
 from ...common.signatures import shows_fields
@@ -22,7 +23,7 @@ from ...system.state_fields import FIELDS, Outcome, ShapeState, State
 from ...system.system import System
 from ..compiled.code_ahead import expect_integration
 from ..plan import plan_of
-from ..simulate import as_scene
+from ..simulate import as_scene, free_joints_notice
 from .inputs import Inputs, motion_of, with_varied
 
 if TYPE_CHECKING:
@@ -70,7 +71,9 @@ class Flow:
             over_times: Whether the flow gives states at the report times, or the state at the end.
         """
         self.scene = scene
-        plan = plan_of(scene)
+        # The scene keeps its own report times, for pinred.simulate(flow.scene).
+        reported = scene if over_times else replace(scene, times=np.array([scene.end]))
+        plan = plan_of(reported)
         self.over_times = over_times
         expect_integration(plan.method)  # before the kernels are imported
         from ...kernels.flow_functions import sizes_of
@@ -105,7 +108,7 @@ class Flow:
     @property
     def t(self) -> Array:
         """Times of the outputs, (T,) [s]."""
-        return self.scene.report_times
+        return self.propagator.plan.scene.report_times
 
     def __call__(self, **inputs: Any) -> State | ShapeState:
         """Compute the state at the end, or the states at the report times.
@@ -368,10 +371,9 @@ def flow(
     """
     resolved = as_scene(scene, options, "flow")
     resolved = with_varied(resolved, wrt)
-    over_times = resolved.times is not None
-    if not over_times:
-        resolved = replace(resolved, times=np.array([resolved.end]))
-    return Flow(resolved, wrt, of, over_times=over_times)
+    if notice := free_joints_notice(resolved):
+        warnings.warn(notice, SceneWarning, stacklevel=3)
+    return Flow(resolved, wrt, of, over_times=resolved.times is not None)
 
 
 def _stays_zero(scene: Scene, wrt: Sequence[str]) -> bool:

@@ -210,6 +210,11 @@ class MemberOptions:
         """
         # Use common parameters only, so that results do not depend on member order.
         template = self.scene(0, common_parameters=True)
+        if template.hold == "others" and (self.seeds is not None or {"x0", "q0"} & {*self.states}):
+            raise InputError(
+                "hold: members with different initial shapes cannot hold joints; give the scenes "
+                "as a list, or name the joints in prescribed"
+            )
         check_varying(self.parameters, template, self.robot, STATES, _OPTIONS)
         varying = [name for name in self.robot if name in self.parameters]
         if varying:

@@ -74,7 +74,8 @@ def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> I
     }
     for what, names in kinds.items():
         if names:
-            yield LeftOut(what, tuple(names))
+            # Limits are reported after a simulation that exceeds them.
+            yield LeftOut(what, tuple(names), demanded=what == "joint limits")
 
 
 def moving_tendons(tree: Tree) -> list[int]:

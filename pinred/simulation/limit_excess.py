@@ -1,0 +1,279 @@
+"""Limits of joints in the robot's file, and where a motion exceeds them.
+
+No simulation enforces these limits.  Balls have none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..common.arrays import Array
+from ..common.memo import once
+from ..common.names import listed
+from ..scene.option_checks import list_forces
+from ..system.robot_file_contents import StatedLimit
+from ..system.stated_limits import limits_of
+from ..system.variants import nominal
+
+if TYPE_CHECKING:
+    from ..system.state_fields import ShapeState, State
+    from ..system.system import System
+    from .motion import Motion
+    from .plan import Plan
+
+_INSIDE = 3  # number of points within each step at which positions and rates are compared
+_MOST_TIMES = 20_000  # largest number of times at which positions and rates are compared
+_MOST_EFFORTS = 500  # largest number of times at which efforts are computed
+_QUICK_EFFORTS = 6  # the same number in the check after each simulation
+_ROUND_OFF = 1e-9  # excess, relative to the limit, that counts as round-off
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """How a motion uses a limit of the robot's file.
+
+    Attributes:
+        limit: The limit.
+        unit: Unit of the values.
+        least: Least value in the motion.
+        greatest: Greatest value in the motion.
+        excess: Largest excess beyond the limit; 0 if the motion keeps it.
+        t: Time of the largest excess, or of the value nearest to the limit [s].
+    """
+
+    limit: StatedLimit
+    unit: str
+    least: float
+    greatest: float
+    excess: float
+    t: float
+
+
+@dataclass(frozen=True)
+class LimitTable:
+    """The limits of the robot's file, with the extremes of a motion.
+
+    Values are compared at the report times, at the ends of steps and at three points within each
+    step; efforts at 500 of these times at most.
+
+    Attributes:
+        rows: One entry for each limit.
+    """
+
+    rows: tuple[LimitUse, ...]
+
+    @property
+    def exceeded(self) -> tuple[LimitUse, ...]:
+        """The limits that the motion exceeds, the largest relative excess first."""
+        beyond = [row for row in self.rows if row.excess > 0.0]
+        return tuple(sorted(beyond, key=lambda row: -_relative(row)))
+
+    def __iter__(self) -> Iterator[LimitUse]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __repr__(self) -> str:
+        head = ("joint", "kind", "lower", "upper", "least", "greatest", "excess", "at t [s]")
+        lines = [head, *map(_cells, self.rows)]
+        widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+        return "\n".join(
+            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+            for line in lines
+        )
+
+    def _repr_html_(self) -> str:
+        from ..common.html import card, table
+
+        heads = ["joint", "kind", "lower", "upper", "least", "greatest", "excess", "at t [s]"]
+        rows = [_cells(row) for row in self.rows]
+        return card("limits of the file", f"{len(self.exceeded)} exceeded", table("", heads, rows))
+
+
+def limit_table(plan: Plan, motion: Motion) -> LimitTable:
+    """Compare a motion with the limits of its robot's file.
+
+    Args:
+        plan: The plan of the scene.
+        motion: The motion.
+    Returns:
+        The limits, with the extremes of the motion.
+    """
+    ends = np.concatenate([[0.0], motion.knots])
+    ends = ends[ends <= plan.scene.end]
+    parts = np.linspace(0.0, 1.0, _INSIDE + 2)[:-1]
+    inside = (ends[:-1, None] + np.diff(ends)[:, None] * parts).ravel()
+    t = _some(np.unique(np.concatenate([inside, ends, plan.scene.report_times])), _MOST_TIMES)
+    times = _some(t, _MOST_EFFORTS)
+    efforts = _efforts(plan, motion, times) if _states_efforts(plan.system) else {}
+    return LimitTable(tuple(_uses(plan.system, motion.states(t), times, efforts)))
+
+
+def excess_notice(plan: Plan, motion: Motion, states: ShapeState | State) -> str:
+    """Return a sentence on limits of the file that a motion exceeds, or "".
+
+    A robot's sentence on the same limits is returned once.  Efforts are computed for the first
+    motion of a set of forces only, because they cost more than the motion.
+
+    Args:
+        plan: The plan of the scene.
+        motion: The motion.
+        states: Its states at the report times, which are searched first.
+    Returns:
+        The sentence.
+    """
+    system = plan.system
+    if not limits_of(system):
+        return ""
+    few, efforts = states.t[:0], dict[str, Array]()
+    if plan.forces is not None and _states_efforts(system):
+        first = object()
+        if once(plan.forces, LimitTable, lambda: first) is first:
+            few = _some(states.t, _QUICK_EFFORTS)
+            efforts = _efforts(plan, motion, few)
+    if not _any_beyond(system, states, efforts):
+        return ""
+    beyond = [use for use in _uses(system, states, few, efforts) if use.excess]
+    names = frozenset((use.limit.joint, use.limit.kind) for use in beyond)
+    first = object()
+    if not names or once(nominal(system), (LimitUse, names), lambda: first) is not first:
+        return ""
+    uses = limit_table(plan, motion).exceeded
+    words = [
+        f"{use.limit.kind} of {use.limit.joint} by {use.excess:.3g} {use.unit} at t = {use.t:.3g} s"
+        for use in uses
+    ]
+    return (
+        f"'{system.name}' goes beyond the limits of its file, which a simulation does not "
+        f"enforce: {listed(words, 3)} (see traj.limits)"
+    )
+
+
+def _states_efforts(system: System) -> bool:
+    return any(limit.kind == "effort" for limit in limits_of(system))
+
+
+def _any_beyond(system: System, states: ShapeState | State, efforts: Mapping[str, Array]) -> bool:
+    """Return whether a limit is exceeded, or whether followers have limits."""
+
+    def bounds() -> tuple[Array, Array, Array, Array, bool]:
+        x, xdot = (np.tile([[-np.inf], [np.inf]], size) for size in (system.nx, system.m))
+        joints, others = {joint.name: joint for joint in system.space.joints}, False
+        for limit in limits_of(system):
+            joint = joints.get(limit.joint)
+            others |= joint is None
+            if joint is not None and limit.kind == "position":
+                x[:, joint.x] = [[limit.lower], [limit.upper]]
+            elif joint is not None and limit.kind == "rate":
+                xdot[:, joint.v] = [[limit.lower], [limit.upper]]
+        return *x, *xdot, others
+
+    low, high, slow, fast, has_others = once(system, LimitUse, bounds)
+    x, xdot = states.x, states.xdot
+    return bool(
+        has_others
+        or ((x < low) | (x > high)).any()
+        or ((xdot < slow) | (xdot > fast)).any()
+        or any(
+            np.abs(efforts[limit.joint]).max() > limit.upper
+            for limit in limits_of(system)
+            if limit.kind == "effort" and limit.joint in efforts
+        )
+    )
+
+
+def _uses(
+    system: System, states: ShapeState | State, t_effort: Array, efforts: Mapping[str, Array]
+) -> Iterator[LimitUse]:
+    """Yield the use of each limit by states (T,), and by efforts at times t_effort."""
+    t, limits = states.t, limits_of(system)
+    if not limits:
+        return
+    position, rate = dict[str, Array](), dict[str, Array]()
+    model = system.sorted_model
+    q = system.sorted_q(system.group.identity(), states.x)
+    v = system.sorted_v(np.zeros((len(t), system.r)), states.xdot)
+    for name in {limit.joint for limit in limits}:
+        joint = model.joints[model.getJointId(name)]
+        position[name], rate[name] = q[:, joint.idx_q], v[:, joint.idx_v]
+    units = dict(zip(system.shape_names, system.units, strict=True))
+    for limit in limits:
+        angle = units.get(limit.joint, "rad") == "rad"
+        values, times = {
+            "position": (position.get(limit.joint), t),
+            "rate": (rate.get(limit.joint), t),
+            "effort": (efforts.get(limit.joint), t_effort),
+        }[limit.kind]
+        if values is None:
+            continue
+        beyond = np.maximum(values - limit.upper, limit.lower - values)
+        k = int(np.argmax(beyond))
+        bound = limit.upper if values[k] >= limit.upper else limit.lower
+        excess = float(beyond[k]) if beyond[k] > _ROUND_OFF * max(abs(bound), 1e-3) else 0.0
+        unit = {
+            "position": "rad" if angle else "m",
+            "rate": "rad/s" if angle else "m/s",
+            "effort": "N·m" if angle else "N",
+        }[limit.kind]
+        extremes = float(values.min()), float(values.max())
+        yield LimitUse(limit, unit, *extremes, excess, float(times[k]))
+
+
+def _efforts(plan: Plan, motion: Motion, t: Array) -> dict[str, Array]:
+    """Return what drives the joints at times (T,), {joint: (T,)} [N·m | N].
+
+    Prescribed joints need their driving torques.  Other joints are driven by the forces of the
+    scene without springs, dampers and friction, which no motor exerts.
+    """
+    forces = plan.forces
+    if forces is None:
+        return {}
+    from ..forces.force_model_cache import cached_force_model
+    from ..forces.kinds import Damper, Friction, Spring
+    from .balances import driving_torques
+
+    scene, space, efforts = plan.scene, plan.system.space, dict[str, Array]()
+    samples, numbers = motion.samples(t)
+    own_forces = list_forces(scene.forces)
+    passive = [force for force in own_forces if isinstance(force, (Spring, Damper, Friction))]
+    if len(passive) < len(own_forces):
+        torque = forces.acting(samples.force_inputs(t, numbers)).torque
+        if passive or scene.springs or scene.own_forces:
+            model = cached_force_model(
+                scene.system, scene.springs, [*passive, *scene.own_forces], {}, scene.varied
+            ).with_values(scene.parameters)
+            own = np.tile(model.numbers_from(0.0, scene.end), (len(t), 1))
+            torque = torque - model.acting(samples.force_inputs(t, own)).torque
+        for joint in space.joints:
+            column = torque[:, joint.v]
+            if joint.kind.m == 1 and column.any():
+                efforts[joint.name] = column[:, 0]
+    driven = driving_torques(plan, t, samples, numbers)
+    for k, column in zip(plan.acting.driven, driven.T, strict=True):
+        efforts[plan.system.shape_names[k]] = column
+    return efforts
+
+
+def _some(t: Array, most: int) -> Array:
+    """Return at most `most` of the times, with the first and the last."""
+    if len(t) <= most:
+        return t
+    return np.asarray(t[np.unique(np.linspace(0, len(t) - 1, most).round().astype(int))])
+
+
+def _relative(use: LimitUse) -> float:
+    limit = use.limit
+    bound = limit.upper if use.greatest - limit.upper >= limit.lower - use.least else limit.lower
+    return use.excess / max(abs(bound), 1e-300)
+
+
+def _cells(use: LimitUse) -> Sequence[str]:
+    limit = use.limit
+    values = (limit.lower, limit.upper, use.least, use.greatest, use.excess)
+    numbers = [f"{value:.4g}" for value in values]
+    return limit.joint, f"{limit.kind} [{use.unit}]", *numbers, f"{use.t:.4g}"
