@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import site_pages
+from api_index import public_names
 from site_pages_in_browser import broken_links, faults_in_browser
 
 import pinred
@@ -24,6 +25,8 @@ from pinred.views.playback.headless_browser import Browser
 
 pytest.importorskip("myst_parser")
 pytest.importorskip("furo")
+import api_pages
+
 ROOT, DOCS = site_pages.ROOT, site_pages.DOCS
 
 
@@ -263,3 +266,22 @@ def test_docstring_becomes_table() -> None:
     assert doc.entries("Args") == {"x": "Shape (m,).", "y": "Shape (m,).", "z": "A*B."}
     assert doc.entries("Raises") == {"E": "No."}
     assert escape("a*b `c*d` |x|", in_table=True) == "a\\*b `c*d` \\|x\\|"
+
+
+def test_home_page_shows_the_output_of_its_code(capsys: pytest.CaptureFixture[str]) -> None:
+    """The text below the code is what it prints."""
+    text = (DOCS / "index.md").read_text("utf-8")
+    (code,) = site_pages.python_blocks(text)
+    exec(compile(code, "index.md", "exec"), {})
+    (shown,) = re.findall(r"^```text\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert capsys.readouterr().out == shown
+
+
+def test_every_function_has_a_page_with_an_example() -> None:
+    """Each public name of `pinred` belongs to one task."""
+    made = api_pages.pages()
+    names = [full.partition(".")[2] for full in public_names() if full.count(".") == 1]
+    functions = [name for name in names if not isinstance(getattr(pinred, name), type)]
+    assert [n for n in functions if "## Example" not in made[f"api/functions/{n}"]] == []
+    texts = "\n".join(made[f"api/{task.page}"] for task in api_pages.TASKS)
+    assert [name for name in names if f"`~pinred.{name}`" not in texts] == []

@@ -5,38 +5,121 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 sys.path.append(str(Path(__file__).parents[2] / "tests/helpers"))
 
+import site_pages
 from api_index import NAMESPACES, public_names
 from docstring_markdown import code, escape, parse, table
 
+ROOT = Path(__file__).parents[2]
 _SHORT = (("numpy.typing.", ""), ("collections.abc.", ""), ("typing.", ""))
 
 
 def pages() -> dict[str, str]:
-    """Return one page per namespace, that of `pinred` in three parts."""
+    """Return a page for each task and each function of `pinred`, and one per other namespace."""
     names: dict[str, dict[str, Any]] = {namespace: {} for namespace in NAMESPACES}
     for full, value in public_names().items():
         namespace, _, name = full.rpartition(".")
         names[namespace][name] = value
-    made = {}
+    made: dict[str, str] = {}
+    for task in TASKS:
+        members = {n: v for n, v in names["pinred"].items() if task_of(v) == task.page}
+        made |= task_pages(task, members)
     for namespace, members in names.items():
-        if namespace == "pinred":
-            functions = {n: v for n, v in members.items() if not inspect.isclass(v)}
-            made["api/pinred_functions"] = page(namespace, functions, "pinred: functions")
-            classes = {n: v for n, v in members.items() if n not in functions}
-            half = [n for n in classes if n.upper() < "G"]
-            first = {n: classes[n] for n in half}
-            second = {n: v for n, v in classes.items() if n not in first}
-            made["api/pinred_classes_a"] = page(namespace, first, "pinred: classes A to F")
-            made["api/pinred_classes_g"] = page(namespace, second, "pinred: classes G to Z")
-        else:
+        if namespace != "pinred":
             made[f"api/{namespace.replace('.', '_')}"] = page(namespace, members, namespace)
     return made
+
+
+@dataclass(frozen=True)
+class Task:
+    """A group of names that one task needs.
+
+    Attributes:
+        page: Name of its page.
+        title: Title of its page.
+        modules: Beginnings of the modules, below `pinred`, that define its names.
+    """
+
+    page: str
+    title: str
+    modules: tuple[str, ...]
+
+
+TASKS = (
+    Task("load", "Load and look at robots", ("system.", "analysis.inspection")),
+    Task("simulate", "Simulate", (
+        "scene.", "simulation.simulate", "simulation.trajectory", "simulation.balances",
+        "simulation.events", "simulation.flow_map", "integrators.", "common.parameter", "kernels.",
+    )),
+    Task("compare", "Compare with the full simulation", ("judge.",)),
+    Task("connections", "Connections, phases and gaits", (
+        "analysis.connections", "analysis.frames", "analysis.full_reduction", "analysis.gaits",
+        "analysis.loop_reduction", "analysis.phases", "planning.", "reduction.",
+    )),
+    Task("stability", "Steady motions and stability", (
+        "analysis.branches", "analysis.equilibria", "analysis.stability",
+    )),
+    Task("space_arms", "Space arms", ("analysis.floating_arm", "analysis.arm_workspace")),
+    Task("batches", "Batches and sweeps", (
+        "simulation.simulate_many", "simulation.members", "sweeps.",
+    )),
+    Task("figures_and_files", "Figures, playback and files", ("views.", "simulation.recording")),
+    Task("errors", "Errors and warnings", ("common.errors",)),
+)  # fmt: skip
+
+
+def task_of(value: Any) -> str:
+    """Return the page of the task to which a public name belongs.
+
+    Raises:
+        LookupError: No task or several tasks name its module.
+    """
+    module = value.__module__.removeprefix("pinred.") + "."
+    found = [(len(m), t.page) for t in TASKS for m in t.modules if module.startswith(m)]
+    if not found:
+        raise LookupError(f"no task has the module {module} of {value.__name__}")
+    return max(found)[1]
+
+
+def task_pages(task: Task, members: dict[str, Any]) -> dict[str, str]:
+    """Return the page of a task, and those of its functions."""
+    functions = {n: v for n, v in members.items() if not inspect.isclass(v)}
+    classes = {n: v for n, v in members.items() if n not in functions}
+    meanings = {n: parse(v.__doc__).prose.partition("\n\n")[0] for n, v in members.items()}
+    rows = [
+        (f"{{py:obj}}`~pinred.{name}`", escape(meaning, in_table=True))
+        for name, meaning in meanings.items()
+    ]
+    parts = [f"# {task.title}\n", table(("name", "meaning"), rows)]
+    if functions:
+        listed = "\n".join(f"functions/{name}" for name in functions)
+        parts.append(f"```{{toctree}}\n:hidden:\n\n{listed}\n```\n")
+    parts += [entry(f"pinred.{name}", value) for name, value in classes.items()]
+    made = {f"api/{task.page}": "\n".join(parts)}
+    for name, value in functions.items():
+        text = f"# {name}\n\n{entry(f'pinred.{name}', value)}\n{example_of(name)}"
+        made[f"api/functions/{name}"] = text
+    return made
+
+
+def example_of(name: str) -> str:
+    """Return the shortest code block of the pages that calls a function, or nothing."""
+    found = [
+        (block.count("\n"), path.relative_to(ROOT).as_posix(), block)
+        for path in [ROOT / "README.md", *site_pages.sources()]
+        for block in site_pages.python_blocks(path.read_text("utf-8"))
+        if re.search(rf"\bpinred\.{name}\(", block)
+    ]
+    if not found:
+        return ""
+    _, where, block = min(found)
+    link = "index" if where == "README.md" else where.removeprefix("docs/").removesuffix(".md")
+    return f"## Example\n\nFrom [](../../../{link}.md):\n\n```python\n{block}```\n"
 
 
 def page(namespace: str, members: dict[str, Any], title: str) -> str:

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import diagrams
+from api_pages import TASKS
 from sphinx.application import Sphinx
 
 _FENCE = re.compile(r"^(`{3,}|~{3,}).*?^\1[ ]*$", re.DOTALL | re.MULTILINE)
@@ -24,7 +25,7 @@ PAGES = {
 # Pages with a table of contents that GitHub does not show: {page: entries}.
 CONTENTS = {
     "tutorials": "generated/examples/tutorials/*",
-    "api": "generated/api/*",
+    "api": "\n".join([*(f"generated/api/{task.page}" for task in TASKS), "generated/api/pinred_*"]),
     "flow": "adapters/*",
 }
 
