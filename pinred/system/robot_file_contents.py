@@ -9,6 +9,7 @@ from typing import Any
 
 from ..common.arrays import Array, FrozenArrays
 from ..common.names import plain
+from .actuator import Actuator
 from .force_interface import Force
 from .hinge_triples import HingeTriple
 from .locked_joints import LockedJoints, LockValue
@@ -46,6 +47,7 @@ class Keyframe(FrozenArrays):
         xi: Body twist of the base [linear; angular], (r,).
         xdot: Shape rate, (m,) [rad/s | m/s].
         time: Time [s].
+        controls: Controls of actuators by name (see Scene.controls).
     """
 
     pose: Array
@@ -53,6 +55,7 @@ class Keyframe(FrozenArrays):
     xi: Array
     xdot: Array
     time: float = 0.0
+    controls: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,7 @@ class Contents:
         left_out: Actions that are not simulated, by kind.
         passive: Springs, dampers and dry friction at shape joints.  They act only in
             scenes with passive=True.
+        actuators: Actuators whose forces are linear.  They act only in scenes with controls.
         keyframes: Named states.
         couplings: Couplings of follower joints to their leaders.
         freed: Name of a body that the file fixes to the world but that floats in pinred, or "".
@@ -124,6 +128,7 @@ class Contents:
 
     left_out: tuple[LeftOut, ...] = ()
     passive: tuple[Force, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
     keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""
