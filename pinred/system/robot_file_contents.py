@@ -94,7 +94,7 @@ class LeftOut:
         what: Kind of action, such as "actuators".
         names: Names of the actions.
         demanded: Whether most files contain such entries, so that they cause no warning: limits,
-            which URDF demands, and plugins.
+            which URDF demands, and plugins that wait for commands.
     """
 
     what: str
