@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -83,6 +83,7 @@ class _Robot:
         springs: Springs at joints.
         loops: Loops that the file closes; their frames are in the model.
         left_out: Words and actions of the file that are left out.
+        lines: Lines of the joints that close loops, by name.
     """
 
     raw: pin.Model
@@ -95,6 +96,7 @@ class _Robot:
     springs: tuple[Spring, ...] = ()
     loops: tuple[Loop, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
+    lines: Mapping[str, str] = field(default_factory=dict)
 
 
 def _of_urdf(
@@ -107,7 +109,7 @@ def _of_urdf(
     """Return the robot in a URDF file; the other arguments are those of _Robot."""
     return _Robot(
         urdf.model, urdf.couplings, name, origin, group, initial, urdf.warning, urdf.springs,
-        urdf.loops, urdf.left_out,
+        urdf.loops, urdf.left_out, urdf.lines,
     )  # fmt: skip
 
 
@@ -362,6 +364,7 @@ def _read(
             springs=sdf.springs,
             loops=sdf.loops,
             left_out=sdf.left_out,
+            lines=sdf.lines,
         )
     if is_path(name):
         origin = replace(origin, source=str(Path(source).absolute()))
@@ -463,8 +466,9 @@ def _moving_loops(
             continue
         if 0 in joints:
             raise ModelError(
-                f"joint {quoted(loop.name)} of {quoted(robot.name)} closes a loop through the "
-                "world, which breaks the symmetry; remove it, or lock the joints of the loop"
+                f"joint {quoted(loop.name)}{robot.lines.get(loop.name, '')} of "
+                f"{quoted(robot.name)} closes a loop through the world, so the base cannot move "
+                "freely, which breaks the symmetry; remove it, or lock the joints of the loop"
             )
         yield loop
 

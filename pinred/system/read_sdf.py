@@ -57,6 +57,7 @@ class SdfRobot:
         links: Model and name in the file of each link.
         base: Name of the link that carries the others; "" if the world carries several.
         fixed: Names of the links that the file fixes to the world.
+        lines: Lines of the joints that close loops, such as " (line 7)", by name.
     """
 
     model: pin.Model
@@ -69,6 +70,7 @@ class SdfRobot:
     links: Mapping[str, Key]
     base: str
     fixed: tuple[str, ...]
+    lines: Mapping[str, str]
 
 
 def read_sdf(path: Path, folders: Sequence[str] = (), root: str | None = None) -> SdfRobot:
@@ -109,6 +111,7 @@ def read_sdf(path: Path, folders: Sequence[str] = (), root: str | None = None) -
         links={name: key for key, name in tree.link_names.items()},
         base="" if base is None else tree.link_names[assembly.link(base)],
         fixed=tuple(tree.fixed),
+        lines=tree.lines,
     )
 
 
@@ -346,6 +349,7 @@ class _Tree:
         self._plant, self._document = assembly.plant, assembly.document
         self._builder = ModelBuilder()
         self.fixed, self.loops = list[str](), list[Loop]()
+        self.lines: dict[str, str] = {}
         self.springs: tuple[Spring, ...] = ()
         self._losses = [np.empty((2, 0))]
         self._most = [np.empty((2, 0))]  # largest rates and efforts
@@ -572,6 +576,8 @@ class _Tree:
             ),
             self._add_frame(f"{name}.child", child, _fixed_pose(joint.frame_on_child()) * turn),
         ]
+        if words.where:
+            self.lines[name] = f" ({words.where})"
         self.loops.append(Loop(ends[0], ends[1], _CUT[kind], name))  # type: ignore[arg-type]
 
     def _tie(self, constraint: BallConstraint) -> None:

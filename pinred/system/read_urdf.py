@@ -69,6 +69,7 @@ class UrdfRobot:
         left_out: Words of the file that are left out.
         warning: Warning about the text of the file, or "".
         special: Joints that Pinocchio's parser does not read, by name.
+        lines: Lines of the joints that close loops, such as " (line 7)", by name.
     """
 
     model: pin.Model
@@ -78,6 +79,7 @@ class UrdfRobot:
     left_out: tuple[LeftOut, ...] = ()
     warning: str = ""
     special: Mapping[str, NewJoint] = field(default_factory=dict)
+    lines: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_urdf(path: Path) -> UrdfRobot:
@@ -117,7 +119,8 @@ def read_urdf(path: Path) -> UrdfRobot:
     file_frames(root, model)
     loops = add_loops(model, closing)
     left_out = (*left_out, *beyond, *more, *rotors)
-    return UrdfRobot(model, couplings, springs, loops, left_out, warning, special)
+    lines = {joint.name: joint.line for joint in closing}
+    return UrdfRobot(model, couplings, springs, loops, left_out, warning, special, lines)
 
 
 def _parsed(path: Path, root: ElementTree.Element) -> pin.Model:
