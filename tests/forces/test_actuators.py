@@ -228,6 +228,36 @@ def test_disabled_clamps_groups_and_actuation_act_as_in_mujoco() -> None:
     assert one.control_limits == (-0.1, 0.1)
 
 
+def test_limits_that_bound_gravity_compensation_are_left_out() -> None:
+    """MuJoCo adds the compensation of gravity before it clamps; pinred has no such force."""
+    bodies = BODIES.replace(
+        'name="hip"', 'name="hip" actuatorfrcrange="-1 1" actuatorgravcomp="true"'
+    )
+    system = load(mjcf('<motor name="a" joint="hip"/>', "", bodies))
+    assert system.actuators == ()
+    (left,) = (left for left in system.left_out if left.what == "actuators")
+    assert left.names == ("a (its limits also bound the gravity compensation)",)
+
+
+def test_actuator_of_a_follower_acts_on_its_leader() -> None:
+    """With hip = 2 slide + 0.3, a servo of the hip acts on the slide by 2 gear f."""
+    equality = (
+        '<equality><joint joint1="hip" joint2="slide" polycoef=".3 2 0 0 0"/></equality>'
+        '<size njmax="50"/>'
+    )
+    bodies = BODIES.replace('ref="20"', "")
+    servo = '<position name="a" joint="hip" kp="20" kv=".5" gear="3"/>'
+    system = load(mjcf(servo, "", bodies, equality))
+    assert system.followers == ("hip",)
+    scene = pinred.Scene(system=system, seed=0, controls={"a": 0.7})
+    model, zero = scene.force_model, np.zeros(1)
+    assert model is not None
+    x, xdot = np.array([0.2, 0.0, 0.0, 0.0, 1.0]), np.array([0.4, 0.0, 0.0, 0.0])
+    at = ForceInputs(0.0, x, xdot, zero, zero, model.numbers_from(0.0, 1.0), None)
+    force = 20 * (0.7 - 3 * (0.3 + 2 * 0.2)) - 0.5 * 3 * 2 * 0.4
+    assert model.acting(at).torque == pytest.approx([2 * 3 * force, 0.0, 0.0, 0.0], rel=1e-14)
+
+
 def test_damping_of_actuators_is_passive() -> None:
     """Actuators damp their joint by the square of the gear; MuJoCo's passive forces agree."""
     text = mjcf(
