@@ -65,6 +65,11 @@ def test_moments_are_those_of_the_file(moments: str, tmp_path: Path) -> None:
     ("moments", "mass", "words"),
     [
         ("-.1 .2 .3", "<mass>2</mass>", "line 2: link 'b' has principal moments of inertia -0.1"),
+        (
+            "-2e-9 .5 1",
+            "<mass>2</mass>",
+            "line 2: link 'b' has principal moments of inertia -2e-09",
+        ),
         (".1 .1 .1 .5", "<mass>2</mass>", "line 2: link 'b' has principal moments of inertia -0.4"),
         (".1 .2 .25", "<mass>0</mass>", "line 2: link 'b' has mass 0 and moments"),
         (".1 .2 .25", "<mass>-1</mass>", "line 2: link 'b' has mass -1 and moments"),
@@ -89,6 +94,20 @@ def test_inertia_that_drake_replaces_is_refused(
     with pytest.raises(
         ModelError, match="link 'b' has moments of inertia with the sum 12, but Drake"
     ):
+        read_sdf(path)
+
+
+def test_small_difference_of_moments_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sum that differs by 4e-9 of its terms is no round-off; one of 4e-10 is."""
+    path = tmp_path / "robot.sdf"
+    path.write_text(text_of("1 1.5 2"), "utf-8")
+    size = 4.5 + 2.0 * (0.09 + 0.04 + 0.01)
+    monkeypatch.setattr(sdf_document, "added_moment", lambda *_: (0.0, 4.5 + 4e-10 * size))
+    read_sdf(path)
+    monkeypatch.setattr(sdf_document, "added_moment", lambda *_: (0.0, 4.5 + 4e-9 * size))
+    with pytest.raises(ModelError, match="but Drake reads 4"):
         read_sdf(path)
 
 
