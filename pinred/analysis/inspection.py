@@ -16,7 +16,7 @@ from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.pointwise_reduction import PointwiseReduction, ReducedShape
 from ..reduction.potential import broken_by_gravity
 from ..reduction.symmetric_balls import SymmetricBall, symmetric_balls
-from ..scene.passive_forces import passive_left_out
+from ..scene.file_forces import actuators_left_out, passive_left_out
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
 from ..simulation.plan import plan_of
@@ -80,6 +80,7 @@ class Inspection:
             f"connection  {'flat' if self.flat else 'curved'}",
             *_wrapped("skipped", self.skipped),
             *(_wrapped("left out", left_out) if left_out else []),
+            *(_wrapped("actuators", actuators) if (actuators := _actuators(system)) else []),
             *(_wrapped("balls", balls) if (balls := _balls(system)) else []),
             *(_wrapped("keyframes", [", ".join(system.keyframes)]) if system.keyframes else []),
             f"integrated  {self.full_size}{size}",
@@ -106,6 +107,7 @@ class Inspection:
             *(("follower", str(coupling)) for coupling in system.couplings),
             *(("loops", text) for text in _loops(system)),
             *(("left out", text) for text in _left_out(system)),
+            *(("actuator", text) for text in _actuators(system)),
             *(("balls", text) for text in _balls(system)),
             *(("keyframe", name) for name in system.keyframes),
             ("integrated", f"{self.full_size}{size} numbers"),
@@ -225,8 +227,13 @@ def _labels(inspection: Inspection) -> tuple[str, ...]:
 
 def _left_out(system: System) -> list[str]:
     """Return one line for each item of the robot file that a run ignores."""
-    passive = passive_left_out(system, who="a run")
-    return [*map(str, system.left_out), *([passive] if passive else [])]
+    own = passive_left_out(system, who="a run"), actuators_left_out(system, who="a run")
+    return [*map(str, system.left_out), *filter(None, own)]
+
+
+def _actuators(system: System) -> list[str]:
+    """Return one line for each actuator that controls can drive."""
+    return [str(actuator) for actuator in system.actuators]
 
 
 def _balls(system: System) -> list[str]:

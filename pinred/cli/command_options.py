@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from ..common.names import quoted
-from .joint_plans import parse_plan
+from .joint_plans import number_or_formula, parse_plan
 from .option_values import (
     assigned_in,
     by_joint_in,
@@ -217,6 +217,9 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     ),
     "J=PLAN": lambda entries, name: assigned_in(
         entries, name, parse_plan, "JOINT=NUMBER, JOINT=FORMULA, or BALL=W1,W2,W3[@C1,C2,C3]"
+    ),
+    "A=CONTROL": lambda entries, _: assigned_in(
+        entries, "control", number_or_formula, "ACTUATOR=NUMBER or ACTUATOR=FORMULA", "actuator "
     ),
     "AXIS": lambda text, name: text if text in ("x", "y", "z") else numbers_in(text, name),
     _LIMITS: _limits_in,

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    text = "folders with URDF and MJCF files"
+    text = "folders with URDF, MJCF and SDF files"
     sub.add_argument("folders", nargs="*", metavar="FOLDER", help=text)
     add = option_adder(sub)
     add("--robots", "include the robots of `pinred robots`")

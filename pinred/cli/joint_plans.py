@@ -1,4 +1,4 @@
-"""Parser of prescribed joint motions on the command line."""
+"""Parsers of prescribed joint motions and of controls on the command line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def parse_plan(text: str) -> Any:
 
     text, has_centre, centre = text.partition("@")
     parts = _split_outside_brackets(text)
-    values = [_number_or_formula(part) for part in parts]
+    values = [number_or_formula(part) for part in parts]
     if has_centre:
         return Attitude(values, [float(number) for number in centre.split(",")])
     return values if len(values) > 1 else values[0]
@@ -38,7 +38,8 @@ def _split_outside_brackets(text: str) -> list[str]:
     return parts
 
 
-def _number_or_formula(text: str) -> float | str:
+def number_or_formula(text: str) -> float | str:
+    """Parse a number, or return the text of a formula.  Raises ValueError if it is empty."""
     try:
         return float(text)
     except ValueError:

@@ -13,7 +13,9 @@ from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
 from ..common.names import brief
+from ..system.actuator import Actuator
 from ..system.force_interface import SeenState
+from .actuation import actuator_terms
 from .force import Limit, Named, Symbols, Terms, checked, limited, takes_state
 
 
@@ -81,6 +83,9 @@ class Controller(Named):
         state0: Initial state of a controller with memory, any object that can be copied. The
             function is then update(t, state, measurement) → (action, state) with a SeenState as
             measurement. Every simulation starts with a copy of state0.
+        actuators: Actuators that the function drives by controls instead of torques, as set by
+            Scene.controls. `joints` then names some of them, and None stands for all; actuators
+            without a control get 0.
     """
 
     function: Callable[..., Any]
@@ -90,6 +95,7 @@ class Controller(Named):
     name: str = "controller"
     wrench: bool = field(default=False, kw_only=True)
     state0: Any = field(default=STATELESS, kw_only=True)
+    actuators: tuple[Actuator, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "period", positive(self.period, f"the period of {self.name}"))
@@ -127,14 +133,16 @@ class Controller(Named):
         return self.keeps_state or takes_state(self.function, self.name)
 
     def driven(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the joints on which the controller acts.
+        """Return the joints on which the controller acts, or the actuators that it drives.
 
         Args:
             names: All shape joints.
         Returns:
-            Names of the joints.
+            Names of the joints or actuators.
         """
-        return names if self.joints is None else self.joints
+        if self.joints is not None:
+            return self.joints
+        return tuple(a.name for a in self.actuators) if self.actuators else names
 
     def count(self, names: tuple[str, ...], r: int) -> int:
         """Return the number of floats in a command.
@@ -156,6 +164,10 @@ class Controller(Named):
         Returns:
             The terms of this force.
         """
+        if self.actuators:
+            by_name = {actuator.name: actuator for actuator in self.actuators}
+            controls = [(by_name[name], number(0.0)) for name in self.driven(s.names)]
+            return actuator_terms(controls, s)
         torque = {s.joint(name, self.name): number(0.0) for name in self.driven(s.names)}
         wrench = [number(0.0) for _ in range(s.mu.numel())] if self.wrench else None
         return Terms(torque=limited(self.limit, s, torque, number, self.name), wrench=wrench)
@@ -215,18 +227,19 @@ class Controller(Named):
         return Held(np.concatenate(blocks), width)
 
     def _torques(self, torques: Any, names: tuple[str, ...], t: float) -> Array:
-        driven = self.driven(names)
+        driven, what = self.driven(names), "control" if self.actuators else "torque"
         if torques is None and (self.wrench or not driven):
             return np.zeros(len(driven))
         if isinstance(torques, Mapping):
             unknown = [name for name in torques if name not in driven]
             if unknown:
                 raise InputError(
-                    f"{self.name} returned a torque for '{unknown[0]}' at t = {t:g} s; "
-                    f"its joints are {', '.join(driven) or 'none'}"
+                    f"{self.name} returned a {what} for '{unknown[0]}' at t = {t:g} s; "
+                    f"its {'actuators' if self.actuators else 'joints'} are "
+                    f"{', '.join(driven) or 'none'}"
                 )
             torques = [torques.get(name, 0.0) for name in driven]
-        return self._checked(torques, len(driven), f"{{}} finite torques ({', '.join(driven)})", t)
+        return self._checked(torques, len(driven), f"{{}} finite {what}s ({', '.join(driven)})", t)
 
     def _checked(self, result: Any, count: int, expected: str, t: float) -> Array:
         values = as_floats(result, f"the values that {self.name} returned at t = {t:g} s")

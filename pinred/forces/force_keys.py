@@ -15,6 +15,7 @@ import numpy as np
 
 from ..common.default_marker import Default
 from ..common.parameter import Parameter, VectorParameter
+from .actuation import Actuation
 from .controller import Controller
 from .force import Force, Limit
 from .kinds import Damper, Friction, Spring
@@ -67,8 +68,8 @@ def key_of(value: Any) -> Hashable:
 def key_of_force(force: Force) -> Hashable:
     """Return the key of a force.
 
-    Springs, dampers and friction are compared by value.  Other forces are compared by identity,
-    because their functions may use variables that change, and by their numbers.
+    Springs, dampers, friction and actuators are compared by value.  Other forces are compared by
+    identity, because their functions may use variables that change, and by their numbers.
 
     Args:
         force: The force.
@@ -80,6 +81,8 @@ def key_of_force(force: Force) -> Hashable:
     kind = type(force)
     if kind in (Spring, Damper, Friction):
         return kind, force
+    if isinstance(force, Actuation):
+        return kind, tuple((actuator, key_of(control)) for actuator, control in force.controls)
     if kind is Controller or not kind.__module__.startswith(_PACKAGE):
         raise NotKeyedError
     return _Same(force), key_of(vars(force))

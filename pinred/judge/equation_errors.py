@@ -40,7 +40,7 @@ from .system_totals import gravity_load_sizes
 WORLD, BODIES = pin.Convention.WORLD, pin.Convention.LOCAL  # axes for the evaluation of ABA
 _CANCELLED = 1e-5  # fraction of the inertial forces on moved bodies in the unit of force errors
 _AT_REST = 1e-2  # smallest unit of force errors, relative to the largest forces during the motion
-_WINDOW = 5  # number of neighbouring times over which round-off of a prescribed plan is measured
+_WINDOW = 5  # number of neighbouring times over which round-off of the differences is measured
 _LEAST = 1e-290  # smallest unit of force errors; floating-point numbers below it lose digits
 
 # Weights of v(t + k h) − v(t − k h), k = 1, …, 4, in the central difference times h.
@@ -67,7 +67,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     route, parameters = accelerations(traj, times, size), traj.motion.numbers(times)
     states, r = route.states, full.system.r
     driven = [r + k for k in traj.plan.acting.driven]
-    # Two differences of a plan may agree by chance at one time, but not at five in sequence.
+    # Two differences may agree by chance at one time, but not at five in sequence.
     half = _WINDOW // 2
     padded = np.pad(route.spread, ((half, half), (0, 0)), mode="edge")
     spread = np.lib.stride_tricks.sliding_window_view(padded, _WINDOW, axis=0).max(axis=-1)
@@ -78,7 +78,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     units = _products(np.abs(H), changes) + loads
     units += _CANCELLED * _inertial_forces(full.system, q0, changes, size)
     # Differences below the spread of the engine's own derivatives cannot be resolved.
-    errors = np.abs(_products(H, route.a - a)) - SPREAD_MARGIN * _products(np.abs(H), route.spread)
+    errors = np.abs(_products(H, route.a - a)) - SPREAD_MARGIN * _products(np.abs(H), spread)
     # A drive applies whatever force its plan needs, so only its acceleration is compared.
     diagonals = np.diagonal(H, axis1=1, axis2=2)
     errors[:, driven] = (diagonals * (np.abs(route.a - a) - SPREAD_MARGIN * spread))[:, driven]

@@ -183,8 +183,15 @@ class FullDynamics:
         Returns:
             (n,) time derivative of y.
         """
+        beside = self._beside_switches(t)
+        if beside == t:
+            return self._rate(t, y, axes)
+        # Conditions have the value of one side.  All other functions of time are extrapolated.
+        return 2.0 * self._rate(beside, y, axes) - self._rate(2.0 * beside - t, y, axes)
+
+    def _rate(self, t: float, y: Array, axes: pin.Convention) -> Array:
         at, tau = self._kinematics, self._no_torque
-        at.compute(self._beside_switches(t), y)
+        at.compute(t, y)
         if self._acting is not None:
             tau = self._generalised_forces(self._acting)
         q = self._q_for(at.q, axes)
@@ -235,8 +242,7 @@ class FullDynamics:
     def _beside_switches(self, t: float) -> float:
         """Return the time; if it is too close to a switch, move it to the side of `within`.
 
-        Conditions on time are evaluated at the returned time. Exactly at a switch, a condition can
-        have the value of either side.
+        Exactly at a switch, a condition can have the value of either side.
         """
         if not self._switches.size or self._forces is None:
             return t

@@ -7,6 +7,8 @@ Signal, a number or a formula.  Pinocchio's (q, v) may replace pose, shape and v
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from numbers import Real
 from typing import Any, Literal
 
@@ -16,8 +18,10 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, vector
 from ..common.call_texts import build_from_text, parse_call
 from ..common.errors import InputError, PinredError
-from ..common.names import brief, quoted
+from ..common.names import brief, listed, nearest, quoted
 from ..common.parameter import Parameter
+from ..forces.actuation import Control
+from ..forces.controller import Controller
 from ..forces.signals import Attitude, Constant, Expression, Signal
 from ..forces.signals.attitude_signal import parse_attitude
 from ..integrators.methods import METHODS, Method
@@ -60,6 +64,83 @@ def parse_signal(value: Any, what: str) -> Signal | Attitude:
         f"{what} must be a Signal, a number or a formula in t, or for a ball joint an Attitude or "
         f"three of these, got {brief(value)}"
     )
+
+
+def parse_controls(value: Any, system: System) -> dict[str, Control] | Controller:
+    """Convert the controls of actuators to numbers, Signals and functions.
+
+    Args:
+        value: {actuator: number, Signal, Parameter, formula or function}, or a Controller.
+        system: System with the actuators.
+    Returns:
+        The controls by name, or the Controller with the actuators that it drives.
+    Raises:
+        InputError: An actuator is unknown or left out, or a value is of another kind.
+    """
+    if isinstance(value, Controller):
+        if value.limit is not None or value.wrench:
+            raise InputError(
+                f"controls: {value.name} has a limit or a wrench, which apply to torques; pass it "
+                "in forces=, or state limits in the file"
+            )
+        _check_actuators(value.joints or ["any"] * (not system.actuators), system)
+        return replace(value, actuators=system.actuators)
+    if not isinstance(value, Mapping):
+        raise InputError(
+            f"controls must be {{actuator: number, formula, Signal or function}} or a Controller, "
+            f"got {brief(value)}"
+        )
+    _check_actuators(value, system)
+    return {name: parse_control(control, name) for name, control in value.items()}
+
+
+def parse_control(value: Any, name: str) -> Control:
+    """Convert the control of an actuator.
+
+    A formula of time alone becomes a Signal, whose numbers are inputs of kernels.
+
+    Args:
+        value: Number, Signal, Parameter, formula, or function as of a Torque.
+        name: Name of the actuator.
+    Returns:
+        The control.
+    Raises:
+        InputError: The value is of another kind.
+    """
+    if isinstance(value, str):
+        from ..forces.formula import Formula  # Imported here because it needs CasADi.
+
+        try:
+            return Expression(value)
+        except InputError:
+            return Formula(value)
+    if isinstance(value, Real) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(value, (Signal, Parameter)):
+        return value
+    if callable(value):
+        function: Control = value
+        return function
+    raise InputError(
+        f"controls['{name}'] must be a number, a formula, a Signal or a function, got "
+        f"{brief(value)}"
+    )
+
+
+def _check_actuators(names: Iterable[str], system: System) -> None:
+    """Raise InputError if a name is not that of an actuator."""
+    known = [actuator.name for actuator in system.actuators]
+    for name in names:
+        if name in known:
+            continue
+        left_out = [n for left in system.left_out if left.what == "actuators" for n in left.names]
+        for entry in left_out:
+            if entry.startswith(f"{name} ("):
+                raise InputError(f"controls: actuator {entry} is left out and cannot be driven")
+        raise InputError(
+            f"controls: no actuator {quoted(str(name))}; {nearest(str(name), known)}"
+            f"the actuators of '{system.name}' are {listed(known, 30) or 'none'}"
+        )
 
 
 def parse_configuration(q: ArrayLike, system: System) -> Configuration:

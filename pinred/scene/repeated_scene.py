@@ -48,6 +48,7 @@ class _Repeated:
         if "forces" in self.others:
             values["forces"] = list_forces(options["forces"])
         values["prescribed"] = dict(values["prescribed"])
+        values["controls"] = dict(values["controls"])
         if "springs" not in self.others:
             values["springs"] = {}
         scene.resolve_state()

@@ -26,6 +26,13 @@ from ..system.system import checked_system
 from ..system.variants import nominal
 from . import input_formats
 from .event import Event, list_events, watched_of
+from .file_forces import (
+    acting_passive,
+    actuation,
+    actuators_left_out,
+    check_passive,
+    passive_left_out,
+)
 from .initial_state import GivenStates, Start, refuse_vague, start_of
 from .joint_values import order_by_joint
 from .loop_states import HeldJoints, closed_state, held_joints
@@ -36,7 +43,6 @@ from .option_checks import (
     list_forces,
 )
 from .parameters import GivenParameters, given_parameters
-from .passive_forces import acting_passive, check_passive, passive_left_out
 from .random_state import random_state
 from .scene_options import (
     ARRAYS_OF_STATE,
@@ -93,6 +99,8 @@ class Scene(SceneFields):
             vars(self).update(shared.options)
             self._keep("forces", forces)
             self._keep("prescribed", dict(self.prescribed))
+            # Scenes with a Controller share nothing, so these controls are a mapping.
+            self._keep("controls", dict(self.controls))  # type: ignore[arg-type]
         self._keep("_shared", shared)
         if self.seed is not None:
             self._keep("seed", whole(self.seed, "seed", 0))
@@ -228,8 +236,10 @@ class Scene(SceneFields):
 
     @property
     def left_out(self) -> str:
-        """A sentence about forces of the robot's file that do not act; empty if all of them act."""
-        return passive_left_out(self.system, passive=self.passive, friction=self.friction)
+        """Sentences about forces of the robot's file that do not act; empty if all of them act."""
+        passive = passive_left_out(self.system, passive=self.passive, friction=self.friction)
+        actuators = actuators_left_out(self.system, self.controls)
+        return "; ".join(text for text in (passive, actuators) if text)
 
     @property
     def end(self) -> float:
@@ -269,6 +279,9 @@ class Scene(SceneFields):
         }
         self._keep("forces", forces)
         self._keep("prescribed", prescribed)
+        controls = input_formats.parse_controls(self.controls, self.system)
+        self._keep("controls", controls)
+        file_forces = (*file_forces, *actuation(self.system, controls))
         watched = self._check_events()
         held: Mapping[str, Constant | Attitude] = vars(self)["_held_plans"]
         if not (self.springs or forces or file_forces or prescribed or held):

@@ -5,7 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from ..common.html import card, line, numbers, table
+from ..forces.controller import Controller
 from ..forces.force import Force
+
+
+def _controls(controls: Any) -> list[tuple[str, str]]:
+    """Return a row for each control, or for the controller of all actuators."""
+    if isinstance(controls, Controller):
+        return [("controls", repr(controls.name))]
+    return [(f"control {name}", repr(control)) for name, control in controls.items()]
 
 
 def scene_card(scene: Any) -> str:
@@ -22,6 +30,7 @@ def scene_card(scene: Any) -> str:
         *((f"spring {name}", str(spring)) for name, spring in scene.springs.items()),
         *((force.label, repr(force)) for force in forces),
         *((f"{force.label}, of the file", repr(force)) for force in scene.own_forces),
+        *_controls(scene.controls),
         *((f"prescribed {name}", repr(plan)) for name, plan in scene.prescribed.items()),
         *([("hold", scene.hold)] if scene.hold else []),
     ]

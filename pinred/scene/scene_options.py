@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
 from ..common.parameter import Parameter
+from ..forces.actuation import Control
+from ..forces.controller import Controller
 from ..forces.force import Force
 from ..forces.signals import Attitude, Signal
 from ..integrators.methods import Method
@@ -29,7 +31,7 @@ from .toml.force_kinds import FORCE
 from .toml.method_tables import METHOD, METHOD_NAMES
 from .toml.parameter_tables import NamedNumbers
 from .toml.schema import ByName, Either, Flag, Key, ListOf, Node, Text, Whole
-from .toml.signal_tables import NUMBER, NUMBERS, PLAN, POSITIVE, SHAPE
+from .toml.signal_tables import ACTION, NUMBER, NUMBERS, PLAN, POSITIVE, SHAPE
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
 Level: TypeAlias = float | Parameter
@@ -93,6 +95,7 @@ class SceneOptions(TypedDict, total=False):
     forces: Sequence[Force] | Force
     prescribed: Mapping[str, JointPlan]
     hold: Held | None
+    controls: Mapping[str, Control] | Controller
     passive: bool
     friction: float | None
     parameters: Any
@@ -195,6 +198,14 @@ class SceneFields:
         Text(HELD), "others: keep joints without prescribed motion at their initial positions; "
         "free: let them move, without the warning that names them",
         default="the others move freely, and a warning names them", command="--hold W",
+    ))  # fmt: skip
+    controls: Mapping[str, Control] | Controller = field(default_factory=dict, metadata=_option(
+        ByName(ACTION, "controls", "actuator"),
+        "controls of actuators in an MJCF file: numbers, or functions of time and state such as "
+        "0.3*sin(2*t), clamped to the limits of the file; other actuators do not act",
+        formats="{actuator: number, Signal, formula, or function as of a Torque}, or a Controller "
+        "whose function returns the controls of all actuators",
+        command="--control A=CONTROL",
     ))  # fmt: skip
     passive: bool = field(default=False, metadata=_option(
         Flag(), "let the springs and dampers of the robot's file act", default="false",

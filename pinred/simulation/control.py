@@ -40,7 +40,7 @@ class ControlAction:
     Attributes:
         t: Time of the call [s].
         controller: Name of the controller.
-        torque: Torque by joint before its limit [N·m | N].
+        torque: Torque by joint before its limit [N·m | N], or control by actuator (Scene.controls).
         wrench: Wrench on the base in the body frame as [linear; angular], (r,) [N | N·m], or None.
         width: Duration of a pulse [s]; None for a zero-order hold until the next call.
         seen: The observed state.

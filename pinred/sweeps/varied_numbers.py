@@ -224,7 +224,7 @@ def _unit(system: System, name: str, label: str) -> str:
 
 
 def _with_parameter(scene: Scene, key: str) -> tuple[Scene, str] | None:
-    """Replace a number of the springs, forces or prescribed joints by a Parameter.
+    """Replace a number of springs, forces, controls or prescribed joints by a Parameter.
 
     Args:
         scene: The scene.
@@ -248,6 +248,9 @@ def _with_parameter(scene: Scene, key: str) -> tuple[Scene, str] | None:
             return None
         prescribed = {**scene.prescribed, rest: Parameter(key, float(plan.level))}  # type: ignore[arg-type]
         return replace(scene, prescribed=prescribed), ""
+    if word == "controls" and rest in _constant_controls(scene):
+        parameter = Parameter(key, float(scene.controls[rest]))  # type: ignore[arg-type, index]
+        return replace(scene, controls={**scene.controls, rest: parameter}), ""  # type: ignore[dict-item]
     match = _FORCE.fullmatch(key)
     forces: list[Any] = list(vars(scene)["forces"])
     if match is None or int(match[1]) >= len(forces):
@@ -258,6 +261,12 @@ def _with_parameter(scene: Scene, key: str) -> tuple[Scene, str] | None:
     parameter = Parameter(key, float(getattr(force, name)))
     forces[int(match[1])] = replace(force, **{name: parameter})
     return replace(scene, forces=forces), ""
+
+
+def _constant_controls(scene: Scene) -> list[str]:
+    """Return the names of the actuators with a number as control."""
+    controls = scene.controls if isinstance(scene.controls, Mapping) else {}
+    return [name for name, control in controls.items() if _is_number(control)]
 
 
 def _numbers_of(force: Any) -> list[str]:
@@ -308,6 +317,7 @@ def _hint(scene: Scene, key: str) -> str:
     forces: tuple[Any, ...] = vars(scene)["forces"]
     others = [f"springs.{joint}.{end}" for joint in scene.springs for end in ("stiffness", "rest")]
     others += [f"forces[{k}].{name}" for k, f in enumerate(forces) for name in _numbers_of(f)]
+    others += [f"controls.{name}" for name in _constant_controls(scene)]
     others += [
         f"prescribed.{joint}"
         for joint, plan in scene.prescribed.items()

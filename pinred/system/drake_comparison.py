@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import LoadError
-from ..common.names import plain_path
+from ..common.names import listed, plain_path
 from ..common.optional_packages import optional_package
 from .read_sdf import INSTALL, SdfRobot, drake_warnings
 from .rebuild import rebuild
@@ -49,6 +49,8 @@ def mass_difference(path: Path, robot: SdfRobot, folders: tuple[str, ...] = ()) 
         LoadError: Drake cannot read the untouched file, or lacks a joint or link.
         MissingPackageError: drake is not installed.
     """
+    if replaced := [name for (_, name), (added, _) in robot.added.items() if added]:
+        raise LoadError(f"Drake replaces inertias that no body has, of {listed(replaced, 6)}")
     plant = _plant(path, folders)
     pair = _Pair(plant, robot, path)
     rng = np.random.default_rng(0)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from ..common.argument_kinds import checks_arguments
 from ..common.errors import InputError, UnsupportedOperationError
 from ..common.names import listed
+from .actuator import Actuator
 from .coupling import following
 from .force_interface import Force
 from .loops.loop import Constraint
@@ -81,6 +82,14 @@ class FromFile:
         passive=True.  Friction acts only if the scene sets its width.
         """
         return self.contents.passive
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Actuators of the file whose forces are linear in control and state.
+
+        They act in scenes that state their controls.
+        """
+        return self.contents.actuators
 
     @property
     def keyframes(self) -> Mapping[str, Keyframe]:

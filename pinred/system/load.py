@@ -85,6 +85,7 @@ class _Robot:
         loops: Loops that the file closes; their frames are in the model.
         left_out: Words and actions of the file that are left out.
         links: Inertia of each link with mass, in its own frame.
+        lines: Lines of the joints that close loops, by name.
     """
 
     raw: pin.Model
@@ -98,6 +99,7 @@ class _Robot:
     loops: tuple[Loop, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     links: Mapping[str, pin.Inertia] = field(default_factory=dict)
+    lines: Mapping[str, str] = field(default_factory=dict)
 
 
 def _of_urdf(
@@ -110,7 +112,7 @@ def _of_urdf(
     """Return the robot in a URDF file; the other arguments are those of _Robot."""
     return _Robot(
         urdf.model, urdf.couplings, name, origin, group, initial, urdf.warning, urdf.springs,
-        urdf.loops, urdf.left_out, urdf.links,
+        urdf.loops, urdf.left_out, urdf.links, urdf.lines,
     )  # fmt: skip
 
 
@@ -367,6 +369,7 @@ def _read(
             loops=sdf.loops,
             left_out=sdf.left_out,
             links=sdf.inertias,
+            lines=sdf.lines,
         )
     if is_path(name):
         origin = replace(origin, source=str(Path(source).absolute()))
@@ -470,8 +473,9 @@ def _moving_loops(
             continue
         if 0 in joints:
             raise ModelError(
-                f"joint {quoted(loop.name)} of {quoted(robot.name)} closes a loop through the "
-                "world, which breaks the symmetry; remove it, or lock the joints of the loop"
+                f"joint {quoted(loop.name)}{robot.lines.get(loop.name, '')} of "
+                f"{quoted(robot.name)} closes a loop through the world, so the base cannot move "
+                "freely, which breaks the symmetry; remove it, or lock the joints of the loop"
             )
         yield loop
 

@@ -34,6 +34,8 @@ from .sdf_words import CONTACT
 INSTALL = install_command("sdf")
 _ALIGNED = 1e-12  # largest deviation of an axis from x, y or z that counts as round-off
 _CUT = {"weld": "6d", "ball_rpy": "3d", "revolute": "z"}  # types that a loop can replace, its kinds
+# Largest difference of sums of moments that counts as round-off, relative to their terms.
+_SAME_MOMENTS = 1e-9
 _REVERSIBLE = ("weld", "ball_rpy", "revolute", "prismatic")
 _WORLD = 0  # index of the world among Drake's bodies
 # Names of the parts of joints with two axes or more, as `split_joints` names them.
@@ -58,6 +60,9 @@ class SdfRobot:
         base: Name of the link that carries the others; "" if the world carries several.
         fixed: Names of the links that the file fixes to the world.
         inertias: Inertia of each link with mass, in its own frame.
+        lines: Lines of the joints that close loops, such as " (line 7)", by name.
+        added: Moment that the copy for Drake has in addition, and trace of the moments without
+            it [kg m²], by model and name of the link.
     """
 
     model: pin.Model
@@ -71,6 +76,8 @@ class SdfRobot:
     base: str
     fixed: tuple[str, ...]
     inertias: Mapping[str, pin.Inertia]
+    lines: Mapping[str, str]
+    added: Mapping[Key, tuple[float, float]]
 
 
 def read_sdf(path: Path, folders: Sequence[str] = (), root: str | None = None) -> SdfRobot:
@@ -112,6 +119,8 @@ def read_sdf(path: Path, folders: Sequence[str] = (), root: str | None = None) -
         base="" if base is None else tree.link_names[assembly.link(base)],
         fixed=tuple(tree.fixed),
         inertias=tree.inertias,
+        lines=tree.lines,
+        added=document.added,
     )
 
 
@@ -350,6 +359,7 @@ class _Tree:
         self._plant, self._document = assembly.plant, assembly.document
         self._builder = ModelBuilder()
         self.fixed, self.loops = list[str](), list[Loop]()
+        self.lines: dict[str, str] = {}
         self.springs: tuple[Spring, ...] = ()
         self.inertias: dict[str, pin.Inertia] = {}
         self._losses = [np.empty((2, 0))]
@@ -454,7 +464,19 @@ class _Tree:
     def _add_body(self, body: int, carrier: int, at: pin.SE3) -> None:
         """Add a body at a placement on a joint."""
         model = self._builder.model
-        name, inertia = self._link(body), _inertia(self._plant.get_body(_index("Body", body)))
+        added, trace = self._assembly.document.added.get(self._assembly.link(body), (0.0, None))
+        name, inertia = (
+            self._link(body),
+            _inertia(self._plant.get_body(_index("Body", body)), added),
+        )
+        moments, arm = np.trace(inertia.inertia), np.sum(inertia.lever**2)
+        size = abs(moments) + inertia.mass * arm + added
+        if trace is not None and abs(moments - trace) > _SAME_MOMENTS * size:
+            raise ModelError(
+                f"{plain_path(self._assembly.path)}: link {quoted(name)} has moments "
+                f"of inertia with the sum {trace:g}, but Drake reads {moments:g}; state an inertia "
+                "that a rigid body has"
+            )
         model.appendBodyToJoint(carrier, inertia, at)
         model.addFrame(pin.Frame(name, carrier, 0, at, pin.FrameType.BODY), False)
         if inertia.mass > 0.0:
@@ -580,6 +602,8 @@ class _Tree:
             ),
             self._add_frame(f"{name}.child", child, _fixed_pose(joint.frame_on_child()) * turn),
         ]
+        if words.where:
+            self.lines[name] = f" ({words.where})"
         self.loops.append(Loop(ends[0], ends[1], _CUT[kind], name))  # type: ignore[arg-type]
 
     def _tie(self, constraint: BallConstraint) -> None:
@@ -715,15 +739,15 @@ def _fixed_pose(frame: Any) -> pin.SE3:
     return _pose(frame.GetFixedPoseInBodyFrame())
 
 
-def _inertia(body: Any) -> pin.Inertia:
-    """Return the inertia of a body, in its frame."""
+def _inertia(body: Any, added: float) -> pin.Inertia:
+    """Return the inertia of a body, in its frame, less a moment that was added about all axes."""
     spatial = body.default_spatial_inertia()
     mass, com = float(spatial.get_mass()), np.array(spatial.get_com())
     if mass == 0.0:
         return pin.Inertia.Zero()
     about_origin: Array = np.array(spatial.CalcRotationalInertia().CopyToFullMatrix3())
     moments = about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return pin.Inertia(mass, com, moments)
+    return pin.Inertia(mass, com, moments - added * np.eye(3))
 
 
 def _warning(messages: list[str], fixed: list[str]) -> str:

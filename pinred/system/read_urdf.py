@@ -70,6 +70,7 @@ class UrdfRobot:
         warning: Warning about the text of the file, or "".
         special: Joints that Pinocchio's parser does not read, by name.
         links: Inertia of each link with mass, in its own frame.
+        lines: Lines of the joints that close loops, such as " (line 7)", by name.
     """
 
     model: pin.Model
@@ -80,6 +81,7 @@ class UrdfRobot:
     warning: str = ""
     special: Mapping[str, NewJoint] = field(default_factory=dict)
     links: Mapping[str, pin.Inertia] = field(default_factory=dict)
+    lines: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_urdf(path: Path) -> UrdfRobot:
@@ -120,7 +122,8 @@ def read_urdf(path: Path) -> UrdfRobot:
     file_frames(root, model)
     loops = add_loops(model, closing)
     left_out = (*left_out, *beyond, *more, *rotors)
-    return UrdfRobot(model, couplings, springs, loops, left_out, warning, special, inertias)
+    lines = {joint.name: joint.line for joint in closing}
+    return UrdfRobot(model, couplings, springs, loops, left_out, warning, special, inertias, lines)
 
 
 def _parsed(path: Path, root: ElementTree.Element) -> pin.Model:

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array, FrozenArrays
 from ..common.names import plain
+from .actuator import Actuator
 from .force_interface import Force
 from .hinge_triples import HingeTriple
 from .locked_joints import LockedJoints, LockValue
@@ -50,6 +51,7 @@ class Keyframe(FrozenArrays):
         xi: Body twist of the base [linear; angular], (r,).
         xdot: Shape rate, (m,) [rad/s | m/s].
         time: Time [s].
+        controls: Controls of actuators by name (see Scene.controls).
     """
 
     pose: Array
@@ -57,6 +59,7 @@ class Keyframe(FrozenArrays):
     xi: Array
     xdot: Array
     time: float = 0.0
+    controls: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ class LeftOut:
         what: Kind of action, such as "actuators".
         names: Names of the actions.
         demanded: Whether loading emits no warning: limits, which a simulation reports that exceeds
-            them, and plugins, which most files contain.
+            them, and plugins that wait for commands.
     """
 
     what: str
@@ -131,6 +134,7 @@ class Contents:
         left_out: Actions that are not simulated, by kind.
         passive: Springs, dampers and dry friction at shape joints.  They act only in
             scenes with passive=True.
+        actuators: Actuators whose forces are linear.  They act only in scenes with controls.
         keyframes: Named states.
         couplings: Couplings of follower joints to their leaders.
         freed: Name of a body that the file fixes to the world but that floats in pinred, or "".
@@ -148,6 +152,7 @@ class Contents:
 
     left_out: tuple[LeftOut, ...] = ()
     passive: tuple[Force, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
     keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""

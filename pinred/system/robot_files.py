@@ -73,7 +73,9 @@ def read_text(path: Path) -> str:
             raise LoadError(f"{plain_path(path)} is larger than {_MOST_BYTES // 10**6} MB")
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise LoadError(f"{plain_path(path)} is not XML in UTF-8") from None
+        raise LoadError(
+            f"{plain_path(path)} is not XML in UTF-8; save it in this encoding"
+        ) from None
     except OSError as error:
         raise LoadError(f"{plain_path(path)} cannot be read: {error.strerror}") from None
     if "<!DOCTYPE" in text:

@@ -23,6 +23,7 @@ from ..common.files import is_file, is_folder
 from ..common.names import listed, plain, plain_path, quoted
 from . import sdf_words
 from .robot_files import FileElement, line_of, read_xml
+from .sdf_inertia import added_moment
 from .sdf_words import TABLES, Use, Word
 
 _MOST_ELEMENTS = 1_000_000  # largest accepted number of elements in all files together
@@ -31,13 +32,9 @@ _NEWEST = (1, 12)  # newest version of SDF whose words are in the tables
 _UNIQUE = (1, 7)  # first version of SDF in which a link and a joint must have different names
 _UNLIMITED = 1e16  # position limit that stands for infinity in older versions of SDF
 _FOLDERS = (  # environment variables with folders of models
-    "GZ_SIM_RESOURCE_PATH",
-    "IGN_GAZEBO_RESOURCE_PATH",
-    "SDF_PATH",
-    "GAZEBO_MODEL_PATH",
-    "GAZEBO_RESOURCE_PATH",
-    "ROS_PACKAGE_PATH",
-)
+    "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH", "GAZEBO_MODEL_PATH",
+    "GAZEBO_RESOURCE_PATH", "ROS_PACKAGE_PATH",
+)  # fmt: skip
 _SCENERY = ("sun", "ground_plane")  # Gazebo's light and floor, on which nothing moves
 _GRAVITY = (0.0, 0.0, -9.8)  # gravity of a world that states none [m/s²]
 _WITH_ACTUATOR = ("revolute", "continuous", "prismatic", "screw")  # types with Drake's actuators
@@ -163,6 +160,7 @@ class SdfDocument:
         joints: Words of each joint, by model and name.
         weightless: Links on which no gravity acts, (model, name).
         colliding: Links with collision shapes, (model, name).
+        added: Moment added to each link in the copies, and trace of its moments [kg m²], by link.
         constraints: Points that coincide.
         reports: Actions that are not simulated.
         gravity: Gravity of the world, (3,) [m/s²]; None without a world.
@@ -175,6 +173,7 @@ class SdfDocument:
     joints: dict[tuple[str, str], JointWords] = field(default_factory=dict)
     weightless: set[tuple[str, str]] = field(default_factory=set)
     colliding: list[tuple[str, str]] = field(default_factory=list)
+    added: dict[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
     constraints: list[BallConstraint] = field(default_factory=list)
     reports: list[Report] = field(default_factory=list)
     gravity: Array | None = None
@@ -281,9 +280,10 @@ class _Reader:
         if root.tag != "sdf":
             place.fail(root, f"expected <sdf>, got <{plain(root.tag)}>")
         place = replace(place, version=_version(root))
+        if place.version == (0,):
+            place.fail(root, '<sdf> has no valid version; state one, as in <sdf version="1.9">')
         if include is not None:
-            models = root.findall("model") + root.findall("include")
-            if not models:
+            if not root.findall("model") + root.findall("include"):
                 if root.find("world") is not None or not len(root):
                     place.fail(root, "an included file must contain a <model>")
                 return None  # a light or an actor
@@ -461,12 +461,16 @@ class _Reader:
         copy, key = self._copy(link, "link", place), (place.model, link.get("name", ""))
         if (gravity := link.findtext("gravity")) is not None and not _is_true(gravity):
             self.document.weightless.add(key)
-        shapes = link.findall("collision")
-        if shapes:
+        if shapes := link.findall("collision"):
             self.document.colliding.append(key)
         inertial = link.find("inertial")
         if inertial is not None and _is_true(inertial.get("auto")):
             self._add_shapes(shapes, copy, place)
+        elif inertial is not None and not place.static:
+            owner = replace(place, owner=key[1])
+            self.document.added[key] = added_moment(
+                inertial, copy, lambda e: float(self._numbers(e, owner, 1)[0]), owner.fail
+            )
         return copy
 
     def _add_shapes(self, shapes: Sequence[Element], copy: Element, place: _Place) -> None:

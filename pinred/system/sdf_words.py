@@ -253,7 +253,24 @@ _IDLE_SYSTEMS = (
     "performer-detector|camera-video-recorder|rgbd-camera|optical-tactile-plugin|"
     "shader-param|environment-preload|triggered-publisher|touchplugin|kinetic-energy-monitor"
 )
-_IDLE_PLUGIN = re.compile(rf"(lib)?(gz|ignition)-(sim|gazebo)\d*-({_IDLE_SYSTEMS})-system(\.so)?")
+# Plugins of Gazebo classic that apply no forces: sensors, and publishers of states.
+_IDLE_CLASSIC = (
+    r"gazebo_ros_((multi|triggered_|triggered_multi)?camera|depth_camera|openni_kinect|prosilica|"
+    r"imu|imu_sensor|(gpu_|block_)?laser|range|ray_sensor|gps|gps_sensor|bumper|contact|ft_sensor|"
+    r"p3d|f3d|joint_state_publisher|pub_robot_state|power_monitor|video|projector|clock|init|"
+    r"factory|state|properties)|gazebo_world_odometry|realsense_gazebo_plugin|"
+    r"hector_gazebo_ros_(imu|gps|magnetic|sonar|baro)|"
+    r"gazebo_(imu|gps|barometer|magnetometer|lidar|sonar|opticalflow|groundtruth)_plugin"
+)
+_IDLE_PLUGIN = re.compile(
+    rf"(lib)?((gz|ignition)-(sim|gazebo)\d*-({_IDLE_SYSTEMS})-system|{_IDLE_CLASSIC})(\.so)?"
+)
+# Plugins of URDF files for ROS that act on commands, or couple the joints of hands.
+_COMMANDED_PLUGIN = re.compile(
+    r"(lib)?(gazebo_ros_(control|controller_manager|force|planar_move|diff_drive)|gazebo_ros2_control|"
+    r"(gz|ign)_ros2_control(-system)?|roboticsgroup_gazebo_mimic_joint_plugin|"
+    r"gazebo_underactuated_finger)(\.so)?"
+)
 
 
 def plugin_kind(filename: str) -> str:
@@ -262,7 +279,16 @@ def plugin_kind(filename: str) -> str:
     Args:
         filename: Name of its library.
     """
-    name = filename.strip().lower().rpartition("/")[2]
+    name = _library(filename)
     if _IDLE_PLUGIN.fullmatch(name):
         return ""
     return BUOYANCY if "buoyancy" in name else PLUGINS
+
+
+def waits_for_commands(filename: str) -> bool:
+    """Return whether a plugin acts on commands only, or couples the joints of a hand."""
+    return _COMMANDED_PLUGIN.fullmatch(_library(filename)) is not None
+
+
+def _library(filename: str) -> str:
+    return filename.strip().lower().rpartition("/")[2]

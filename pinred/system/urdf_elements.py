@@ -141,7 +141,7 @@ def check_urdf(robot: Element) -> None:
             )
         for inertial in inertials:
             _check_inertial(inertial, owner)
-            _check_origin(robot, inertial.find("origin"), owner)
+            _check_origin(robot, inertial.find("origin"), f"the inertia of {owner}")
 
 
 def link_inertias(robot: Element) -> dict[str, pin.Inertia]:
@@ -551,8 +551,13 @@ def _trimmed(element: Element) -> dict[str, str]:
 
 
 def _check_origin(robot: Element, origin: Element | None, owner: str) -> None:
-    """Reject an attitude that URDF does not define."""
-    if origin is None or "quat_xyzw" not in origin.attrib:
+    """Reject an origin whose numbers or attitude URDF does not define."""
+    if origin is None:
+        return
+    for key in ("xyz", "rpy"):
+        if key in origin.attrib:
+            floats(origin, key, f"the origin of {owner}", 3)
+    if "quat_xyzw" not in origin.attrib:
         return
     owner = f"an origin of {owner}"
     if not version_of(robot):
@@ -583,18 +588,19 @@ def _check_axis(joint: Element) -> None:
 
 
 def _check_inertial(inertial: Element, owner: str) -> None:
-    mass, inertia, origin = (inertial.find(tag) for tag in ("mass", "inertia", "origin"))
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
     if mass is None or inertia is None:
         missing = "mass" if mass is None else "inertia"
         raise ModelError(f"{owner} has an inertial element{place(inertial)} without <{missing}>")
+    if len(masses := inertial.findall("mass")) > 1:
+        raise ModelError(
+            f"{owner} has {len(masses)} elements <mass>{place(masses[1])}; keep only one of them"
+        )
     (value,) = floats(mass, "value", f"the mass of {owner}", 1)
     if value < 0:
         raise ModelError(f"{owner}{place(mass)} has negative mass {value:g}")
     for key in _MOMENTS:
         floats(inertia, key, f"the inertia of {owner}", 1)
-    for key in ("xyz", "rpy"):
-        if origin is not None and key in origin.attrib:
-            floats(origin, key, f"the inertial origin of {owner}", 3)
 
 
 def floats(element: Element, key: str, owner: str, size: int) -> Array:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NoReturn
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -21,7 +22,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import ModelError
-from ..common.names import nearest, quoted
+from ..common.names import listed, nearest, quoted
 from .loops.loop import Loop, LoopKind
 from .robot_file_contents import LeftOut
 from .robot_files import place
@@ -88,8 +89,18 @@ def take_closing_joints(robot: Element) -> tuple[tuple[ClosingJoint, ...], tuple
     closing = [*second, *_loop_joints(robot), *_gazebo_joints(robot)]
     closing += [*_ball_constraints(robot), *_closing_frames(robot)]
     links = {link.get("name", "") for link in robot.findall("link")}
+    if second and len(roots := _roots(robot)) > 1:
+        _refuse_several_roots(robot, second[0], roots)
     for joint in closing:
         for name in joint.links:
+            if name == "world" and name not in links:
+                tied = joint.links[joint.links[0] == "world"]
+                raise ModelError(
+                    f"joint {joint.label} ties link {quoted(tied)} to the world, so the base "
+                    f"{quoted(next(iter(_roots(robot)), '?'))} cannot move freely, which breaks "
+                    f"the symmetry; remove it, or make {quoted(tied)} the base: a <joint> from a "
+                    "link 'world' carries it, and it carries the others"
+                )
             if name not in links:
                 raise ModelError(
                     f"joint {joint.label} closes a loop at the link {quoted(name)}, which the file "
@@ -205,6 +216,29 @@ def _second_joints(robot: Element) -> tuple[list[ClosingJoint], list[str], list[
             )
         )  # fmt: skip
     return joints, losses, limits
+
+
+def _roots(robot: Element) -> list[str]:
+    """Return the names of the links that no joint carries."""
+    carried = {child.get("link") for child in robot.iterfind("joint/child")}
+    names = [link.get("name", "?") for link in robot.findall("link")]
+    return [name for name in names if name not in carried]
+
+
+def _refuse_several_roots(robot: Element, joint: ClosingJoint, roots: list[str]) -> NoReturn:
+    """Reject a second joint of a link that ties two trees.  Raises ModelError."""
+    link = joint.links[1]
+    first = next(
+        other for other in robot.findall("joint")
+        if (child := other.find("child")) is not None and child.get("link") == link
+    )  # fmt: skip
+    name, line = _name(first)
+    raise ModelError(
+        f"joint {joint.label} carries link {quoted(link)}, which joint {quoted(name)}{line} "
+        f"carries, too, so {listed(roots, 6)} have no joint that carries them, but only the root "
+        f"link may have none; reverse the joints between {quoted(link)} and one of these, or "
+        "remove a joint"
+    )
 
 
 def _is_nonzero(text: str) -> bool:

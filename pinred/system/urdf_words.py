@@ -14,9 +14,10 @@ from fnmatch import fnmatchcase
 from functools import cache, lru_cache
 from xml.etree.ElementTree import Element
 
-from ..common.names import quoted
+from ..common.names import plain, quoted
 from .robot_file_contents import LeftOut
 from .robot_files import place
+from .sdf_words import PLUGINS, plugin_kind, waits_for_commands
 
 UNKNOWN, REPEATED = "elements and attributes that pinred does not know", "repeated elements"
 QUATERNION = "attitudes by quat_xyzw, which need version 1.1 of URDF"
@@ -214,7 +215,7 @@ WORDS: tuple[Words, ...] = (
     Words("gazebo/dampingFactor", _OUT, "damping of links", "value", ("0",)),
     Words("gazebo/velocity_decay/**", _OUT, "damping of links"),
     Words("gazebo/initial_joint_position/**", _OUT, "initial joint positions"),
-    Words("gazebo/plugin|controller:*/**", _OUT, "plugins", quiet=True),
+    Words("gazebo/plugin|controller:*/**", _OUT, PLUGINS),
     Words(
         "gazebo/mu1|mu2|fdir1|kp|kd|minDepth|maxVel|maxContacts|selfCollide|self_collide|"
         "collision|laserRetro|soft_cfm|soft_erp|min_depth|max_vel|max_contacts/**",
@@ -336,7 +337,12 @@ def left_out_words(robot: Element) -> tuple[LeftOut, ...]:
             if words.single and child.tag in tags:
                 report(REPEATED, f"{_shown(child, owner)}{place(child)}")
             tags.add(child.tag)
-            if words.fate is _OUT and _is_stated(child, entry):
+            if words.what == PLUGINS:
+                library = child.get("filename", child.get("plugin", ""))
+                if kind := plugin_kind(library):
+                    shown = f"{_shown(child, owner)}{f' ({plain(library)})' * bool(library)}"
+                    report(kind, f"{shown}{place(child)}", quiet=waits_for_commands(library))
+            elif words.fate is _OUT and _is_stated(child, entry):
                 report(words.what, f"{_shown(child, owner)}{place(child)}", quiet=words.quiet)
             if not entry.whole:
                 visit(child, below, owner)

@@ -311,7 +311,7 @@ ACTING = {
         '<actuator><motor name="m" joint="arm"/><general site="tip"/><motor tendon="line"/>'
         '<adhesion body="base" ctrlrange="0 1"/><motor name="not" joint="drift"/></actuator>'
         '<tendon><fixed name="line"><joint joint="arm" coef="1"/></fixed></tendon>',
-        '<site name="tip"/>', "", ("m", "actuator 1", "actuator 2", "actuator 3"),
+        '<site name="tip"/>', "", ("actuator 1 (site)", "actuator 2 (tendon)", "actuator 3 (body)"),
     ),
     "plastic springs": (
         '<default><joint stiffness="2" springyield=".1"/></default>', "", "", ("arm",),

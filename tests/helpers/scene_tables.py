@@ -22,6 +22,7 @@ def kind_of(schema: dict[str, Any], defs: dict[str, Any]) -> str:
             "plan": "a signal; for a ball a list of 3 signals, a quaternion or an `attitude` table",
             "attitude": "list of 3 signals, a quaternion or an `attitude` table",
             "parameters": "by name: number, or list of numbers",
+            "controls": "by actuator: number, text, or a signal table",
             "distributions": "by name: text, or list of numbers",
         }
         return known.get(name) or kind_of(defs[name], defs)

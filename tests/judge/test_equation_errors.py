@@ -125,16 +125,15 @@ def test_equation_error_ignores_spread_of_derivatives(monkeypatch: pytest.Monkey
     assert not errors(monkeypatch, OFF, spread=20.0 * spread).any()
 
 
-def test_spread_of_drive_is_largest_of_five_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The spread of a prescribed joint includes two neighbouring times on each side."""
+def test_spread_is_largest_of_five_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The spread of all joints includes two neighbouring times on each side."""
     sums, H = terms(driven=True)
     spread = np.zeros((len(TIMES), 2))
     spread[3] = 30.0 * np.array([2e-5, 1e-5])
     result = errors(monkeypatch, OFF, spread=spread, driven=True)
     expected = np.column_stack([np.abs(H @ OFF)[:, 0], H[:, 1, 1] * 2e-3]) / sums
     assert result[0] == pytest.approx(expected[0], rel=1e-8)
-    assert result[:3, 0] == pytest.approx(expected[:3, 0], rel=1e-8)
-    assert not result[1:, 1].any()
+    assert not result[1:].any()
 
 
 def test_equation_error_of_drive_compares_accelerations(monkeypatch: pytest.MonkeyPatch) -> None:

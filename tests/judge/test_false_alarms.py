@@ -11,6 +11,8 @@ from false_alarms import INACCURATE, _is_right, judged
 from random_scenes import FAR, TINY, RandomScene, random_scene
 
 import pinred
+from pinred.forces import Torque
+from pinred.judge.full_dynamics import FullDynamics
 
 
 @pytest.mark.slow
@@ -51,6 +53,28 @@ def test_motion_that_improves_with_tolerance_is_less_accurate() -> None:
     alarm = judged(300351)
     assert alarm.verdict == INACCURATE
     assert "FAILED" in alarm.message
+
+
+def test_fast_force_at_a_switch_in_time_passes() -> None:
+    """Beside a switch, ABA evaluates conditions at a near time, and all else at the time itself."""
+    import casadi as ca
+
+    def servo(s: Any) -> dict[str, Any]:
+        clipped = ca.fmin(ca.fmax(0.5 * ca.sin(7.0 * s.t), -0.2), 0.2)
+        return {"beanie": 3.0 * clipped + 5.0 * (0.2 * ca.cos(s.t) - s.xdot["beanie"])}
+
+    traj = pinred.simulate(pinred.load("elroys_beanie"), duration=1.0, forces=[Torque(servo)])
+    report = pinred.compare(traj)
+    assert report.passed, report
+    full, times = FullDynamics(traj.scene), np.array([1.0])
+    states: Any = traj.motion.states(times)
+    y = full.state(states.pose, states.x, states.xi, states.xdot)[0]
+    full.set_parameters(traj.motion.numbers(times)[0])
+    rate, theta, m = full.rate(1.0, y), float(states.xdot[0, 0]), full.system.sorted_model
+    # M ẍ = τ with M = I₁ I₂ / (I₁ + I₂)
+    I1, I2 = m.inertias[1].inertia[2, 2], m.inertias[2].inertia[2, 2]
+    torque = 3.0 * 0.2 + 5.0 * (0.2 * np.cos(1.0) - theta)
+    assert rate[-1] == pytest.approx(torque * (I1 + I2) / (I1 * I2), rel=1e-13)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from pinred.laboratory.corpus.scope import why_not_due
 from pinred.laboratory.corpus.second_reader import differences
 from pinred.laboratory.corpus.trial import TrialOptions, run_trial
 from pinred.laboratory.corpus.worker import Worker
+from pinred.system import drake_comparison
 
 QUICK = TrialOptions(duration=0.05)
 ARM = f'<body name="arm">{HINGE}{MASS}</body>'
@@ -144,6 +145,46 @@ def test_second_reader_detects_differences(what: str, tmp_path: Path) -> None:
     assert max(right.places, right.mass, right.forces) < 1e-13
 
 
+def test_sdf_files_are_compared_with_drake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrong mass is detected; files without motion, or that Drake rejects, are not due."""
+    pytest.importorskip("pydrake")
+    inertial = "<inertial><mass>2</mass></inertial>"
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in "ab")
+    hinge = (
+        '<joint name="j" type="revolute"><parent>a</parent><child>b</child>'
+        "<axis><xyz>0 0 1</xyz></axis></joint>"
+    )
+    texts = {
+        "arm": f'<sdf version="1.9"><model name="m">{links}{hinge}</model></sdf>',
+        "fixed": f'<sdf version="1.9"><model name="m"><static>true</static>{links}</model></sdf>',
+        "wrong": '<sdf version="1.9"><model name="m"><link/></model></sdf>',
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.sdf").write_text(text, encoding="utf-8")
+    found = find_descriptions([tmp_path]).descriptions
+    assert {item.kind for item in found} == {"sdf"}
+    entries = {Path(entry.file).stem: entry for entry in (run_trial(d, QUICK) for d in found)}
+    arm = entries["arm"]
+    assert (arm.outcome, arm.reader, arm.due, arm.second) == (
+        "passed",
+        "Drake",
+        True,
+        "an SDF file",
+    )
+    assert [entries[name].outcome for name in ("fixed", "wrong")] == ["refused", "refused"]
+    assert entries["fixed"].why_not == "nothing moves"
+    assert "Drake does not open it" in entries["wrong"].why_not
+    assert "sdf" in str(Corpus(tuple(entries.values())))
+
+    class Wrong(drake_comparison._Pair):
+        def difference(self, rng: Any) -> float:
+            return super().difference(rng) + 1e-6
+
+    monkeypatch.setattr(drake_comparison, "_Pair", Wrong)
+    entry = run_trial(next(d for d in found if d.file.endswith("arm.sdf")), QUICK)
+    assert (entry.outcome, entry.about) == ("FAILED", "Drake reads it differently")
+
+
 def test_unexpected_exception_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An exception that is not pinred's has the outcome "error"."""
 
@@ -232,7 +273,7 @@ def test_corpus_command_prints_and_writes_table(
 def test_corpus_rejects_empty_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No folders or names, a folder without robots, and invalid numbers."""
     assert "nothing to try" not in refused(capsys, "corpus")
-    assert "no URDF or MJCF" in refused(capsys, "corpus", str(tmp_path))
+    assert "no URDF, MJCF or SDF" in refused(capsys, "corpus", str(tmp_path))
     assert "no such folder" in refused(capsys, "corpus", str(tmp_path / "x"))
     with pytest.raises(InputError, match="positive"):
         corpus([tmp_path], duration=0.0)

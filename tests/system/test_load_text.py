@@ -83,7 +83,7 @@ def test_recording_of_a_text_names_no_source(tmp_path: Path) -> None:
         ("<robot name='r'>", "the text is not XML"),
         ("<house/>", "the text is neither URDF"),
         ("<!DOCTYPE a><robot name='r'/>", "the text declares a document type"),
-        ("\udc80", "the text is not XML in UTF-8"),
+        ("\udc80", "the text is not XML in UTF-8; save it in this encoding"),
     ],
 )
 def test_invalid_text_is_refused_as_a_file_is(text: str, message: str) -> None:

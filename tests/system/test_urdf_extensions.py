@@ -348,7 +348,40 @@ def test_loop_through_the_world_is_refused(tmp_path: Path) -> None:
         .replace(bar("right"), "")
         .replace("ground", "base")
     )
-    with pytest.raises(ModelError, match=r"'close' .*through the world.*remove it"):
+    words = r"'close' \(line 1\) of .*through the world, so the base cannot .*remove it"
+    with pytest.raises(ModelError, match=words):
+        pinred.load(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    "tie",
+    [
+        '<gazebo><joint name="tie" type="fixed"><parent>world</parent><child>c</child></joint>'
+        "</gazebo>",
+        '<gazebo><joint name="tie" type="fixed"><parent>c</parent><child>world</child></joint>'
+        "</gazebo>",
+        '<loop_joint name="tie" type="ball"><link1 link="world"/><link2 link="c"/></loop_joint>',
+    ],
+)
+def test_loop_from_a_floating_base_to_the_world_is_refused(tie: str, tmp_path: Path) -> None:
+    """The message names the joint, its line, the base and the remedy."""
+    tree = link("a") + link("b") + link("c") + on("ab", "a", "b") + on("bc", "b", "c")
+    text = f'<robot name="r">{tree}\n{tie}</robot>'
+    words = (
+        r"'tie' \(line 2\) ties link 'c' to the world, so the base 'a' cannot move.*make 'c' the"
+    )
+    with pytest.raises(ModelError, match=words):
+        pinred.load(write(tmp_path, text))
+
+
+def test_second_joint_of_a_link_between_two_trees_is_refused(tmp_path: Path) -> None:
+    """The message names both joints, their lines, and the links without a joint."""
+    tree = link("a") + link("b") + link("c") + on("ab", "a", "b") + on("bc", "b", "c")
+    text = f'<robot name="r"><link name="world"/>{tree}\n{on("wc", "world", "c")}</robot>'
+    words = (
+        r"'wc' \(line 2\) carries link 'c', which joint 'bc' \(line 1\).*so world, a have no joint"
+    )
+    with pytest.raises(ModelError, match=words):
         pinred.load(write(tmp_path, text))
 
 

@@ -278,6 +278,31 @@ def test_other_words_are_reported_or_change_nothing(entry: Entry) -> None:
         assert not [left for left in left_out if left.what == words.what]
 
 
+@pytest.mark.parametrize(
+    ("plugin", "kind", "quiet"),
+    [
+        ('<plugin name="p" filename="libgazebo_ros_imu_sensor.so"/>', "", False),
+        ('<plugin name="p" filename="libgazebo_ros_openni_kinect.so"/>', "", False),
+        ('<plugin name="p" filename="/a/libgz-sim8-pose-publisher-system.so"/>', "", False),
+        ('<controller:gazebo_ros_bumper name="p" plugin="libgazebo_ros_bumper.so"/>', "", False),
+        ('<plugin name="p" filename="libgazebo_ros_control.so"/>', "plugins", True),
+        ('<plugin name="p" filename="libgazebo_ros_force.so"/>', "plugins", True),
+        ('<plugin name="p" filename="libthruster.so"/>', "plugins", False),
+        ('<plugin name="p" filename="gz-sim-joint-position-controller-system"/>', "plugins", False),
+        ('<plugin name="p" filename="libgz-sim-buoyancy-system.so"/>', "buoyancy", False),
+        ("<plugin/>", "plugins", False),
+    ],
+)  # fmt: skip
+def test_plugins_that_may_move_something_are_reported(plugin: str, kind: str, quiet: bool) -> None:
+    """Observers are harmless; others are named with their library and line."""
+    left_out = read(TREE.replace("</robot>", f"<gazebo>{plugin}</gazebo></robot>")).left_out
+    assert [(left.what, left.demanded) for left in left_out] == [(kind, quiet)] * bool(kind)
+    if "filename" in plugin and kind:
+        library = re.search('filename="(.*?)"', plugin)
+        assert library is not None
+        assert f"plugin 'p' ({library[1]}) (line " in left_out[0].names[0]
+
+
 def test_unknown_words_are_reported_with_owner_and_line() -> None:
     """Elements and attributes that no table contains, in any place."""
     text = TREE.replace("</robot>", '\n<wing span="2"/>\n<link name="h"><glue/></link></robot>')

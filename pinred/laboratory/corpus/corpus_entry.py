@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 
 from ...common.files import write_table
 
-Kind: TypeAlias = Literal["urdf", "mjcf", "name"]
+Kind: TypeAlias = Literal["urdf", "mjcf", "sdf", "name"]
 Outcome: TypeAlias = Literal[
     "passed", "without gravity", "refused", "stopped", "FAILED", "error", "fragment"
 ]
@@ -23,7 +23,7 @@ class Entry:
 
     Attributes:
         file: Path of the file, or name of the robot.
-        kind: "urdf", "mjcf" or "name".
+        kind: "urdf", "mjcf", "sdf" or "name".
         outcome: "passed"; "without gravity" (gravity breaks the symmetry of its root);
             "refused" (an error of pinred); "stopped" (the simulation or the time limit);
             "FAILED" (differs from ABA, MuJoCo or the independent reader); "error" (other exception,

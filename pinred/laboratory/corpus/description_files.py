@@ -12,8 +12,9 @@ from xml.parsers import expat
 from ...common.errors import LoadError
 from .corpus_entry import Kind
 
-_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
+_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".world", ".model")
 _MOST_BYTES = 256_000_000
+_KINDS: dict[str, Kind] = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def find_descriptions(folders: Iterable[str | Path]) -> SearchResult:
             copies += content in contents
             if content not in contents:
                 contents.add(content)
-                kind: Kind = "urdf" if header.tag == "robot" else "mjcf"
+                kind = _KINDS[header.tag]
                 descriptions.append(Description(str(path), kind, path.resolve() in included))
     return SearchResult(tuple(descriptions), fragments, macros, copies)
 
@@ -102,7 +103,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _read_header(path: Path) -> _Header | None:
-    """Read the XML up to its first error; return None if it is neither URDF nor MJCF."""
+    """Read the XML up to its first error; return None if it is neither URDF, MJCF nor SDF."""
     first: list[tuple[str, bool]] = []
     includes: list[Path] = []
     has_bodies = False
@@ -115,13 +116,14 @@ def _read_header(path: Path) -> _Header | None:
         if tag == "include" and "file" in attributes:
             includes.append(path.parent / attributes["file"])
             has_bodies = True
+        has_bodies |= first[0][0] == "sdf" and tag == "include"
 
     parser = expat.ParserCreate()
     parser.StartElementHandler = start
     with suppress(expat.ExpatError, ValueError, OSError):
         if path.stat().st_size <= _MOST_BYTES:
             parser.Parse(path.read_bytes().lstrip(), True)
-    if not first or first[0][0] not in ("robot", "mujoco", "mujocoinclude"):
+    if not first or first[0][0] not in (*_KINDS, "mujocoinclude"):
         return None
     tag, declared = first[0]
     xacro = tag == "robot" and (path.suffix == ".xacro" or (declared and _has_macros(path)))

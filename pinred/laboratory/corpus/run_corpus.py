@@ -46,7 +46,7 @@ class Corpus:
 
     def summary(self) -> str:
         """Format the count of each outcome, and the success rate of files that should work."""
-        kinds = [kind for kind in ("urdf", "mjcf", "name") if self._of(kind)]
+        kinds = [kind for kind in ("urdf", "mjcf", "sdf", "name") if self._of(kind)]
         rows = [f"{'':<38}" + "".join(f"{kind:>8}" for kind in kinds)]
 
         def row(what: str, count: Callable[[list[Entry]], object]) -> None:
@@ -145,7 +145,7 @@ def corpus(
             Description(name, "name") for name in (*bundled_robots(), *example_robots())
         ]
     if not descriptions:
-        raise InputError("no URDF or MJCF files to try; name folders with some, or robots")
+        raise InputError("no URDF, MJCF or SDF files to try; name folders with some, or robots")
     entries: list[Entry] = []
     try:
         with Worker(TrialOptions(duration), patience) as worker:

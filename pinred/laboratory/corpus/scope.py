@@ -2,7 +2,8 @@
 
 A URDF should work if Pinocchio or MuJoCo opens it, if it is one open tree, and if its mass matrix
 is positive definite at zero and at some random shapes. An MJCF file should work if MuJoCo compiles
-it and if it contains an open tree of joints.
+it and if it contains an open tree of joints. An SDF file should work if Drake opens it and if
+something moves.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ...common.errors import LoadError
+from ...common.errors import LoadError, MissingPackageError
 from ...common.library_output import EVERYTHING, library_output
+from ...common.optional_packages import optional_package
 from ...system.mjcf.package import mujoco_package, warnings_kept
+from ...system.read_sdf import drake_warnings
 from ...system.robot_files import read_xml
 
 _SHAPES = 4
@@ -24,7 +27,7 @@ _REGULAR = 1e-13  # least eigenvalue of a regular mass matrix, scaled to a unit 
 
 def why_not_due(file: str, kind: str) -> str:
     """Return a short reason why a description is not required to work, or ""."""
-    reason = _urdf(Path(file)) if kind == "urdf" else _mjcf(file)
+    reason = _urdf(Path(file)) if kind == "urdf" else _sdf(file) if kind == "sdf" else _mjcf(file)
     return " ".join(reason.split())[:200]
 
 
@@ -111,6 +114,22 @@ def _mjcf(file: str) -> str:
         return "nothing moves"
     reasons = [_why_closed(mj, model, joints) for joints in tops]
     return "" if "" in reasons else reasons[0]
+
+
+def _sdf(file: str) -> str:
+    try:
+        plants = optional_package("pydrake.multibody.plant", "the corpus needs Drake")
+        parsing = optional_package("pydrake.multibody.parsing", "the corpus needs Drake")
+    except MissingPackageError:
+        return "no drake"
+    plant = plants.MultibodyPlant(0.0)
+    with library_output(EVERYTHING), drake_warnings():
+        try:
+            parsing.Parser(plant).AddModels(file)
+            plant.Finalize()
+        except Exception as error:  # Drake raises RuntimeError and other types.
+            return f"Drake does not open it: {str(error).strip().splitlines()[0]}"
+    return "" if plant.num_velocities() else "nothing moves"
 
 
 def _tops(model: Any) -> list[list[int]]:

@@ -86,7 +86,7 @@ def _try_description(description: Description, options: TrialOptions, entry: Ent
         choice=", ".join(f"{k}={v}" for k, v in choices.items() if k != "gravity"),
     )  # fmt: skip
     entry = _compare_with_mujoco(description, system, choices.get("root"), entry)
-    entry = _compare_readings(description, entry)
+    entry = _compare_readings(description, choices.get("root"), entry)
     began = time.perf_counter()
     try:
         try:
@@ -152,8 +152,8 @@ def _compare_with_mujoco(
     description: Description, system: System, root: str | None, entry: Entry
 ) -> Entry:
     """Compare the system with MuJoCo's reading of the file; return the updated entry."""
-    if description.kind == "name":
-        return replace(entry, second="a name")
+    if description.kind in ("name", "sdf"):
+        return replace(entry, second="a name" if description.kind == "name" else "an SDF file")
     try:
         mujoco_package()
         errors: Differences = differences(
@@ -178,11 +178,11 @@ def _compare_with_mujoco(
     return entry
 
 
-def _compare_readings(description: Description, entry: Entry) -> Entry:
+def _compare_readings(description: Description, root: str | None, entry: Entry) -> Entry:
     """Compare with the reading of an independent reader; return the updated entry."""
     if description.kind == "name":
         return entry
-    reading = second_reading(Path(description.file))
+    reading = second_reading(Path(description.file), root=root)
     if reading is None:
         return entry
     if reading.unread:

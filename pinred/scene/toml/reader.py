@@ -18,10 +18,11 @@ from ...forces.force import Force, Limit
 from ...forces.force_model_cache import cached_force_model
 from ...forces.formula import NAMES, Formula
 from ...forces.link_wrenches import link_frame
+from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS
 from ..event import Event
-from ..input_formats import parse_method
+from ..input_formats import parse_control, parse_controls, parse_method
 from ..random_state import DURATION
 from ..scene import ENGINES, Engine, Scene
 from .documents import read_document, robot_in
@@ -102,6 +103,7 @@ class _Builder:
             "method": self._method,
             "prescribed": lambda value, at: self._by_joint(value, at, self.signals.motion),
             "springs": self._per_joint,
+            "controls": self._controls,
             "forces": lambda value, at: [self._force(v, at / k) for k, v in enumerate(value)],
             "events": lambda value, at: [self._event(v, at / k) for k, v in enumerate(value)],
             "x0": self._per_joint,
@@ -266,6 +268,19 @@ class _Builder:
         joints = [joint.name for joint in self.system.space.joints]
         if name not in (*joints, *self.system.shape_names, *self.system.followers):
             place.fail(unknown(name, "joint", joints, "the joints are"))
+
+    def _controls(self, values: Mapping[str, Any], place: Place) -> dict[str, Any]:
+        """Convert the controls of actuators; formulas of time alone stay texts."""
+        names = [actuator.name for actuator in self.system.actuators]
+        for name in values:
+            if name not in names:
+                with naming(place):
+                    parse_controls({name: 0.0}, self.system)
+        return {name: self._control(value, place / name) for name, value in values.items()}
+
+    def _control(self, value: Any, place: Place) -> Any:
+        is_signal = isinstance(value, str) and isinstance(parse_control(value, ""), Signal)
+        return value if is_signal else self._action(value, place)
 
     def _by_joint(
         self, values: Mapping[str, Any], place: Place, convert: Callable[[Any, Place], Any]

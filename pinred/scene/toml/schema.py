@@ -184,14 +184,22 @@ class ListOf(Node):
 
 @dataclass(frozen=True)
 class ByName(Node):
-    """A table from names, such as joint names, to values of type `item`."""
+    """A table from names, such as joint names, to values of type `item`.
+
+    Attributes:
+        item: Type of the values.
+        name: Name of the type in the JSON Schema.
+        noun: What the names denote, for messages.
+    """
 
     item: Node
+    name: str = ""
+    noun: str = "joint"
     types = (dict,)
 
     def describe(self) -> str:
         """Return the value type in words, for messages."""
-        return f"a table {{joint = {self.item.describe()}}}"
+        return f"a table {{{self.noun} = {self.item.describe()}}}"
 
     def _read(self, value: Any, place: Place) -> dict[str, Any]:
         return {name: self.item.read(entry, place / name) for name, entry in value.items()}

@@ -11,11 +11,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ..ball_forces import BallSpring
 from ..force_interface import Force
 from ..passive import BASE, Damper, Friction, Spring, rate_labels
 from ..robot_file_contents import LeftOut
-from .mujoco_joints import acts_on_joint, quaternion
+from .actuators import actuator_damping
+from .mujoco_joints import quaternion
 from .package import mujoco_package
 from .tree import Tree
 from .world import World
@@ -26,7 +29,9 @@ def passive_forces(tree: Tree) -> tuple[Force, ...]:
     return tuple(force for joint in _shape_joints(tree) for force in _forces_at(tree.world, joint))
 
 
-def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> Iterator[LeftOut]:
+def left_out_actions(
+    tree: Tree, outside: Sequence[str], actuators: Sequence[str], *, gravcomp: bool
+) -> Iterator[LeftOut]:
     """Yield the actions on a robot that are not simulated, by kind.
 
     Forces at the base would change the momentum, so they are not simulated.  Plastic springs are
@@ -35,6 +40,7 @@ def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> I
     Args:
         tree: Robot.
         outside: Names of constraints that tie the robot to other bodies.
+        actuators: Names of actuators that are left out.
         gravcomp: Whether gravity is compensated for some of the bodies.
     """
     world, model = tree.world, tree.world.model
@@ -44,7 +50,7 @@ def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> I
     if (model.opt.density or model.opt.viscosity) and not world.no_passive_forces:
         fluid.append(f"density {model.opt.density:g}, viscosity {model.opt.viscosity:g}")
     kinds: dict[str, list[str]] = {
-        "actuators": _actuators(tree),
+        "actuators": [*actuators],
         "equality constraints": [] if world.disabled("EQUALITY") else [*outside],
         "tendons": [
             world.name("TENDON", k)
@@ -54,7 +60,7 @@ def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> I
         BASE: [
             world.joint_names[joint]
             for joint in joints
-            if joint not in shape and _is_active(world, _joint_numbers(model, joint))
+            if joint not in shape and _is_active(world, _joint_numbers(world, joint))
         ],
         "plastic springs": [world.joint_names[j] for j in shape if _is_plastic(world, j)],
         "joint limits": [
@@ -111,7 +117,7 @@ def _shape_joints(tree: Tree) -> list[int]:
 
 
 def _forces_at(world: World, joint: int) -> Iterator[Force]:
-    name, numbers = world.joint_names[joint], _joint_numbers(world.model, joint)
+    name, numbers = world.joint_names[joint], _joint_numbers(world, joint)
     (k, *stiffer), (d, *thicker) = numbers["SPRING"], numbers["DAMPER"]
     (most,) = numbers["FRICTIONLOSS"]
     is_ball = world.kind(joint) == "ball"
@@ -134,12 +140,14 @@ def _is_active(world: World, numbers: Mapping[str, Iterable[float]]) -> bool:
     return any(any(values) and not world.disabled(kind) for kind, values in numbers.items())
 
 
-def _joint_numbers(model: Any, joint: int) -> dict[str, list[float]]:
+def _joint_numbers(world: World, joint: int) -> dict[str, list[float]]:
     """Return {MuJoCo flag: coefficients of the spring, damper or friction at a joint}."""
+    model = world.model
     v = int(model.jnt_dofadr[joint])
+    damping = np.append(model.dof_damping[v], model.dof_dampingpoly[v])
     return {
         "SPRING": [float(model.jnt_stiffness[joint]), *map(float, model.jnt_stiffnesspoly[joint])],
-        "DAMPER": [float(model.dof_damping[v]), *map(float, model.dof_dampingpoly[v])],
+        "DAMPER": (damping + actuator_damping(world, joint)).tolist(),
         "FRICTIONLOSS": [float(model.dof_frictionloss[v])],
     }
 
@@ -156,7 +164,7 @@ def _tendon_numbers(model: Any, tendon: int) -> dict[str, list[float]]:
 
 def _is_plastic(world: World, joint: int) -> bool:
     """Return whether the spring at a joint is plastic."""
-    spring = {"SPRING": _joint_numbers(world.model, joint)["SPRING"]}
+    spring = {"SPRING": _joint_numbers(world, joint)["SPRING"]}
     return _is_active(world, spring) and bool(world.model.jnt_springyield[joint])
 
 
@@ -180,27 +188,3 @@ def _touching_shapes(tree: Tree) -> list[str]:
         if int(model.geom_bodyid[geom]) in tree.carriers
         and (model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in pairs)
     ]
-
-
-def _actuators(tree: Tree) -> list[str]:
-    """Return the names of the actuators that act on the robot."""
-    world, model, kinds = tree.world, tree.world.model, mujoco_package().mjtTrn
-    if world.disabled("ACTUATION"):
-        return []
-    joints, tendons = set(tree.free_joints), set(moving_tendons(tree))
-    names = []
-    for k in range(model.nactuator):
-        kind, target = int(model.actuator_trntype[k]), int(model.actuator_trnid[k, 0])
-        if acts_on_joint(world, k):
-            acts = target in joints
-        elif kind == int(kinds.mjTRN_TENDON):
-            acts = target in tendons
-        elif kind in (int(kinds.mjTRN_SITE), int(kinds.mjTRN_SLIDERCRANK)):
-            acts = int(model.site_bodyid[target]) in tree.carriers
-        elif kind == int(kinds.mjTRN_BODY):
-            acts = target in tree.carriers
-        else:
-            acts = True
-        if acts:
-            names.append(world.name("ACTUATOR", k))
-    return names

@@ -13,9 +13,11 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import ModelError
 from ...lie.group import Group
+from ..actuator import Actuator
 from ..locked_joints import LockedJoints, LockValue, separate_attitudes
 from ..merge_hinges import Merge, coupled_joints, locked_hinges, merge_of, unlocked_balls
 from ..robot_file_contents import Contents, Coupling, Keyframe
+from .actuators import actuators_of
 from .compile import compiled
 from .equality_constraints import constraints_of, held_joints, locked_with_followers
 from .mujoco_forces import left_out_actions, moving_tendons, passive_forces
@@ -94,17 +96,22 @@ def read_mujoco(
             attitudes=attitudes,
             shared=shared,
         )
-    refuse_heavy_tendons(tree, moving_tendons(tree))
+    tendons = moving_tendons(tree)
+    refuse_heavy_tendons(tree, tendons)
+    actuators, without = actuators_of(tree, tendons, merge.hinges)
     fixed = [world.body_names[body] for body in tree.fixed_bodies]
 
     def contents(group: Group) -> Contents:
         return Contents(
             left_out=(
-                *left_out_actions(tree, constraints.outside, gravcomp=file_gravity.is_uneven),
+                *left_out_actions(
+                    tree, constraints.outside, without, gravcomp=file_gravity.is_uneven
+                ),
                 *merge.left_out(forces),
             ),
             passive=merge.forces(forces),
-            keyframes=keyframes_of(tree, group, constraints.couplings, merge),
+            actuators=tuple(actuators.values()),
+            keyframes=keyframes_of(tree, group, constraints.couplings, merge, actuators),
             couplings=constraints.couplings,
             freed=fixed[0] if fixed and tree.root is None else "",
             warnings=(
@@ -148,7 +155,11 @@ def gravity_of(world: World) -> Gravity:
 
 
 def keyframes_of(
-    tree: Tree, group: Group, couplings: Sequence[Coupling] = (), merge: Merge | None = None
+    tree: Tree,
+    group: Group,
+    couplings: Sequence[Coupling] = (),
+    merge: Merge | None = None,
+    actuators: Mapping[int, Actuator] | None = None,
 ) -> dict[str, Keyframe]:
     """Return the keyframes by name; unnamed keyframes are called key0, key1 and so on.
 
@@ -157,6 +168,7 @@ def keyframes_of(
         group: Group of the base.  If the file fixes the base, it rests at the identity.
         couplings: Couplings of followers; the file's values of followers are ignored.
         merge: Hinges that become balls; None for none.
+        actuators: Actuators by the index of their control.
     """
     followers = {coupling.follower for coupling in couplings}
     joints = [joint for joint in tree.shape if joint.name not in followers]
@@ -174,6 +186,10 @@ def keyframes_of(
             xi=np.zeros(group.dim) if root is None else root.twist(qpos, qvel),
             xdot=np.concatenate([np.empty(0), *xdot.values()]),
             time=float(model.key_time[k]),
+            controls={
+                actuator.name: float(model.key_ctrl[k, at])
+                for at, actuator in (actuators or {}).items()
+            },
         )
     return keyframes
 

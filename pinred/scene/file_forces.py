@@ -1,15 +1,21 @@
-"""Selection of a robot file's springs, dampers and dry friction for a scene."""
+"""Selection of the forces in a robot's file for a scene: passive forces and actuators."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from ..common.arrays import positive
 from ..common.errors import InputError
+from ..common.names import listed
+from ..forces.controller import Controller
 from ..forces.force import Force
 from ..system.ball_forces import BallSpring
 from ..system.passive import Damper, Friction, Spring
 from ..system.system import System
+
+if TYPE_CHECKING:
+    from ..forces.actuation import Control
 
 
 def check_passive(passive: Any, friction: Any) -> tuple[bool, float | None]:
@@ -80,3 +86,44 @@ def passive_left_out(
     if rubbing:
         hints.append(f"friction=WIDTH uses {'the friction' if springs else pronoun}")
     return f"the file has {names}; {who} leaves {pronoun} out ({', '.join(hints)})"
+
+
+def actuation(system: System, controls: Mapping[str, Control] | Controller) -> tuple[Force, ...]:
+    """Return the forces of the actuators that a scene drives.
+
+    Args:
+        system: System with the actuators of its file.
+        controls: Checked controls of the scene.
+    """
+    from ..forces.actuation import Actuation
+
+    if isinstance(controls, Controller):
+        return (controls,)
+    by_name = {actuator.name: actuator for actuator in system.actuators}
+    driven = tuple((by_name[name], control) for name, control in controls.items())
+    return (Actuation(driven),) if driven else ()
+
+
+def actuators_left_out(
+    system: System, controls: Mapping[str, Any] | Controller | None = None, who: str = "the run"
+) -> str:
+    """Describe the actuators of the robot's file that do not act.
+
+    Args:
+        system: System with the actuators of its file.
+        controls: Controls of the scene; None for none.
+        who: Subject of the sentence.
+    Returns:
+        A sentence with the option that drives them; empty if all actuators act.
+    """
+    names = [actuator.name for actuator in system.actuators]
+    driven = controls.driven(()) if isinstance(controls, Controller) else controls or ()
+    idle = [name for name in names if name not in driven]
+    if not idle:
+        return ""
+    count, pronoun = ("1", "it") if len(idle) == 1 else (str(len(idle)), "them")
+    noun = f"{'more ' if driven else ''}{'actuator' if len(idle) == 1 else 'actuators'}"
+    return (
+        f"the file has {count} {noun} ({listed(idle, 6)}); {who} leaves {pronoun} out "
+        f"(controls={{NAME: …}} drives {pronoun})"
+    )
