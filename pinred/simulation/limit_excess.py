@@ -241,7 +241,7 @@ def _efforts(plan: Plan, motion: Motion, t: Array) -> dict[str, Array]:
     samples, numbers = motion.samples(t)
     own_forces = list_forces(scene.forces)
     passive = [force for force in own_forces if isinstance(force, (Spring, Damper, Friction))]
-    if len(passive) < len(own_forces):
+    if len(passive) < len(own_forces) or scene.controls:
         torque = forces.acting(samples.force_inputs(t, numbers)).torque
         if passive or scene.springs or scene.own_forces:
             model = cached_force_model(
