@@ -5,6 +5,8 @@ Robots of a metre, a millimetre and a kilometre have the same bounds relative to
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ import pinred
 from pinred.analysis.connections import mechanical_connection
 from pinred.common.arrays import Array
 from pinred.common.differences import central_differences
-from pinred.forces import Spring
+from pinred.forces import ComputedTorque, Wrench
 from pinred.forces.force_numbers import random_numbers
 from pinred.kernels import (
     closing_code,
@@ -34,6 +36,7 @@ from pinred.kernels.flow_functions import initial_conditions_of, rate_of
 from pinred.kernels.initial_conditions import initial_conditions_kernel
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reference_state import random_state
+from pinred.reduction.tree.free_bodies import free_numbers
 from pinred.reduction.tree.loop_constraints import GAUGE_RATE
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
@@ -90,9 +93,9 @@ def test_bounds_are_relative_to_values(
 
     def record(
         who: str, what: str, found: Array, expected: Array, terms: Any,
-        tolerance: float = validation.TOLERANCE, reference: str = "Pinocchio",
+        tolerance: float = validation.TOLERANCE, *rest: Any, **kinds: Any,
     ) -> None:  # fmt: skip
-        require_agreement(who, what, found, expected, terms, tolerance, reference)
+        require_agreement(who, what, found, expected, terms, tolerance, *rest, **kinds)
         if what in LIMITS:
             most, limit = LIMITS[what]
             assert tolerance <= most, what
@@ -113,21 +116,45 @@ def test_bounds_are_relative_to_values(
         assert set(LIMITS) - seen == {"the multipliers", "the pull", "the gap"}
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+def driven(units: Units) -> Kernel:
+    """Return the kernel of a tree with two prescribed joints, a controller and a thruster.
+
+    The thruster has a zero, whose random value has the size of the robot's own forces.
+    """
+    system, options = scaled("tree", units)
+    L, M, T = units.length, units.mass, units.time
+    (slide, *_), (*_, hinge) = (
+        [name for name, unit in zip(system.shape_names, system.units, strict=True) if unit == kind]
+        for kind in ("m", "rad")
+    )
+    waves = {
+        slide: pinred.signals.Expression(f"{0.2 * L!r}*sin({2.0 / T!r}*t)"),
+        hinge: pinred.signals.Expression(f"0.3*sin({3.0 / T!r}*t)"),
+    }
+    others = {
+        name: 0.1 * (L if unit == "m" else 1.0)
+        for name, unit in zip(system.shape_names, system.units, strict=True)
+        if name not in waves
+    }
+    held = ComputedTorque(others, kp=4.0 / T**2, kd=2.0 / T)
+    F = M * L / T**2
+    thrust = Wrench([0.3 * F, 0.0, 0.2 * F, 0.1 * F * L, -0.2 * F * L, 0.3 * F * L])
+    options["forces"] = [held, thrust]
+    scene = pinred.Scene(system=system, prescribed=waves, **options)
+    return kernel_of(plan_of(scene), zero_momentum=False)
+
+
+ROBOT_KERNELS: dict[str, Callable[[Units], Kernel]] = {
+    **{robot: partial(build, robot) for robot in ROBOTS}, "driven": driven,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("robot", ROBOT_KERNELS)
 def test_states_are_equal_in_own_units(robot: str) -> None:
     """States, parameters and times, relative to their sizes, do not depend on units."""
 
     def relative(units: Units) -> Array:
-        system, options = scaled(robot, units)
-        # A rest position of zero would get the size one in SI units.
-        (spring, *others), scalars = (
-            options["forces"],
-            dict(zip(system.shape_names, system.units, strict=False)),
-        )
-        rest = 0.3 * (units.length if scalars[spring.joint] == "m" else 1.0)
-        pulls = [Spring(spring.joint, spring.stiffness, rest=rest), *others]
-        scene = pinred.Scene(system=system, **options | {"forces": pulls})
-        kernel = kernel_of(plan_of(scene), zero_momentum=False)
+        kernel = ROBOT_KERNELS[robot](units)
         at, r = random_state(kernel, np.random.default_rng(3), 1.0), kernel.system.r
         assert at is not None
         sizes = at.sizes
@@ -135,12 +162,50 @@ def test_states_are_equal_in_own_units(robot: str) -> None:
             at.y / sizes.of_state(kernel.layout, r),
             at.parameters / sizes.of_parameters(kernel.layout, r, at.parameters),
             at.com_path / sizes.of_path(kernel.system.group.linear),
+            at.pi / sizes.momenta[r:],
             [sizes.length / units.length, sizes.mass / units.mass, sizes.time / units.time],
         ])  # fmt: skip
 
-    expected = relative(Units())
-    for units in (SMALL, LARGE):
+    expected, sizes = relative(Units()), (SMALL, LARGE)
+    if robot == "driven":  # prescribed motions determine the unit of time
+        sizes = (Units(1e-3, 1e-3), Units(1e3, 1e-3))
+    for units in sizes:
         assert relative(units) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("robot", ["tree", "loop", "driven"])
+def test_compared_entries_of_one_kind_have_equal_units(
+    robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In units of a millimetre, values of one kind change by one factor."""
+    require_agreement = validation.require_agreement
+
+    def compared(units: Units) -> list[tuple[str, Array, Array, Any]]:
+        kernel, seen = ROBOT_KERNELS[robot](units), []
+
+        def record(
+            who: str, what: str, found: Array, expected: Array, terms: Any, *rest: Any, **kinds: Any
+        ) -> None:
+            require_agreement(who, what, found, expected, terms, *rest, **kinds)
+            exact = np.abs(expected) > 1e-8 * np.asarray(terms)
+            seen.append((what, expected, exact, kinds.get("kinds")))
+
+        with monkeypatch.context() as patch:
+            for module in MODULES:
+                patch.setattr(module, "require_agreement", record)
+            validation.validate_kernel(kernel)
+            initial_conditions_kernel(kernel.system, "xi")
+            if kernel.system.loops:
+                closing_code.with_multipliers(kernel)
+        return seen
+
+    first, second = compared(Units()), compared(Units(1e-3, 1.0, 1.0))
+    assert len(first) == len(second)
+    for (what, values, exact, kinds), (name, others, *_) in zip(first, second, strict=True):
+        assert what == name
+        for kind in (exact,) if kinds is None else (exact & kinds, exact & ~kinds):
+            factors = others[kind] / values[kind]
+            assert factors == pytest.approx(factors[:1].repeat(len(factors)), rel=1e-4), what
 
 
 @pytest.mark.parametrize(("part", "passes"), [(0.3, True), (3.0, False)])
@@ -223,6 +288,51 @@ def test_each_lane_is_compared(own_parameters: bool, monkeypatch: pytest.MonkeyP
                 derived_code._validate_wide_rate(kernel, code, lanes, own_parameters=own_parameters)
 
 
+@pytest.mark.parametrize("own_parameters", [False, True])
+def test_exchanged_lanes_are_found(own_parameters: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No lane may return the rate of another."""
+    kernel, lanes = build("tree"), 4
+    code = derived_code.wide_rate(kernel, lanes, own_parameters=own_parameters)
+    for first in range(lanes):
+        for second in range(first):
+
+            def exchanged(
+                address: int, parameters: Array, y: Array, entries: int,
+                pair: tuple[int, int] = (first, second),
+            ) -> Array:  # fmt: skip
+                values = evaluate(address, parameters, y, entries)
+                columns = values.reshape(-1, lanes)
+                columns[:, pair] = columns[:, pair[::-1]]
+                return values
+
+            with monkeypatch.context() as patch:
+                patch.setattr(derived_code, "evaluate", exchanged)
+                with pytest.raises(pinred.KernelMismatch, match="4 states at once, in lane"):
+                    derived_code._validate_wide_rate(
+                        kernel, code, lanes, own_parameters=own_parameters
+                    )
+
+
+def test_body_parameters_of_lanes_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lane that computes with the nominal masses is found."""
+    system = pinred.load("cartpole")
+    scene = pinred.Scene(system=system, seed=0, parameters={"pole.mass": 1.1})
+    kernel, lanes = kernel_of(plan_of(scene), zero_momentum=False), 4
+    code = derived_code.wide_rate(kernel, lanes, own_parameters=True)
+    layout = kernel.layout
+    bodies = slice(layout.bodies_at, layout.bodies_at + layout.freed.size)
+    nominal = free_numbers(kernel.system, layout.freed)
+
+    def faulty(address: int, parameters: Array, y: Array, entries: int) -> Array:
+        changed = parameters.reshape(-1, lanes).copy()
+        changed[bodies, 1] = nominal
+        return evaluate(address, changed.ravel(), y, entries)
+
+    monkeypatch.setattr(derived_code, "evaluate", faulty)
+    with pytest.raises(pinred.KernelMismatch, match="in lane 1"):
+        derived_code._validate_wide_rate(kernel, code, lanes, own_parameters=True)
+
+
 def test_round_off_near_is_ten_times_the_spread() -> None:
     """The spread of 1 + ε k, with k from −4 to 4, is at most 8 ε."""
     epsilon = np.finfo(float).eps
@@ -250,7 +360,9 @@ def test_terms_of_accelerations_with_loops(monkeypatch: pytest.MonkeyPatch) -> N
     assert at is not None
     assert system.closure is not None
 
-    def record(_: str, what: str, _found: Array, expected: Array, terms: Any) -> None:
+    def record(
+        _: str, what: str, _found: Array, expected: Array, terms: Any, **_kinds: Any
+    ) -> None:
         found[what] = expected, terms
 
     monkeypatch.setattr(validation, "require_agreement", record)
