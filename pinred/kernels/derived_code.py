@@ -112,7 +112,6 @@ _STEP = 2e-3  # step of the finite differences, relative to the size of the stat
 # the largest entry of a Jacobian column.
 _CLOSER, _ROUGH = 0.01, 1e-2
 _TOLERANCE = 1e-7  # tolerance of comparisons, relative to the largest entry of a Jacobian column
-_NOISE = 1e-13  # smallest assumed round-off of rates, relative to the largest rate
 _NEIGHBOURS = 9  # number of states that differ in the last digits
 _SAFETY = 10.0  # factor on the observed round-off of rates
 
@@ -195,10 +194,7 @@ def validate_jacobian(kernel: Kernel, jacobian: Callable[[Array, Array], Array])
         rough, expected = (central_differences(rate_at, start, h) for h in (2.0 * _STEP, _STEP))
         # Differences are inaccurate where a force has a kink or is undefined.
         with np.errstate(invalid="ignore"):
-            noise = max(
-                _NOISE * np.abs(rate_at(start)).max(initial=0.0), round_off_near(rate_at, size)
-            )
-            noise /= _STEP
+            noise = round_off_near(rate_at, size) / _STEP
             bound = _TOLERANCE * np.abs(expected).max(axis=0, initial=0.0) + noise
             smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= bound
             # Both differences may skip a pulse that is much shorter than their steps.

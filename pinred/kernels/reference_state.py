@@ -559,9 +559,10 @@ def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = (
         The perturbed system.
     """
     rng, inertias, model = np.random.default_rng(1), {}, system.sorted_model
-    bodies, placements = bodies_of(system), {}
+    bodies, placements, length = bodies_of(system), {}, length_of(system)
     for i, pattern in freed.steps:
-        placements[i + 1] = other_placement(bodies[bodies[i].parent], bodies[i], pattern, rng)
+        parent = bodies[bodies[i].parent]
+        placements[i + 1] = other_placement(parent, bodies[i], pattern, length, rng)
     carried = {system.sorted_joints[k] for k in cyclic}
     for i in range(2, model.njoints):
         if model.parents[i] in carried:
@@ -580,14 +581,14 @@ def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = (
         moments = nominal.inertia + np.trace(spread) * np.eye(3) - spread
         lever = nominal.lever + reach * rng.normal(size=3)
         inertias[i + 1] = pin.Inertia(nominal.mass * rng.uniform(0.5, 1.5), lever, moments)
-    frames = {k: _perturb_placement(model.frames[k].placement, rng) for k in freed.links}
+    frames = {k: _perturb_placement(model.frames[k].placement, length, rng) for k in freed.links}
     other = with_numbers(system, inertias, placements, frames)
     return in_gravity(other, _GRAVITY_FACTOR * system.gravity)
 
 
-def _perturb_placement(placement: pin.SE3, rng: np.random.Generator) -> pin.SE3:
-    """Return a random placement near a link's placement on its body."""
-    size = 0.1 + float(np.linalg.norm(placement.translation))
+def _perturb_placement(placement: pin.SE3, length: float, rng: np.random.Generator) -> pin.SE3:
+    """Return a random placement near a link's placement on its body.  length: of the robot [m]."""
+    size = 0.1 * length + float(np.linalg.norm(placement.translation))
     return placement * pin.SE3(pin.exp3(rng.uniform(0.1, 0.4, 3)), size * rng.uniform(0.1, 0.5, 3))
 
 

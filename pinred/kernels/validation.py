@@ -117,7 +117,7 @@ def _validate_momentum(kernel: Kernel, at: ReferenceState, outputs: Array) -> No
     check("momentum of the velocity", at.H @ v, at.H @ at.v, terms, kinds=kinds)
     check("velocity", v, at.v, at.velocity_terms, kinds=kinds)
     check("centre of mass", outputs[where.com], at.com, at.reach)
-    check("momentum", outputs[where.mu], at.mu, terms[:r], kinds=kinds[:r])
+    check("momentum", outputs[where.mu], at.mu, terms[:r])
     driven = list(kernel.layout.prescribed_x)
     sizes = np.abs(at.x)
     sizes[kernel.system.space.ball_x] = 1.0

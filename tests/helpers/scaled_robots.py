@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from ball_trees import ball_tree
-from loop_robots import five_bar
+from loop_robots import five_bar, random_loops
 from trees import random_model
 
 import pinred
@@ -42,6 +42,7 @@ ROBOTS: dict[str, Callable[[], tuple[pin.Model, Sequence[Loop]]]] = {
     "tree": lambda: (random_model("SE3", 4, 3), ()),
     "balls": lambda: (ball_tree(1, 3, balls=0.3).model, ()),
     "loop": five_bar,
+    "weld": lambda: random_loops(1, ("6d",), 4),
 }
 
 
@@ -136,6 +137,8 @@ def evaluate_connection(system: System) -> None:
     code.locals(x)
     code.curvatures(x)
     code.velocity_slopes(x, rates)
+    code.covariant_forces(x, rates, rates, rates)
+    code.locked_derivatives(x, np.ones((1, system.r)))
 
 
 def weld(seed: int) -> str:
