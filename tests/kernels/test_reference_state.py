@@ -219,6 +219,34 @@ def test_time_of_conditions_is_kept() -> None:
     assert at.time < period
 
 
+def test_numbers_that_are_zero_have_the_size_of_their_effect() -> None:
+    """A force, a number in a formula, and a prescribed position, in the robot's own units."""
+    formula = pinred.signals.Expression("0.1*(t + 0.0)")
+    pulls = [forces.Wrench([0.0]), forces.Torque({"pole_pivot": formula})]
+    kernel = cartpole(G, forces=pulls)
+    assert kernel.forces is not None
+    at = draw(kernel)
+    force = at.sizes.momenta / at.sizes.time
+    zeros = np.flatnonzero(kernel.forces.numbers == 0.0)
+    assert at.sizes.numbers[zeros] == pytest.approx([force[0], force[1] / abs(at.parameters[-2])])
+    first = zeros[0] - len(kernel.forces.numbers)
+    drawn = [draw(kernel, seed).force_parameters[zeros] for seed in range(60)]
+    assert np.std(drawn, axis=0) == pytest.approx([force[0], 0.0], rel=0.2)
+    sizes = at.sizes.of_parameters(kernel.layout, 1, at.parameters)
+    assert sizes[first] == abs(at.parameters[first])
+    assert sizes[-1] == at.sizes.numbers[-1]
+    system = pinred.load(random_model("SE3", 4, 3))
+    slide = next(n for n, unit in zip(system.shape_names, system.units, strict=True) if unit == "m")
+    offset = pinred.Parameter("offset", 0.0)
+    plan = {slide: pinred.signals.Constant(offset)}
+    scene = pinred.Scene(system=system, seed=0, prescribed=plan)
+    kernel = kernel_of(plan_of(scene), zero_momentum=False)
+    sizes, k = draw(kernel).sizes, system.shape_names.index(slide)
+    assert sizes.numbers == pytest.approx([sizes.length])
+    drawn = [draw(kernel, seed).x[k] for seed in range(60)]
+    assert np.std(drawn) == pytest.approx(sizes.length, rel=0.2)
+
+
 def own_units(kernel: Kernel) -> dict[str, list[Array]]:
     """Return random states, parameters and paths relative to their sizes."""
     rng, r, k = np.random.default_rng(1), kernel.system.r, kernel.system.group.linear
