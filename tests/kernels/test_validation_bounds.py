@@ -65,7 +65,7 @@ LIMITS = {
     "spatial angular momentum": (1e-10, 2e3),
     "centre of mass": (1e-10, 10.0),
     "momentum": (1e-10, 250.0),
-    "the centre of mass": (1e-10, 99.0),
+    "the centre of mass": (1e-10, 27.0),
     "the body velocity": (1e-10, 100.0),
     "the metric": (1e-10, 1e3),
     "A": (1e-10, 25.0),
