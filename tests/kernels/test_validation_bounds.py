@@ -11,6 +11,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 import pytest
 from loop_robots import five_bar
 from scaled_robots import ROBOTS, Units, evaluate_connection, scaled
@@ -151,12 +152,28 @@ def driven(units: Units) -> Kernel:
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
+def cyclic(units: Units) -> Kernel:
+    """Return the kernel of a slide that carries a slide and a wheel, both cyclic."""
+    model, L, M = pin.Model(), units.length, units.mass
+    for name, joint in (
+        ("root", pin.JointModelPX()), ("slide", pin.JointModelPX()), ("wheel", pin.JointModelRX()),
+    ):  # fmt: skip
+        i = model.addJoint(min(1, model.njoints - 1), joint, pin.SE3.Identity(), name)
+        model.appendBodyToJoint(i, pin.Inertia.FromSphere(M, 0.3 * L), pin.SE3.Identity())
+    model.gravity.setZero()
+    kernel = kernel_of(
+        plan_of(pinred.Scene(system=pinred.load(model), seed=0)), zero_momentum=False
+    )
+    assert kernel.layout.cyclic == (0, 1)
+    return kernel
+
+
 ROBOT_KERNELS: dict[str, Callable[[Units], Kernel]] = {
-    **{robot: partial(build, robot) for robot in ROBOTS}, "driven": driven,
+    **{robot: partial(build, robot) for robot in ROBOTS}, "driven": driven, "cyclic": cyclic,
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("robot", ROBOT_KERNELS)
+@pytest.mark.parametrize("robot", [*ROBOTS, "driven"])
 def test_states_are_equal_in_own_units(robot: str) -> None:
     """States, parameters and times, relative to their sizes, do not depend on units."""
 
@@ -180,7 +197,7 @@ def test_states_are_equal_in_own_units(robot: str) -> None:
         assert relative(units) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize("robot", ["tree", "weld", "driven"])
+@pytest.mark.parametrize("robot", ["tree", "weld", "driven", "cyclic"])
 def test_compared_entries_of_one_kind_have_equal_units(
     robot: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,7 +223,7 @@ def test_compared_entries_of_one_kind_have_equal_units(
                 closing_code.with_multipliers(kernel)
         return seen
 
-    first, second = compared(Units()), compared(Units(1e-3, 1.0, 1.0))
+    first, second = compared(Units()), compared(Units(1e-3, 10.0, 1.0))
     assert len(first) == len(second)
     for (what, values, exact, kinds), (name, others, *_) in zip(first, second, strict=True):
         assert what == name
