@@ -408,6 +408,8 @@ def test_round_off_near_is_ten_times_the_spread() -> None:
     epsilon = np.finfo(float).eps
     spread = derived_code.round_off_near(lambda step: 1.0 + step, 200) / epsilon
     assert spread == pytest.approx(80.0)
+    single = derived_code.round_off_near(lambda step: 1.0 + step, 1) / epsilon
+    assert single > 60.0  # nine neighbours differ by nearly the whole range
     assert derived_code.round_off_near(lambda _: np.ones(2), 3) == 0.0
 
 
