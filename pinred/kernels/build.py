@@ -118,12 +118,19 @@ def build_kernel(
     with explain_ill_scaling(system):
         validate_kernel(kernel)
         if structure.freed:  # also validate with other values of the variable parameters
-            other = perturb_parameters(
-                system, structure.freed, (*structure.cyclic, *structure.rotors, *structure.axial)
-            )
-            other_forces = None if forces is None else forces.on(other)
-            validate_kernel(replace(kernel, system=other, forces=other_forces))
+            validate_kernel(perturbed(kernel))
     return kernel
+
+
+def perturbed(kernel: Kernel) -> Kernel:
+    """Return a kernel with random values of its variable body parameters, or the kernel itself."""
+    structure, forces = kernel.structure, kernel.forces
+    if not structure.freed:
+        return kernel
+    system = perturb_parameters(
+        kernel.system, structure.freed, (*structure.cyclic, *structure.rotors, *structure.axial)
+    )
+    return replace(kernel, system=system, forces=None if forces is None else forces.on(system))
 
 
 def _pack(*blocks: bytes) -> bytes:

@@ -110,7 +110,8 @@ def _validate_between(
     J = J[:, at.free]
     mobility = J @ np.linalg.solve(at.H[np.ix_(at.free, at.free)], J.T)
     gaps = loop_values(system, x)[rows]
-    units = np.where(loop_kinematics(system).is_length, system.closure.length, 1.0)[rows]
+    is_length = np.asarray(loop_kinematics(system).is_length)[rows]
+    units = np.where(is_length, system.closure.length, 1.0)
     pull, out = np.zeros((2, layout.size + 1))
     change = np.linalg.solve(mobility, gaps)
     pull[1 + pairs : 1 + pairs + len(rows)] = rng.normal(size=len(rows)) * change
@@ -122,11 +123,12 @@ def _validate_between(
     terms = np.abs(np.linalg.inv(mobility)) @ (units + np.abs(mobility) @ np.abs(change))
     expected = pull[1 + pairs : 1 + pairs + len(rows)] - change
     found = out[1 + pairs : 1 + pairs + len(rows)]
-    require_agreement(who, "the multipliers", found, expected, terms, _TOLERANCE)
+    require_agreement(who, "the multipliers", found, expected, terms, _TOLERANCE, kinds=is_length)
     active, a = list(layout.active), len(layout.active)
     J = loop_jacobian(system, at.x)[rows]
-    sizes = np.abs(J).T @ np.abs(found)
-    require_agreement(who, "the pull", out[1 : 1 + a], (J.T @ found)[active], sizes[active])
+    sizes, pulled = np.abs(J).T @ np.abs(found), out[1 : 1 + a]
+    kinds = at.is_linear[system.r :][active]
+    require_agreement(who, "the pull", pulled, (J.T @ found)[active], sizes[active], kinds=kinds)
     if layout.lifted_balls:
         q, pulled = at.x[layout.ball_x].reshape(-1, 4), out[1 + a : 1 + pairs].reshape(-1, 4)
         torques = 0.5 * quaternion_product(conjugate(q), pulled)[:, :3].ravel()

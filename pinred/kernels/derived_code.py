@@ -31,13 +31,13 @@ from ..common.memo import once
 from ..common.object_cache import ObjectCache, cache_key
 from ..integrators.stepping import linear_systems
 from ..integrators.stepping.kernel_call import SEEDS
-from .build import model_bytes
+from .build import model_bytes, perturbed
 from .evaluate import evaluate
 from .kernel import Kernel
 from .machine.native import compile_object, generate, lowered
 from .reduced_graph import ReducedGraph
 from .reference_state import ReferenceState, random_state
-from .validation import ROUND_OFF, require_agreement, validate_rate
+from .validation import ROUND_OFF, require_agreement, trial_states, validate_rate
 
 
 def derived_code(
@@ -112,9 +112,7 @@ _STEP = 2e-3  # step of the finite differences, relative to the size of the stat
 # the largest entry of a Jacobian column.
 _CLOSER, _ROUGH = 0.01, 1e-2
 _TOLERANCE = 1e-7  # tolerance of comparisons, relative to the largest entry of a Jacobian column
-_NOISE = 1e-13  # smallest assumed round-off of rates, relative to the largest rate
 _NEIGHBOURS = 9  # number of states that differ in the last digits
-_LANE_TRIALS = 80  # largest number of random states drawn to compare the lanes
 _SAFETY = 10.0  # factor on the observed round-off of rates
 
 
@@ -196,10 +194,7 @@ def validate_jacobian(kernel: Kernel, jacobian: Callable[[Array, Array], Array])
         rough, expected = (central_differences(rate_at, start, h) for h in (2.0 * _STEP, _STEP))
         # Differences are inaccurate where a force has a kink or is undefined.
         with np.errstate(invalid="ignore"):
-            noise = max(
-                _NOISE * np.abs(rate_at(start)).max(initial=0.0), round_off_near(rate_at, size)
-            )
-            noise /= _STEP
+            noise = round_off_near(rate_at, size) / _STEP
             bound = _TOLERANCE * np.abs(expected).max(axis=0, initial=0.0) + noise
             smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= bound
             # Both differences may skip a pulse that is much shorter than their steps.
@@ -265,24 +260,38 @@ def wide_rate(kernel: Kernel, lanes: int, *, own_parameters: bool = False) -> Na
 def _validate_wide_rate(
     kernel: Kernel, native: NativeCode, lanes: int, *, own_parameters: bool
 ) -> None:
-    """Compare each lane with Pinocchio at a random state."""
-    rng, size = np.random.default_rng(0), kernel.layout.size
-    reaches = (0.9 ** max(0, trial - lanes) for trial in range(_LANE_TRIALS))
-    drawn = (random_state(kernel, rng, reach) for reach in reaches)
-    states = [at for _, at in zip(range(lanes), filter(None, drawn), strict=False)]
-    who = f"the kernel of '{kernel.system.name}' at {lanes} states at once"
-    if len(states) < lanes:
-        raise InputError(
-            f"the forces on '{kernel.system.name}' are finite at {len(states)} of {_LANE_TRIALS} "
-            f"random states, and {lanes} are needed to validate the code for batches"
-        )
-    y = np.transpose([at.y for at in states]).reshape(1, -1)
-    parameters = np.transpose([at.parameters for at in states])
-    for lane, at in enumerate(states):
-        # Without parameters of their own, the other lanes have those of this lane.
-        given = parameters.ravel() if own_parameters else at.parameters
-        values = evaluate(native.address, given, y, size * lanes).reshape(size, lanes)
-        try:
-            validate_rate(kernel, at, values[:, lane])
-        except KernelMismatch as error:
-            raise KernelMismatch(f"{who}, in lane {lane}: {error}") from None
+    """Compare each lane with Pinocchio at two random states.
+
+    In round k, bit k of a lane's index selects its state.  No two lanes have the same states in all
+    rounds, so exchanged lanes are detected.  Of equal rates, only one is compared.
+
+    Args:
+        kernel: The kernel.
+        native: The machine code.
+        lanes: Number of lanes.
+        own_parameters: Whether each lane has separate parameters.
+    Raises:
+        KernelMismatch: A lane disagrees with Pinocchio.
+    """
+    size = kernel.layout.size
+    kernels = [kernel, perturbed(kernel) if own_parameters else kernel]
+    states = [next(trial_states(tested, 1, seed)) for seed, tested in enumerate(kernels)]
+    validated = set()
+    for k in range((lanes - 1).bit_length()):
+        selected = np.arange(lanes) >> k & 1
+        y = np.transpose([states[i].y for i in selected]).reshape(1, -1)
+        parameters = np.transpose([states[i].parameters for i in selected]).ravel()
+        for i, at in enumerate(states):
+            # Without parameters of their own, the lanes with the other state have those of `at`.
+            given = parameters if own_parameters else at.parameters
+            values = evaluate(native.address, given, y, size * lanes).reshape(size, lanes)
+            for lane in np.flatnonzero(selected == i):
+                rate = values[:, lane]
+                if (i, rate.tobytes()) in validated:
+                    continue
+                try:
+                    validate_rate(kernels[i], at, rate)
+                except KernelMismatch as error:
+                    who = f"the kernel of '{kernel.system.name}' at {lanes} states at once"
+                    raise KernelMismatch(f"{who}, in lane {lane}: {error}") from None
+                validated.add((i, rate.tobytes()))

@@ -261,18 +261,19 @@ def _validate(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
     terms = np.abs(H) @ velocity
     distance = np.abs(c).sum() + np.abs(pose[:k]).sum()
     angular, linear = terms[k:r].sum(), terms[:k].sum()
+    is_linear = np.array([unit == "m" for unit in system.units], dtype=bool)
     expected = {
-        "canonical momenta": (values.pi[0], H[r:] @ v, terms[r:]),
-        "angular momentum": (values.about[0], angular_momentum, angular),
+        "canonical momenta": (values.pi[0], H[r:] @ v, terms[r:], is_linear),
+        "angular momentum": (values.about[0], angular_momentum, angular, None),
         "spatial angular momentum": (
-            values.fixed[0], group.Ad(pose)[k:, k:] @ angular_momentum, angular,
+            values.fixed[0], group.Ad(pose)[k:, k:] @ angular_momentum, angular, None,
         ),
-        "centre of mass": (values.c0[0], c, distance),
+        "centre of mass": (values.c0[0], c, distance, None),
         "momentum": (
-            values.v0[0], group.Ad(pose)[:k, :k] @ mu[:k] / system.mass, linear / system.mass,
+            values.v0[0], group.Ad(pose)[:k, :k] @ mu[:k] / system.mass, linear / system.mass, None,
         ),
     }  # fmt: skip
-    for what, (value, reference, size) in expected.items():
+    for what, (value, reference, size, kinds) in expected.items():
         require_agreement(
-            f"the initial conditions of '{system.name}'", what, value, reference, size
+            f"the initial conditions of '{system.name}'", what, value, reference, size, kinds=kinds
         )

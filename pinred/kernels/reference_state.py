@@ -47,6 +47,8 @@ class Sizes:
         steps: Displacement along each velocity, (n,) [m | rad].
         momenta: Momentum of one displacement per `time` along each velocity, (n,), from the
             diagonal of the mass matrix.
+        numbers: Force numbers that change a force or a prescribed motion by its size, (p,), for
+            numbers that are zero; the magnitudes of other numbers.
     """
 
     length: float
@@ -54,6 +56,7 @@ class Sizes:
     time: float
     steps: Array
     momenta: Array
+    numbers: Array
 
     def of_state(self, layout: Layout, r: int) -> Array:
         """Return the size of each entry of the reduced state y, (size,)."""
@@ -113,7 +116,7 @@ class Sizes:
         path = self.of_path(layout.com_path // 3)
         sizes[layout.com_path_at : layout.com_path_at + len(path)] = path
         numbers = sizes[layout.parameters - layout.numbers :]
-        numbers[numbers == 0.0] = 1.0
+        numbers[numbers == 0.0] = self.numbers[numbers == 0.0]
         return sizes
 
     def of_path(self, k: int) -> Array:
@@ -180,7 +183,7 @@ class ReferenceState:
     prescribed: tuple[int, ...]
     sizes: Sizes
 
-    @property
+    @cached_property
     def free(self) -> Array:
         """Indices of the velocities determined by momenta, (f,)."""
         r = len(self.mu)
@@ -192,6 +195,40 @@ class ReferenceState:
         return _base_in_space(
             self.system, self.pose, self.com_path, self.push, self.time, self.com, self.H, v
         )
+
+    @cached_property
+    def is_linear(self) -> NDArray[np.bool_]:
+        """Whether each velocity, momentum or force is a linear one, (n,)."""
+        base = np.arange(self.system.r) < self.system.group.linear
+        return np.append(base, np.array([unit == "m" for unit in self.system.units], dtype=bool))
+
+    @cached_property
+    def is_linear_x(self) -> NDArray[np.bool_]:
+        """Whether each shape coordinate is a length, (nx,)."""
+        is_length, space = np.zeros(self.system.nx, dtype=bool), self.system.space
+        is_length[space.scalar_x] = self.is_linear[self.system.r :][space.scalar_v]
+        return is_length
+
+    @property
+    def is_linear_v(self) -> NDArray[np.bool_]:
+        """Whether each of Pinocchio's velocities is a linear one, (nv,)."""
+        return ~self._moved_masses[0]
+
+    @cached_property
+    def is_linear_q(self) -> NDArray[np.bool_]:
+        """Whether each entry of Pinocchio's configuration is a length, (nq,)."""
+        is_length = np.zeros(len(self.q), dtype=bool)
+        for joint in self.model.joints[1:]:
+            linear = int(self.is_linear_v[joint.idx_v : joint.idx_v + joint.nv].sum())
+            is_length[joint.idx_q : joint.idx_q + linear] = True
+        return is_length
+
+    @cached_property
+    def pose_jacobian(self) -> Array:
+        """Return the map from body twists to rates of the pose, (size, r)."""
+        twists = np.eye(len(self.mu))
+        poses = np.broadcast_to(self.pose, (len(twists), len(self.pose)))
+        return self.system.group.rate(poses, twists).T
 
     @cached_property
     def momentum_terms(self) -> Array:
@@ -211,7 +248,7 @@ class ReferenceState:
     def velocity_terms(self) -> Array:
         """Return the magnitude, (n,), of terms that sum to the solution v of H v = (μ, π)."""
         J, rates = np.abs(self.loop_rows), np.abs(self.v)
-        given = np.setdiff1d(np.arange(len(rates)), self.free)
+        given = [len(self.mu) + k for k in self.prescribed]
         terms = self.momentum_terms + J.T @ np.abs(self.nu)
         return self.solved_terms(terms, J[:, given] @ rates[given]) + rates
 
@@ -330,6 +367,56 @@ def _rate_of(
     return rate if np.isfinite(rate) else 0.0
 
 
+def _sizes_of_numbers(
+    forces: ForceModel, at: ForceInputs, sizes: Sizes, H: Array, is_zero: NDArray[np.bool_]
+) -> Array:
+    """Return the size of each force number, (p,); see Sizes.
+
+    Numbers that are zero and have no effect have size one.  Groups of numbers are tested together,
+    because most numbers of a table have no effect at one time.
+
+    Args:
+        forces: The forces.
+        at: Their inputs at rest.
+        sizes: Sizes of displacements, times and momenta.
+        H: Mass matrix, (n, n).
+        is_zero: Whether each number is zero, (p,).
+    Returns:
+        The sizes.
+    """
+    numbers = np.abs(forces.numbers)
+    if not is_zero.any():
+        return numbers
+    r, period, force = len(at.xi), sizes.time, sizes.momenta / sizes.time
+    v, steps = sizes.steps / period, sizes.steps[r:][list(forces.joints)]
+    mu, units = H[:r] @ v, [force[r:], force[:r]]
+    if forces.joints:
+        units += [steps, steps / period, steps / period**2]
+    base = None if at.base is None else BaseInSpace(at.base.pose, v[:r], mu, mu)
+
+    def effects(given: Array) -> Array:
+        acting = forces.acting(ForceInputs(at.t, at.x, v[r:], v[:r], mu, given, base))
+        values = [acting.torque, acting.wrench]
+        if forces.joints:
+            motion = forces.prescribed(at.t, given)
+            values += [motion.x, motion.xdot, motion.xddot]
+        return np.concatenate(values) / np.concatenate(units)
+
+    trial = 1.0 + np.arange(len(numbers)) * np.sqrt(2.0) % 1.0  # effects of these do not cancel
+    with np.errstate(all="ignore"):
+        start, groups = effects(at.numbers), [np.flatnonzero(is_zero)]
+        while groups:
+            group = groups.pop()
+            given = at.numbers.copy()
+            given[group] = trial[group]
+            change = float(np.abs(effects(given) - start).max(initial=0.0))
+            has_effect = np.isfinite(change) and change > 0.0
+            numbers[group] = trial[group] / change if has_effect else 1.0
+            if len(group) > 1 and change != 0.0:
+                groups += np.array_split(group, 2)
+    return numbers
+
+
 def random_state(
     kernel: Kernel, rng: np.random.Generator, reach: float, *, is_closed: bool = True
 ) -> ReferenceState | None:
@@ -371,6 +458,10 @@ def random_state(
     if forces is not None:
         force_parameters = forces.random_numbers(rng)
         force_parameters[forces.within] = time  # a table is undefined far outside its interval
+        # The sizes of numbers that are zero follow from the other forces.
+        is_zero = forces.numbers == 0.0
+        is_zero[forces.within] = False
+        zeros, force_parameters[is_zero] = force_parameters[is_zero], 0.0
     if forces is not None and prescribed:
         motion = forces.prescribed(time, force_parameters)
         x[list(layout.prescribed_x)], accelerations = motion.x, motion.xddot
@@ -378,7 +469,6 @@ def random_state(
             return None
     q, data = system.sorted_q(pose, x), system.sorted_data
     H = mass_matrix_at(system, model, data, pose, x)
-    com = np.array(data.Ycrb[1].lever)
     still = BaseInSpace(pose, np.zeros(r), np.zeros(r), np.zeros(r))
     inputs = ForceInputs(time, x, np.zeros(m), np.zeros(r), np.zeros(r), force_parameters, still)
     fall = falling(system)
@@ -390,7 +480,18 @@ def random_state(
     if layout.clock:  # forces that vary with time may vanish at the time that was drawn
         rate = max(rate, 1.0 / max(span[1] - span[0], np.finfo(float).tiny))
     period = 1.0 / rate if rate > 0.0 else 1.0
-    sizes = Sizes(length, system.mass, period, steps, np.diag(H) * steps / period)
+    sizes = Sizes(length, system.mass, period, steps, np.diag(H) * steps / period, np.empty(0))
+    if forces is not None:
+        sizes = replace(sizes, numbers=_sizes_of_numbers(forces, inputs, sizes, H, is_zero))
+        force_parameters[is_zero] = zeros * sizes.numbers[is_zero]
+    if forces is not None and prescribed and is_zero.any():
+        motion = forces.prescribed(time, force_parameters)
+        x[list(layout.prescribed_x)], accelerations = motion.x, motion.xddot
+        if not np.isfinite([*motion.x, *motion.xdot, *motion.xddot]).all():
+            return None
+        q = system.sorted_q(pose, x)
+        H = mass_matrix_at(system, model, data, pose, x)
+    com = np.array(data.Ycrb[1].lever)
     v *= reach / period
     if prescribed:
         v[[r + j for j in prescribed]] = motion.xdot
@@ -458,9 +559,10 @@ def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = (
         The perturbed system.
     """
     rng, inertias, model = np.random.default_rng(1), {}, system.sorted_model
-    bodies, placements = bodies_of(system), {}
+    bodies, placements, length = bodies_of(system), {}, length_of(system)
     for i, pattern in freed.steps:
-        placements[i + 1] = other_placement(bodies[bodies[i].parent], bodies[i], pattern, rng)
+        parent = bodies[bodies[i].parent]
+        placements[i + 1] = other_placement(parent, bodies[i], pattern, length, rng)
     carried = {system.sorted_joints[k] for k in cyclic}
     for i in range(2, model.njoints):
         if model.parents[i] in carried:
@@ -479,14 +581,14 @@ def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = (
         moments = nominal.inertia + np.trace(spread) * np.eye(3) - spread
         lever = nominal.lever + reach * rng.normal(size=3)
         inertias[i + 1] = pin.Inertia(nominal.mass * rng.uniform(0.5, 1.5), lever, moments)
-    frames = {k: _perturb_placement(model.frames[k].placement, rng) for k in freed.links}
+    frames = {k: _perturb_placement(model.frames[k].placement, length, rng) for k in freed.links}
     other = with_numbers(system, inertias, placements, frames)
     return in_gravity(other, _GRAVITY_FACTOR * system.gravity)
 
 
-def _perturb_placement(placement: pin.SE3, rng: np.random.Generator) -> pin.SE3:
-    """Return a random placement near a link's placement on its body."""
-    size = 0.1 + float(np.linalg.norm(placement.translation))
+def _perturb_placement(placement: pin.SE3, length: float, rng: np.random.Generator) -> pin.SE3:
+    """Return a random placement near a link's placement on its body.  length: of the robot [m]."""
+    size = 0.1 * length + float(np.linalg.norm(placement.translation))
     return placement * pin.SE3(pin.exp3(rng.uniform(0.1, 0.4, 3)), size * rng.uniform(0.1, 0.5, 3))
 
 

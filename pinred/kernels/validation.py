@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch, ModelError
@@ -49,18 +50,34 @@ def validate_kernel(kernel: Kernel) -> None:
         KernelMismatch: Values differ by more than 1e-10, relative to the largest entry.
         InputError: The forces are not finite at most random states.
     """
-    rng, compared = np.random.default_rng(0), 0
+    for at in trial_states(kernel, _STATES):
+        _validate_at(kernel, at)
+
+
+def trial_states(kernel: Kernel, count: int, seed: int = 0) -> Iterator[ReferenceState]:
+    """Yield random states at which the forces of a kernel are finite.
+
+    Args:
+        kernel: The kernel.
+        count: Number of states.
+        seed: Seed of the random numbers.
+    Yields:
+        The states.
+    Raises:
+        InputError: The forces are not finite at most random states.
+    """
+    rng, found = np.random.default_rng(seed), 0
     for trial in range(_TRIALS):
         # Some forces, such as barriers, are undefined far from zero, so later states are smaller.
         at = random_state(kernel, rng, 0.9 ** max(0, trial - _STATES))
         if at is not None:
-            _validate_at(kernel, at)
-            compared += 1
-        if compared == _STATES:
+            yield at
+            found += 1
+        if found == count:
             return
     raise InputError(
         f"the forces or prescribed joints of '{kernel.system.name}' are not finite at "
-        f"{_TRIALS - compared} of {_TRIALS} random states; functions such as sqrt and log must "
+        f"{_TRIALS - found} of {_TRIALS} random states; functions such as sqrt and log must "
         "be defined near the motion"
     )
 
@@ -96,17 +113,24 @@ def _validate_momentum(kernel: Kernel, at: ReferenceState, outputs: Array) -> No
     """Compare velocity, momenta, shape and centre of mass, relative to the centre of mass."""
     check, where, r = _checker(kernel), kernel.where, kernel.system.r
     prescribed, v, terms = list(at.prescribed), outputs[: kernel.system.n], at.momentum_terms
-    check("momentum of the velocity", at.H @ v, at.H @ at.v, terms)
-    check("velocity", v, at.v, at.velocity_terms)
+    kinds, kinds_of_x = at.is_linear, at.is_linear_x
+    check("momentum of the velocity", at.H @ v, at.H @ at.v, terms, kinds=kinds)
+    check("velocity", v, at.v, at.velocity_terms, kinds=kinds)
     check("centre of mass", outputs[where.com], at.com, at.reach)
     check("momentum", outputs[where.mu], at.mu, terms[:r])
     driven = list(kernel.layout.prescribed_x)
     sizes = np.abs(at.x)
     sizes[kernel.system.space.ball_x] = 1.0
-    check("prescribed positions", outputs[where.driven_x], at.x[driven], sizes[driven])
-    momenta = terms[r:][prescribed]
-    check("momenta of prescribed joints", outputs[where.driven_pi], at.pi[prescribed], momenta)
-    check("shape", outputs[where.fields["x"]], at.x, sizes)
+    positions, momenta = outputs[where.driven_x], outputs[where.driven_pi]
+    check("prescribed positions", positions, at.x[driven], sizes[driven], kinds=kinds_of_x[driven])
+    check(
+        "momenta of prescribed joints",
+        momenta,
+        at.pi[prescribed],
+        terms[r:][prescribed],
+        kinds=kinds[r:][prescribed],
+    )
+    check("shape", outputs[where.fields["x"]], at.x, sizes, kinds=kinds_of_x)
 
 
 def _validate_full_state(kernel: Kernel, at: ReferenceState, outputs: Array) -> None:
@@ -115,11 +139,12 @@ def _validate_full_state(kernel: Kernel, at: ReferenceState, outputs: Array) -> 
     model, r, k = system.sorted_model, system.r, system.group.linear
     data = system.sorted_data
     pose, q, v = (outputs[where.fields[name]] for name in ("pose", "q", "v"))
-    check("configuration", q, system.sorted_q(pose, at.x), abs(q))
+    check("configuration", q, system.sorted_q(pose, at.x), abs(q), kinds=at.is_linear_q)
     velocity = system.velocity(system.given_v(v))
     full, v = v, np.concatenate([velocity.xi, velocity.xdot])
-    check("full velocity", v[k:], at.v[k:], at.velocity_terms[k:])
-    check("velocity of all joints", full, system.joint_rates(v), abs(full))
+    kinds = at.is_linear
+    check("full velocity", v[k:], at.v[k:], at.velocity_terms[k:], kinds=kinds[k:])
+    check("velocity of all joints", full, system.joint_rates(v), abs(full), kinds=at.is_linear_v)
     root, (c0, v0, fall) = model.jointPlacements[1], at.com_path.reshape(3, k)
     displacements = [c0, v0 * at.time, 0.5 * fall * at.time**2]
     velocities = [v0, fall * at.time]
@@ -138,10 +163,12 @@ def _validate_full_state(kernel: Kernel, at: ReferenceState, outputs: Array) -> 
     v_terms = at.velocity_terms.copy()
     v_terms[:k] += speed
     mu_terms = np.abs(at.H[:r]) @ v_terms
-    check("body momentum", outputs[where.fields["body_momentum"]], mu, mu_terms)
+    check("body momentum", outputs[where.fields["body_momentum"]], mu, mu_terms, kinds=kinds[:r])
     J = system.group.spatial_momentum(pose, mu)
     J_terms = np.abs(system.group.Ad(system.group.inverse(pose))).T @ mu_terms
-    check("spatial momentum", outputs[where.fields["spatial_momentum"]], J, J_terms)
+    check(
+        "spatial momentum", outputs[where.fields["spatial_momentum"]], J, J_terms, kinds=kinds[:r]
+    )
     gravity_energy = pin.computePotentialEnergy(model, data, q)
     energy = 0.5 * v @ at.H @ v + gravity_energy
     force = system.mass * float(np.abs(system.gravity).sum())
@@ -157,13 +184,13 @@ def _validate_velocity(kernel: Kernel, at: ReferenceState, rate: Array) -> None:
     """Compare the rates of the joints and of the attitude."""
     layout, r, check = kernel.layout, kernel.system.r, _checker(kernel)
     active, cyclic, a = list(layout.active), list(layout.cyclic), len(layout.active)
-    xdot, terms = at.v[r:], at.velocity_terms[r:]
-    check("shape rate", rate[:a], xdot[active], terms[active])
+    xdot, terms, kinds = at.v[r:], at.velocity_terms[r:], at.is_linear[r:]
+    check("shape rate", rate[:a], xdot[active], terms[active], kinds=kinds[active])
     cyclic_rate = rate[2 * layout.pairs : layout.balls_at]
-    check("rate of cyclic joints", cyclic_rate, xdot[cyclic], terms[cyclic])
+    check("rate of cyclic joints", cyclic_rate, xdot[cyclic], terms[cyclic], kinds=kinds[cyclic])
     check("rate of balls", _ball_rates(kernel, at, rate), xdot[layout.ball_v], terms[layout.ball_v])
     attitude, *_ = _base_rates(kernel, rate)
-    jacobian = _attitude_jacobian(kernel, at)
+    jacobian = at.pose_jacobian[len(at.pose) - len(attitude) :]
     check("attitude rate", attitude, jacobian @ at.v[:r], abs(jacobian) @ at.velocity_terms[:r])
 
 
@@ -193,7 +220,7 @@ def _validate_base(
         R = system.group.Ad(at.pose)[:k, :k]
         expected = np.append(at.push[k:] / system.mass, R @ wrench[:k])
         terms = np.append(abs(expected[:k]), abs(R) @ abs(wrench[:k]))
-        check("rate of the centre of mass", push, expected, terms)
+        check("rate of the centre of mass", push, expected, terms, kinds=np.arange(2 * k) < k)
 
 
 def _validate_acceleration(
@@ -245,7 +272,7 @@ def _validate_acceleration(
         drift = drift + np.abs(turning) @ np.abs(v[r:])
         terms[r:] += np.abs(at.nu) @ (np.abs(turning) + GAUGE_RATE * np.abs(at.loop_rows[:, r:]))
     terms = at.solved_terms(terms, drift)
-    _checker(kernel)("acceleration", acceleration, expected, terms[free])
+    _checker(kernel)("acceleration", acceleration, expected, terms[free], kinds=at.is_linear[free])
 
 
 def _velocity_of_rate(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
@@ -262,7 +289,7 @@ def _velocity_of_rate(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
     v[r:][layout.ball_v] = _ball_rates(kernel, at, rate)
     if layout.base.attitude:
         attitude, *_ = _base_rates(kernel, rate)
-        v[k:r] = np.linalg.lstsq(_attitude_jacobian(kernel, at)[:, k:], attitude)[0]
+        v[k:r] = np.linalg.lstsq(at.pose_jacobian[-len(attitude) :, k:], attitude)[0]
     v[:k] = np.linalg.solve(at.H[:k, :k], at.mu[:k] - at.H[:k, k:] @ v[k:])
     return v
 
@@ -270,6 +297,8 @@ def _velocity_of_rate(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
 def _ball_rates(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
     """Return the rates of balls along their axes, from the rates ½ q σ of their quaternions."""
     layout = kernel.layout
+    if not layout.balls:
+        return np.empty(0)
     first = len(layout.active) if layout.lifted_balls else layout.balls_at + len(layout.ball_pi)
     rates = rate[first : first + len(layout.ball_x)].reshape(-1, 4)
     q = at.x[layout.ball_x].reshape(-1, 4)
@@ -307,7 +336,8 @@ def _validate_inverse_dynamics(kernel: Kernel, at: ReferenceState, v: Array) -> 
         terms = at.force_terms + at.gravity_terms + np.abs(H) @ np.abs(a)
         base_terms = np.abs(np.linalg.solve(H[:r, :r], H[:r, r:])).T @ terms[:r]
         expected = (H @ a + bias)[r:]
-        _checker(kernel)("inverse dynamics", torque, expected, terms[r:] + base_terms)
+        terms = terms[r:] + base_terms
+        _checker(kernel)("inverse dynamics", torque, expected, terms, kinds=at.is_linear[r:])
 
 
 def _forces_at(kernel: Kernel, at: ReferenceState, v: Array) -> tuple[Array, Array]:
@@ -335,12 +365,6 @@ def _gravity_moment(kernel: Kernel, at: ReferenceState) -> Array:
     """Return the moment of gravity about the pivot, (r,), computed with Pinocchio."""
     gravity = pin.computeGeneralizedGravity(at.model, kernel.system.sorted_data, at.q)
     return -np.asarray(gravity[: kernel.system.r])
-
-
-def _attitude_jacobian(kernel: Kernel, at: ReferenceState) -> Array:
-    """Return the map from body twists to rates of the attitude, (attitude, r)."""
-    group, first = kernel.system.group, len(at.pose) - kernel.layout.base.attitude
-    return np.transpose([group.rate(at.pose, twist)[first:] for twist in np.eye(group.dim)])
 
 
 def _base_rates(kernel: Kernel, rate: Array) -> tuple[Array, Array, Array, Array]:
@@ -380,11 +404,12 @@ def require_agreement(
     terms: Array | float,
     tolerance: float = TOLERANCE,
     reference: str = "Pinocchio",
+    kinds: NDArray[np.bool_] | None = None,
 ) -> None:
     """Check that two arrays agree.
 
-    Entries may differ by `tolerance` times the largest expected entry, plus the round-off of the
-    terms that sum to them.
+    Entries may differ by `tolerance` times the largest expected entry of their kind, plus the
+    round-off of the terms that sum to them.
 
     Args:
         who: Name of the compared code, for messages.
@@ -395,16 +420,21 @@ def require_agreement(
             common to all entries.
         tolerance: Relative tolerance.
         reference: Name of the code that computed the reference values, for messages.
+        kinds: For each entry, which of two units it has, for example m/s or rad/s; None if all
+            entries have the same unit.
     Raises:
         KernelMismatch: The arrays differ.
     """
     if not expected.size:
         return
-    error = np.abs(found - expected)
-    allowed = tolerance * float(np.abs(expected).max()) + ROUND_OFF * np.asarray(terms)
+    error, size = np.abs(found - expected), np.abs(expected)
+    largest = np.full(size.shape, size.max())
+    for kind in () if kinds is None else (kinds, ~kinds):
+        largest[kind] = size[kind].max(initial=0.0)
+    allowed = tolerance * largest + ROUND_OFF * np.asarray(terms)
     if not (error <= allowed).all():
         k = int(np.argmin(error <= allowed))
         raise KernelMismatch(
             f"{who} disagrees with {reference}: {what} is off by {error[k]:.3g} of "
-            f"{np.abs(expected).max():.3g}\nfound    {found}\nexpected {expected}"
+            f"{largest[k]:.3g}\nfound    {found}\nexpected {expected}"
         )

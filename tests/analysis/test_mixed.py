@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from lifts import random_gait
 from scipy.integrate import solve_ivp
 
 import pinred
+from pinred.analysis.connections import mixed
 from pinred.common.arrays import Array
+from pinred.kernels.evaluate import evaluate
 
 HALF = 0.5  # distance between board centre and axles [m]
 MASS, BOARD, ROTOR, AXLE = 8.0, 0.92, 0.1, 0.01
@@ -159,3 +162,59 @@ def test_invalid_mixed_connections_raise() -> None:
         pinred.follow_mixed(A, across, times=TIMES)
     with pytest.raises(pinred.InputError, match="times"):
         pinred.follow_mixed(A, random_gait(np.random.default_rng(0), 3), times=[1.0, 0.0])
+
+
+# For each comparison: its tolerance, and the largest magnitude of the summed terms relative to the
+# largest value, at most three times that of the snakeboard.
+LIMITS = {
+    "the twist": (1e-10, 9.0),
+    "the rate of p": (1e-7, 8e4),
+    "the acceleration": (1e-7, 1.6e4),
+    "the energy": (1e-10, 6.5),
+}
+
+
+def test_bounds_of_mixed_equations_are_relative_to_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tolerances are those documented, and terms are of the size of values."""
+    seen = []
+
+    def record(
+        _: str, what: str, found: Array, expected: Array, terms: Array, tolerance: float
+    ) -> None:
+        most, limit = LIMITS[what]
+        size = np.abs(expected).max()
+        assert tolerance <= most
+        assert np.max(terms) <= limit * size, what
+        assert np.abs(found - expected).max() <= 1e-3 * tolerance * size
+        seen.append(what)
+
+    monkeypatch.setattr(mixed, "require_agreement", record)
+    A = board()
+    _ = A.equations, A.driven
+    assert seen == [*LIMITS] * 2 + [*LIMITS][:2] * 2
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "fault", "what"),
+    [
+        (1, 4, 3e-10, "the twist"),
+        (4, 5, 3e-7, "the rate of p"),
+        (5, 8, 3e-7, "the acceleration"),
+        (8, 9, 3e-10, "the energy"),
+    ],
+)
+def test_faults_of_mixed_equations_are_found(
+    first: int, last: int, fault: float, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An output with an error of three times the tolerance is refused."""
+
+    def faulty(*arguments: Any) -> Array:
+        values = evaluate(*arguments)
+        values[:, first:last] *= 1.0 + fault
+        return values
+
+    monkeypatch.setattr(mixed, "evaluate", faulty)
+    A = board()
+    for name in ("equations", "driven")[: 2 if last < 6 else 1]:
+        with pytest.raises(pinred.KernelMismatch, match=f"disagrees with Pinocchio: {what} is"):
+            getattr(A, name)

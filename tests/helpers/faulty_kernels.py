@@ -50,9 +50,9 @@ class Faulty:
         return values
 
 
-def light_tree(ratio: float) -> Kernel:
+def light_tree(ratio: float, seed: int = 1) -> Kernel:
     """Return the kernel of a floating tree whose last body has its inertia scaled by `ratio`."""
-    model = random_model("SE3", 3, 1)
+    model = random_model("SE3", 3, seed)
     tip = model.inertias[model.njoints - 1]
     model.inertias[model.njoints - 1] = pin.Inertia(
         ratio * tip.mass, tip.lever, ratio * tip.inertia

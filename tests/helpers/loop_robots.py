@@ -71,6 +71,33 @@ def five_bar() -> tuple[pin.Model, list[Loop]]:
     return model, [Loop("left_tip", "right_tip", "3d", "tips")]
 
 
+def sliding_bars() -> tuple[pin.Model, list[Loop]]:
+    """Return a floating bar with a sliding arm and a jointed arm, welded together in the plane."""
+    model = pin.Model()
+    model.name = "sliding_bars"
+    model.gravity.setZero()
+    base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(base, _bar(2.0, 1.0), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])))
+    arms = (
+        (0.0, 0.9, (pin.JointModelRZ(), pin.JointModelPX())),
+        (1.0, 1.2, (pin.JointModelRZ(), pin.JointModelRZ())),
+    )
+    frame_type = pin.FrameType.OP_FRAME
+    for x, angle, joints in arms:
+        parent, place = base, pin.SE3(pin.utils.rotate("z", angle), np.array([x, 0.0, 0.0]))
+        for k, joint in enumerate(joints):
+            parent = model.addJoint(parent, joint, place, f"arm{x:.0f}_{k}")
+            body = pin.SE3(np.eye(3), np.array([0.3, 0.1, 0.0]))
+            model.appendBodyToJoint(parent, _bar(1.0, 0.6), body)
+            place = pin.SE3(pin.utils.rotate("z", 0.5), np.array([0.6, 0.0, 0.0]))
+        model.addFrame(pin.Frame(f"end{x:.0f}", parent, 0, place, frame_type))
+    data, ends = model.createData(), [model.getFrameId(name) for name in ("end0", "end1")]
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    gap = data.oMf[ends[1]].actInv(data.oMf[ends[0]])
+    model.frames[ends[1]].placement = model.frames[ends[1]].placement * gap
+    return model, [Loop("end0", "end1", "6d", "weld")]
+
+
 def _bar(mass: float, length: float) -> pin.Inertia:
     return pin.Inertia(mass, np.zeros(3), mass * length**2 / 12.0 * np.diag([0.1, 1.0, 1.0]))
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from ball_trees import ball_tree
-from loop_robots import five_bar
+from loop_robots import five_bar, sliding_bars
 from trees import random_model
 
 import pinred
 from pinred import forces
-from pinred.analysis.connections.mechanical_connection import mechanical_code
+from pinred.analysis.connections.mechanical_connection import centres_of_mass, mechanical_code
 from pinred.common.arrays import Array
 from pinred.system.loops.loop import Loop
 from pinred.system.system import System
@@ -42,6 +42,7 @@ ROBOTS: dict[str, Callable[[], tuple[pin.Model, Sequence[Loop]]]] = {
     "tree": lambda: (random_model("SE3", 4, 3), ()),
     "balls": lambda: (ball_tree(1, 3, balls=0.3).model, ()),
     "loop": five_bar,
+    "weld": sliding_bars,
 }
 
 
@@ -136,6 +137,9 @@ def evaluate_connection(system: System) -> None:
     code.locals(x)
     code.curvatures(x)
     code.velocity_slopes(x, rates)
+    code.covariant_forces(x, rates, rates, rates)
+    code.locked_derivatives(x, np.ones((1, system.r)))
+    centres_of_mass(system, x)
 
 
 def weld(seed: int) -> str:

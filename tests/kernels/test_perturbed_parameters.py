@@ -13,7 +13,7 @@ from trees import placement, random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.kernels.reference_state import perturb_parameters
+from pinred.kernels.reference_state import length_of, perturb_parameters
 from pinred.reduction.tree.body_frames import bodies_of
 from pinred.reduction.tree.free_bodies import STEP, Freed, other_placement, pattern_of, step_of_body
 
@@ -123,7 +123,7 @@ def test_perturb_changes_variable_placements() -> None:
             assert after == before
             continue
         apart = before.actInv(after)
-        size = 0.1 + np.linalg.norm(before.translation)
+        size = 0.1 * length_of(system) + np.linalg.norm(before.translation)
         assert (np.abs(apart.translation) >= 0.1 * size).all()
         assert (np.abs(apart.translation) <= 0.5 * size).all()
         turn = pin.log3(apart.rotation)
@@ -146,7 +146,7 @@ def test_step_without_variable_parameters_gives_the_placement_of_the_joint() -> 
     bodies = bodies_of(system)
     compared = 0
     for i in range(1, len(bodies)):
-        found = other_placement(bodies[bodies[i].parent], bodies[i], "0" * STEP, rng)
+        found = other_placement(bodies[bodies[i].parent], bodies[i], "0" * STEP, 1.0, rng)
         expected = system.model.jointPlacements[i + 1]
         np.testing.assert_allclose(found.homogeneous, expected.homogeneous, rtol=0, atol=1e-12)
         step = step_of_body(bodies[i])

@@ -70,7 +70,9 @@ def record_terms(monkeypatch: pytest.MonkeyPatch, work: Callable[[], object]) ->
     """Record the terms, and the expected values, of each comparison during some work."""
     found: dict[str, Array] = {}
 
-    def record(_: str, what: str, _found: Array, expected: Array, terms: Array | float) -> None:
+    def record(
+        _: str, what: str, _found: Array, expected: Array, terms: Array | float, **_kinds: Any
+    ) -> None:
         found[what] = np.broadcast_to(np.asarray(terms, dtype=float), expected.shape)
         found[f"expected {what}"] = expected
 

@@ -5,9 +5,13 @@ Robots of a metre, a millimetre and a kilometre have the same bounds relative to
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import Any
 
+import casadi as ca
 import numpy as np
+import pinocchio as pin
 import pytest
 from loop_robots import five_bar
 from scaled_robots import ROBOTS, Units, evaluate_connection, scaled
@@ -16,7 +20,7 @@ import pinred
 from pinred.analysis.connections import mechanical_connection
 from pinred.common.arrays import Array
 from pinred.common.differences import central_differences
-from pinred.forces import Spring
+from pinred.forces import ComputedTorque, Torque, Wrench
 from pinred.forces.force_numbers import random_numbers
 from pinred.kernels import (
     closing_code,
@@ -34,6 +38,7 @@ from pinred.kernels.flow_functions import initial_conditions_of, rate_of
 from pinred.kernels.initial_conditions import initial_conditions_kernel
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reference_state import random_state
+from pinred.reduction.tree.free_bodies import free_numbers
 from pinred.reduction.tree.loop_constraints import GAUGE_RATE
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
@@ -46,6 +51,7 @@ MODULES = (
 SMALL, LARGE = Units(1e-3, 1e-3, 1e-3), Units(1e3, 1e-3, 1e-3)
 
 
+@cache
 def build(robot: str, units: Units = Units()) -> Kernel:  # noqa: B008
     """Return the kernel of a robot in other units."""
     system, options = scaled(robot, units)
@@ -60,6 +66,7 @@ LIMITS = {
     "spatial angular momentum": (1e-10, 2e3),
     "centre of mass": (1e-10, 10.0),
     "momentum": (1e-10, 250.0),
+    "the centre of mass": (1e-10, 27.0),
     "the body velocity": (1e-10, 100.0),
     "the metric": (1e-10, 1e3),
     "A": (1e-10, 25.0),
@@ -70,6 +77,9 @@ LIMITS = {
     "the curvature": (1e-7, 3e5),
     "the slope of its velocity": (1e-7, 1.5e5),
     "the slope of its metric": (1e-7, 5e5),
+    "the derivative of P_b": (1e-7, 2.5e4),
+    "the covariant force": (1e-7, 9e5),
+    "its derivative": (1e-7, 2.3e6),
     "the multipliers": (1e-9, 150.0),
     "the pull": (1e-10, 3.0),
     "the gap": (1e-10, 70.0),
@@ -84,15 +94,15 @@ def test_bounds_are_relative_to_values(
     robot: str, units: Units, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Tolerances are those documented, and terms are of the size of values, in any units."""
-    system, _ = scaled(robot, units)
-    kernel = build(robot, units)
+    kernel = build.__wrapped__(robot, units)  # without validated code
+    system = kernel.system
     require_agreement, seen = validation.require_agreement, set()
 
     def record(
         who: str, what: str, found: Array, expected: Array, terms: Any,
-        tolerance: float = validation.TOLERANCE, reference: str = "Pinocchio",
+        tolerance: float = validation.TOLERANCE, *rest: Any, **kinds: Any,
     ) -> None:  # fmt: skip
-        require_agreement(who, what, found, expected, terms, tolerance, reference)
+        require_agreement(who, what, found, expected, terms, tolerance, *rest, **kinds)
         if what in LIMITS:
             most, limit = LIMITS[what]
             assert tolerance <= most, what
@@ -113,21 +123,62 @@ def test_bounds_are_relative_to_values(
         assert set(LIMITS) - seen == {"the multipliers", "the pull", "the gap"}
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@cache
+def driven(units: Units) -> Kernel:
+    """Return the kernel of a tree with two prescribed joints, a controller and a thruster.
+
+    The thruster has a zero, whose random value has the size of the robot's own forces.
+    """
+    system, options = scaled("tree", units)
+    L, M, T = units.length, units.mass, units.time
+    (slide, *_), (*_, hinge) = (
+        [name for name, unit in zip(system.shape_names, system.units, strict=True) if unit == kind]
+        for kind in ("m", "rad")
+    )
+    waves = {
+        slide: pinred.signals.Expression(f"{0.2 * L!r}*sin({2.0 / T!r}*t)"),
+        hinge: pinred.signals.Expression(f"0.3*sin({3.0 / T!r}*t)"),
+    }
+    others = {
+        name: 0.1 * (L if unit == "m" else 1.0)
+        for name, unit in zip(system.shape_names, system.units, strict=True)
+        if name not in waves
+    }
+    held = ComputedTorque(others, kp=4.0 / T**2, kd=2.0 / T)
+    F = M * L / T**2
+    thrust = Wrench([0.3 * F, 0.0, 0.2 * F, 0.1 * F * L, -0.2 * F * L, 0.3 * F * L])
+    options["forces"] = [held, thrust]
+    scene = pinred.Scene(system=system, prescribed=waves, **options)
+    return kernel_of(plan_of(scene), zero_momentum=False)
+
+
+def cyclic(units: Units) -> Kernel:
+    """Return the kernel of a slide that carries a slide and a wheel, both cyclic."""
+    model, L, M = pin.Model(), units.length, units.mass
+    for name, joint in (
+        ("root", pin.JointModelPX()), ("slide", pin.JointModelPX()), ("wheel", pin.JointModelRX()),
+    ):  # fmt: skip
+        i = model.addJoint(min(1, model.njoints - 1), joint, pin.SE3.Identity(), name)
+        model.appendBodyToJoint(i, pin.Inertia.FromSphere(M, 0.3 * L), pin.SE3.Identity())
+    model.gravity.setZero()
+    kernel = kernel_of(
+        plan_of(pinred.Scene(system=pinred.load(model), seed=0)), zero_momentum=False
+    )
+    assert kernel.layout.cyclic == (0, 1)
+    return kernel
+
+
+ROBOT_KERNELS: dict[str, Callable[[Units], Kernel]] = {
+    **{robot: partial(build, robot) for robot in ROBOTS}, "driven": driven, "cyclic": cyclic,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("robot", [*ROBOTS, "driven"])
 def test_states_are_equal_in_own_units(robot: str) -> None:
     """States, parameters and times, relative to their sizes, do not depend on units."""
 
     def relative(units: Units) -> Array:
-        system, options = scaled(robot, units)
-        # A rest position of zero would get the size one in SI units.
-        (spring, *others), scalars = (
-            options["forces"],
-            dict(zip(system.shape_names, system.units, strict=False)),
-        )
-        rest = 0.3 * (units.length if scalars[spring.joint] == "m" else 1.0)
-        pulls = [Spring(spring.joint, spring.stiffness, rest=rest), *others]
-        scene = pinred.Scene(system=system, **options | {"forces": pulls})
-        kernel = kernel_of(plan_of(scene), zero_momentum=False)
+        kernel = ROBOT_KERNELS[robot](units)
         at, r = random_state(kernel, np.random.default_rng(3), 1.0), kernel.system.r
         assert at is not None
         sizes = at.sizes
@@ -135,12 +186,50 @@ def test_states_are_equal_in_own_units(robot: str) -> None:
             at.y / sizes.of_state(kernel.layout, r),
             at.parameters / sizes.of_parameters(kernel.layout, r, at.parameters),
             at.com_path / sizes.of_path(kernel.system.group.linear),
+            at.pi / sizes.momenta[r:],
             [sizes.length / units.length, sizes.mass / units.mass, sizes.time / units.time],
         ])  # fmt: skip
 
-    expected = relative(Units())
-    for units in (SMALL, LARGE):
+    expected, sizes = relative(Units()), (SMALL, LARGE)
+    if robot == "driven":  # prescribed motions determine the unit of time
+        sizes = (Units(1e-3, 1e-3), Units(1e3, 1e-3))
+    for units in sizes:
         assert relative(units) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("robot", ["tree", "weld", "driven", "cyclic"])
+def test_compared_entries_of_one_kind_have_equal_units(
+    robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In units of a millimetre, values of one kind change by one factor."""
+    require_agreement = validation.require_agreement
+
+    def compared(units: Units) -> list[tuple[str, Array, Array, Any]]:
+        kernel, seen = ROBOT_KERNELS[robot](units), []
+
+        def record(
+            who: str, what: str, found: Array, expected: Array, terms: Any, *rest: Any, **kinds: Any
+        ) -> None:
+            require_agreement(who, what, found, expected, terms, *rest, **kinds)
+            exact = np.abs(expected) > 1e-8 * np.asarray(terms)
+            seen.append((what, expected, exact, kinds.get("kinds")))
+
+        with monkeypatch.context() as patch:
+            for module in MODULES:
+                patch.setattr(module, "require_agreement", record)
+            validation.validate_kernel(kernel)
+            initial_conditions_kernel(kernel.system, "xi")
+            if kernel.system.loops:
+                closing_code.with_multipliers(kernel)
+        return seen
+
+    first, second = compared(Units()), compared(Units(1e-3, 10.0, 1.0))
+    assert len(first) == len(second)
+    for (what, values, exact, kinds), (name, others, *_) in zip(first, second, strict=True):
+        assert what == name
+        for kind in (exact,) if kinds is None else (exact & kinds, exact & ~kinds):
+            factors = others[kind] / values[kind]
+            assert factors == pytest.approx(factors[:1].repeat(len(factors)), rel=1e-4), what
 
 
 @pytest.mark.parametrize(("part", "passes"), [(0.3, True), (3.0, False)])
@@ -162,6 +251,52 @@ def test_jacobian_tolerance(part: float, passes: bool) -> None:
         return
     with pytest.raises(pinred.KernelMismatch, match="column 0 is off"):
         validate_jacobian(kernel, shifted)
+
+
+@pytest.mark.parametrize(("width", "part"), [(4e-5, 1.0), (4e-5, 0.05)])
+def test_jacobian_at_short_pulses_is_not_compared(width: float, part: float) -> None:
+    """Differences skip a pulse that is shorter than their step, so the columns are left out.
+
+    `part` is the slope of the pulse relative to that of a spring.
+    """
+    system = pinred.load("cartpole")
+
+    def kernel_with(centres: Sequence[float]) -> Kernel:
+        def torque(_t: Any, x: Any, _xdot: Any, _mu: Any) -> list[Any]:
+            pulses = [ca.exp(-(((x[0] - centre) / width) ** 2)) for centre in centres]
+            return [-200.0 * x[0] + 200.0 * part * width * sum(pulses)]
+
+        scene = pinred.Scene(system=system, seed=0, forces=Torque(torque))
+        return kernel_of(plan_of(scene), zero_momentum=False)
+
+    plain, rng = kernel_with([10.0]), np.random.default_rng(0)
+    states = [random_state(plain, rng, 1.0) for _ in range(2)]
+    # The slope of a pulse is largest 0.7 widths beside its centre.
+    tangent_of(kernel_with([float(at.x[0]) - 0.7 * width for at in states if at is not None]))
+
+
+def test_two_states_are_compared() -> None:
+    """Derivatives are compared at two states."""
+    kernel, states = build("tree"), []
+    tangent = tangent_of(kernel)
+
+    def count(y: Array, parameters: Array) -> Array:
+        states.append(y)
+        return jacobian_by_columns(tangent, y, parameters)
+
+    validate_jacobian(kernel, count)
+    assert len(states) == 2
+    function, samples = rate_of(kernel), []
+
+    def record(at: Sample, da: Array, db: Array, covector: Array) -> Array:
+        samples.append(at)
+        forward = function.forward(at.a, at.b, da[:, None], db[:, None], len(covector))
+        return np.asarray(covector @ forward)
+
+    function._validate_derivative("counted", record)
+    assert len(samples) == 2
+    code = mechanical_connection.mechanical_code(kernel.system)
+    assert len(list(connection_validation.trial_shapes(code.form))) == 2
 
 
 @pytest.mark.parametrize(("part", "passes"), [(0.3, True), (3.0, False)])
@@ -223,11 +358,58 @@ def test_each_lane_is_compared(own_parameters: bool, monkeypatch: pytest.MonkeyP
                 derived_code._validate_wide_rate(kernel, code, lanes, own_parameters=own_parameters)
 
 
+@pytest.mark.parametrize("own_parameters", [False, True])
+def test_exchanged_lanes_are_found(own_parameters: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No lane may return the rate of another."""
+    kernel, lanes = build("tree"), 4
+    code = derived_code.wide_rate(kernel, lanes, own_parameters=own_parameters)
+    for first in range(lanes):
+        for second in range(first):
+
+            def exchanged(
+                address: int, parameters: Array, y: Array, entries: int,
+                pair: tuple[int, int] = (first, second),
+            ) -> Array:  # fmt: skip
+                values = evaluate(address, parameters, y, entries)
+                columns = values.reshape(-1, lanes)
+                columns[:, pair] = columns[:, pair[::-1]]
+                return values
+
+            with monkeypatch.context() as patch:
+                patch.setattr(derived_code, "evaluate", exchanged)
+                with pytest.raises(pinred.KernelMismatch, match="4 states at once, in lane"):
+                    derived_code._validate_wide_rate(
+                        kernel, code, lanes, own_parameters=own_parameters
+                    )
+
+
+def test_body_parameters_of_lanes_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lane that computes with the nominal masses is found."""
+    system = pinred.load("cartpole")
+    scene = pinred.Scene(system=system, seed=0, parameters={"pole.mass": 1.1})
+    kernel, lanes = kernel_of(plan_of(scene), zero_momentum=False), 4
+    code = derived_code.wide_rate(kernel, lanes, own_parameters=True)
+    layout = kernel.layout
+    bodies = slice(layout.bodies_at, layout.bodies_at + layout.freed.size)
+    nominal = free_numbers(kernel.system, layout.freed)
+
+    def faulty(address: int, parameters: Array, y: Array, entries: int) -> Array:
+        changed = parameters.reshape(-1, lanes).copy()
+        changed[bodies, 1] = nominal
+        return evaluate(address, changed.ravel(), y, entries)
+
+    monkeypatch.setattr(derived_code, "evaluate", faulty)
+    with pytest.raises(pinred.KernelMismatch, match="in lane 1"):
+        derived_code._validate_wide_rate(kernel, code, lanes, own_parameters=True)
+
+
 def test_round_off_near_is_ten_times_the_spread() -> None:
     """The spread of 1 + ε k, with k from −4 to 4, is at most 8 ε."""
     epsilon = np.finfo(float).eps
     spread = derived_code.round_off_near(lambda step: 1.0 + step, 200) / epsilon
     assert spread == pytest.approx(80.0)
+    single = derived_code.round_off_near(lambda step: 1.0 + step, 1) / epsilon
+    assert single > 60.0  # nine neighbours differ by nearly the whole range
     assert derived_code.round_off_near(lambda _: np.ones(2), 3) == 0.0
 
 
@@ -250,7 +432,9 @@ def test_terms_of_accelerations_with_loops(monkeypatch: pytest.MonkeyPatch) -> N
     assert at is not None
     assert system.closure is not None
 
-    def record(_: str, what: str, _found: Array, expected: Array, terms: Any) -> None:
+    def record(
+        _: str, what: str, _found: Array, expected: Array, terms: Any, **_kinds: Any
+    ) -> None:
         found[what] = expected, terms
 
     monkeypatch.setattr(validation, "require_agreement", record)

@@ -137,7 +137,7 @@ def test_variable_bodies_equal_bodies_of_other_model(case: Case) -> None:
         moments = [other.mass, *h, *about[np.triu_indices(3)]]
         numbers[freed.of_inertia(i)] = frame_map(bodies[i]) @ moments
     parent = bodies[bodies[moved].parent]
-    place = other_placement(parent, bodies[moved], pattern_of(system, moved), rng)
+    place = other_placement(parent, bodies[moved], pattern_of(system, moved), 1.0, rng)
     model.jointPlacements[moved + 1] = place
     there = parent.frame.inverse() * place * bodies[moved].frame
     step = step_of_body(bodies[moved])

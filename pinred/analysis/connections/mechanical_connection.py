@@ -63,7 +63,8 @@ def _validate_com(system: System, code: NativeCode) -> None:
     model, data = system.sorted_model, system.sorted_data
     com = pin.centerOfMass(model, data, system.sorted_q(system.group.identity(), x))
     reach = sum(float(np.linalg.norm(place.translation)) for place in model.jointPlacements)
-    reach += float(np.abs(displacement).max(initial=0.0)) + length_of(system)
+    slides = [unit == "m" for unit in system.units]
+    reach += float(np.abs(displacement[slides]).sum()) + length_of(system)
     require_agreement(
         f"the machine code of '{system.name}'", "the centre of mass",
         evaluate(code.address, np.zeros(1), x[None], 3)[0], data.oMi[1].actInv(com), reach,

@@ -19,10 +19,12 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, read_only, vector
+from ...common.differences import central_differences
 from ...common.errors import InputError
 from ...common.machine_code import NativeCode, load_object
 from ...kernels.connection.connection_form import (
@@ -31,7 +33,10 @@ from ...kernels.connection.connection_form import (
     form_of,
     health,
 )
+from ...kernels.connection.connection_validation import TrialShape, trial_shapes
+from ...kernels.evaluate import evaluate
 from ...kernels.machine.native import compile_object
+from ...kernels.validation import TOLERANCE, require_agreement
 from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.momenta import bracket, momenta
 from ...system.system import System, checked_system
@@ -39,6 +44,8 @@ from .connection import Connection
 from .wheels import Rolling, Slip, Wheel, slip_matrix, slip_rows, slips_of
 
 _NAME = "mixed"
+_STEP = 1e-3  # step of differences in validation, relative to the time of one displacement
+_TOLERANCE = 1e-7  # tolerance of comparisons with differences, relative to the largest entry
 
 
 @checks_arguments
@@ -134,12 +141,85 @@ class MixedConnection:
     @cached_property
     def equations(self) -> NativeCode:
         """Compiled map from (x, ẋ, p) and torques τ (m,) to health of P_b, ξ, ṗ, ẍ and energy."""
-        return load_object(compile_object(self._graph(), _NAME), _NAME)
+        return self._code(self._graph())
 
     @cached_property
     def driven(self) -> NativeCode:
         """Compiled map from (x, ẋ, p) to health of P_b, ξ and ṗ, for prescribed joint motions."""
-        return load_object(compile_object(self._driven_graph(), "driven"), "driven")
+        return self._code(self._driven_graph())
+
+    def _code(self, graph: ca.Function) -> NativeCode:
+        """Compile a function whose outputs are the first ones of `equations`, and validate it."""
+        native = load_object(compile_object(graph, graph.name()), graph.name())
+        for at, rng in trial_shapes(self.connection.form):
+            self._validate(native, graph.numel_out(0), at, rng)
+        return native
+
+    def _validate(
+        self, native: NativeCode, size: int, at: TrialShape, rng: np.random.Generator
+    ) -> None:
+        """Compare with Pinocchio's mass matrix and RNEA, with a multiplier for each wheel.
+
+        H v̇ + C v = (0, τ) + Wᵀ λ and W v̇ = −Ẇ v determine v̇, and differences along (ẋ, v̇)
+        determine ṗ.
+
+        Args:
+            native: The machine code.
+            size: Number of its outputs.
+            at: A shape.
+            rng: Random number generator.
+        Raises:
+            KernelMismatch: Values differ.
+        """
+        system, form, r, k = self.system, self.connection.form, self.system.r, len(self.slips)
+        units, weights, n = at.units, at.weights[:, None], system.n
+        xdot, p = at.steps * rng.normal(size=system.m), rng.normal(size=self.size) / at.weights[k:]
+        H = mass_matrix(system, at.x) * np.outer(units, units)
+        tau = np.append(np.zeros(r), np.diag(H)[r:] * rng.normal(size=system.m))
+
+        def rows(s: float) -> Array:
+            """Return the form, without units, at the shape after a time s."""
+            return weights * form.reference(system.space.integrate(at.x, s * xdot)) * units
+
+        G, rates = rows(0.0), xdot / at.steps
+        given = np.append(np.zeros(k), at.weights[k:] * p) - G[:, r:] @ rates
+        v = np.append(np.linalg.solve(G[:, :r], given), rates)
+        still, q = system.sorted_model.copy(), system.sorted_q(system.group.identity(), at.x)
+        still.gravity.setZero()
+        full = system.joint_rates(units * v)
+        bias = units * system.on_shape(pin.nonLinearEffects(still, still.createData(), q, full))
+        (drift,) = central_differences(lambda s: rows(s[0])[:k] @ v, np.zeros(1), _STEP).T
+        whole = np.block([[H, -G[:k].T], [G[:k], np.zeros((k, k))]])
+        forces = np.append(tau - bias, -drift)
+        solution = np.linalg.solve(whole, forces)
+        a = solution[:n]
+        (pdot,) = central_differences(
+            lambda s: rows(s[0])[k:] @ (v + s[0] * a), np.zeros(1), _STEP
+        ).T
+        energy = 0.5 * v @ H @ v
+        state = np.concatenate([at.x, xdot, p])
+        values = evaluate(native.address, tau[r:] / at.steps, state[None], size)[0]
+        inverse = np.abs(np.linalg.inv(whole))
+        terms = inverse @ (np.abs(whole) @ np.abs(solution) + np.abs(forces))
+        speeds = np.abs(np.linalg.inv(G[:, :r])) @ (np.abs(given) + np.abs(G[:, r:]) @ abs(rates))
+        momenta_rates = np.abs(G[k:]) @ (terms[:n] + np.abs(v).sum() * np.abs(v))
+        ends = np.cumsum([1, r, self.size, system.m, 1])
+        scales = np.concatenate([[1.0], at.twists, 1.0 / at.weights[k:], at.steps, [1.0]])
+        relative = values / scales[:size]
+        checks = [
+            ("the twist", v[:r], speeds, TOLERANCE),
+            ("the rate of p", pdot, momenta_rates / _STEP, _TOLERANCE),
+            ("the acceleration", a[r:], terms[r:n] / _STEP, _TOLERANCE),
+            ("the energy", np.array([energy]), np.abs(v) @ np.abs(H) @ np.abs(v), TOLERANCE),
+        ]
+        for (what, expected, terms, tolerance), first, last in zip(
+            checks, ends[:-1], ends[1:], strict=True
+        ):
+            if last <= size:  # `driven` has only the first outputs
+                found = relative[first:last]
+                require_agreement(
+                    f"the machine code of {form.what}", what, found, expected, terms, tolerance
+                )
 
     def _motion_terms(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
         """Return the symbols x, ẋ, p and the CasADi expressions of ξ, ṗ and A."""

@@ -205,18 +205,22 @@ def _step_of(body: Body) -> list[Scalar]:
     return [*body.alpha, *body.delta, body.offset, *body.r]
 
 
-def other_placement(parent: Body, body: Body, pattern: str, rng: np.random.Generator) -> pin.SE3:
+def other_placement(
+    parent: Body, body: Body, pattern: str, length: float, rng: np.random.Generator
+) -> pin.SE3:
     """Return a random placement of a body's joint within the pattern of its step.
 
     Args:
         parent: Parent body.
         body: The body.
         pattern: Pattern of the body's step, see `Freed`.
+        length: Length of the robot [m].
         rng: Random generator.
     Returns:
         The placement.
     """
-    step, size = step_of_body(body), 0.1 + float(np.linalg.norm(np.asarray(body.r, dtype=float)))
+    step = step_of_body(body)
+    size = 0.1 * length + float(np.linalg.norm(np.asarray(body.r, dtype=float)))
     angles = [np.arctan2(step[1], step[0]), np.arctan2(step[3], step[2])]
     for k in (0, 1):
         if "x" in pattern[2 * k : 2 * k + 2]:
