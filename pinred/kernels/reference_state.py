@@ -369,8 +369,8 @@ def random_state(
         closed, gaps = assemble(system, x, system.closure.length, movable)
         x = closed if gaps.max() <= CLOSED else x
     if forces is not None:
-        force_parameters = forces.random_numbers(rng)
-        force_parameters[forces.within] = time  # a table is undefined far outside its interval
+        force_parameters = forces.random_numbers(rng, time)
+        force_parameters[forces.within][:1] = time
     if forces is not None and prescribed:
         motion = forces.prescribed(time, force_parameters)
         x[list(layout.prescribed_x)], accelerations = motion.x, motion.xddot
