@@ -86,7 +86,8 @@ def simulate(
             "checkpoint: expected none with engine 'pinocchio', whose integrator is SciPy's. Use "
             "the compiled engine"
         )
-    with _opened(checkpoint) as file, shown(progress, "reduced") as done:
+    what = f"simulates '{scene.system.name}'"
+    with _opened(checkpoint) as file, shown(progress, "reduced", what=what) as done:
         if done is None and engine == "compiled" and isinstance(plan.method, EqualSteps):
             done = _notice_of(plan.method, scene.end)
         trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)
