@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from threading import Event, Lock, Thread, current_thread
 
+from .compile_notice import notice_of_compiling
 from .processors import available_processors
-from .waiting import compiling
 
 Part = Callable[[], bytes]  # compiles one part
 
@@ -70,7 +70,7 @@ class ObjectAhead:
             The object, or None if another thread could not compile its part.
         """
         self._is_requested = True
-        with compiling(self._what):
+        with notice_of_compiling(self._what):
             self._compile_parts()
             self._ended.wait()
         return None if self._has_failed else self._joined()

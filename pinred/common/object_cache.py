@@ -29,13 +29,13 @@ from platformdirs import user_cache_path
 
 from .cache_entry import ENTRY_HEAD, DistrustError, read_entry, write_entry
 from .compile_ahead import ObjectAhead, Part, begin, spare_processors
+from .compile_notice import notice_of_compiling
 from .cpu_target import cpu_target
 from .errors import CacheWarning, InputError
 from .file_trust import find_distrust, find_open_parent
 from .files import sweep
 from .signing_key import TEMPORARY, fingerprint
 from .version import __version__
-from .waiting import compiling
 
 LIMIT = 256 * 2**20  # default maximum size of all entries [bytes]
 _WRITERS = 8  # number of processes that may write at once without exceeding the limit
@@ -235,7 +235,7 @@ class ObjectCache:
         """
         code = self.get(key)
         if code is None:
-            with compiling(what):
+            with notice_of_compiling(what):
                 code = compile_code()
             self.put(key, code)
         return code

@@ -94,15 +94,6 @@ def say(text: str) -> None:
     _write([f"pinred: {text}\n"])
 
 
-def compiling(what: str) -> Wait:
-    """Return the wait for a compilation.
-
-    Args:
-        what: What is compiled, such as "the equations of 'solo12'".
-    """
-    return Wait(f"compiles {what}; the next process finds the result in its cache")
-
-
 def is_watched() -> bool:
     """Return whether messages appear on a terminal or in a notebook."""
     return in_notebook() or (sys.stderr is not None and sys.stderr.isatty())

@@ -13,10 +13,11 @@ from numba import njit
 
 import pinred
 from pinred.common import waiting
+from pinred.common.compile_notice import notice_of_compiling
 from pinred.common.progress import ProgressBar, shown
-from pinred.common.waiting import Wait, compiling
+from pinred.common.waiting import Wait
 from pinred.integrators.stepping import numba_functions, numba_notice
-from pinred.sweeps import sweep as sweep_module
+from pinred.sweeps.run_blocks import PointsDone
 
 ROOT = Path(__file__).parents[2]
 
@@ -153,7 +154,7 @@ def test_resumed_sweep_says_where_it_continues(
 ) -> None:
     """The number of stored points and of all points is stated; a new sweep says nothing."""
     scene = pinred.Scene(system=pinred.load("elroys_beanie"), duration=0.1, seed=1)
-    joint, finished = scene.system.shape_names[0], sweep_module.PointsDone.finished
+    joint, finished = scene.system.shape_names[0], PointsDone.finished
 
     def run() -> Any:
         points = {f"x0.{joint}": "Uniform(-1, 1)"}
@@ -165,7 +166,7 @@ def test_resumed_sweep_says_where_it_continues(
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(sweep_module.PointsDone, "finished", interrupted)
+        patch.setattr(PointsDone, "finished", interrupted)
         with pytest.raises(KeyboardInterrupt):
             run()
     assert capsys.readouterr().err == ""
@@ -219,20 +220,21 @@ def test_compilations_of_numba_are_announced_for_functions_of_pinred(
 
     def spy(what: str) -> Wait:
         seen.append(what)
-        return compiling(what)
+        return notice_of_compiling(what)
 
-    monkeypatch.setattr(numba_notice, "compiling", spy)
+    monkeypatch.setattr(numba_notice, "notice_of_compiling", spy)
 
     def inner(x: float) -> float:
         return x + 1.0
 
-    def outer(x: float) -> float:
+    def outer(x: float) -> Any:
         return called(x) * 2.0
 
     inner.__module__ = outer.__module__ = f"{package}.module"
-    called = njit(inner)
-    assert njit(outer)(1.0) == 4.0
+    called: Any = njit(inner)
+    compiled: Any = njit(outer)
+    assert compiled(1.0) == 4.0
     assert len(seen) == count
     assert numba_functions.__name__.startswith(f"{numba_notice._PACKAGE}.")
-    with compiling("the equations of 'cat'") as wait:
+    with notice_of_compiling("the equations of 'cat'") as wait:
         assert str(wait._what).startswith("compiles the equations of 'cat'; the next process")

@@ -179,15 +179,16 @@ class Table(Signal):
         """
         import casadi as ca
 
-        segment: Any = number(self)
-        if segment is self:
+        segment: list[ca.SX] | Table = number(self)
+        if isinstance(segment, Table):
             return self._in_all_segments(t, within, number)
         parameters = [number(parameter) for parameter in self.parameters]
         degrees = len(vars(self)["_coefficients"])
-        since, result = t - segment[0], ca.SX(0)
+        since: ca.SX = t - segment[0]
+        result: ca.SX = ca.SX(0)
         for k in range(1, degrees + 1):
             result = result * since + _combined(segment[k::degrees], parameters)
-        return ca.SX(result)
+        return result
 
     def _in_all_segments(
         self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]

@@ -19,8 +19,8 @@ from numba.core import sigutils
 from numba.core.caching import CompileResultCacheImpl
 from numba.core.serialize import dumps
 
+from ...common.compile_notice import notice_of_compiling
 from ...common.version import __version__
-from ...common.waiting import compiling
 from . import shipped_code, wrapped_code
 from .portable_code import link_bitcode
 
@@ -112,7 +112,7 @@ class CodeCache:
         shipped = shipped_code.find_shipped(self.shipped_name(arguments))
         if shipped is None:
             return None
-        with compiling("an integrator, once for all robots"):
+        with notice_of_compiling("an integrator, once for all robots"):
             result = link_bitcode(self.dispatcher, arguments, shipped)
         self.save_overload(sig, result)
         return result

@@ -8,7 +8,7 @@ from typing import Any
 
 from numba.core.event import Listener, register
 
-from ...common.waiting import compiling
+from ...common.compile_notice import notice_of_compiling
 
 _EVENT = "numba:compile"
 # numba's functions have no type hints.
@@ -27,7 +27,7 @@ class _Notices(Listener):
         stack = ExitStack()
         function = event.data["dispatcher"].py_func
         if not self._open and function.__module__.partition(".")[0] == _PACKAGE:
-            stack.enter_context(compiling("an integrator, once for all robots"))
+            stack.enter_context(notice_of_compiling("an integrator, once for all robots"))
         self._open.append(stack)
 
     def on_end(self, event: Any) -> None:  # noqa: ARG002

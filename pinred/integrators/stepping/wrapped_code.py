@@ -11,11 +11,11 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
+from ...common.compile_notice import notice_of_compiling
 from ...common.cpu_target import cpu_target
 from ...common.machine_code import LLVM_LOCK, create_machine, load_object
 from ...common.object_cache import ObjectCache
 from ...common.version import __version__
-from ...common.waiting import compiling
 from . import shipped_code
 from .argument_types import ArgumentType
 from .call_wrapper import COMPILED, WRAPPER, CallWrapper, objects_are_as_expected
@@ -50,7 +50,7 @@ def load_shipped(
     if data is None:
         bitcode = shipped_code.read_shipped(name)
         wrapper = CallWrapper(function.__name__, arguments, bitcode.result)
-        with compiling("an integrator, once for all robots"):
+        with notice_of_compiling("an integrator, once for all robots"):
             code = _compile(wrapper, bitcode.module)
         if code is None:
             return None
