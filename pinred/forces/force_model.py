@@ -27,8 +27,8 @@ from .function_buffers import Numeric
 from .prescribed_joints import Plan, signals_of
 from .signals import Signal
 from .signals.tabulated import Table
+from .span_numbers import Tables
 from .switch_times import SwitchTimes, time_within
-from .tables import Tables
 from .time_functions import TimeFunctions
 from .time_switches import KINKS, separate
 

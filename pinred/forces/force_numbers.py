@@ -33,7 +33,7 @@ from ..reduction.tree.free_bodies import (
 from ..reduction.tree.scalars import Scalar, Vec
 from ..system.system import System
 from .signals.tabulated import Table
-from .tables import Tables
+from .span_numbers import Tables
 
 # Relative variation of numbers in formulas when kernels are tested with random numbers.
 _NEAR = 1e-2

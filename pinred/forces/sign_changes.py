@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from ..common.arrays import Array
+from .span_numbers import Tables
 from .switch_times import SwitchTimes, time_within
-from .tables import Tables
 from .time_switches import separate
 
 

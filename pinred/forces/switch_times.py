@@ -19,7 +19,7 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..system.coordinates import Indices
 from .root_search import MOST_TIMES, Spans, bisected_roots, linear_roots
-from .tables import SpanNumbers, Tables
+from .span_numbers import SpanNumbers, Tables
 from .time_switches import Switch
 from .vector_program import VectorProgram
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, read_only
 from ..common.memo import recent
 from ..forces.force_model import ForceModel
+from ..forces.span_numbers import SpanNumbers
 from ..forces.switch_times import time_within
-from ..forces.tables import SpanNumbers
 from ..system.coordinates import Indices
 
 DEGREE = 16  # degree of the polynomials on panels

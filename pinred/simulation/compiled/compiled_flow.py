@@ -11,8 +11,8 @@ from ...common.arrays import Array, read_only
 from ...common.errors import InputError
 from ...common.memo import once, recent
 from ...forces.force_values import BaseInSpace
+from ...forces.span_numbers import SpanNumbers
 from ...forces.switch_times import time_within
-from ...forces.tables import SpanNumbers
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
 from ...kernels.closing_code import with_multipliers
