@@ -45,6 +45,7 @@ _HIGH, _LOW = 10.0, 2.5
 _RUNS = 16  # number of runs whose limits are cached
 _TOGETHER = 256  # number of runs whose functions are evaluated at once
 _RESTART = 2.0  # cost of a stop, in steps
+_PANELS = 4096  # number of panels that are evaluated at once, few enough for the CPU's cache
 _PER_OCTAVE = 2.0  # number of longest steps per factor of two among which the cheapest is chosen
 
 
@@ -315,6 +316,10 @@ class _Search:
         self, span: Indices, level: Indices, index: Indices, *, bounded: bool = True
     ) -> _Panels:
         """Evaluate the functions on panels, and their bounds if `bounded`."""
+        if len(span) > _PANELS:
+            chunks = [slice(k, k + _PANELS) for k in range(0, len(span), _PANELS)]
+            parts = (self._panels(span[c], level[c], index[c], bounded=bounded) for c in chunks)
+            return _joined(*parts)
         functions, nodes, transform = self._forces.time_functions, *_chebyshev()
         bare = _Panels(span, level, index, *[np.empty(0)] * 4)
         starts, lengths = self._times(bare)
@@ -398,8 +403,8 @@ class _Search:
         return panels
 
 
-def _joined(first: _Panels, second: _Panels) -> _Panels:
-    return _Panels(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+def _joined(*parts: _Panels) -> _Panels:
+    return _Panels(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def _positive(values: Array) -> Array:
