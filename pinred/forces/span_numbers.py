@@ -99,9 +99,10 @@ class Tables(SpanNumbers):
     def digest(self) -> bytes:
         """Digest of all tables, equal for tables with equal segments."""
         digest = hashlib.sha256()
-        for starts, _, rows in self._groups:
+        for starts, columns, rows in self._groups:
             digest.update(repr((starts.shape, rows.shape)).encode())
-            digest.update(starts.tobytes() + rows.tobytes())
+            for array in (starts, np.arange(self.size)[columns], rows):
+                digest.update(array.tobytes())
         return digest.digest()
 
 
