@@ -23,7 +23,8 @@ from pinred.forces.span_numbers import Tables
 from pinred.judge.full_dynamics import FullDynamics
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold, Linear, Spline
-from pinred.simulation.step_limits import step_limits
+from pinred.simulation.members import integrate_members
+from pinred.simulation.step_limits import limits_of_runs, step_limits
 
 CAT = pinred.load("falling_cat")
 DRIVEN, PUSHED = CAT.shape_names[0], CAT.shape_names[2]
@@ -211,6 +212,23 @@ def test_members_with_own_tables_equal_simulate() -> None:
         np.testing.assert_allclose(many[k].x, one.x, rtol=0, atol=1e-8)
     assert np.array_equal(many[1].x, many[5].x)
     assert np.abs(many[1].x - many[2].x).max() > 1e-4
+
+
+def test_steps_of_members_are_limited_by_own_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Members of one group have the step limits of their own tables, as each alone."""
+    times = np.linspace(0.0, END, 5)
+    tables = [Spline(times, values) for values in (np.zeros(5), [0.0, 1.0, -1.0, 1.0, 0.0])]
+    scenes = [pushed(table, seed=3) for table in tables]
+    found: list[Any] = []
+
+    def spy(*arguments: Any) -> Any:
+        found.extend(limits_of_runs(*arguments))
+        return found
+
+    monkeypatch.setattr(integrate_members, "limits_of_runs", spy)
+    pinred.simulate_many(scenes)
+    assert len(found) == 2
+    assert sorted(limits.decay.max() > 1e-3 for limits in found) == [False, True]
 
 
 def test_step_limits_belong_to_tables() -> None:
