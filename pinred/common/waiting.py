@@ -1,7 +1,8 @@
 """Lines on standard error that say what a user waits for.
 
 On a terminal and in a notebook, a line appears after one second, and every ten seconds after it;
-elsewhere, in a pipe or a file, every ten seconds.
+elsewhere, in a pipe or a file, every ten seconds.  The environment variable PINRED_QUIET, with any
+value, turns them off.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from threading import Lock, Thread, get_ident
 _PATIENCE = 1.0  # time before the first line for a user who watches [s]
 _EVERY = 10.0  # time between lines [s]
 _TICK = 0.1  # time between two looks at the open waits [s]
+_IS_QUIET = "PINRED_QUIET" in os.environ
 _IDLE = 20  # number of looks without an open wait after which the thread ends
 
 _LOCK = Lock()
@@ -54,7 +56,7 @@ class Wait(ContextDecorator):
         self._due = self.began + _PATIENCE
         with _LOCK:
             _open.setdefault(get_ident(), []).append(self)
-            if _watcher is None:
+            if _watcher is None and not _IS_QUIET:
                 _watcher = Thread(target=_watch, name="pinred-waits", daemon=True)
                 _watcher.start()
         return self
