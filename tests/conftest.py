@@ -13,6 +13,8 @@ from zlib import crc32
 
 # Threads of BLAS wait for each other on machines whose cores run test processes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is imported
+# Lines about long work depend on the speed of the machine.
+os.environ["PINRED_QUIET"] = "1"  # read when pinred is imported
 
 import pytest
 from compile_ahead import compile_ahead

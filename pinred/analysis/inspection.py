@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
+from ..common.waiting import Wait
 from ..reduction.casimirs import casimirs
 from ..reduction.curvature import bracket_term
 from ..reduction.cyclic_joints import cyclic_of
@@ -126,6 +127,7 @@ class Inspection:
 
 
 @checks_arguments
+@Wait("inspects a robot")
 def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     """Describe a system at one shape: its symmetries, reduction and skipped variables.
 

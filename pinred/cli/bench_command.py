@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..common.errors import InputError, OutputError
+from ..common.waiting import Wait
 from .command_options import option_adder
 
 if TYPE_CHECKING:
@@ -71,7 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     names = ("robots", "robot", "scenes", "calls", "members", "held")
     options = {name: value for name, value in vars(arguments).items() if name in names}
-    text, tables = MEASUREMENTS[arguments.measurement](**options)
+    with Wait(f"measures: {arguments.measurement}"):
+        text, tables = MEASUREMENTS[arguments.measurement](**options)
     print(text)
     for name, records in tables.items():
         _write(folder, name, records)

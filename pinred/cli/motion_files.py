@@ -61,7 +61,7 @@ def show_motion(
         from ..common.progress import ProgressBar
         from ..views.playback.film import save_film
 
-        with ProgressBar("film   ") as bar:
+        with ProgressBar("film   ", what="renders a film") as bar:
             count = save_film(motion, out, view, progress=bar)
         print(f"{count} frames written to {out}")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from ..common.waiting import Wait
 from .command_options import option_adder
 
 
@@ -28,7 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.rows:
         print(published_rows.heading())
     for row in rows:
-        results.append(row.run())
+        with Wait(f"computes the row {row.name}"):
+            results.append(row.run())
         print((published_rows.report if arguments.rows else published_rows.line)(results[-1]))
         sys.stdout.flush()
     print(published_rows.summary(results))

@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from shutil import copytree, rmtree
 from tempfile import TemporaryDirectory
@@ -141,6 +142,8 @@ def _calls(system: System) -> Iterator[Callable[[], Any]]:
         yield partial(_derivatives, system, method)
     yield lambda: compare(simulate(system, seed=1, duration=_DURATION))
     yield partial(_uncommon, system)
+    if find_spec("jax") is not None:
+        yield partial(_jax_gradient, system)
 
 
 def _between(system: System, method: str) -> Any:
@@ -163,6 +166,14 @@ def _uncommon(system: System) -> Any:
         simulate_many(system, seeds=range(8), times=[_DURATION]).x,
         phase(system, Gait.waypoints(corners)),
     )
+
+
+def _jax_gradient(system: System) -> Any:
+    """Differentiate a flow by JAX, which calls it through compiled functions."""
+    import jax
+
+    function = flow(system, wrt=["x0"], of=["x"], seed=1, duration=_DURATION).jax()
+    return jax.grad(lambda x0: function(x0).sum())(np.zeros(system.m))
 
 
 def _derivatives(system: System, method: str) -> Any:

@@ -1,39 +1,14 @@
-"""One line about each compilation that takes longer than a second, for a user who waits for it."""
+"""Lines about compilations, for a user who waits for them."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from threading import Timer
-
-from .progress import is_watched
-
-_PATIENCE = 1.0  # time before the line is written [s]
+from .waiting import Wait
 
 
-@contextmanager
-def notice_of_compiling(what: str) -> Iterator[None]:
-    """Write one line if the body takes longer than a second; only on a terminal or in a notebook.
+def notice_of_compiling(what: str) -> Wait:
+    """Return the wait for a compilation.
 
     Args:
         what: What is compiled, such as "the equations of 'solo12'".
     """
-    if not is_watched():
-        yield
-        return
-    line = f"pinred compiles {what}; the next process finds the result in its cache"
-    timer = Timer(_PATIENCE, _write, [line])
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-
-
-def _write(line: str) -> None:
-    # A progress bar may have left its text in the line of a terminal.
-    start = "\r\033[K" if sys.stderr.isatty() else ""
-    sys.stderr.write(f"{start}{line}\n")
-    sys.stderr.flush()
+    return Wait(f"compiles {what}; the next process finds the result in its cache")

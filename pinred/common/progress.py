@@ -1,4 +1,4 @@
-"""A progress bar for terminals and notebooks; nothing is drawn elsewhere."""
+"""A progress bar for terminals and notebooks; elsewhere, a line every ten seconds."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from .errors import InputError
+from .waiting import Wait, in_notebook, is_watched
 
 Progress: TypeAlias = Callable[[float], None]
 _T = TypeVar("_T")
@@ -25,27 +26,42 @@ _LONG_WORK = 20.0  # remaining time of which a notice warns [s]
 
 
 class ProgressBar:
-    """A progress bar that disappears when the work ends."""
+    """A progress bar that disappears when the work ends; without a screen, lines of a Wait."""
 
-    def __init__(self, title: str, count: int = 0, unit: str = "") -> None:
-        """Prepare a bar, which is drawn only in terminals and notebooks.
+    def __init__(
+        self, title: str, count: int = 0, unit: str = "", what: str = "", *, drawn: bool = True
+    ) -> None:
+        """Prepare a bar.
 
         Args:
             title: Title of the bar.
             count: Number of items; if stated, rate and remaining time are shown, too.
             unit: Name of the items, in the plural.
+            what: What pinred does, for lines in place of a bar, such as "renders a film".
+            drawn: Whether to draw the bar if there is a screen.
         """
         self._title, self._count, self._unit = title, count, unit
-        self._screen = _screen()
+        self._what = what or f"continues: {title.strip()}"
+        self._screen = _screen() if drawn else None
         self._began = time.monotonic()
         self._first: float | None = None  # fraction that was complete at the first call
         self._next = self._began + _PATIENCE
         self._drawn = False
+        self._part = 0.0
+        self._wait = Wait(self._words)
+
+    def _words(self) -> str:
+        """Return the work, the completed percentage, the rate and the remaining time."""
+        return f"{self._what}: {100 * self._part:.0f} %{self._pace(self._part)}"
 
     def __enter__(self) -> ProgressBar:
+        if self._screen is None:
+            self._wait.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._screen is None:
+            self._wait.__exit__()
         if self._screen is not None and self._drawn:
             self._screen.clear()
 
@@ -53,6 +69,7 @@ class ProgressBar:
         """Show the completed fraction `part` of the work, from 0 to 1."""
         if self._first is None:
             self._first = part
+        self._part = part
         if self._screen is None or time.monotonic() < self._next:
             return
         self._next, self._drawn = time.monotonic() + _EVERY, True
@@ -106,28 +123,45 @@ class LongRunNotice:
 
 
 def shown(
-    progress: Progress | bool | None, title: str, count: int = 0, unit: str = ""
+    progress: Progress | bool | None,
+    title: str,
+    count: int = 0,
+    unit: str = "",
+    what: str = "",
+    *,
+    reports: bool = False,
 ) -> AbstractContextManager[Progress | None]:
     """Return a context that yields the function to call with the completed fraction.
 
     Args:
-        progress: True for a bar, None or False for no bar, or a function that is called with the
-            completed fraction.
+        progress: True for a bar; None for a line about long work, see `waiting`; False for silence;
+            or a function that is called with the completed fraction.
         title: Title of the bar.
         count: Number of items; if stated, the bar shows rate and remaining time, too.
         unit: Name of the items, in the plural.
+        what: What pinred does, for lines in place of a bar.
+        reports: Whether lines about long work state the completed fraction, which costs calls.
     Returns:
-        The context; it yields None if no progress is shown.
+        The context; it yields None if nobody needs the completed fraction.
     Raises:
         InputError: `progress` has another type.
     """
     if progress is True:
-        return ProgressBar(title, count, unit)
+        return ProgressBar(title, count, unit, what)
     if not (progress is None or progress is False or callable(progress)):
         raise InputError(
             f"progress must be True or a function of the completed fraction, got {progress!r}"
         )
-    return nullcontext(progress if callable(progress) else None)
+    if progress is None and reports:
+        return ProgressBar(title, count, unit, what, drawn=False)
+    return _Lines(what) if progress is None and what else nullcontext(progress or None)
+
+
+class _Lines(Wait):
+    """Lines about long work that reports no progress."""
+
+    def __enter__(self) -> None:  # type: ignore[override]
+        super().__enter__()
 
 
 def one_by_one(
@@ -166,21 +200,10 @@ class _Screen(Protocol):
         """Remove the bar."""
 
 
-def is_watched() -> bool:
-    """Return whether messages appear on a terminal or in a notebook."""
-    return _in_notebook() or sys.stderr.isatty()
-
-
 def _screen() -> _Screen | None:
     if not is_watched():
         return None
-    return _Notebook() if _in_notebook() else _Terminal()
-
-
-def _in_notebook() -> bool:
-    # A notebook kernel imports IPython before it runs any cell.
-    ipython = sys.modules.get("IPython")
-    return ipython is not None and hasattr(ipython.get_ipython(), "kernel")
+    return _Notebook() if in_notebook() else _Terminal()
 
 
 class _Terminal:

@@ -7,7 +7,7 @@ Functions, Parameters and signals cannot change, so keys contain the objects the
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from types import BuiltinFunctionType, FunctionType, MethodType
 from typing import Any
 
@@ -20,6 +20,7 @@ from .controller import Controller
 from .force import Force, Limit
 from .kinds import Damper, Friction, Spring
 from .signals import Attitude, Expression, Signal
+from .signals.tabulated import Table
 
 _PACKAGE = f"{__name__.partition('.')[0]}."
 PLAIN = frozenset({float, int, Default, np.float64, np.int64, str, bool, type(None)})
@@ -37,11 +38,13 @@ def _key_of_array(array: np.ndarray) -> Hashable:
     return array.dtype.str, array.shape, array.tobytes()
 
 
-def key_of(value: Any) -> Hashable:
+def key_of(value: Any, of_table: Callable[[Table], Hashable] | None = None) -> Hashable:
     """Return the key of a value in a force or in the option `prescribed`.
 
     Args:
-        value: Number, text, table, array, function, Parameter, signal, attitude or limit.
+        value: Number, text, mapping, array, function, Parameter, signal, attitude or limit.
+        of_table: Function that returns the key of a table; None to compare tables by identity.
+            With this function, functions in the value have no key: they may use other variables.
     Returns:
         The key, which keeps the objects in it alive.
     Raises:
@@ -50,16 +53,20 @@ def key_of(value: Any) -> Hashable:
     kind = type(value)
     if kind in PLAIN:
         return kind, value
-    if kind in (Parameter, VectorParameter, Expression) or isinstance(value, _FUNCTIONS):
+    if of_table is not None and isinstance(value, Table):
+        return of_table(value)
+    if kind in (Parameter, VectorParameter, Expression):
+        return kind, value
+    if isinstance(value, _FUNCTIONS) and of_table is None:
         return kind, value
     if kind is dict:
-        return kind, tuple([(key_of(name), key_of(entry)) for name, entry in value.items()])
+        return kind, tuple([(key_of(k), key_of(entry, of_table)) for k, entry in value.items()])
     if kind in (list, tuple):
-        return kind, tuple(map(key_of, value))
+        return kind, tuple([key_of(entry, of_table) for entry in value])
     if kind is np.ndarray:
         return _key_of_array(value)
     if kind in (Limit, Attitude):
-        return kind, key_of(vars(value))
+        return kind, key_of(vars(value), of_table)
     if isinstance(value, Signal) and kind.__module__.startswith(_PACKAGE):
         return kind, _Same(value)
     raise NotKeyedError

@@ -25,6 +25,9 @@ from .force_numbers import ForceNumbers, RobotSymbols, numbers_of, random_number
 from .force_values import Acting, ForceInputs, Prescribed
 from .function_buffers import Numeric
 from .prescribed_joints import Plan, signals_of
+from .signals import Signal
+from .signals.tabulated import Table
+from .span_numbers import Tables
 from .switch_times import SwitchTimes, time_within
 from .time_functions import TimeFunctions
 from .time_switches import KINKS, separate
@@ -40,8 +43,9 @@ class ForceModel:
         slopes: ∂numbers/∂parameters, (p, parameters), which is constant.
         held: Controllers, each with the slice of numbers that contains its zero-order hold.
         key: Digest of the expressions, equal for models that can share a kernel.
-        within: Slice of the number that contains the time by which segments of tables are selected,
-            and at which conditions on time are evaluated.
+        tables: The tables in forces and motions.
+        within: Slice of the numbers that change from span to span: a time within the span, at which
+            conditions on time are evaluated, and the segments of tables at this time.
         switching: The times at which functions of time are not smooth.
         joints: Indices of the rates of the prescribed joints.
         signals: Signals in the motions of the prescribed joints.
@@ -92,10 +96,10 @@ class ForceModel:
         self._unseen = (np.zeros(system.group.size), *np.zeros((3, r)))
         self.signals = tuple(s for plan in prescribed.values() for s in signals_of(plan))
         self.references = tuple(signal for force in forces for signal in force.signals)
-        numbers = ForceNumbers()
-        has_breaks = any(signal.breaks.size for signal in (*self.signals, *self.references))
-        within = numbers.symbol(0.0) if has_breaks else None
-        self.within = slice(0, int(has_breaks))
+        self.tables = Tables(_tables_among((*self.signals, *self.references)))
+        numbers = ForceNumbers(self.tables if self.tables.signals else None)
+        within = numbers.symbols[0] if self.tables.signals else None
+        self.within = slice(0, len(numbers))
         terms = ForceExpressions(system, forces, prescribed, robot, numbers, within)
         as_written = terms.motion
         self._separate_switches(terms, numbers, within)
@@ -157,14 +161,12 @@ class ForceModel:
         """
         self._state_kinks: bool | None = None
         held = {k for _, where in terms.held for k in range(where.start, where.stop)}
-        held |= set(range(self.within.stop))
+        held |= {self.within.start} if within is not None else set()
         constant = [symbol for k, symbol in enumerate(numbers.symbols) if k not in held]
         t, symbol = terms.symbols.t, ca.SX.sym("within") if within is None else within
-        tables = [signal.breaks for signal in (*self.signals, *self.references)]
-        breaks = np.unique(np.concatenate(tables)) if tables else np.empty(0)
         separated = separate([terms.torques, terms.wrenches, *terms.motion], t, symbol, constant)
         if separated is None:
-            self.switching = SwitchTimes([], t, symbol, numbers.symbols, breaks)
+            self.switching = SwitchTimes([], t, symbol, numbers.symbols, self.tables)
             return
         if within is None:
             self.within = slice(len(numbers), len(numbers) + 1)
@@ -172,7 +174,7 @@ class ForceModel:
         terms.torques, terms.wrenches, *motion = separated.expressions
         terms.motion = motion[0], motion[1], motion[2]
         self._state_kinks = separated.has_kinks
-        self.switching = SwitchTimes(separated.switches, t, symbol, numbers.symbols, breaks)
+        self.switching = SwitchTimes(separated.switches, t, symbol, numbers.symbols, self.tables)
 
     def on(self, system: System) -> ForceModel:
         """Return this model for other parameters of the robot; compiled functions are shared."""
@@ -187,6 +189,24 @@ class ForceModel:
         if not changes.any():
             return self
         return self._changed(("_once",), numbers=read_only(self.numbers + self.slopes @ changes))
+
+    def with_tables(self, signals: Sequence[Signal], references: Sequence[Signal]) -> ForceModel:
+        """Return this model with other tables of the same kinds; compiled functions are shared.
+
+        Args:
+            signals: Signals in the motions of the prescribed joints, in the order of `signals`.
+            references: Signals in the forces, in the order of `references`.
+        """
+        tables = Tables(_tables_among((*signals, *references)))
+        # The functions of time are shared, too.
+        switching, _ = self.switching.with_tables(tables), self.time_functions
+        other = self._changed(
+            ("_once",), signals=tuple(signals), references=tuple(references), tables=tables,
+            switching=switching, numbers=self.numbers.copy(),
+        )  # fmt: skip
+        other.set_span(other.numbers, 0.0)
+        read_only(other.numbers)
+        return other
 
     def _changed(self, cached: tuple[str, ...], **changes: Any) -> ForceModel:
         """Return a copy with changed attributes and without the cached properties `cached`."""
@@ -332,18 +352,39 @@ class ForceModel:
         numbers = self.numbers.copy()
         breaks = self.breaks(end)
         later = breaks[breaks > t]
-        numbers[self.within] = time_within(t, float(later[0]) if later.size else end)
+        self.set_span(numbers, time_within(t, float(later[0]) if later.size else end))
         return numbers
 
-    def random_numbers(self, rng: np.random.Generator) -> Array:
-        """Return random force parameters, (p,), for tests of kernels."""
-        return random_numbers(self.numbers, self._in_formulas, rng)
+    def set_span(self, numbers: Array, within: Any) -> None:
+        """Write the numbers that change from span to span into numbers of one run or several runs.
+
+        Args:
+            numbers: Numbers, (…, p), changed in place.
+            within: A time in the span of each row, (…) [s].
+        """
+        width = self.within.stop - self.within.start
+        numbers[..., self.within] = self.tables.at(within)[..., :width]
+
+    def random_numbers(self, rng: np.random.Generator, time: float = 0.0) -> Array:
+        """Return random force parameters, (p,), for tests of kernels at a time [s]."""
+        values = self.numbers.copy()
+        self.set_span(values, time)
+        numbers = random_numbers(values, self._in_formulas, rng)
+        if self.tables.signals:  # a segment is undefined far from its start
+            starts = self.tables.starts
+            numbers[starts] = values[starts]
+        return numbers
 
     def potential(self, x: Array, numbers: Array) -> Array:
         """Return V(x) of the forces that have a potential, (...) [J], at x, (nx,) or (T, nx)."""
         batch = x.ndim == 2
         (values,) = self._potential.at_all(x, numbers) if batch else self._potential(x, numbers)
         return values[..., 0, 0]
+
+
+def _tables_among(signals: Sequence[Signal]) -> list[Table]:
+    """Return the distinct tables among signals, in the order of first use."""
+    return list(dict.fromkeys(signal for signal in signals if isinstance(signal, Table)))
 
 
 def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:

@@ -15,11 +15,12 @@ from ..system.model_parameters import ModelParameters
 from ..system.system import System
 from ..system.variants import nominal
 from .force import Force
-from .force_keys import NotKeyedError, key_of_force
+from .force_keys import NotKeyedError, key_of, key_of_force
 from .force_model import ForceModel
 from .kinds import Spring
-from .prescribed_joints import Plan
+from .prescribed_joints import Plan, signals_of
 from .signals import Attitude, Constant, Expression, Signal
+from .signals.tabulated import Table
 
 _REMEMBERED = 16  # largest number of cached models per system
 
@@ -53,6 +54,7 @@ def cached_force_model(
         freed = freed_of(owner, varied.free, varied.placed, varied.turned, generic=True)
     # Cache by value; objects without value equality are keyed by identity and kept alive.
     sprung = [_spring(name, pair) for name, pair in springs.items()]
+    everything = _all_forces(sprung, forces, prescribed)
     key = (
         tuple(sprung),
         *map(_key_of_force, forces),
@@ -61,12 +63,62 @@ def cached_force_model(
         links,
     )
 
+    def build() -> ForceModel:
+        return ForceModel(owner, everything, prescribed, freed, links)
+
     def make() -> tuple[ForceModel, object]:
-        model = ForceModel(owner, _all_forces(sprung, forces, prescribed), prescribed, freed, links)
-        return model, (tuple(forces), dict(prescribed))
+        tables: dict[Table, Hashable] = {}
+        kinds = (
+            tuple(sprung),
+            *(_kind_of_force(force, tables) for force in forces),
+            *((name, _kind_of(signal, tables)) for name, signal in prescribed.items()),
+            freed,
+            links,
+        )
+        if not tables:
+            return build(), (tuple(forces), dict(prescribed))
+        kept = tuple(forces), dict(prescribed)
+        first, _ = recent(
+            owner, kinds, lambda: (build(), kept), _REMEMBERED, (cached_force_model, Table)
+        )
+        # Models that differ only in tables share all compiled functions.
+        signals = [signal for plan in prescribed.values() for signal in signals_of(plan)]
+        references = [signal for force in everything for signal in force.signals]
+        if (*signals, *references) == (*first.signals, *first.references):
+            return first, kept
+        return first.with_tables(signals, references), kept
 
     model, _ = recent(owner, key, make, _REMEMBERED, cached_force_model)
     return model if system is owner else model.on(system)
+
+
+def _kind_of_force(force: Force, tables: dict[Table, Hashable]) -> Hashable:
+    """Return a key that is equal for forces that differ only in tables; see `_kind_of`."""
+    if not any(isinstance(signal, Table) for signal in force.signals):
+        return _key_of_force(force)
+    try:
+        key = type(force), key_of(vars(force), lambda table: _kind_of_table(table, tables))
+        hash(key)
+    except (NotKeyedError, TypeError):
+        return id(force)
+    return key
+
+
+def _kind_of(plan: Plan, tables: dict[Table, Hashable]) -> Hashable:
+    """Return a key that is equal for motions that differ only in tables.
+
+    Args:
+        plan: The motion.
+        tables: The tables seen so far, each with its key; tables of this motion are added.
+    """
+    if isinstance(plan, Attitude):
+        return tuple(_kind_of(part, tables) for part in plan.vector), tuple(plan.centre)
+    return _kind_of_table(plan, tables) if isinstance(plan, Table) else _key_of(plan)
+
+
+def _kind_of_table(table: Table, tables: dict[Table, Hashable]) -> Hashable:
+    """Return the key of a table: its index among all tables, its type and its Parameters."""
+    return tables.setdefault(table, (len(tables), type(table), table.parameters))
 
 
 def _key_of_force(force: Force) -> Hashable:

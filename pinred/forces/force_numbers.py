@@ -32,6 +32,8 @@ from ..reduction.tree.free_bodies import (
 )
 from ..reduction.tree.scalars import Scalar, Vec
 from ..system.system import System
+from .signals.tabulated import Table
+from .span_numbers import Tables
 
 # Relative variation of numbers in formulas when kernels are tested with random numbers.
 _NEAR = 1e-2
@@ -44,10 +46,18 @@ class ForceNumbers:
         symbols: One symbol per number, in the order of creation.
     """
 
-    def __init__(self) -> None:
-        """Create an empty collection."""
+    def __init__(self, tables: Tables | None = None) -> None:
+        """Create a collection with the numbers of tables that change from span to span, if any."""
         self.symbols: list[ca.SX] = []
         self._values: list[float] = []
+        self._segments: dict[Table, list[ca.SX]] = {}
+        if tables is not None:
+            self._values += tables.at(0.0).tolist()
+            self.symbols += [ca.SX.sym(f"p{slot}") for slot in range(tables.size)]
+            first = 1
+            for table in tables.signals:
+                self._segments[table] = self.symbols[first : first + table.width]
+                first += table.width
         self._slopes: list[tuple[int, Parameter, float]] = []
         self._slot_of: dict[Parameter, int] = {}
         self._in_formulas: list[int] = []
@@ -55,8 +65,13 @@ class ForceNumbers:
     def __len__(self) -> int:
         return len(self._values)
 
-    def symbol(self, value: Any) -> ca.SX:
-        """Return the symbol of a number, a Parameter, or an Affine function of Parameters."""
+    def symbol(self, value: Any) -> Any:
+        """Return the symbol of a number, a Parameter, or an Affine function of Parameters.
+
+        For a table, the symbols of its segment are returned; the table itself if it is unknown.
+        """
+        if isinstance(value, Table):
+            return self._segments.get(value, value)
         slot = len(self._values)
         if isinstance(value, Parameter):
             if value not in self._slot_of:

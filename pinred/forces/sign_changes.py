@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ..common.arrays import Array
+from .span_numbers import Tables
 from .switch_times import SwitchTimes, time_within
 from .time_switches import separate
 
@@ -28,7 +29,7 @@ class SignChanges:
         within = ca.SX.sym("within")
         separated = separate([ca.sign(expression)], t, within, numbers)
         switches = [] if separated is None else separated.switches
-        self._switches = SwitchTimes(switches, t, within, numbers, np.empty(0))
+        self._switches = SwitchTimes(switches, t, within, numbers, Tables())
         self._value = ca.Function("g", [t, ca.vertcat(ca.SX(0, 1), *numbers)], [expression])
 
     def spans(self, end: float, numbers: Array) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ one. Switches within the argument of another come first, so that g is smooth in 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..system.coordinates import Indices
 from .root_search import MOST_TIMES, Spans, bisected_roots, linear_roots
+from .span_numbers import SpanNumbers, Tables
 from .time_switches import Switch
 from .vector_program import VectorProgram
 
@@ -55,8 +57,8 @@ class SwitchTimes:
     """The times at which the functions of time in one force model are not smooth.
 
     Attributes:
-        used: Indices of the numbers on which these times depend.
-        tables: Sorted breaks of tables, (B,) [s].
+        used: Indices of the numbers on which these times depend, without those of tables.
+        tables: The tables in the functions of time.
         conditions: (t, numbers) → the values of all conditions on time, as the forces are written;
             None if there are none.
     """
@@ -67,7 +69,7 @@ class SwitchTimes:
         t: ca.SX,
         within: ca.SX,
         numbers: Sequence[ca.SX],
-        breaks: Array,
+        tables: Tables,
     ) -> None:
         """Prepare the search.
 
@@ -75,13 +77,13 @@ class SwitchTimes:
             switches: The switches, inner ones first.
             t: Time.
             within: The time at which conditions are evaluated.
-            numbers: Symbols of the numbers, (p,).
-            breaks: Sorted breaks of tables, (B,) [s].
+            numbers: Symbols of the numbers, (p,); if there are tables, their numbers come first.
+            tables: The tables in the functions of time.
         Raises:
             InputError: A condition contains an operation that has no bounds.
         """
-        self.tables = breaks
-        self._known: dict[tuple[float, bytes], Array] = {}
+        self.tables = tables
+        self._known: dict[tuple[float, SpanNumbers | None, bytes], Array] = {}
         self.conditions: ca.Function | None = None
         self._located = [s for s in switches if s.argument is not None]
         arguments = [s.argument for s in self._located if s.argument is not None]
@@ -93,12 +95,15 @@ class SwitchTimes:
         states = [s for s in switches if s.state.element_hash() in inside]
         inside |= _symbols_in([s.value for s in states])
         inside -= {within.element_hash()}
-        self.used = [k for k, number in enumerate(numbers) if number.element_hash() in inside]
-        own = [numbers[k] for k in self.used]
-        self._states = VectorProgram([within, *own], [s.value for s in states])
+        used = [k for k, number in enumerate(numbers) if number.element_hash() in inside]
+        first = tables.size if tables.signals else 0
+        self.used = [k for k in used if k >= first]
+        self._of_tables = [k for k in used if k < first]
+        own, segments = [numbers[k] for k in self.used], [numbers[k] for k in self._of_tables]
+        self._states = VectorProgram([within, *segments, *own], [s.value for s in states])
         self._symbols, self._time, self._numbers = [s.state for s in states], t, own
         # Tables within an argument select their segment by `within`, too.
-        inputs = [t, within, *self._symbols, *own]
+        inputs = [t, within, *segments, *self._symbols, *own]
         rates = [ca.jacobian(g, t) for g in arguments]
         self._linear = [not ca.depends_on(rate, t) for rate in rates]
         self._programs = [
@@ -108,19 +113,26 @@ class SwitchTimes:
         self._inputs, self._arguments = inputs, arguments
         self._levels = sorted({s.level for s in self._located})
 
-    def breaks(self, end: float, numbers: Array) -> Array:
+    def with_tables(self, tables: Tables) -> SwitchTimes:
+        """Return the search for other tables of the same kinds; compiled functions are shared."""
+        other = copy(self)
+        vars(other).update(tables=tables, _known={})
+        return other
+
+    def breaks(self, end: float, numbers: Array, tables: SpanNumbers | None = None) -> Array:
         """Return the sorted times before `end` at which a function of time is not smooth.
 
         Args:
             end: End time [s].
             numbers: Numbers of one run, (p,).
+            tables: Tables of the run, with the same breaks; None for those of the model.
         Returns:
             The times; times that differ by round-off are one [s].
         """
-        key = (end, numbers[self.used].tobytes())
+        key = (end, tables if self._of_tables else None, numbers[self.used].tobytes())
         breaks = self._known.get(key)
         if breaks is None:
-            times = self.find(end, numbers[None]).time
+            times = self.find(end, numbers[None], tables).time
             distinct = np.append(np.diff(times) > ROUND_OFF * end, True)[: len(times)]
             breaks = read_only(np.asarray(times[distinct]))
             while len(self._known) >= _REMEMBERED:
@@ -128,19 +140,21 @@ class SwitchTimes:
             self._known[key] = breaks
         return breaks
 
-    def find(self, end: float, numbers: Array) -> Times:
+    def find(self, end: float, numbers: Array, tables: SpanNumbers | None = None) -> Times:
         """Find all times between 0 and `end`, with the breaks of tables.
 
         Args:
             end: End time [s].
             numbers: Numbers of N runs, (N, p).
+            tables: Tables of the runs, with the same breaks; None for those of the model.
         Returns:
             The times; a time at which several switches change is repeated.
         Raises:
             InputError: There are too many times, or a condition cannot be decided.
         """
-        count, breaks = len(numbers), self.tables
+        count, breaks = len(numbers), self.tables.breaks
         breaks = breaks[(breaks > 0.0) & (breaks < end)]
+        tables = self.tables if tables is None else tables
         own = np.ascontiguousarray(numbers[:, self.used].T)
         times = Times(
             np.repeat(np.arange(count), len(breaks)),
@@ -149,7 +163,7 @@ class SwitchTimes:
         )
         for level in self._levels:
             spans = _spans_between(times, count, end)
-            columns = self._columns(spans, own)
+            columns = self._columns(spans, own, tables)
             found = [
                 self._roots(k, spans, columns, end)
                 for k, switch in enumerate(self._located)
@@ -212,8 +226,9 @@ class SwitchTimes:
             self._slopes[switch] = VectorProgram(self._inputs, outputs)
         own, whole, sides = numbers[self.used], self._located[switch].whole, []
         for side in within:
-            states = self._states(side, *own)
-            g, rate, *rest = (float(v) for v in self._slopes[switch](time, side, *states, *own))
+            inside = [side, *self.tables.at(side)[self._of_tables]]
+            states = self._states(*inside, *own)
+            g, rate, *rest = (float(v) for v in self._slopes[switch](time, *inside, *states, *own))
             slopes = np.zeros(len(numbers))
             with np.errstate(divide="ignore", invalid="ignore"):
                 slopes[self.used] = -np.array(rest) / rate
@@ -221,12 +236,15 @@ class SwitchTimes:
             sides.append((distance <= _NEAR * (abs(g) + abs(rate) * time), slopes))
         return [slopes for is_root, slopes in sides if is_root] or [sides[0][1]]
 
-    def _columns(self, spans: Spans, own: Array) -> list[Array]:
+    def _columns(self, spans: Spans, own: Array, tables: SpanNumbers) -> list[Array]:
         """Return all inputs of the arguments except time, (P,) each."""
         numbers = list(own[:, spans.run])
         within = time_within(spans.start, spans.stop)
-        states = (np.broadcast_to(v, within.shape) for v in self._states(within, *numbers))
-        return [within, *states, *numbers]
+        inside = [within]
+        if self._of_tables:
+            inside += list(tables.at(within, spans.run)[:, self._of_tables].T)
+        states = (np.broadcast_to(v, within.shape) for v in self._states(*inside, *numbers))
+        return [*inside, *states, *numbers]
 
     def _roots(self, switch: int, spans: Spans, columns: list[Array], end: float) -> Times:
         program, whole = self._programs[switch], self._located[switch].whole

@@ -45,23 +45,23 @@ class TimeFunctions:
         timed = [e for e in found.values() if ca.depends_on(ca.jacobian(e, t), t)]
         timed = [e for e in timed if _is_known([t, p], e)]
         self.count = len(timed)
-        self.used = [k for k in range(size) if any(ca.depends_on(e, p[k]) for e in timed)]
+        self.used = [k for k, used in enumerate(_depends(timed, p)) if used]
         self._program = VectorProgram([t, *(p[k] for k in self.used)], timed)
 
-    def __call__(self, times: Array, numbers: Array, within: slice, spans: Array | float) -> Array:
+    def __call__(self, times: Array, numbers: Array, within: slice, spans: Array) -> Array:
         """Return the values of all functions.
 
         Args:
-            times: Times, (T,) [s].
-            numbers: Numbers of the forces, (p,), or (p, P) in each interval.
-            within: Slice of the number that selects the segments of tables.
-            spans: Value of that number at each time, (T,) or one for all [s].
+            times: Times, (…) [s].
+            numbers: Numbers of the forces, (p,), or (p, …) with axes that broadcast to the times.
+            within: Slice of the numbers that change from span to span.
+            spans: Values of these numbers at each time, (w, …), likewise.
         Returns:
-            The values, (count, T).
+            The values, (count, …).
         """
         first, last = within.start, within.stop
-        own: list[Any] = [spans if first <= k < last else numbers[k] for k in self.used]
-        values = np.empty((self.count, len(times)))
+        own: list[Any] = [spans[k - first] if first <= k < last else numbers[k] for k in self.used]
+        values = np.empty((self.count, *times.shape))
         for row, value in zip(values, self._program(times, *own), strict=True):
             row[:] = value
         return values
@@ -75,16 +75,22 @@ class TimeFunctions:
             starts: Starts of the intervals of time, (P,) [s].
             ends: Their ends, (P,) [s].
             numbers: Numbers of the forces, (p,), or (p, P) in each interval.
-            within: Slice of the number that selects the segments of tables.
-            spans: Value of that number in each interval of time, (P,) [s].
+            within: Slice of the numbers that change from span to span.
+            spans: Values of these numbers in each interval of time, (w, P).
         """
         first, last = within.start, within.stop
-        own: list[Any] = [spans if first <= k < last else numbers[k] for k in self.used]
+        own: list[Any] = [spans[k - first] if first <= k < last else numbers[k] for k in self.used]
         bounds = self._program.bounds([(starts, ends), *((value, value) for value in own)])
         widths = np.empty((self.count, len(starts)))
         for row, (low, high) in zip(widths, bounds, strict=True):
             row[:] = np.subtract(high, low)
         return np.where(np.isnan(widths), np.inf, widths)
+
+
+def _depends(expressions: Sequence[ca.SX], p: ca.SX) -> Sequence[bool]:
+    """Return whether any of the expressions depends on each symbol of p."""
+    column = ca.vertcat(ca.SX(0, 1), *expressions)
+    return list(ca.which_depends(column, p)) if p.numel() and column.numel() else []
 
 
 def _is_known(inputs: Sequence[ca.SX], expression: ca.SX) -> bool:

@@ -91,7 +91,8 @@ def compare(
             f"compare takes a Trajectory, got {type(traj).__name__}; simulate returns one"
         )
     seconds = default_budget(traj.run.wall) if budget is None else positive(budget, "budget")
-    with shown(progress, "full") as report_progress:
+    what = f"compares the motion of '{traj.system.name}' with ABA"
+    with shown(progress, "full", what=what, reports=True) as report_progress:
         return _compare(traj, report_progress or (lambda _: None), TimeBudget(seconds))
 
 

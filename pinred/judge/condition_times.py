@@ -35,12 +35,12 @@ def condition_times(forces: ForceModel, stops: Array, numbers: Array) -> Array:
     span_ends = np.concatenate([[0.0], stops])
     middles = 0.5 * (span_ends[1:] + span_ends[:-1])
     times = np.union1d(np.linspace(0.0, end, _SAMPLES), middles)
-    values = _values(conditions, times, numbers)
+    values = _values(forces, conditions, times, numbers)
     changes = np.flatnonzero((values[1:] != values[:-1]).any(axis=1))
     a, b, at_a, at_b = times[changes], times[changes + 1], values[changes], values[changes + 1]
     while a.size and (b - a).max() > _RESOLUTION * end:
         middle = 0.5 * (a + b)
-        at = _values(conditions, middle, numbers)
+        at = _values(forces, conditions, middle, numbers)
         left, right = (at != at_a).any(axis=1), (at != at_b).any(axis=1)
         a, b = np.append(a[left], middle[right]), np.append(middle[left], b[right])
         at_a, at_b = (
@@ -49,8 +49,9 @@ def condition_times(forces: ForceModel, stops: Array, numbers: Array) -> Array:
     return np.unique(b)
 
 
-def _values(conditions: ca.Function, times: Array, numbers: Array) -> Array:
+def _values(forces: ForceModel, conditions: ca.Function, times: Array, numbers: Array) -> Array:
     """Return the values of all conditions, (T, C), at times (T,)."""
-    mapped = conditions.map(len(times))
-    values = mapped(times[None], ca.repmat(ca.DM(numbers), 1, len(times)))
+    mapped, rows = conditions.map(len(times)), np.repeat(numbers[None], len(times), axis=0)
+    forces.set_span(rows, times)
+    values = mapped(times[None], rows.T)
     return np.asarray(values.T)

@@ -53,7 +53,7 @@ class FullDynamics:
         self._parameters = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._changing = np.zeros(len(self._parameters), dtype=bool)
         if self._forces is not None:
-            for where in (self._forces.within, *(where for _, where in self._forces.held)):
+            for _, where in self._forces.held:
                 self._changing[where] = True
         if self._forces is not None and self._forces.switching.conditions is not None:
             written = condition_times(self._forces, self._stops, self._parameters)
@@ -109,6 +109,8 @@ class FullDynamics:
         All other parameters keep the values of the scene, whatever a trajectory used.
         """
         self._parameters[self._changing] = np.asarray(parameters)[self._changing]
+        if self._forces is not None and (within := parameters[self._forces.within]).size:
+            self._forces.set_span(self._parameters, within[0])
 
     def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
         """Assemble y (..., n).

@@ -313,7 +313,7 @@ class FullState(FullDynamics):
             stop = actions.begin(parameters, t, stop, partial(self.sample, y))
             self.set_parameters(parameters)
             if self._switches.size and self._forces is not None:
-                self._parameters[self._forces.within] = time_within(t, stop)
+                self._forces.set_span(self._parameters, time_within(t, stop))
             span = slice(*np.searchsorted(times, [t, stop], side="right"))
             reach = min(stop, end)
             if reach - reached <= _ROUND_OFF * self._scene.end:

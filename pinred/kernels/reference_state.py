@@ -456,8 +456,8 @@ def random_state(
         closed, gaps = assemble(system, x, system.closure.length, movable)
         x = closed if gaps.max() <= CLOSED else x
     if forces is not None:
-        force_parameters = forces.random_numbers(rng)
-        force_parameters[forces.within] = time  # a table is undefined far outside its interval
+        force_parameters = forces.random_numbers(rng, time)
+        force_parameters[forces.within][:1] = time
         # The sizes of numbers that are zero follow from the other forces.
         is_zero = forces.numbers == 0.0
         is_zero[forces.within] = False

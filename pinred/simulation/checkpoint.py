@@ -134,6 +134,8 @@ def _fingerprint_of(flow: CompiledFlow, plan: Plan) -> str:
     ]  # fmt: skip
     arrays = (flow.y0, flow.parameters, flow.path, plan.stops, scene.report_times)
     digest = sha256(model_bytes(kernel.system, kernel.structure.freed))
+    if plan.forces is not None:
+        digest.update(plan.forces.tables.digest)
     digest.update(json.dumps([*settings, repr(plan.method), scene.end], default=str).encode())
     for array in arrays:
         digest.update(repr(array.shape).encode() + array.tobytes())

@@ -95,7 +95,7 @@ class Control:
                 seen = see() if seen is None else seen
                 numbers[where], self._until[k] = self._call(k, t, seen)
         until = min([stop, *(u for u in self._until if u < stop - near)])
-        numbers[forces.within] = time_within(t, until)
+        forces.set_span(numbers, time_within(t, until))
         return until
 
     def saved(self) -> dict[str, Any]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..common.arrays import Array, read_only
 from ..forces.switch_times import time_within
@@ -121,7 +121,7 @@ class Motion:
         parts, order = [], []
         for segment, rows in self._by_segment(which):
             parts.append(self.flow.samples(t[rows], y[rows], segment.parameters))
-            order.append(np.flatnonzero(rows))
+            order.append(rows)
         inverse_order = np.argsort(np.concatenate(order))
         return map_samples(lambda columns: np.concatenate(columns)[inverse_order], parts), numbers
 
@@ -159,14 +159,16 @@ class Motion:
         parts, order = [], []
         for segment, rows in self._by_segment(which):
             parts.append(self.flow.states(t[rows], y[rows], segment.parameters))
-            order.append(np.flatnonzero(rows))
+            order.append(rows)
         inverse_order = np.argsort(np.concatenate(order))
         return map_arrays(lambda *columns: np.concatenate(columns)[inverse_order], *parts)
 
-    def _by_segment(self, which: Indices) -> Iterator[tuple[Segment, NDArray[np.bool_]]]:
-        """Yield each segment that `which` contains, with a mask of the times in the segment."""
-        for k in np.unique(which):
-            yield self.segments[k], which == k
+    def _by_segment(self, which: Indices) -> Iterator[tuple[Segment, Indices]]:
+        """Yield each segment that `which` contains, with the indices of the times in it."""
+        order = np.argsort(which, kind="stable")
+        firsts = np.flatnonzero(np.diff(which[order], prepend=-1))
+        for first, last in pairwise([*firsts.tolist(), len(order)]):
+            yield self.segments[which[order[first]]], order[first:last]
 
     def _numbers(self, segment: Segment) -> Array:
         return segment.parameters[self.flow.numbers_at]
@@ -243,7 +245,7 @@ def follow(
     if len(plan.stops) == 1 and record is None and not plan.is_observed:
         end = plan.scene.end
         if plan.forces is not None:
-            numbers[plan.forces.within] = time_within(0.0, end)
+            plan.forces.set_span(numbers, time_within(0.0, end))
         return Motion(flow, [integrate(0.0, end, y, read_only(parameters))])
     control, watched = Control(plan.scene), plan.scene.watched
     watch = None if watched is None else Watch(plan.scene, flow, watched)

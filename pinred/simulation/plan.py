@@ -17,6 +17,7 @@ from ..common.arrays import Array, read_only
 from ..common.errors import SymmetryError
 from ..common.memo import once
 from ..forces.force_model import ForceModel, touched_by
+from ..forces.span_numbers import SpanNumbers
 from ..forces.switch_times import ROUND_OFF
 from ..integrators.methods import EqualSteps, ErrorControl, Method
 from ..kernels.state_layout import Layout, Structure, layout_of
@@ -71,16 +72,18 @@ class MemberParameters:
         robot: Variable parameters of the bodies, (N, s).
         gravity: The part of gravity that acts on the shape or rotates the base, (N, 3) [m/s²].
         fall: Acceleration of the centre of mass in free fall, (N, k) [m/s²].
+        tables: Tables in the forces.
     """
 
     numbers: Array | None = None
     robot: Array | None = None
     gravity: Array | None = None
     fall: Array | None = None
+    tables: SpanNumbers | None = None
 
     def __getitem__(self, members: Any) -> MemberParameters:
         """Return the parameters of the selected member or members."""
-        columns = vars(self).values()
+        columns: Any = vars(self).values()
         return MemberParameters(*(None if rows is None else rows[members] for rows in columns))
 
 
@@ -188,11 +191,12 @@ class Plan:
             self.forces.slopes[self.forces.switching.used].any()
         )
 
-    def stops_of_runs(self, numbers: Array) -> list[Array]:
+    def stops_of_runs(self, numbers: Array, tables: SpanNumbers | None = None) -> list[Array]:
         """Return the stops of N runs, (S,) each [s].
 
         Args:
             numbers: Force parameters, (N, p).
+            tables: Tables of the runs; None for those of the plan.
         Returns:
             The stops; the last one of each run is the end of the scene.
         Raises:
@@ -201,7 +205,7 @@ class Plan:
         if self.forces is None or not self.stops_vary:
             return [self.stops] * len(numbers)
         end = self.scene.end
-        times = self.forces.switching.find(end, numbers)
+        times = self.forces.switching.find(end, numbers, tables)
         run = np.concatenate([times.run, np.arange(len(numbers))])
         time = np.concatenate([times.time, np.full(len(numbers), end)])
         order = np.lexsort((time, run))
@@ -261,18 +265,22 @@ class Plan:
             *notices,
         )
 
-    def notices_of_equal_steps(self, numbers: Array) -> tuple[str, ...]:
+    def notices_of_equal_steps(
+        self, numbers: Array, tables: SpanNumbers | None = None
+    ) -> tuple[str, ...]:
         """Return sentences on functions of time that steps of equal length miss, if any.
 
         Args:
             numbers: Force parameters, (p,).
+            tables: Tables of the run; None for those of the plan.
         Returns:
             One sentence, or none.
         """
         method, forces = self.scene.integrator, self.forces
         if not isinstance(method, EqualSteps) or forces is None or not self.has_time_functions:
             return ()
-        limits = step_limits(forces, self.scene.end, numbers, _MISSED, method.order)
+        arguments = forces, self.scene.end, numbers, _MISSED, method.order
+        limits = step_limits(*arguments, tables)
         error = limits.error_of_equal_steps(method.step, method.order)
         if error <= _MISSED:
             return ()

@@ -54,8 +54,9 @@ def simulate(
         engine: "compiled": machine code compiled for the robot and the kind of scene, cached on
             disk. "pinocchio": the same equations, evaluated with Pinocchio and
             integrated with SciPy's DOP853.
-        progress: True for a progress bar in a terminal or a notebook; or a function that is
-            called with the completed fraction of the time, from 0 to 1.
+        progress: True for a progress bar in a terminal or a notebook; None for a line if the
+            work takes long; False for silence; or a function that is called with the completed
+            fraction of the time, from 0 to 1.
         explain: Whether to print the terms that the simulation skips and the variables that it
             integrates.
         check: Whether to test between the stages of steps that no force is skipped, such as one
@@ -90,7 +91,8 @@ def simulate(
             "checkpoint: expected none with engine 'pinocchio', whose integrator is SciPy's. Use "
             "the compiled engine"
         )
-    with _opened(checkpoint) as file, shown(progress, "reduced") as done:
+    what = f"simulates '{scene.system.name}'"
+    with _opened(checkpoint) as file, shown(progress, "reduced", what=what) as done:
         if done is None and engine == "compiled" and isinstance(plan.method, EqualSteps):
             done = _notice_of(plan.method, scene.end)
         trajectory = _simulated(plan, engine, done, check=check, checkpoint=file)

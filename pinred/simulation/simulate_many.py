@@ -105,7 +105,8 @@ def simulate_many(
     if explain:
         print(_explained(resolved, device))
     name = resolved.groups[0].plan.system.name
-    with shown(progress, f"simulating {resolved.count} of {name}") as done:
+    what = f"simulates {resolved.count} members of '{name}'"
+    with shown(progress, f"simulating {resolved.count} of {name}", what=what) as done:
         return run_members(resolved, threads, done, rejected, device)
 
 

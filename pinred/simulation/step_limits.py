@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, read_only
 from ..common.memo import recent
 from ..forces.force_model import ForceModel
+from ..forces.span_numbers import SpanNumbers
 from ..forces.switch_times import time_within
 from ..system.coordinates import Indices
 
@@ -44,6 +45,7 @@ _HIGH, _LOW = 10.0, 2.5
 _RUNS = 16  # number of runs whose limits are cached
 _TOGETHER = 256  # number of runs whose functions are evaluated at once
 _RESTART = 2.0  # cost of a stop, in steps
+_PANELS = 4096  # number of panels that are evaluated at once, few enough for the CPU's cache
 _PER_OCTAVE = 2.0  # number of longest steps per factor of two among which the cheapest is chosen
 
 
@@ -157,7 +159,12 @@ class StepLimits:
 
 
 def step_limits(
-    forces: ForceModel, end: float, numbers: Array, rtol: float, order: int
+    forces: ForceModel,
+    end: float,
+    numbers: Array,
+    rtol: float,
+    order: int,
+    tables: SpanNumbers | None = None,
 ) -> StepLimits:
     """Return the limits of a run with force parameters (p,), cached.
 
@@ -167,25 +174,45 @@ def step_limits(
         numbers: Force parameters, (p,).
         rtol: Relative tolerance of the run.
         order: Order of the solution whose error controls the steps.
+        tables: Tables of the run; None for those of the forces.
     Returns:
         The limits.
     """
-    key = end, rtol, order, numbers[functions_depend_on(forces)].tobytes()
+    tables = forces.tables if tables is None else tables
+    key = end, rtol, order, tables, numbers[functions_depend_on(forces)].tobytes()
 
     def make() -> StepLimits:
-        return limits_of_runs(forces, end, numbers[None], rtol, order)[0]
+        return limits_of_runs(forces, end, numbers[None], rtol, order, tables)[0]
 
     return recent(forces.time_functions, key, make, _RUNS, StepLimits)
 
 
 def limits_of_runs(
-    forces: ForceModel, end: float, numbers: Array, rtol: float, order: int
+    forces: ForceModel,
+    end: float,
+    numbers: Array,
+    rtol: float,
+    order: int,
+    tables: SpanNumbers | None = None,
 ) -> list[StepLimits]:
-    """Return the limits of N runs with force parameters (N, p); see `step_limits`."""
+    """Return the limits of N runs with force parameters (N, p); see `step_limits`.
+
+    Args:
+        forces: The forces.
+        end: End of the runs [s].
+        numbers: Force parameters, (N, p).
+        rtol: Relative tolerance of the runs.
+        order: Order of the solution whose error controls the steps.
+        tables: Tables of the runs; None for those of the forces.
+    Returns:
+        The limits of each run.
+    """
+    tables = forces.tables if tables is None else tables
     share = min(1.0, order / _HIGH) ** _LOW
     limits = []
     for first in range(0, len(numbers), _TOGETHER):
-        search = _Search(forces, end, numbers[first : first + _TOGETHER], rtol)
+        runs = slice(first, first + _TOGETHER)
+        search = _Search(forces, end, numbers[runs], rtol, tables[runs])
         limits += [replace(each, longest=each.longest * share) for each in search.run()]
     return limits
 
@@ -226,13 +253,17 @@ class _Panels(NamedTuple):
 class _Search:
     """The search for panels that resolve the functions of time of N runs."""
 
-    def __init__(self, forces: ForceModel, end: float, numbers: Array, rtol: float) -> None:
+    def __init__(
+        self, forces: ForceModel, end: float, numbers: Array, rtol: float, tables: SpanNumbers
+    ) -> None:
         """Store the arguments of `limits_of_runs`."""
-        breaks = [forces.switching.breaks(end, row) for row in numbers]
+        breaks = [forces.switching.breaks(end, row, tables[k]) for k, row in enumerate(numbers)]
         self._starts = np.concatenate([np.append(0.0, each) for each in breaks])
         self._stops = np.concatenate([np.append(each, end) for each in breaks])
         self._run = np.repeat(np.arange(len(numbers)), [len(each) + 1 for each in breaks])
-        self._within = time_within(self._starts, self._stops)
+        within = time_within(self._starts, self._stops)
+        width = forces.within.stop - forces.within.start
+        self._of_spans = np.ascontiguousarray(tables.at(within, self._run)[:, :width].T)
         self._forces, self._end, self._numbers, self._rtol = forces, end, numbers, rtol
 
     def run(self) -> list[StepLimits]:
@@ -285,17 +316,21 @@ class _Search:
         self, span: Indices, level: Indices, index: Indices, *, bounded: bool = True
     ) -> _Panels:
         """Evaluate the functions on panels, and their bounds if `bounded`."""
+        if len(span) > _PANELS:
+            chunks = [slice(k, k + _PANELS) for k in range(0, len(span), _PANELS)]
+            parts = (self._panels(span[c], level[c], index[c], bounded=bounded) for c in chunks)
+            return _joined(*parts)
         functions, nodes, transform = self._forces.time_functions, *_chebyshev()
         bare = _Panels(span, level, index, *[np.empty(0)] * 4)
         starts, lengths = self._times(bare)
         times = starts[:, None] + 0.5 * lengths[:, None] * (1.0 + nodes)
-        within, count = self._within[span], DEGREE + 1
+        of_spans = self._of_spans[:, span]
         # Scalars allow for tighter bounds, for example of powers.
         alone = len(self._numbers) == 1
         numbers = self._numbers[0] if alone else self._numbers[self._run[span]].T
-        everywhere = numbers if alone else np.repeat(numbers, count, axis=1)
-        values = functions(times.ravel(), everywhere, self._forces.within, np.repeat(within, count))
-        values = np.moveaxis(values.reshape(-1, *times.shape), 0, 1)
+        everywhere = numbers if alone else numbers[..., None]
+        values = functions(times, everywhere, self._forces.within, of_spans[..., None])
+        values = np.moveaxis(values, 0, 1)
         values = np.where(np.isfinite(values), values, 0.0)
         rates = np.abs(np.diff(values)).max(axis=2) / (np.diff(nodes).min() * 0.5)
         sizes = np.abs(values).max(axis=2)
@@ -305,7 +340,7 @@ class _Search:
         bounds = np.zeros(sizes.T.shape)
         if bounded:
             bounds = functions.widths(
-                starts, starts + lengths, numbers, self._forces.within, within
+                starts, starts + lengths, numbers, self._forces.within, of_spans
             )
         return _Panels(
             span, level, index, values @ transform, noise, np.ptp(values, axis=2), bounds.T
@@ -368,8 +403,8 @@ class _Search:
         return panels
 
 
-def _joined(first: _Panels, second: _Panels) -> _Panels:
-    return _Panels(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+def _joined(*parts: _Panels) -> _Panels:
+    return _Panels(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def _positive(values: Array) -> Array:

@@ -19,6 +19,7 @@ from ..common.arrays import Array
 from ..integrators.methods import DOP853, DOP853_LEAST, ErrorControl
 from ..system.coordinates import Indices
 from .compiled.integrator import divisions_of
+from .motion import Motion
 from .plan import Plan
 from .step_limits import StepLimits, step_limits
 from .trajectory import Cost, Trajectory
@@ -73,8 +74,13 @@ def resolve(plan: Plan, trajectory: Trajectory, run: Callable[[Plan], Trajectory
     for share in SHARES:
         motion = runs[-1].motion
         divisions = divisions_of(limited) if engine == "compiled" else 1
-        steps = [Steps(s.knots[::divisions], s.at, s.parameters) for s in motion.segments]
-        if not is_unresolved(limits, steps, motion.flow.rates, tolerance):
+        steps = steps_to_check(limits, motion.knots[::divisions], motion.segments.ends)
+
+        def steps_of(k: int, motion: Motion = motion, divisions: int = divisions) -> Steps:
+            segment = motion.segments[k]
+            return Steps(segment.knots[::divisions], segment.at, segment.parameters)
+
+        if not is_unresolved(limits, map(steps_of, steps), motion.flow.rates, tolerance):
             break
         limited = plan.limited(*limits.shorter(share).cheapest())
         if engine == "compiled" and limited.method.name != plan.method.name:
@@ -138,6 +144,22 @@ def order_of(plan: Plan) -> int:
     return method.controlled_order if isinstance(method, ErrorControl) else method.order
 
 
+def steps_to_check(limits: StepLimits, ends: Array, stops: Array) -> list[int]:
+    """Return the indices of the spans between stops that contain steps to be checked.
+
+    Args:
+        limits: Limits of the steps.
+        ends: Ends of all steps, with the start of the first, (K + 1,) [s].
+        stops: Ends of the spans, (S,) [s].
+    Returns:
+        The indices in increasing order.
+    """
+    long = np.diff(ends) > _CHECKED * limits.within(ends[:-1], ends[1:])
+    spans = np.searchsorted(stops, ends[1:][long], side="left")
+    indices: list[int] = np.unique(np.minimum(spans, len(stops) - 1)).tolist()
+    return indices
+
+
 def is_unresolved(
     limits: StepLimits, steps: Iterable[Steps], rates: Rates, tolerance: tuple[float, float]
 ) -> bool:
@@ -145,7 +167,7 @@ def is_unresolved(
 
     Args:
         limits: Limits of the steps.
-        steps: All steps of the run.
+        steps: Steps of the run, at least in the spans of `steps_to_check`.
         rates: Function from times (T,), reduced states (T, k) and parameters to rates, (T, k).
         tolerance: Relative and absolute tolerance of the steps.
     """

@@ -28,7 +28,11 @@ def compute_locally(
 
 
 class PointsDone:
-    """The completed fraction of the points of a sweep."""
+    """The completed fraction of the points of a sweep.
+
+    Attributes:
+        start: The fraction that was complete at the start.
+    """
 
     def __init__(self, job: SweepJob, pending: Sequence[int], report: Report | None) -> None:
         """Start from the blocks that are complete.
@@ -41,6 +45,11 @@ class PointsDone:
         self._job, self._report = job, report
         self._done = job.points - sum(self._size(index) for index in pending)
         self.start = self._done / job.points
+
+    @property
+    def count(self) -> int:
+        """Number of points whose blocks are stored."""
+        return self._done
 
     def _size(self, index: int) -> int:
         first, last = self._job.span(index)

@@ -18,6 +18,7 @@ from ..common.files import is_folder
 from ..common.names import brief, nearest, one_of, quoted, quoted_path
 from ..common.optional_packages import install_command, optional_package, require_package
 from ..common.progress import Progress, shown
+from ..common.waiting import say
 from ..common.zarr_folders import import_zarr
 from ..scene.scene import Scene
 from ..scene.sweep_options import BLOCK, SAMPLERS, Sampler
@@ -99,10 +100,12 @@ def sweep(
     title = f"sweep of {job.varied.scene.system.name}"
     with (
         SweepStore(path, job) as results,
-        shown(progress, title, job.points, "points") as report,
+        shown(progress, title, job.points, "points", f"computes a {title}", reports=True) as report,
     ):
         pending = results.pending()
         done = PointsDone(job, pending, report)
+        if done.start and pending and progress is not False:
+            say(f"{title}: continuing at {done.count:,} of {job.points:,} points")
         done.inside(0, 0.0)
         for computed in _blocks(job, pending, scheduler, threads, done):
             results.write(computed)

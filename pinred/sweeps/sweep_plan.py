@@ -85,6 +85,8 @@ def _digest_of_scene(scene: Scene) -> str:
         repr(plan.method), scene.end, scene.outputs, given.mu is None,
     ]  # fmt: skip
     digest = sha256(model_bytes(scene.system))
+    if forces is not None:
+        digest.update(forces.tables.digest)
     digest.update(json.dumps(settings, default=repr).encode())
     arrays = (
         given.pose, given.x, given.xdot, given.motion, plan.numbers, plan.stops,

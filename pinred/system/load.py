@@ -22,6 +22,7 @@ from ..common.errors import (
 )
 from ..common.files import is_file
 from ..common.names import brief, quoted
+from ..common.waiting import Wait
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from . import catalogue
@@ -216,6 +217,7 @@ def load(
     return with_parameters(system, {} if parameters is None else parameters)
 
 
+@Wait("reads a robot")
 def _load_source(
     source: Any,
     group: Group | None,

@@ -84,9 +84,9 @@ CELLS = (
     "bar.__exit__(None, None, None)",
     # 2: public functions, without the initial delay, so that short work shows a bar
     """
-    import pinred, pinred.common.compile_notice, pinred.common.progress
+    import pinred, pinred.common.waiting, pinred.common.progress
     pinred.common.progress._PATIENCE = pinred.common.progress._EVERY = 0.0
-    pinred.common.compile_notice._PATIENCE = 600.0  # Caches may be empty.
+    pinred.common.waiting._PATIENCE = 600.0  # Caches may be empty.
     cat = pinred.load("falling_cat")
     traj = pinred.simulate(cat, duration=0.5, progress=True)
     """,

@@ -133,9 +133,13 @@ def test_random_states_cover_both_signs_and_the_time_span() -> None:
         margin = 0.07 * (high - low)
         assert low <= values.min() < low + margin
         assert high - margin < values.max() <= high
-    for first, last, count in ((-3.0, 0.7, 5), (0.0, 0.6, 6)):  # both share one kernel
-        knots = np.linspace(first, last, count)
-        torque = forces.Torque({name: pinred.signals.Spline(knots, np.sin(knots))})
+    # Tables of one kind share a kernel, whose states belong to the first of them.
+    for table, first, last in (
+        (pinred.signals.Spline, -3.0, 0.7),
+        (pinred.signals.Linear, 0.0, 0.6),
+    ):
+        knots = np.linspace(first, last, 5)
+        torque = forces.Torque({name: table(knots, np.sin(knots))})
         times = np.array([at.time for at in drawn(forces=torque)])
         assert 0.0 <= times.min() < 0.1
         assert 0.8 * last < times.max() <= last

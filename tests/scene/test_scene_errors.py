@@ -296,7 +296,7 @@ def test_unreadable_file_raises_load_error(tmp_path: Path) -> None:
         ('0,"1\n', "", "is not a csv file: "),
         ("1,1\n0,1\n", "", "times of a Linear must increase strictly"),
         ("0,1\n", "", "needs at least 2 entries"),
-        ("".join(f"{k},0\n" for k in range(1001)), "", "has 1001 entries, more than the 1000"),
+        ("".join(f"{k},0\n" for k in range(100_001)), "", "has 100001 entries, more than 100000"),
         ("0,1\n" * (LARGEST // 4 + 1), "", f"has more than {LARGEST} bytes"),
         (None, "", "no such csv file"),
     ],

@@ -124,7 +124,7 @@ def test_functions_of_time_are_factors_of_expressions() -> None:
     forces = scene(Torque(torque)).force_model
     assert forces is not None
     functions, times = forces.time_functions, np.linspace(0.0, 2.0, 5)
-    values = functions(times, forces.numbers, forces.within, times)
+    values = functions(times, forces.numbers, forces.within, times[None])
     assert values.shape == (2, 5)
     assert values[0] / np.exp(-(times**2)) == pytest.approx(values[0, 0], rel=1e-14)
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, whole
 from ...common.errors import InputError
+from ...common.waiting import Wait
 from ...forces.force import Force
 from ...forces.signals import Signal
 from ...system.system import System, checked_system
@@ -139,6 +140,7 @@ class Branches:
 
 
 @checks_arguments
+@Wait("follows branches of relative equilibria")
 def branches(
     system: System,
     *,

@@ -9,6 +9,7 @@ import numpy as np
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, whole
 from ...common.errors import InputError
+from ...common.waiting import Wait
 from ...forces.force import Force
 from ...forces.signals import Signal
 from ...reduction.inertia_split import mass_matrix
@@ -37,6 +38,7 @@ _MINIMISATIONS = 24  # number of starts from which the energy is also minimised
 
 
 @checks_arguments
+@Wait("searches relative equilibria")
 def relative_equilibria(
     system: System,
     *,

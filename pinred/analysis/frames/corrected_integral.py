@@ -13,6 +13,7 @@ import numpy as np
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays
 from ...common.summary import Rows, Summary
+from ...common.waiting import Wait
 from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.gait import Gait
 from ..phases.phase import phase
@@ -61,6 +62,7 @@ def _numbers(values: Array) -> str:
 
 
 @checks_arguments
+@Wait("integrates the curvature over a gait")
 def corrected_integral(
     connection: ConnectionSource, gait: Gait, frame: OptimalFrame | None = None
 ) -> CorrectedIntegral:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, as_floats, vector, whole
 from ...common.errors import InputError
+from ...common.waiting import Wait
 from ..connections.connection import Connection
 from ..connections.connection_source import ConnectionSource, connection_of
 from ..gaits.arcs import line
@@ -128,6 +129,7 @@ class Flatness(FrozenArrays):
 
 
 @checks_arguments
+@Wait("computes the flatness of a connection")
 def flatness(
     connection: ConnectionSource, limits: ArrayLike | None = None, *, samples: int | None = None
 ) -> Flatness:

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, as_floats, read_only, vectors
 from ...common.errors import InputError, NoConvergence
+from ...common.waiting import Wait
 from ...lie.group import Group
 from ...lie.rotations import hat, quaternion_exp, quaternion_product, rotation
 from ..connections.connection import Connection
@@ -136,6 +137,7 @@ class OptimalFrame:
 
 
 @checks_arguments
+@Wait("computes an optimal frame")
 def optimal_frame(
     connection: ConnectionSource,
     limits: ArrayLike | Gait,

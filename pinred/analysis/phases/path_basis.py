@@ -17,6 +17,7 @@ import numpy as np
 
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, whole
+from ...common.waiting import Wait
 from ...integrators.gauss.tables import tables
 from ...kernels.connection.connection_code import ConnectionCode
 from ...lie.group import Group
@@ -345,6 +346,7 @@ class PhaseSlopes(FrozenArrays):
 
 
 @checks_arguments
+@Wait("computes derivatives of a phase")
 def phase_slopes(
     connection: ConnectionSource, gait: Gait, *, pieces: int | None = None
 ) -> PhaseSlopes:

@@ -20,6 +20,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive, vector, vector_or_zero, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...common.summary import Rows, Summary
+from ...common.waiting import Wait
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
@@ -144,6 +145,7 @@ class Phase(Summary, FrozenArrays):
 
 
 @checks_arguments
+@Wait("computes the phase of a gait")
 def phase(
     connection: ConnectionSource,
     gait: Gait,

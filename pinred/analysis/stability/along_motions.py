@@ -11,6 +11,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, FrozenArrays, positive
 from ...common.errors import InputError
 from ...common.progress import Progress, shown
+from ...common.waiting import Wait
 from ...forces.force_values import ForceInputs
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
@@ -72,6 +73,7 @@ class FloquetMultipliers(FrozenArrays):
 
 
 @checks_arguments
+@Wait("linearises a motion")
 def linearise(traj: Trajectory, t: float = 0.0) -> Linearisation:
     """Linearise the reduced flow at time t of a motion with the exact Jacobian.
 
@@ -126,7 +128,7 @@ def lyapunov(
     step = _STEPS_PER_BASIS * flow.longest if every is None else positive(every, "every")
     count = max(2, int(np.ceil(duration / step)))
     step, sums, history = duration / count, np.zeros(d), np.zeros((count, d))
-    with shown(progress, "Lyapunov") as report:
+    with shown(progress, "Lyapunov", what="computes Lyapunov exponents", reports=True) as report:
         for k in range(count):
             flow.advance(step)
             flow.reset_gauge()
@@ -143,6 +145,7 @@ def lyapunov(
 
 
 @checks_arguments
+@Wait("computes Floquet multipliers")
 def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipliers:
     """Compute the Floquet multipliers of a motion whose reduced state is periodic.
 

@@ -18,7 +18,7 @@ from ...common.parameter import value_of, values_of
 if TYPE_CHECKING:
     import casadi as ca
 
-MOST = 1000  # largest number of table entries or harmonics
+_MOST_HARMONICS = 1000
 _ORDERS = ("value", "rate", "acceleration")
 
 
@@ -140,14 +140,14 @@ def number(value: Any, what: str) -> float:
     return float(array)
 
 
-def finite_list(value: ArrayLike, what: str) -> Array:
-    """Return a list of at most MOST finite numbers as a new array; Parameters give their values."""
+def finite_list(value: ArrayLike, what: str, most: int = _MOST_HARMONICS) -> Array:
+    """Return a list of at most `most` finite numbers as a new array; Parameters give values."""
     array = as_floats(values_of(value), what)
     if array.ndim != 1:
         raise ShapeError(f"{what} must be a list of numbers, got shape {array.shape}")
-    if array.size > MOST:
+    if array.size > most:
         raise InputError(
-            f"{what} has {array.size} entries, more than the {MOST} that a scene can have "
-            "compiled: keep only as many as the motion needs, or simulate in several segments"
+            f"{what} has {array.size} entries, more than {most}: keep only as many as the motion "
+            "needs, or simulate in several segments"
         )
     return vector(array, array.size, what).copy()

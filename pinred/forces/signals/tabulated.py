@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     import casadi as ca
 
 ENDS = ("natural", "clamped", "not-a-knot", "periodic")
+MOST_ENTRIES = 100_000  # largest number of table entries
+_MOST_WEIGHTS = 30_000_000  # largest number of numbers of a table with Parameters
 
 
 @checks_arguments
 @dataclass(frozen=True, eq=False)
-class _Table(Signal):
+class Table(Signal):
     """A polynomial on each interval between the entries of a table.
 
     Times and values become read-only copies.
@@ -48,7 +50,7 @@ class _Table(Signal):
             raise InputError(
                 f"times of a {name} define its breaks and cannot be Parameters; its values can"
             )
-        times = finite_list(self.times, f"times of a {name}")
+        times = finite_list(self.times, f"times of a {name}", MOST_ENTRIES)
         if times.size < self._least:
             raise ShapeError(f"a {name} needs at least {self._least} entries, got {times.size}")
         object.__setattr__(self, "_given", dict(parameters_in(self.values)))
@@ -99,10 +101,58 @@ class _Table(Signal):
         """Number of continuous derivatives at the entries of the table."""
         return self._smoothness
 
+    @property
+    def starts(self) -> Array:
+        """Start of each segment, (p,) [s]."""
+        starts: Array = vars(self)["_starts"]
+        return starts
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The distinct Parameters among the values."""
+        given: dict[int, Parameter] = vars(self)["_given"]
+        return tuple(dict.fromkeys(given.values()))
+
+    @property
+    def width(self) -> int:
+        """Number of numbers that define a segment."""
+        coefficients: Array = vars(self)["_coefficients"]
+        return 1 + len(coefficients) * (1 + len(self.parameters))
+
+    def segments(self) -> Array:
+        """Return the start, the coefficients and their weights of all segments, (p, width).
+
+        The weights of each Parameter follow the coefficients, which are those for Parameters of
+        value zero.
+
+        Raises:
+            InputError: The weights need too much memory.
+        """
+        times, values = vars(self)["times"], vars(self)["values"]
+        coefficients: Array = vars(self)["_coefficients"]
+        if not self.parameters:
+            return np.vstack([self.starts, coefficients]).T
+        if len(self.starts) * self.width > _MOST_WEIGHTS:
+            raise InputError(
+                f"a {type(self).__name__} with {times.size} entries can have at most "
+                f"{max(_MOST_WEIGHTS // coefficients.size - 2, 1)} Parameters among its values, "
+                f"got {len(self.parameters)}. Use a shorter table"
+            )
+        given: dict[int, Parameter] = vars(self)["_given"]
+        base = values.copy()
+        base[list(given)] = 0.0
+        # The coefficients are linear in the values, and one Parameter may occur in several values.
+        units = {parameter: np.zeros(times.size) for parameter in self.parameters}
+        for k, parameter in given.items():
+            units[parameter][k] = 1.0
+        pieces = [self._pieces(times, each) for each in (base, *units.values())]
+        return np.vstack([self.starts, *pieces]).T
+
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
         """Evaluate at `t` the polynomial of the segment that contains `within`.
 
-        If `within` is None, the segment that contains `t` is used.
+        If `within` is None, the segment that contains `t` is used.  The expression contains all
+        segments.
 
         Args:
             t: Time [s].
@@ -110,62 +160,61 @@ class _Table(Signal):
         Returns:
             The expression.
         """
-        return self.written(t, within, value_of)
+        return self._in_all_segments(t, within, value_of)
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:
         """Evaluate at `t` the polynomial of the segment that contains `within`.
 
-        If `within` is None, the segment that contains `t` is used.
-
-        The coefficients are multiplied by 1 for this segment and by 0 for the others, and added.
-        The sum and all its derivatives are exact, because these factors are constant.
+        The segment is an input of the kernel, so that the expression does not depend on the number
+        of segments.  It contains all segments if the force does not name the table among its
+        signals.
 
         Args:
             t: Time [s].
             within: Time that selects the segment, or None.
-            number: Function that replaces a coefficient by a symbol.
+            number: Function that replaces a coefficient by a symbol, and a table by the symbols of
+                its segment.
         Returns:
             The expression.
         """
         import casadi as ca
 
-        starts, coefficients = vars(self)["_starts"], self._numbered_pieces()
+        segment: list[ca.SX] | Table = number(self)
+        if isinstance(segment, Table):
+            return self._in_all_segments(t, within, number)
+        parameters = [number(parameter) for parameter in self.parameters]
+        degrees = len(vars(self)["_coefficients"])
+        since: ca.SX = t - segment[0]
+        result: ca.SX = ca.SX(0)
+        for k in range(1, degrees + 1):
+            result = result * since + _combined(segment[k::degrees], parameters)
+        return result
+
+    def _in_all_segments(
+        self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]
+    ) -> ca.SX:
+        """Return the polynomial of the segment that contains `within`, or t if it is None.
+
+        The coefficients are multiplied by 1 for this segment and by 0 for the others, and added.
+        The sum and all its derivatives are exact, because these factors are constant.
+        """
+        import casadi as ca
+
+        parameters = [number(parameter) for parameter in self.parameters]
+        table = self.segments()
         # Kernels are tested with random numbers close to these values, so that the times stay in
         # order.
-        start_symbols = [number(Affine(start)) for start in starts.tolist()]
+        start_symbols = [number(Affine(start)) for start in self.starts.tolist()]
         now = t if within is None else within
         has_started = ca.vertcat(ca.SX(0, 1), *(begin <= now for begin in start_symbols[1:]))
         is_selected = ca.vertcat(1, has_started) - ca.vertcat(has_started, 0)
         since = t - ca.dot(ca.SX(ca.vertcat(*start_symbols)), is_selected)
-        result = ca.SX(0)
-        for terms in coefficients:
-            coefficient = ca.dot(
-                ca.SX(ca.vertcat(*(number(value) for value in terms))), is_selected
-            )
-            result = result * since + coefficient
+        result, degrees = ca.SX(0), len(vars(self)["_coefficients"])
+        for k in range(1, degrees + 1):
+            rows = table[:, k::degrees].tolist()
+            values = [_combined([number(row[0]), *row[1:]], parameters) for row in rows]
+            result = result * since + ca.dot(ca.SX(ca.vertcat(*values)), is_selected)
         return result
-
-    def _numbered_pieces(self) -> list[list[float | Affine]]:
-        """Return the coefficients of the segments, as Affine functions if there are Parameters."""
-        coefficients: list[list[float | Affine]] = vars(self)["_coefficients"].tolist()
-        parameters: dict[int, Parameter] = vars(self)["_given"]
-        if not parameters:
-            return coefficients
-        times, values = vars(self)["times"], vars(self)["values"]
-        base = np.where(np.isin(np.arange(values.size), list(parameters)), 0.0, values)
-        at_zero = self._pieces(times, base)
-        # The coefficients are linear in the values, and one Parameter may occur in several values.
-        units = {parameter: np.zeros(values.size) for parameter in parameters.values()}
-        for k, parameter in parameters.items():
-            units[parameter][k] = 1.0
-        weights = {parameter: self._pieces(times, unit) for parameter, unit in units.items()}
-        return [
-            [
-                Affine(float(at_zero[i, j]), {p: float(w[i, j]) for p, w in weights.items()})
-                for j in range(len(terms))
-            ]
-            for i, terms in enumerate(coefficients)
-        ]
 
     def _numbers(self, t: Array, order: int) -> Array:
         numbers: Array = self._curve(t, order)
@@ -180,13 +229,21 @@ class _Table(Signal):
         return PPoly(coefficients, np.append(starts, self.span[1]))
 
 
+def _combined(terms: Sequence[Any], parameters: Sequence[Any]) -> Any:
+    """Return the first of the terms plus the parameters, weighted with the other terms."""
+    value = terms[0]
+    for weight, parameter in zip(terms[1:], parameters, strict=True):
+        value = value + weight * parameter
+    return value
+
+
 @checks_arguments
 @dataclass(frozen=True, eq=False)
-class Spline(_Table):
+class Spline(Table):
     """The cubic spline through a table, continuous up to its acceleration.
 
     Attributes:
-        times: Strictly increasing times, (n,), 2 to 1000 of them [s].
+        times: Strictly increasing times, (n,), 2 to 100,000 of them [s].
         values: Values, (n,).
         end: Condition at both ends. "natural": zero acceleration; "clamped": zero rate;
             "not-a-knot": the first two segments are one cubic, and so are the last two; "periodic":
@@ -221,11 +278,11 @@ class Spline(_Table):
 
 @checks_arguments
 @dataclass(frozen=True, eq=False)
-class Linear(_Table):
+class Linear(Table):
     """Linear interpolation of a table. Its rate jumps, so it cannot prescribe a joint's motion.
 
     Attributes:
-        times: Strictly increasing times, (n,), 2 to 1000 of them [s].
+        times: Strictly increasing times, (n,), 2 to 100,000 of them [s].
         values: Values, (n,).
     """
 
@@ -237,11 +294,11 @@ class Linear(_Table):
 
 @checks_arguments
 @dataclass(frozen=True, eq=False)
-class Hold(_Table):
+class Hold(Table):
     """Steps (zero-order hold): each value applies from its time to the next, the last one forever.
 
     Attributes:
-        times: Strictly increasing times, (n,), 1 to 1000 of them [s].
+        times: Strictly increasing times, (n,), 1 to 100,000 of them [s].
         values: Values, (n,).
     """
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from ...common.argument_kinds import checks_arguments
+from ...common.waiting import Wait
 from .best_gait import BestGait
 from .extremal_loop import Extremal, polish, refuse_extremal
 
 
 @checks_arguments
+@Wait("iterates a gait to an extremal")
 def extremal(best: BestGait) -> Extremal:
     """Compute the extremal near an optimised gait: a loop that obeys Wong's equations.
 

@@ -161,7 +161,7 @@ def optimise_gait(
     )  # fmt: skip
     optima: list[Optimum] = []
     failures: list[Exception] = []
-    with shown(progress, "gaits") as report:
+    with shown(progress, "gaits", what="optimises a gait", reports=True) as report:
         for k in range(starts):
             rng = np.random.default_rng([seed, k])
             try:

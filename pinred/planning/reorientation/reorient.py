@@ -34,6 +34,7 @@ from ...common.errors import (
     SingularInertiaError,
 )
 from ...common.names import joint_index
+from ...common.waiting import Wait
 from ...lie.rotations import quaternion_log
 from ...scene.joint_values import order_by_joint
 from ...system.system import System, checked_system
@@ -53,6 +54,7 @@ _SECONDS = 2.0  # default duration of a cycle [s]
 
 
 @checks_arguments
+@Wait("searches a motion that reorients the base")
 def reorient(
     system: ConnectionSource,
     target: ArrayLike,

@@ -15,7 +15,7 @@ from ...common.errors import InputError, LoadError
 from ...common.names import quoted_path
 from .file_place import shown, unknown
 
-LARGEST = 1_000_000  # largest accepted size of a file [byte]
+LARGEST = 10_000_000  # largest accepted size of a file [byte]
 
 
 def read_text(path: Path, what: str) -> str:

@@ -25,7 +25,7 @@ def _tabulated(words: str, **more: Key) -> Table:
     """Return the table (keys) of a signal through points from the scene file or a csv file."""
     columns = ListOf(Either((Text((), "a name"), Whole())), 2)
     keys = {
-        "times": Key(NUMBERS, "strictly increasing times [s], at most 1000"),
+        "times": Key(NUMBERS, "strictly increasing times [s], at most 100,000"),
         "values": Key(NUMBERS, "signal values, one for each time"),
         "file": Key(Text(), "csv file with the times and values, relative to this file"),
         "columns": Key(
@@ -72,7 +72,7 @@ _ATTITUDE = Table(
             "(x, y, z, w)",
             default="no rotation",
         ),
-        "times": Key(NUMBERS, "strictly increasing times [s], at most 1000"),
+        "times": Key(NUMBERS, "strictly increasing times [s], at most 100,000"),
         "attitudes": Key(
             ListOf(NUMBERS),
             "rotation vectors [rad] or quaternions, one for each time, of which the unwrapped "

@@ -11,6 +11,7 @@ from ...common.arrays import Array, read_only
 from ...common.errors import InputError
 from ...common.memo import once, recent
 from ...forces.force_values import BaseInSpace
+from ...forces.span_numbers import SpanNumbers
 from ...forces.switch_times import time_within
 from ...integrators.methods import Method
 from ...kernels.build import build_kernel
@@ -47,6 +48,7 @@ class CompiledFlow:
 
     Attributes:
         kernel: Machine code and layout.
+        tables: Tables in the forces, of one run or of the members; None without forces.
         y0: Initial reduced states, (k,), or (N, k) for members.
         parameters: Parameters of the vector field, (p,) or (N, p).
         path: Initial position, velocity and free-fall acceleration of the centre of mass,
@@ -54,6 +56,7 @@ class CompiledFlow:
     """
 
     kernel: Kernel
+    tables: SpanNumbers | None
     y0: Array
     parameters: Array
     path: Array
@@ -89,12 +92,13 @@ class CompiledFlow:
         if prepared is None:
             start = conditions.kernel.split(values)
             return _set_up(plan, given, start, NO_DIFFERENCES, flow_kernel)[0]
-        return cls(flow_kernel, *prepared.start(state[0], values[0]))
+        return cls(flow_kernel, _tables_of(plan), *prepared.start(state[0], values[0]))
 
     def __getitem__(self, members: object) -> CompiledFlow:
         """Return the flow of the selected member or members."""
         columns = (a[members] for a in (self.y0, self.parameters, self.path))  # type: ignore[call-overload]
-        return CompiledFlow(self.kernel, *columns)
+        tables = None if self.tables is None else self.tables[members]
+        return CompiledFlow(self.kernel, tables, *columns)
 
     @property
     def numbers_at(self) -> slice:
@@ -116,21 +120,25 @@ class CompiledFlow:
     def parameters_between(self, start: float | Array, stop: float | Array) -> Array:
         """Return a copy of the parameters for the table segments between two stops.
 
-        For members, the stops may have a row for each member, (N, 1).
+        For members, the stops may have an entry for each member, (N,).
         """
-        parameters, forces = self.parameters.copy(), self.kernel.forces
-        if forces is not None:
-            numbers = parameters[..., self.numbers_at]
-            numbers[..., forces.within] = time_within(start, stop)
+        parameters = self.parameters.copy()
+        self._set_span(parameters, time_within(start, stop))
         return parameters
 
     def parameters_within(self, within: Array) -> Array:
         """Return a row of parameters for each time `within` a span (S,), (S, p)."""
-        rows, forces = np.repeat(self.parameters[None], len(within), axis=0), self.kernel.forces
-        if forces is not None:
-            numbers = rows[:, self.numbers_at]
-            numbers[:, forces.within] = within[:, None]
+        rows = np.repeat(self.parameters[None], len(within), axis=0)
+        self._set_span(rows, within)
         return read_only(rows)
+
+    def _set_span(self, parameters: Array, within: float | Array) -> None:
+        """Write the numbers that change from span to span; `within` is a time in each span [s]."""
+        forces = self.kernel.forces
+        if forces is None or self.tables is None or forces.within.start == forces.within.stop:
+            return
+        numbers = parameters[..., self.numbers_at]
+        numbers[..., forces.within] = self.tables.at(within)
 
     def sample(self, t: float, y: Array, parameters: Array | None = None) -> Sample:
         """Return the state at time t that forces depend on; see `states`."""
@@ -293,11 +301,13 @@ def flows_of(
                 members[zero].append(first + indices)
                 kernel = kernel_of(plan, zero_momentum=zero, generic=parameters.robot is not None)
                 flows[zero].append(_set_up(plan, states, conditions, parameters, kernel))
-    return [
-        (np.concatenate(members[zero]), _stacked(chunks))
-        for zero, chunks in flows.items()
-        if chunks
-    ]
+    tables, joined = _tables_of(plan) if own.tables is None else own.tables, []
+    for zero, chunks in flows.items():
+        if chunks:
+            indices = np.concatenate(members[zero])
+            of_members = None if tables is None else tables[indices]
+            joined.append((indices, _stacked(chunks, of_members)))
+    return joined
 
 
 def has_no_momentum(plan: Plan) -> bool:
@@ -306,12 +316,12 @@ def has_no_momentum(plan: Plan) -> bool:
     return not plan.acting.momentum_changes and not start.about.any()
 
 
-def _stacked(flows: list[CompiledFlow]) -> CompiledFlow:
-    """Merge several flows into one flow with all their members."""
+def _stacked(flows: list[CompiledFlow], tables: SpanNumbers | None) -> CompiledFlow:
+    """Merge several flows into one flow with all their members, which have the given tables."""
     if len(flows) == 1:
         return flows[0]
     columns = zip(*((flow.y0, flow.parameters, flow.path) for flow in flows), strict=True)
-    return CompiledFlow(flows[0].kernel, *map(np.concatenate, columns))
+    return CompiledFlow(flows[0].kernel, tables, *map(np.concatenate, columns))
 
 
 def _initial_conditions(plan: Plan, given: GivenStates, own: MemberParameters) -> InitialConditions:
@@ -336,7 +346,12 @@ def _set_up(
         down = _down(plan, given.pose[:, plan.system.group.linear :], own)
     arrays = assemble(kernel.layout, given, start, constants, down)
     finite_start(*arrays)
-    return CompiledFlow(kernel, *arrays)
+    tables = _tables_of(plan) if own.tables is None else own.tables
+    return CompiledFlow(kernel, tables, *arrays)
+
+
+def _tables_of(plan: Plan) -> SpanNumbers | None:
+    return None if plan.forces is None else plan.forces.tables
 
 
 def _constants(plan: Plan, own: MemberParameters, kernel: Kernel) -> Constants:

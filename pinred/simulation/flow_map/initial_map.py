@@ -6,6 +6,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...forces.span_numbers import Tables
 from ...kernels.derived_code import expect_code
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
@@ -24,8 +25,15 @@ class InitialMap:
     because integrators need at least one entry.
     """
 
-    def __init__(self, kernel: Kernel, motion: TwistOrMomentum) -> None:
-        """Prepare the map for inputs with a body twist ("xi") or a body momentum ("mu")."""
+    def __init__(self, kernel: Kernel, motion: TwistOrMomentum, tables: Tables | None) -> None:
+        """Prepare the map.
+
+        Args:
+            kernel: Kernel of the flow.
+            motion: Whether inputs have a body twist ("xi") or a body momentum ("mu").
+            tables: Tables in the forces; None without forces.
+        """
+        self._tables = tables
         layout, k = kernel.layout, kernel.system.group.linear
         self._kernel, self._function = kernel, initial_conditions_of(kernel, motion)
         self._address = self._function.value.address
@@ -51,7 +59,8 @@ class InitialMap:
         y, head, start = self._pieces(outputs)
         path = _moved_back(t, np.concatenate([start, fall]), self._fall)
         parameters = np.concatenate([head, self._with_path(constants, path)])
-        return CompiledFlow(self._kernel, y if y.size else np.zeros(1), parameters, path)
+        y0 = y if y.size else np.zeros(1)
+        return CompiledFlow(self._kernel, self._tables, y0, parameters, path)
 
     def of_many(self, states: Array, constants: Array) -> CompiledFlow:
         """Return the flow of N inputs, rows of states and constants.  Raises InputError."""
@@ -62,9 +71,8 @@ class InitialMap:
         y, head, start = self._pieces(outputs.T)
         path = np.vstack([start, falls])
         parameters = np.vstack([head, self._with_path(other_constants, path)])
-        return CompiledFlow(
-            self._kernel, *(np.ascontiguousarray(columns.T) for columns in (y, parameters, path))
-        )
+        columns = (np.ascontiguousarray(each.T) for each in (y, parameters, path))
+        return CompiledFlow(self._kernel, self._tables, *columns)
 
     def expect_along(self) -> None:
         """Let other threads generate the machine code of `along`."""

@@ -67,7 +67,9 @@ class Propagator:
             )
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
-        self.initial = InitialMap(kernel, motion_of(plan.scene))
+        self.initial = InitialMap(
+            kernel, motion_of(plan.scene), None if plan.forces is None else plan.forces.tables
+        )
         rate, layout = rate_of(kernel), kernel.layout
         self.field = SmoothField(
             address=rate_address(kernel, self.method),
@@ -220,7 +222,7 @@ class Propagator:
                 for _ in range(len(span.times))
             ]
             numbers = parameters[:, flow.numbers_at]
-            numbers[:, plan.forces.within] = np.array(within)[:, None]
+            plan.forces.set_span(numbers, np.array(within))
         path = np.repeat(flow.path, T, axis=0)
         rows_of_outputs = evaluate(
             kernel.outputs.address, np.hstack([parameters, path]), inputs, kernel.where.size

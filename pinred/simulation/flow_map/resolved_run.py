@@ -21,6 +21,7 @@ from ..time_resolution import (
     describe_unresolved,
     is_unresolved,
     order_of,
+    steps_to_check,
     tolerance_of,
 )
 from .inputs import Given
@@ -71,7 +72,10 @@ def resolve_run(
     limits = step_limits(plan.forces, end, flow.numbers, tolerance[0], order)
     stops = read_only(np.array([span.stop for span in spans]))
     for share in SHARES:
-        steps = [_steps_of(*pair) for pair in zip(spans, solutions, strict=True)]
+        pairs = list(zip(spans, solutions, strict=True))
+        ends = np.concatenate([np.zeros(1), *(_ends_of(*pair)[1:] for pair in pairs)])
+        chosen = steps_to_check(limits, ends, np.array([span.stop for span in spans]))
+        steps = [_steps_of(*pairs[k]) for k in chosen]
         if not is_unresolved(limits, steps, flow.rates, tolerance):
             break
         limited = replace(plan, stops=stops).limited(*limits.shorter(share).cheapest())
@@ -81,15 +85,20 @@ def resolve_run(
     return spans, solutions
 
 
-def _steps_of(span: Span, solution: Solution) -> Steps:
-    """Return the steps of a solution over a span."""
+def _ends_of(span: Span, solution: Solution) -> Array:
+    """Return the ends of the steps of a solution, with the start of the first, (K + 1,) [s]."""
     ends = span.start + solution.knots
     ends[-1] = span.stop  # despite round-off in the sum of step lengths
+    return ends
+
+
+def _steps_of(span: Span, solution: Solution) -> Steps:
+    """Return the steps of a solution over a span."""
 
     def at(t: Array) -> Array:
         return solution.at(np.clip(t - span.start, 0.0, solution.knots[-1]))
 
-    return Steps(ends, at, solution.params)
+    return Steps(_ends_of(span, solution), at, solution.params)
 
 
 def refuse_singular_run(run: Run) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import AccuracyWarning
+from ...forces.span_numbers import SpanNumbers
 from ...integrators.integrate_many import STATUS, Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import ErrorControl, Explicit, Method
@@ -51,7 +52,7 @@ def integrate_members(
         The solutions of all members.
     """
     began, reports, count = perf_counter(), plan.scene.report_times, len(members)
-    method, stops, vary = _stops_of_members(plan, flow.numbers)
+    method, stops, vary = _stops_of_members(plan, flow.numbers, flow.tables)
     # A single body that only translates has no state; integrate one zero instead.
     states = flow.y0.copy() if flow.y0.shape[1] else np.zeros((count, 1))
     y = np.full((count, len(reports), states.shape[1]), np.nan)
@@ -144,28 +145,33 @@ def _store(y: Array, runs: Indices, piece: _Piece, solutions: Solutions) -> None
     y[runs[row], piece.first[row] + column] = solutions.y[row, column]
 
 
-def _stops_of_members(plan: Plan, numbers: Array) -> tuple[Method, list[Array], bool]:
+def _stops_of_members(
+    plan: Plan, numbers: Array, tables: SpanNumbers | None
+) -> tuple[Method, list[Array], bool]:
     """Return the method, the stops of each member, and whether they differ.
 
     Lanes do not record steps, so the steps are limited before the run.
     """
     stops, vary, forces, method = (
-        plan.stops_of_runs(numbers),
+        plan.stops_of_runs(numbers, tables),
         plan.stops_vary,
         plan.forces,
         plan.method,
     )
     if forces is None or not plan.has_time_functions:
         return method, stops, vary
+    tables = forces.tables if tables is None else tables
     used = numbers[:, functions_depend_on(forces)]
+    used = np.column_stack([used, tables.kinds(len(numbers))])
     _, first, which = np.unique(used, axis=0, return_index=True, return_inverse=True)
     if not isinstance(method, ErrorControl):
-        notices = (notice for k in first for notice in plan.notices_of_equal_steps(numbers[k]))
-        if (notice := next(notices, None)) is not None:
-            warnings.warn(notice, AccuracyWarning, stacklevel=6)
+        for k in first:
+            if notices := plan.notices_of_equal_steps(numbers[k], tables[k]):
+                warnings.warn(notices[0], AccuracyWarning, stacklevel=6)
+                break
         return method, stops, vary
     settings = method.rtol, method.controlled_order
-    all_limits = limits_of_runs(forces, plan.scene.end, numbers[first], *settings)
+    all_limits = limits_of_runs(forces, plan.scene.end, numbers[first], *settings, tables[first])
     limits = [each.shorter(_SHARE).cheapest() for each in all_limits]
     longest = min(each.longest for each in limits)
     method = replace(method, max_step=min(method.max_step, longest))
@@ -226,7 +232,7 @@ def _integrate_on_device(flow: CompiledFlow, method: Method, piece: _Piece, y0: 
 
 def _inputs(flow: CompiledFlow, piece: _Piece) -> tuple[Array, Array | float, Array]:
     """Return the parameters of members, and the length and the report times of a time span."""
-    parameters = flow.parameters_between(piece.start[:, None], piece.stop[:, None])
+    parameters = flow.parameters_between(piece.start, piece.stop)
     if len(piece.times) == 1:
         return parameters, float(piece.stop[0] - piece.start[0]), piece.times[0]
     return parameters, piece.stop - piece.start, piece.times

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...common.errors import InputError
 from ...common.names import brief
+from ...forces.span_numbers import tables_of_runs
 from ...integrators.methods import DOP853_LEAST, AdaptiveGauss, Radau
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
@@ -129,7 +130,7 @@ def _structure(plan: Plan) -> Hashable:
     robot = None if varied is None else (varied.names, plan.acting.gravity.astype(bool).tobytes())
     stops = plan.stops
     if plan.stops_vary and forces is not None:  # members stop at their own switches
-        stops = forces.switching.tables
+        stops = forces.tables.breaks
     stop_key: Hashable = (stops.tobytes(), robot)
     if forces is not None and forces.held:
         stop_key = id(plan)  # Controllers have states, so each member has its own.
@@ -144,6 +145,9 @@ def _group(members: Indices, plans: Sequence[Plan]) -> Group:
         for name, values in vars(plans[0].scene.given).items()
     }
     parameters = MemberParameters(numbers=np.array([plan.numbers for plan in plans]))
+    if plans[0].forces is not None:
+        tables = [plan.forces.tables for plan in plans if plan.forces is not None]
+        parameters = replace(parameters, tables=tables_of_runs(tables))
     varied = plans[0].scene.varied
     if varied is not None:
         freed = plans[0].freed(generic=True)

@@ -14,6 +14,7 @@ from ...analysis.connections.connection import Connection
 from ...common.arrays import Array
 from ...common.files import check_path, write_atomic
 from ...common.names import joint_index
+from ...common.waiting import Wait
 from ...system.loops.loop_assembly import rate_units
 from ...system.system import System
 from ..playback.drawn_bodies import Bodies, drawn_bodies
@@ -35,6 +36,7 @@ _CROSSING = 2.0  # time in which a joint moves through its range [s]
 _SAMPLES, _PAIR_SAMPLES = 60, 6  # random shapes for the size of the picture, and for the joint pair
 
 
+@Wait("prepares the page of feel")
 def feel_page(
     source: System | Connection,
     *,

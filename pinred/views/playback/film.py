@@ -21,7 +21,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError, OutputError
 from ...common.files import check_path, write_atomic
 from ...common.optional_packages import install_command
-from ...common.progress import Progress
+from ...common.progress import Progress, quiet, shown
 from ..motion_source import MotionSource
 from .headless_browser import Browser, browser
 from .page import page
@@ -76,9 +76,8 @@ def save_film(
     try:
         with (
             _tidy_at_sigterm(),
-            closing(
-                capture_frames(source, times, pixels, view, progress or (lambda _: None))
-            ) as shots,
+            shown(progress, "film", len(times), "frames", "renders a film", reports=True) as report,
+            closing(capture_frames(source, times, pixels, view, report or quiet)) as shots,
         ):
             if path.suffix == ".png":
                 return write_frames(path, shots)

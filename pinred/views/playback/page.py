@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...common.errors import LoadError
 from ...common.files import check_path, write_atomic
+from ...common.waiting import Wait
 from ...system.system import System
 from ..motion_source import MotionSource
 from .drawn_bodies import Bodies, drawn_bodies
@@ -72,6 +73,7 @@ def assemble(template: str, head: Mapping[str, Any], blob: Blob, scripts: Iterab
     return "".join(contents.get(part, part) for part in parts).encode("utf-8")
 
 
+@Wait("writes the page of a motion")
 def save_html(source: MotionSource, path: str | Path, view: View) -> int:
     """Write the page to a .html file; if this fails, an existing file is kept.
 

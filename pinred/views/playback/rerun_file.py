@@ -16,6 +16,7 @@ from ...common.arrays import Array
 from ...common.errors import OutputError
 from ...common.files import check_path, write_atomic
 from ...common.optional_packages import install_command, optional_package
+from ...common.waiting import Wait
 from ..motion_source import MotionSource
 from .drawn_bodies import PALETTE, drawn_bodies
 from .framing import Framing, camera, frame
@@ -33,6 +34,7 @@ _PIXELS = -1.0  # radius of lines; negative radii are in pixels
 _MISSING = f".rrd files need the package rerun-sdk (500 MB): {install_command('rerun')}"
 
 
+@Wait("writes a recording for rerun")
 def save_rrd(source: MotionSource, path: str | Path, view: View) -> int:
     """Write a motion as a recording for rerun; if this fails, an existing file is kept.
 
