@@ -86,8 +86,14 @@ _MOST_JOINTS = 60  # maximum number of joints listed in a message
 
 def nearest(name: str, known: Sequence[str]) -> str:
     """Return a question that suggests the most similar known name; empty if none is similar."""
+    near = most_similar(name, known)
+    return "" if near is None else f"did you mean {quoted(near)}? "
+
+
+def most_similar(name: str, known: Collection[str]) -> str | None:
+    """Return the known name that is most similar to a name; None if none is similar."""
     near = difflib.get_close_matches(name[:_COMPARED], known, n=1)
-    return f"did you mean {quoted(near[0])}? " if near else ""
+    return near[0] if near else None
 
 
 def joint_index(name: str, joints: Sequence[str], what: str) -> int:

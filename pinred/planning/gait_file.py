@@ -158,7 +158,7 @@ REORIENT = Table(
             Whole(1), "number of equal loops", default="smallest possible", command="--cycles N"
         ),
         "duration": Key(
-            POSITIVE, "duration of the motion [s]", default="2 per cycle", command="--time T"
+            POSITIVE, "duration of the motion [s]", default="2 per cycle", command="--duration T"
         ),
     },
     "the rotation of the base",

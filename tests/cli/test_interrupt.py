@@ -20,7 +20,7 @@ from pinred.judge.hairer_integrators import Hairer
 
 def check(at: float) -> None:
     """Interrupt a comparison that takes long, most of it in the full simulation."""
-    code, _, error = interrupted(at, "-c", BEGIN, "compare", "falling_cat", "--time", "300")
+    code, _, error = interrupted(at, "-c", BEGIN, "compare", "falling_cat", "--duration", "300")
     assert (code, error) == (130, "pinred: interrupted\n"), at
 
 

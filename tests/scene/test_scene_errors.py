@@ -179,7 +179,7 @@ def message_of(folder: Path, text: str, kind: type[PinredError] = PinredError) -
     """What a scene file with this text is refused with."""
     path = folder / "scene.toml"
     path.write_text(text, encoding="utf-8")
-    assert main(["run", str(path), "--check"]) == 2
+    assert main(["run", str(path), "--validate"]) == 2
     with pytest.raises(kind) as caught:
         pinred.load_scene(path)
     message = str(caught.value)
@@ -250,10 +250,10 @@ def test_invalid_robot_or_toml_error_names_the_file(
 def test_check_reports_gravity_that_breaks_the_symmetry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """--check includes errors that only the reduction detects."""
+    """--validate includes errors that only the reduction detects."""
     path = tmp_path / "scene.toml"
     path.write_text("robot = 'double_spherical_pendulum'\nload = { gravity = [1, 0, 0] }")
-    assert main(["run", str(path), "--check"]) == 2
+    assert main(["run", str(path), "--validate"]) == 2
     assert "breaks the SO2 symmetry" in capsys.readouterr().err
 
 

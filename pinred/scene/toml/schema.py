@@ -231,7 +231,7 @@ class Key:
         text: Meaning, with unit.
         required: Whether the key must be present.
         default: Value that applies if the key is missing, in words.
-        command: Name and value format on the command line, such as "--time T"; "" for none.
+        command: Name and value format on the command line, such as "--duration T"; "" for none.
     """
 
     node: Node

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from .shape_plane import Limits
     from .work_against_error import MeasuredWork
 
+DEFAULT_KIND = "shape"
+
 
 @overload
 def plot(
@@ -143,7 +145,7 @@ def plot(source: Any, kind: str) -> Figure: ...
 
 @checks_arguments
 @shows_overloads
-def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
+def plot(source: Any, kind: str = DEFAULT_KIND, **options: Any) -> Figure:
     """Draw a figure by the function of pinred.plots with the name `kind`.
 
     Each kind accepts only some of the options; see the functions of pinred.plots.
