@@ -227,7 +227,7 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "J=PLAN": lambda entries, name: assigned_in(
         entries, name, parse_plan, "JOINT=NUMBER, JOINT=FORMULA, or BALL=W1,W2,W3[@C1,C2,C3]"
     ),
-    "AXIS": lambda text, name: text if text in ("x", "y", "z") else numbers_in(text, name),
+    "AXIS": lambda text, name: text if text[:1].isalpha() else numbers_in(text, name),
     _LIMITS: _limits_in,
 }
 

@@ -44,7 +44,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--out FILE", text, required=True)
     add("--robot R", "robot of a .npz file that names none")
     add("--joints J1,J2,…", "names of the joints to draw")
-    add("--component C", "component of the curvature, v1 … w3")
+    add("--component C", "component of the curvature: v1 … w3, x, y, z or turn")
     add("--value X", "joint value of a Poincaré section [rad | m]", float)
     add("--direction D", "direction of a Poincaré section: 1, -1 or 0", int)
     add("--against W", "axis of work_precision: wall or evaluations")

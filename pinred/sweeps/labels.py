@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Literal
+
 from ..system.state_fields import FIELDS, axis_labels
 from ..system.system import System
 
-_PLAIN = str.maketrans({"θ": "theta", "ω": "omega"})
+_SPELLED_OUT = str.maketrans({"θ": "theta", "ω": "omega"})
+# The quantities of the symmetry group, by field or option.
+_OF_GROUP: Mapping[str, Literal["twist", "pose", "momentum"]] = {
+    "xi": "twist", "xi0": "twist", "pose": "pose", "pose0": "pose", "momentum": "momentum",
+    "body_momentum": "momentum", "spatial_momentum": "momentum",
+}  # fmt: skip
 
 
-def plain_label(label: str) -> str:
-    """Return a label with Greek letters spelled out, so that both spellings are equal."""
-    return label.translate(_PLAIN)
+def entry_names(system: System, field: str) -> dict[str, int]:
+    """Return the index of each entry of a quantity by all its names, its labels first.
+
+    Args:
+        system: The robot.
+        field: As for label_entries.
+    """
+    labels = {label: k for k, (label, _) in enumerate(label_entries(system, field))}
+    if field in _OF_GROUP:
+        return system.group.components(_OF_GROUP[field]) | labels
+    return labels | {label.translate(_SPELLED_OUT): k for label, k in labels.items()}
 
 
 def label_entries(system: System, field: str) -> list[tuple[str, str]]:
@@ -39,7 +55,7 @@ def label_entries(system: System, field: str) -> list[tuple[str, str]]:
     if field in ("momentum", "body_momentum", "spatial_momentum"):
         units = [*["N·s"] * group.linear, *["N·m·s"] * group.dim]
         return list(zip(group.twist_names, units, strict=False))
-    if field == "pose":
+    if field in ("pose", "pose0"):
         return [(name, _pose_unit(name)) for name in group.pose_names]
     axis = FIELDS[field].axis
     if axis is None:

@@ -16,7 +16,7 @@ from ..common.names import brief, listed, nearest, quoted
 from ..scene.scene import Scene
 from ..simulation.members.trajectories import Trajectories
 from ..system.state_fields import FIELDS, ShapeState, State, dimension
-from .labels import label_entries, plain_label
+from .labels import entry_names, label_entries
 
 Function: TypeAlias = Callable[[Trajectories], Any]
 Outputs: TypeAlias = Mapping[str, str | Function] | Sequence[str]
@@ -124,14 +124,14 @@ def _output(scene: Scene, name: str, value: str | Function, known: Sequence[str]
     labels = label_entries(scene.system, field)
     unit = " | ".join(dict.fromkeys(unit for _, unit in labels)) or FIELDS[field].unit
     if label is not None:
-        plain = [plain_label(text) for text, _ in labels]
-        if FIELDS[field].axis is None or plain_label(label) not in plain:
+        names = entry_names(scene.system, field)
+        if FIELDS[field].axis is None or label not in names:
             entries = listed([text for text, _ in labels], 60) or "none"
             raise InputError(
                 f"outputs: {quoted(name)}: {field} has no entry {quoted(label)}; "
-                f"{nearest(label, plain)}the entries are {entries}"
+                f"{nearest(label, list(names))}the entries are {entries}"
             )
-        entry = plain.index(plain_label(label))
+        entry = names[label]
         unit = labels[entry][1] or unit
     elif (axis := FIELDS[field].axis) is not None:
         dims = (*dims, dimension(scene.system, axis))

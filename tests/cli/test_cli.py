@@ -261,7 +261,7 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
         (("compare", "good.urdf", "--duration", "-3"), "duration"),
         (("compare", "good.urdf", "--duration", "soon"), "--duration"),
         (("compare", "good.urdf", "--rtol", "nan"), "rtol"),
-        (("compare", "good.urdf", "--x0", "1,2"), r"x0 must have shape (1,) (elbow)"),
+        (("compare", "good.urdf", "--x0", "1,2"), r"x0: expected 1 number: elbow, got 2"),
         (("compare", "good.urdf", "--x0", "nan"), "finite"),
         (("compare", "good.urdf", "--x0", "a"), "--x0 takes numbers"),
         (("compare", "good.urdf", "--x0", "elbow=a"), "--x0 takes numbers, or JOINT=NUMBER for"),

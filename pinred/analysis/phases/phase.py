@@ -222,7 +222,7 @@ def _bound(group: Group, difference: PoseError, path: Array) -> PoseError:
 
 
 def _momentum(connection: Connection, momentum: ArrayLike | float) -> Array:
-    mu = vector_or_zero(momentum, connection.r, "momentum", connection.group.twist_names)
+    mu = vector_or_zero(momentum, connection.r, "momentum", connection.group.momentum_names)
     if mu.any() and not connection.form.momentum:
         raise InputError(f"{connection.form.what} define no momentum. Omit momentum=.")
     return mu

@@ -16,6 +16,7 @@ from ...analysis.gaits.gait import Gait
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, vector
 from ...common.errors import InputError
+from ...common.names import component_index
 from ...lie.group import Group
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
@@ -52,7 +53,7 @@ def field(
             coordinates of balls (`in_chart`).
         joints: Names or indices of two joints; if None, the two that the gait moves most, or else
             the first two.
-        component: v1 … ω3 (or w3), or an index in the body twist. If None, the
+        component: v1 … ω3 (or w3, x, y, z, turn), or an index in the body twist. If None, the
             rotation with the largest values.
         part: "curvature" B, its terms "exterior" ∂_αA_β − ∂_βA_α and "bracket" [A_α, A_β], or
             "connection": the row of −A as a vector field with flow lines over its magnitude.
@@ -153,7 +154,7 @@ def curvature(
         source: A System, a Connection, a Reduction, or a motion, whose path is drawn.
         joints: Names or indices of two joints, or axes of balls; if None, the two that move most
             on the path, or else the first two.
-        component: v1 … ω3 (or w3), or an index in the body twist. If None, the
+        component: v1 … ω3 (or w3, x, y, z, turn), or an index in the body twist. If None, the
             rotation with the largest values.
         limits: (low, high) of each joint [rad | m]; around the path, or their range if None.
         at: Shape of the other joints, (nx,) [rad | m | 1]; the initial shape, or rest if None.
@@ -223,15 +224,13 @@ def component_of(group: Group, component: str | int | None, B: Array) -> int:
         first = linear if linear < len(names) else 0
         return first + int(np.argmax(size[first:]))
     if isinstance(component, str):
-        name = component.replace("w", "ω")
-        if name in names:
-            return names.index(name)
-    elif not isinstance(component, bool) and 0 <= component < len(names):
-        return int(component)
-    raise InputError(
-        f"no component {component!r} in a twist of {group.name}; the components are "
-        + ", ".join(names).replace("ω", "w")
-    )
+        return component_index(component, group.components("twist"), f"component of {group.name}")
+    if isinstance(component, bool) or not 0 <= component < len(names):
+        raise InputError(
+            f"component: expected an index below {len(names)} or a name, got {component!r}; the "
+            f"components of {group.name} are {', '.join(names)}"
+        )
+    return int(component)
 
 
 def _unit(label: str, units: Sequence[str]) -> str:

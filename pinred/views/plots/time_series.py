@@ -22,7 +22,6 @@ from ..motion_source import MotionSource
 from .motion_labels import labels
 from .style import legend, line, on_log, over_time, shown, steady, styled
 
-_TWIST_TO_MOMENTUM = str.maketrans("vω", "pL")  # twist component → momentum component
 LINEAR, ANGULAR = "linear [N·s]", "angular [N·m·s]"
 
 
@@ -192,10 +191,9 @@ def momentum(motion: MotionSource) -> Figure:
     names = labels(motion)
     group = group_named(names.group)
     linear, values = group.linear, motion.spatial_momentum
-    entries = [name.translate(_TWIST_TO_MOMENTUM) for name in group.twist_names]
     title = f"{names.robot}: spatial momentum"
     quantities = {LINEAR: slice(0, linear), ANGULAR: slice(linear, None)}
-    figure, panels = _quantities(title, motion.t, values, entries, quantities, more=1)
+    figure, panels = _quantities(title, motion.t, values, group.momentum_names, quantities, more=1)
     if isinstance(motion, Trajectory):
         momenta = audit_trajectory(motion, motion.states).momenta[:, : group.dim]
         drift = _largest_by_quantity(momenta, linear)
