@@ -121,8 +121,8 @@ def open_sweep(store: str | Path) -> SweepResult:
     Args:
         store: Path of the zarr folder.
     Returns:
-        The results, an xarray.Dataset; its method `point` needs the scene.  Reading a damaged
-        block raises a LoadError.
+        The results, an xarray.Dataset.  Its method `point` reads the scene from a store that the
+        same user has written.  Reading a damaged block raises a LoadError.
     Raises:
         InputError: The folder is not the store of a sweep.
         LoadError: A file that describes the store is missing or damaged.
