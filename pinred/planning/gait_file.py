@@ -30,6 +30,7 @@ from ..scene.toml.schema import (
     Text,
     Whole,
     document_schema,
+    with_places,
 )
 from ..scene.toml.signal_tables import NUMBER, NUMBERS, POSITIVE
 from ..system.system import System
@@ -164,7 +165,7 @@ REORIENT = Table(
     },
     "the rotation of the base",
 )  # fmt: skip
-GAIT_FILE = Table(
+GAIT_FILE = with_places(Table(
     {
         **ROBOT,
         "parameters": replace(
@@ -196,7 +197,7 @@ GAIT_FILE = Table(
         "reorient": Key(REORIENT, REORIENT.words),
     },
     "a gait file",
-)
+))  # fmt: skip
 
 
 @checks_arguments

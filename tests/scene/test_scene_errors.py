@@ -22,9 +22,11 @@ from hypothesis import strategies as st
 import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
+from pinred.planning.gait_file import GAIT_FILE
 from pinred.scene.toml.csv_columns import LARGEST
 from pinred.scene.toml.file_place import Place
 from pinred.scene.toml.keys import SCENE, scene_schema
+from pinred.scene.toml.schema import Table
 from pinred.simulation.explain import explain
 from pinred.simulation.plan import plan_of
 
@@ -44,7 +46,7 @@ SPLINE = "{ spline = { times = [0, 1], values = [0, 1] } }"
 
 # What is wrong with the structure: text after `robot = "falling_cat"`, and the message.
 STRUCTURE = [
-    ("gravity = 1", "line 2: gravity: unknown key \"gravity\"; the keys here are robot, load, start, run"),
+    ("gravitas = 1", "line 2: gravitas: unknown key \"gravitas\"; the keys here are robot, load, start, run"),
     ("forcs = []", "line 2: forcs: unknown key \"forcs\"; did you mean 'forces'? the keys here are robot, load,"),
     ("run = 3", "line 2: run: must be how to simulate, got 3"),
     ("[run]\ndurration = 1", "line 3: run.durration: unknown key \"durration\"; did you mean 'duration'?"),
@@ -469,3 +471,31 @@ def test_reader_and_schema_agree_on_changed_documents(path: Path, data: st.DataO
     except InputError:
         read = False
     assert read == VALIDATOR.is_valid(document), document
+
+
+@pytest.mark.parametrize("document", [SCENE, GAIT_FILE], ids=lambda table: table.words)
+def test_every_key_in_a_wrong_table_says_where_it_belongs(document: Table) -> None:
+    """Keys of the top level in tables, keys of tables at the top level and in other tables."""
+    tables = {"": document}
+    tables |= {n: k.node for n, k in document.keys.items() if isinstance(k.node, Table)}
+    count = 0
+    for key in {key for table in tables.values() for key in table.keys}:
+        homes = [name for name, table in tables.items() if key in table.keys]
+        for name in tables.keys() - homes:
+            text = {"robot": "cartpole", **({name: {key: 1}} if name else {key: 1})}
+            with pytest.raises(pinred.InputError) as refused:
+                document.read(text, Place("f.toml"))
+            places = [f"in the table [{home}]" for home in homes if home]
+            if "" in homes:
+                places.insert(0, "to the top level, above the first line with a [table]")
+            at = f"{name}.{key}" if name else key
+            assert str(refused.value) == f"f.toml: {at}: this key belongs {' or '.join(places)}"
+            count += 1
+    assert count > 60
+
+
+def test_misplaced_key_is_named_with_its_line(tmp_path: Path) -> None:
+    """The message of a file, for a flag that was written below a table."""
+    text = "robot = 'falling_cat'\n[run]\nduration = 1\npassive = true\n"
+    message = message_of(tmp_path, text, pinred.InputError)
+    assert "line 4: run.passive: this key belongs to the top level, above the first li" in message
