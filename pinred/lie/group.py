@@ -123,6 +123,11 @@ class Group(ABC):
         )
 
     @property
+    def velocity_names(self) -> tuple[str, ...]:
+        """Names of the twist entries in plain letters: v for translations, w for rotations."""
+        return tuple(name.replace("p", "v", 1).replace("L", "w", 1) for name in self.momentum_names)
+
+    @property
     def momentum_names(self) -> tuple[str, ...]:
         """Names of the momentum entries: p for translations, L for rotations, with axes."""
         p, L = self.axes[: self.linear], self.axes[self.linear :]
@@ -150,12 +155,14 @@ class Group(ABC):
         for k, axis in enumerate(self.axes):
             if axis < 3:
                 others = [self.pose_names[k], self.twist_names[k], f"v{axis + 1}"]
+                others += [self.velocity_names[k]]
                 others += [self.momentum_names[k], f"p{axis + 1}"] * (quantity == "momentum")
             elif quantity == "pose" and self.turns > 1:
                 continue
             else:
                 others = ["θ", "theta", "turn", "ω", "w", "omega"] if self.turns == 1 else []
                 others += [f"{letter}{axis - 2}" for letter in ("ω", "w", "omega")]
+                others += [self.velocity_names[k]]
                 others += [self.momentum_names[k], f"L{axis - 2}"] * (quantity == "momentum")
             for name in others:
                 found.setdefault(name, k)

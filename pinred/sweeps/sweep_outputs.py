@@ -15,8 +15,8 @@ from ..common.errors import InputError, ShapeError
 from ..common.names import brief, listed, nearest, quoted
 from ..scene.scene import Scene
 from ..simulation.members.trajectories import Trajectories
+from ..system.entry_labels import entry_names, label_entries
 from ..system.state_fields import FIELDS, ShapeState, State, dimension
-from .labels import entry_names, label_entries
 
 Function: TypeAlias = Callable[[Trajectories], Any]
 Outputs: TypeAlias = Mapping[str, str | Function] | Sequence[str]

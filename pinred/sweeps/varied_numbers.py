@@ -17,10 +17,10 @@ from ..common.parameter import Parameter, VectorParameter, value_in
 from ..forces.signals import Constant
 from ..scene.scene import Scene
 from ..simulation.members.member_parameters import force_parameters
+from ..system.entry_labels import entry_names, label_entries
 from ..system.model_parameters import ModelParameters, kinds_near, size_of
 from ..system.system import System
 from ..system.variants import nominal
-from .labels import entry_names, label_entries
 
 _XYZ = ("x", "y", "z")
 # Labels of the entries of robot parameters with several entries, by kind.

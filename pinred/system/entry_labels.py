@@ -1,12 +1,12 @@
-"""Labels and units of the entries of states, for the keys and coordinates of sweeps."""
+"""Labels and units of the entries of states, for files, labelled arrays and sweeps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Literal
 
-from ..system.state_fields import FIELDS, axis_labels
-from ..system.system import System
+from .state_fields import FIELDS, axis_labels
+from .system import System
 
 _SPELLED_OUT = str.maketrans({"θ": "theta", "ω": "omega"})
 # The quantities of the symmetry group, by field or option.
@@ -26,7 +26,47 @@ def entry_names(system: System, field: str) -> dict[str, int]:
     labels = {label: k for k, (label, _) in enumerate(label_entries(system, field))}
     if field in _OF_GROUP:
         return system.group.components(_OF_GROUP[field]) | labels
+    if field in ("q", "v"):  # The entries of the model may be numbered, too.
+        labels |= {str(k): k for k in range(len(labels))}
     return labels | {label.translate(_SPELLED_OUT): k for label, k in labels.items()}
+
+
+def column_names(system: System, field: str) -> list[str]:
+    """Return the names of the columns of a field in plain letters, such as "xi.vx".
+
+    Args:
+        system: The robot.
+        field: A field of State.
+    """
+    group = system.group
+    if FIELDS[field].axis is None:
+        return [field]
+    if field == "xi":
+        names: tuple[str, ...] = group.velocity_names
+    elif field in _OF_GROUP and field != "pose":
+        names = group.momentum_names
+    else:
+        names = tuple(label.translate(_SPELLED_OUT) for label, _ in label_entries(system, field))
+    return [f"{field}.{name}" for name in names]
+
+
+def field_attributes(system: System, field: str) -> dict[str, str]:
+    """Return unit and long name of a field, the attributes of labelled arrays and their files.
+
+    Args:
+        system: The robot.
+        field: A field of State.
+    Returns:
+        {"units": …, "long_name": …}; " | " separates the units of different entries.
+    """
+    units = dict.fromkeys(unit for _, unit in label_entries(system, field))
+    unit = " | ".join(units) if all(units) else FIELDS[field].unit
+    return {"units": unit, "long_name": FIELDS[field].meaning}
+
+
+def torque_unit(system: System) -> str:
+    """Return the unit of torques on the joints; " | " separates those of hinges and slides."""
+    return " | ".join(dict.fromkeys("N" if unit == "m" else "N·m" for unit in system.units))
 
 
 def label_entries(system: System, field: str) -> list[tuple[str, str]]:
@@ -35,7 +75,7 @@ def label_entries(system: System, field: str) -> list[tuple[str, str]]:
     Args:
         system: The robot.
         field: A field of State; or "chart" for the shape with rotation vectors of balls,
-            "joint_rate" for its rate, and "xi0" or "momentum" for an initial motion.
+            "joint_rate" for its rate, and "xi0", "pose0" or "momentum" for an initial motion.
     Returns:
         (label, unit) of each entry; [("", unit)] for a scalar.
     """
