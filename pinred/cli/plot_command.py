@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from ..scene.toml.schema import Key
     from ..simulation.trajectory import Trajectory
 
+# Options of the kinds of figures.
+_OPTIONS = (
+    "joints", "component", "attitude", "value", "direction", "against", "output", "numbers",
+)  # fmt: skip
 SAMPLES = 501  # number of report times of a robot that this command simulates
 _OF_SWEEPS = {"histogram", "scatter", "heatmap", "quantiles"}
 _OTHER_COMMANDS = {"field": "pinred field", "cycles": "pinred phase"}
@@ -45,6 +49,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--robot R", "robot of a .npz file that names none")
     add("--joints J1,J2,…", "names of the joints to draw")
     add("--component C", "component of the curvature: v1 … w3, x, y, z or turn")
+    add("--attitude A", "attitude of the base: quaternion, vector or rpy (in degrees)")
     add("--value X", "joint value of a Poincaré section [rad | m]", float)
     add("--direction D", "direction of a Poincaré section: 1, -1 or 0", int)
     add("--against W", "axis of work_precision: wall or evaluations")
@@ -70,9 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         if kind in kinds:
             raise InputError(f"{kind} is not a figure of a motion; draw it with `{command}`")
     stated = {
-        name: getattr(arguments, name)
-        for name in ("joints", "component", "value", "direction", "against", "output", "numbers")
-        if getattr(arguments, name) is not None
+        name: getattr(arguments, name) for name in _OPTIONS if getattr(arguments, name) is not None
     }
     for name in ("joints", "numbers"):
         if name in stated:
