@@ -70,7 +70,8 @@ def sweep(
             Default: "grid" without points, else "sobol".
         seed: Seed of the sampler.
         outputs: {name: field or function}, or a list of fields.  "pose" is the pose at the last
-            report time, "pose.θ" an entry of it, and "pose(t)" the pose at all report times.  A
+            report time, "pose.θ" an entry of it, and "pose(t)" the pose at all report times;
+            "turn", "position(FRAME)", "peak_torque" and "excursion" are others.  A
             function takes the Trajectories of many points and returns one row for each.  Default:
             x, xdot, pose and energy.
         store: Path of the zarr folder of the results; by default, a temporary folder, which is
