@@ -23,7 +23,7 @@ def notice_of_compiling(what: str) -> Iterator[None]:
         yield
         return
     line = f"pinred compiles {what}; the next process finds the result in its cache"
-    timer = Timer(_PATIENCE, _write, [line])
+    timer = Timer(_PATIENCE, write_notice, [line])
     timer.daemon = True
     timer.start()
     try:
@@ -32,7 +32,8 @@ def notice_of_compiling(what: str) -> Iterator[None]:
         timer.cancel()
 
 
-def _write(line: str) -> None:
+def write_notice(line: str) -> None:
+    """Write one line on standard error."""
     # A progress bar may have left its text in the line of a terminal.
     start = "\r\033[K" if sys.stderr.isatty() else ""
     sys.stderr.write(f"{start}{line}\n")

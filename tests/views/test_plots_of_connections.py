@@ -11,6 +11,7 @@ import pytest
 from figures import drawn
 from matplotlib.axes import Axes
 from matplotlib.contour import QuadContourSet
+from scipy.integrate import solve_ivp
 
 import pinred
 from pinred import plots
@@ -250,3 +251,27 @@ def test_titles_say_the_motion_the_slice_and_omitted_joints() -> None:
     flow = plots.field(cat, part="connection", component="y")
     assert flow.get_suptitle().startswith("falling_cat: displacement along y per joint rate, −A(")
     assert flow.axes[-1].get_ylabel() == "−A, component v2 [m/rad]"
+
+
+@pytest.mark.parametrize("momentum", [0.0, [0.0, 0.0, 0.4]])
+def test_cycles_are_drawn_finely_and_right(momentum: float | list[float]) -> None:
+    """Between the ends of segments, against SciPy's DOP853 of ġ = g ξ; the ends are kept."""
+    phase = pinred.phase(rods(), CIRCLE, momentum)
+    times, poses = phase.fine_path(200)
+    assert len(times) > 200 > 5 * len(phase.times)
+    every = (len(times) - 1) // (len(phase.times) - 1)
+    np.testing.assert_allclose(times[::every], phase.times, atol=1e-15)
+    np.testing.assert_allclose(poses[::every], phase.path, atol=1e-12)
+    red = pinred.Reduction(pinred.load("three_rods"))
+
+    def rate(t: float, g: np.ndarray[tuple[int], np.dtype[np.float64]]) -> list[float]:
+        x, xdot = (values[0] for values in CIRCLE.at([t]))
+        at = red.at(x)
+        mu = SE2.Ad(g).T @ np.broadcast_to(momentum, (3,))
+        xi = np.linalg.solve(at.locked_inertia, mu) - at.local_connection @ xdot
+        return SE2.rate(g, xi).tolist()
+
+    exact = solve_ivp(rate, (0.0, 1.0), np.zeros(3), "DOP853", times, rtol=1e-11, atol=1e-12).y.T
+    np.testing.assert_allclose(poses, exact, rtol=0, atol=1e-8)
+    line = plots.cycles(phase, count=2).axes[0].lines[0]
+    assert len(np.asarray(line.get_xdata())) == 2 * len(times)

@@ -38,6 +38,7 @@ from .style import BLACK, RED, figure, legend, line, styled
 _MOST = 1000
 
 _TIMES = 400
+_PER_CYCLE = 200  # least number of line segments of a cycle, so that no corners are visible
 _STILL = 1e-9  # largest rotation [rad] and displacement [m] that count as zero
 _OTHERS = 5  # largest number of other local optima in the figure
 
@@ -63,8 +64,9 @@ def cycles(source: Phase, *, count: int = 5) -> Figure:
         raise InputError(f"count must be a number of cycles from 1 to {_MOST}, got {count!r}")
     group, number = source.group, int(count)
     starts = np.array([source.cycles(k) for k in range(number + 1)])
-    poses = np.concatenate([group.compose(start[None], source.path) for start in starts[:-1]])
-    times = np.concatenate([source.times + k * source.times[-1] for k in range(number)])
+    at, path = source.fine_path(_PER_CYCLE)
+    poses = np.concatenate([group.compose(start[None], path) for start in starts[:-1]])
+    times = np.concatenate([at + k * at[-1] for k in range(number)])
     title = f"the base over {number} cycle{'s' * (number > 1)}: {_motion_of(source)}"
     if group.plane:
         drawing = figure(title, height=4.4)
