@@ -130,3 +130,19 @@ def test_attitude_continues_through_full_turns() -> None:
     (axes,) = plots.base(beanie, attitude="rpy").axes
     np.testing.assert_allclose(drawn(axes, "θ")[1], np.rad2deg(beanie.pose[:, 0]))
     assert axes.get_ylabel() == "θ: angle [°]"
+
+
+def test_limits_of_many_joints_name_the_largest_and_draw_all() -> None:
+    """The legend of a panel has six joints and the number of the others."""
+    pytest.importorskip("example_robot_data")
+    solo = pinred.simulate(pinred.load("solo12"), seed=0, duration=0.1)
+    position, *_ = plots.limits(solo).axes
+    names = [str(line.get_label()) for line in position.lines]
+    legend = position.get_legend()
+    assert legend is not None
+    shown = [text.get_text() for text in legend.get_texts()]
+    limits = joint_limits(solo.system).position
+    middle, half = limits.mean(axis=1), 0.5 * np.diff(limits, axis=1)[:, 0]
+    largest = np.argsort(-np.abs((solo.x - middle) / half).max(axis=0), kind="stable")[:6]
+    assert shown == [solo.system.shape_names[k] for k in sorted(largest)] + ["6 others"]
+    assert len(names) == 12 + 1 + 2  # the joints, an entry of the legend, and both limits

@@ -27,6 +27,7 @@ from .style import legend, line, on_log, over_time, shown, steady, styled
 
 Attitudes: TypeAlias = Literal["quaternion", "vector", "rpy"]
 ATTITUDES: tuple[Attitudes, ...] = get_args(Attitudes)
+_NAMED = 6  # largest number of joints that the legend of a panel of `limits` names
 LINEAR, ANGULAR = "linear [N·s]", "angular [N·m·s]"
 
 
@@ -119,7 +120,8 @@ def limits(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -
 
     1 is the upper and −1 the lower limit.  A rate or torque is divided by its limit; a position is
     measured from the middle between its limits.  Joints without a limit are left out, and so are
-    the torques of recordings.  The title names the largest value beyond the limits.
+    the torques of recordings.  The title names the largest value; the legend of a panel names the
+    joints with the largest ones, and the others are grey.
 
     Args:
         motion: Trajectory, or a recording read from a file.
@@ -155,8 +157,15 @@ def limits(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -
     words = f"largest {excess[0]:.3g} of the limit, {excess[1]}"
     drawing, axes_list = over_time(f"{names.robot}: limits of the file ({words})", len(panels))
     for axes, (quantity, (share, entries)) in zip(axes_list, panels.items(), strict=True):
-        for k, (name, column) in enumerate(zip(entries, share.T, strict=True)):
-            axes.plot(motion.t, column, label=shown(name), **line(k))
+        order = np.argsort(-np.abs(share).max(axis=0), kind="stable")
+        named = sorted(order[:_NAMED].tolist())
+        for k, column in enumerate(share.T):
+            if k not in named:
+                axes.plot(motion.t, column, color="#AAAAAA", linewidth=0.7)
+        for style, k in enumerate(named):
+            axes.plot(motion.t, share[:, k], label=shown(entries[k]), **line(style))
+        if others := len(entries) - len(named):
+            axes.plot([], [], color="#AAAAAA", linewidth=0.7, label=f"{others} others")
         for end in (-1.0, 1.0):
             axes.axhline(end, color="#888888", linewidth=1.0)
         axes.set_ylabel(f"{quantity} / limit")
