@@ -147,10 +147,15 @@ class Group(ABC):
             quantity: "twist", "pose" or "momentum".
         Returns:
             {name: index}; the names in `twist_names`, `pose_names` or `momentum_names` come first.
+        Raises:
+            InputError: The quantity is unknown.
         """
-        names = {
+        own = {
             "twist": self.twist_names, "pose": self.pose_names, "momentum": self.momentum_names,
-        }[quantity]  # fmt: skip
+        }  # fmt: skip
+        if quantity not in own:
+            raise InputError(f"quantity: expected {' or '.join(own)}, got {quantity!r}")
+        names = own[quantity]
         found = {name: k for k, name in enumerate(names)}
         for k, axis in enumerate(self.axes):
             if axis < 3:

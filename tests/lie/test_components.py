@@ -44,6 +44,8 @@ def test_components_of_se2_are_accepted_by_all_names(quantity: str) -> None:
     assert "p1" not in SE2.components("twist")
     assert {"turn", "w1"}.isdisjoint(SE3.components("pose"))
     assert SO2.components("momentum")["L"] == 0
+    with pytest.raises(pinred.InputError, match="quantity: expected twist or pose or momentum"):
+        SO2.components("speed")  # type: ignore[arg-type]
 
 
 def test_formula_and_function_name_components() -> None:
