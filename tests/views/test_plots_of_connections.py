@@ -225,7 +225,8 @@ def test_loop_is_drawn_over_the_component_of_its_objective() -> None:
 @pytest.mark.parametrize(
     ("group", "twist", "expected"),
     [
-        (SE2, [0.2, -0.3, 1e-9], 1), (SE2, [0.2, -0.3, 1e-3], 2), (SE2, [0.0, 0.0, 1e-9], None),
+        (SE2, [0.2, -0.3, 1e-9], 1), (SE2, [0.2, -0.3, 2e-6], 2),
+        (SE2, [0, 5e-7, 5e-7], None), (SE2, [0.2, -0.3, 1e-3], 2), (SE2, [0.0, 0.0, 1e-9], None),
         (SE3, [0.1, 0, -0.4, 0, 0, 0], 2), (SE3, [5.0, 0, 0, 0.01, -0.02, 0], 4),
     ],
 )  # fmt: skip
@@ -249,7 +250,7 @@ def test_titles_say_the_motion_the_slice_and_omitted_joints() -> None:
     assert title.get_suptitle() == f"{words}\ndrawn for twist = 0.4 rad"
     assert title.axes[-1].get_ylabel() == "B, component ω2 [rad/rad²]"
     flow = plots.field(cat, part="connection", component="y")
-    assert flow.get_suptitle().startswith("falling_cat: displacement along y per joint rate, −A(")
+    assert flow.get_suptitle().startswith("falling_cat: displacement along y per joint motion, −A(")
     assert flow.axes[-1].get_ylabel() == "−A, component v2 [m/rad]"
 
 

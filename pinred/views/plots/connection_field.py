@@ -104,7 +104,7 @@ def field(
     label = source.group.twist_names[index]
     a, b = (source.joints[k] for k in pair)
     titles = {"curvature": "B", "exterior": "dA", "bracket": "[A, A]", "connection": "−A"}
-    per = "joint rate" if part == "connection" else "area"
+    per = "joint motion" if part == "connection" else "area"
     title = (
         f"{robot_name(source)}: {motion_word(source.group, index)} per {per}, "
         f"{titles[part]}({a}, {b}), component {label}"
