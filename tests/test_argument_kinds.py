@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _TEXT = (
     r"\bstr\b|Literal|Outcome|Axes|Part$|Form$|Engine|Kind\b|WantedOutputs|Method|Invalid|Sampler"
+    r"|Quantity|Attitudes"
 )
 _NUMBERS = r"Array|float|Numbers|PerJoint|LimitsLike|Counts"
 _ANY = r"^(Any|Hashable|T)$"

@@ -73,7 +73,7 @@ def test_installed_package_simulates(
     pinred = tmp_path / "venv/bin/pinred"
     assert "pinred" in call(pinred, "doctor", folder=tmp_path)
     assert "verdict: PASSED" in call(pinred, "compare", "falling_cat", folder=tmp_path)
-    run = ("simulate", "cartpole", "--time", "1", "--out", "motion.npz")
+    run = ("simulate", "cartpole", "--duration", "1", "--out", "motion.npz")
     call(pinred, *run, "--checkpoint", "run.ckpt", folder=tmp_path)
     assert (tmp_path / "run.ckpt").exists()
     code = "import pinred; print(len(pinred.read_recording('motion.npz').t), pinred.__file__)"

@@ -163,7 +163,7 @@ class FloatingArm:
             (6,) [m/s; rad/s].
         """
         x, g = self._at(x, pose)
-        mu = vector(mu, self.system.r, "mu", self.system.group.twist_names)
+        mu = vector(mu, self.system.r, "mu", self.system.group.momentum_names)
         omega = np.linalg.solve(self._reduction.locked_inertia(x), mu)
         return read_only(self._jacobian(x, g, axes)[:, : self.system.r] @ omega)
 

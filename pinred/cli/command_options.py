@@ -31,24 +31,34 @@ if TYPE_CHECKING:
     from ..scene.toml.schema import Key
     from ..system.system import System
 
+# Former names of options, which are accepted and not shown.
+FORMER = {
+    "--duration": "--time",
+    "--springs": "--spring",
+    "--parameters": "--parameter",
+    "--events": "--event",
+    "--outputs": "--output",
+    "--validate": "--check",
+}
 ROBOT = "robot: a name (see `pinred robots`), or a URDF or MJCF file"
 
 
 def option_adder(sub: argparse.ArgumentParser) -> Callable[..., None]:
     """Return a function that adds one option to a parser.
 
-    Its arguments are the name and value format ("--time T", or "--list" for a flag), the help
+    Its arguments are the name and value format ("--port P", or "--list" for a flag), the help
     text, and optionally the type (text) and the default, which is appended to the help text.
     """
 
     def add(usage: str, text: str, kind: type = str, default: Any = None, **more: Any) -> None:
         flag, _, metavar = usage.partition(" ")
-        if not metavar:
-            sub.add_argument(flag, action="store_true", help=text, **more)
-            return
+        more |= {"metavar": metavar, "type": kind} if metavar else {"action": "store_true"}
         shown = f"{default:g}" if isinstance(default, float) else default
-        text += "" if default is None else f" (default: {shown})"
-        sub.add_argument(flag, metavar=metavar, type=kind, default=default, help=text, **more)
+        text += "" if default in (None, []) else f" (default: {shown})"
+        action = sub.add_argument(flag, default=default if metavar else False, help=text, **more)
+        if former := FORMER.get(flag):
+            more["dest"] = action.dest
+            sub.add_argument(former, default=argparse.SUPPRESS, help=argparse.SUPPRESS, **more)
 
     return add
 
@@ -105,21 +115,20 @@ def add_robot(sub: argparse.ArgumentParser, text: str = ROBOT) -> None:
 
 
 def add_parameters(sub: argparse.ArgumentParser, text: str = "value of a robot parameter") -> None:
-    """Add the option --parameter; `text` says which parameters it accepts."""
+    """Add the option --parameters; `text` says which parameters it accepts."""
     text += ", such as hand.mass=1.3 or elbow.placement=X,Y,Z,ROLL,PITCH,YAW; repeatable"
-    add_repeated(sub, "--parameter NAME=VALUE", text)
+    add_repeated(sub, "--parameters NAME=VALUE", text)
 
 
 def add_repeated(sub: argparse.ArgumentParser, usage: str, text: str) -> None:
-    """Add an option, such as "--parameter NAME=VALUE", that may occur several times."""
-    flag, _, metavar = usage.partition(" ")
-    sub.add_argument(flag, metavar=metavar, action="append", default=[], help=text)
+    """Add an option, such as "--parameters NAME=VALUE", that may occur several times."""
+    option_adder(sub)(usage, text, action="append", default=[])
 
 
 def parameters_in(entries: Sequence[str]) -> dict[str, Any]:
     """Parse texts NAME=VALUE into {name: number or list of numbers}.  Raises InputError."""
     usage = "NAME=NUMBER, or NAME=V1,V2,…"
-    values = assigned_in(entries, "parameter", floats_in, usage, noun="")
+    values = assigned_in(entries, "parameters", floats_in, usage, noun="")
     return {name: value[0] if len(value) == 1 else value for name, value in values.items()}
 
 
@@ -137,7 +146,7 @@ def system_of(arguments: argparse.Namespace) -> System:
     from ..scene.load_options import LOAD
     from ..system.load import load
 
-    parameters = parameters_in(arguments.parameter)
+    parameters = parameters_in(arguments.parameters)
     return load(arguments.robot, parameters=parameters, **options_in(arguments, LOAD.keys))
 
 
@@ -151,7 +160,7 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
     add = option_adder(sub)
     add("--step H", "step of a fixed-step method [s]", float)
     add("--order P", f"order of Gauss (default: {Gauss.order})", int)
-    for name, text in (("event", "report when"), ("until", "end the motion when")):
+    for name, text in (("events", "report when"), ("until", "end the motion when")):
         text += " a formula of the state crosses zero, such as 'x[0] - 0.5'; repeatable"
         add_repeated(sub, f"--{name} [NAME=]FORMULA", text)
 
@@ -164,7 +173,7 @@ def scene_of(arguments: argparse.Namespace) -> Scene:
     options = options_in(arguments, SCENE_OPTIONS)
     options["method"] = _method(arguments)
     options["events"] = [
-        *_events(arguments.event, terminal=False),
+        *_events(arguments.events, terminal=False),
         *_events(arguments.until, terminal=True),
     ]
     return scene_with(system, options.pop("seed", None), **options)
@@ -213,7 +222,7 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "J1,J2,…": lambda text, _: text.split(",") if text else [],
     "all or B1,B2,…": lambda text, _: True if text == "all" else text.split(",") if text else [],
     "J=K,REST": lambda entries, _: assigned_in(
-        entries, "spring", spring_in, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
+        entries, "springs", spring_in, "JOINT=STIFFNESS or JOINT=STIFFNESS,REST"
     ),
     "J=PLAN": lambda entries, name: assigned_in(
         entries, name, parse_plan, "JOINT=NUMBER, JOINT=FORMULA, or BALL=W1,W2,W3[@C1,C2,C3]"
@@ -221,13 +230,13 @@ _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "A=CONTROL": lambda entries, _: assigned_in(
         entries, "control", number_or_formula, "ACTUATOR=NUMBER or ACTUATOR=FORMULA", "actuator "
     ),
-    "AXIS": lambda text, name: text if text in ("x", "y", "z") else numbers_in(text, name),
+    "AXIS": lambda text, name: text if text[:1].isalpha() else numbers_in(text, name),
     _LIMITS: _limits_in,
 }
 
 
 def _events(entries: Sequence[str], *, terminal: bool) -> list[Event]:
-    """Return the events of --event or --until; the default names are "event" and "until"."""
+    """Return the events of --events or --until; the default names are "event" and "until"."""
     from ..scene.event import Event
 
     events = []
@@ -301,10 +310,10 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
     from ..system.load import load
 
     if Path(arguments.source).suffix == ".toml":
-        names = (*connection_keys(), "gait", "circle", "parameter")
+        names = (*connection_keys(), "gait", "circle", "parameters")
         refuse_of_robots(arguments, arguments.source, *names)
         return load_gait(arguments.source)
-    parameters = parameters_in(arguments.parameter)
+    parameters = parameters_in(arguments.parameters)
     stated = options_in(arguments, connection_keys())
     independent, centre = stated.pop("independent", None), stated.pop("centre", None)
     system = load(arguments.source, parameters=parameters, **stated)

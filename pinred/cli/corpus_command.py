@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from .command_options import option_adder
+from .command_options import add_options, option_adder
 
 if TYPE_CHECKING:
     from ..laboratory.corpus.corpus_entry import Entry
 
+_DURATION = 0.5  # default duration of a motion [s]
+
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
+    from ..scene.scene_options import SCENE_OPTIONS
+
     text = "folders with URDF, MJCF and SDF files"
     sub.add_argument("folders", nargs="*", metavar="FOLDER", help=text)
     add = option_adder(sub)
     add("--robots", "include the robots of `pinred robots`")
-    add("--time T", "duration of each motion [s]", float, 0.5)
+    add_options(sub, {"duration": replace(SCENE_OPTIONS["duration"], default=f"{_DURATION:g}")})
+    sub.set_defaults(duration=_DURATION)
     add("--patience S", "time limit for each description [s]", float, 60.0)
     add("--out FILE", "write the table as csv")
 
@@ -32,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = corpus(
         arguments.folders,
         robots=arguments.robots,
-        duration=arguments.time,
+        duration=arguments.duration,
         patience=arguments.patience,
         out=out,
         tried=_progress,

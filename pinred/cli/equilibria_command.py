@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--play K", "play equilibrium K, counted from 0", int)
     add("--mode M", "perturb it along mode M, counted from 0", int)
     add("--amplitude A", "amplitude of the mode [rad | m]", float, 0.05)
-    add("--time T", "duration of the played motion [s]", float)
+    text = "ten periods of the mode, or of the rotation"
+    add_options(sub, {"duration": replace(SCENE_OPTIONS["duration"], default=text)})
     text = (
         "diagram of a range (.png, .pdf, .svg), or motion of --play (.html, .rrd, .mp4, .gif, .png)"
     )
@@ -107,7 +109,7 @@ def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
         raise InputError(f"--play: expected an index below {count}, got {index}")
     equilibrium = equilibria[index]
     scene = equilibrium.scene(
-        arguments.mode, amplitude=arguments.amplitude, duration=arguments.time
+        arguments.mode, amplitude=arguments.amplitude, duration=arguments.duration
     )
     traj = simulate(scene, progress=True)
     print(f"playing {index}, {equilibrium}")
@@ -125,7 +127,7 @@ def _check(arguments: argparse.Namespace, *, is_range: bool) -> None:
     if is_range and arguments.play is not None:
         raise InputError("--play requires a single momentum, not a range")
     if arguments.play is None:
-        for name in ("mode", "time"):
+        for name in ("mode", "duration"):
             if getattr(arguments, name) is not None:
                 raise InputError(f"--{name} requires --play K")
         if arguments.out is not None and not is_range:

@@ -18,7 +18,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add_source(sub)
     add = option_adder(sub)
     add("--joints J1,J2", "names of the joints to vary (default: the first two)")
-    add("--component C", "component of the body twist, v1 … w3")
+    add("--component C", "component of the body twist: v1 … w3, x, y, z or turn")
     add("--part P", "quantity: curvature, exterior, bracket or connection", str, "curvature")
     add("--limits LOW,HIGH", "range of both joints [rad | m]")
     add("--at X1,X2,…", "shape of the other joints [rad | m]")

@@ -28,13 +28,15 @@ from ..common.errors import (
     SceneWarning,
     shorten_message,
 )
-from ..common.names import plain
+from ..common.names import most_similar, plain, quoted
 from ..common.version import __version__
+from .command_options import FORMER
 from .interrupt import CODE, say
 
 _SHOWN = (AccuracyWarning, ModelWarning, LeftOutWarning, RejectedWarning, SceneWarning)
 _LONGEST = 2000  # largest number of characters of a message
 _OPTION, _NEGATIVE = re.compile(r"--[\w-]+"), re.compile(r"-(\d|\.\d|inf|nan)")
+_SHORT = re.compile(r"-[A-Za-z]\w*")
 COMMANDS = {  # {command: description}
     "inspect": "show group, joints, I, A, M, and the parts of the simulation that can be skipped",
     "equilibria": "find relative equilibria, their stability, and branches over the momentum",
@@ -121,7 +123,34 @@ def _print_error(message: str, code: int) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser that reports an error in one line."""
+    """An argument parser that reports an error in one line, and names its own command."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse words; the parser of a subcommand rejects unknown ones itself."""
+        if self._subparsers is None:  # Other parsers see the options of their subcommands, too.
+            self._refuse_unknown(args)
+        options, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unexpected argument {quoted(unknown[0])}")
+        return options, unknown
+
+    def _refuse_unknown(self, words: Sequence[str]) -> None:
+        """Exit with the nearest option if an option is unknown."""
+        known = list(self._option_string_actions)
+        for word in words:
+            flag = word.partition("=")[0]
+            if word == "--":
+                return
+            is_option = _OPTION.fullmatch(flag) or _SHORT.fullmatch(flag)
+            if not is_option or any(name.startswith(flag) for name in known):
+                continue
+            now = {former: name for name, former in FORMER.items()}
+            near = most_similar(flag, known)
+            question = f"did you mean '{now.get(near, near)}'? See" if near else "see"
+            self.exit(
+                2,
+                f"pinred: error: unknown option {quoted(flag)}; {question} `{self.prog} --help`\n",
+            )
 
     def error(self, message: str) -> NoReturn:
         text = plain(shorten_message(message), _LONGEST)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 from ..common.errors import InputError
 from ..common.files import FIGURES
 from ..views.plots import KINDS, options_of
-from ..views.plots.by_kind import draw
+from ..views.plots.by_kind import DEFAULT_KIND, draw
 from .command_options import (
+    add_options,
     add_parameters,
     option_adder,
     parameters_in,
@@ -21,8 +22,13 @@ from .motion_files import check_robot, motion_in
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:
+    from ..scene.toml.schema import Key
     from ..simulation.trajectory import Trajectory
 
+# Options of the kinds of figures.
+_OPTIONS = (
+    "joints", "component", "attitude", "value", "direction", "against", "output", "numbers",
+)  # fmt: skip
 SAMPLES = 501  # number of report times of a robot that this command simulates
 _OF_SWEEPS = {"histogram", "scatter", "heatmap", "quantiles"}
 _OTHER_COMMANDS = {"field": "pinred field", "cycles": "pinred phase"}
@@ -37,22 +43,29 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("source", metavar="SOURCE", help=text)
     add = option_adder(sub)
     kinds = ", ".join(kind for kind in KINDS if kind not in _OTHER_COMMANDS)
-    add("--kind K[,K]", f"kinds of figures: {kinds}", required=True)
+    add("--kind K[,K]", f"kinds of figures: {kinds}", str, DEFAULT_KIND)
     text = f"FILE{' or '.join(FIGURES)}; FILE_KIND.png if there are several kinds"
     add("--out FILE", text, required=True)
     add("--robot R", "robot of a .npz file that names none")
     add("--joints J1,J2,…", "names of the joints to draw")
-    add("--component C", "component of the curvature, v1 … w3")
+    add("--component C", "component of the curvature: v1 … w3, x, y, z or turn")
+    add("--attitude A", "attitude of the base: quaternion, vector or rpy (in degrees)")
     add("--value X", "joint value of a Poincaré section [rad | m]", float)
     add("--direction D", "direction of a Poincaré section: 1, -1 or 0", int)
     add("--against W", "axis of work_precision: wall or evaluations")
     add("--output O", "output of a sweep")
     add("--numbers N1,N2,…", "varied numbers of a sweep")
-    add("--time T", "duration of the motion of a robot [s]", float)
-    add("--seed S", "random seed of the initial state of a robot", int)
-    add("--group G", "symmetry group of a robot")
-    add("--root BODY", "root body of a robot in an MJCF or SDF file with several")
+    add_options(sub, _keys_of_robots())
     add_parameters(sub)
+
+
+def _keys_of_robots() -> dict[str, Key]:
+    """Return the options that apply to the simulation of a robot."""
+    from ..scene.load_options import LOAD
+    from ..scene.scene_options import SCENE_OPTIONS
+
+    keys: dict[str, Key] = {name: SCENE_OPTIONS[name] for name in ("duration", "seed")}
+    return keys | {name: LOAD.keys[name] for name in ("group", "root")}
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -62,9 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         if kind in kinds:
             raise InputError(f"{kind} is not a figure of a motion; draw it with `{command}`")
     stated = {
-        name: getattr(arguments, name)
-        for name in ("joints", "component", "value", "direction", "against", "output", "numbers")
-        if getattr(arguments, name) is not None
+        name: getattr(arguments, name) for name in _OPTIONS if getattr(arguments, name) is not None
     }
     for name in ("joints", "numbers"):
         if name in stated:
@@ -117,7 +128,7 @@ def _source(arguments: argparse.Namespace, kinds: list[str]) -> Any:
     check_robot(source, arguments.robot)
     if suffix not in (".npz", ".toml", ".csv"):
         return _motion_of_robot(arguments)
-    refuse_of_robots(arguments, source, "time", "seed", "group", "root", "parameter")
+    refuse_of_robots(arguments, source, "duration", "seed", "group", "root", "parameters")
     if suffix == ".csv":
         from ..laboratory.bench.record import read_record
 
@@ -134,7 +145,7 @@ def _results_of_sweep(arguments: argparse.Namespace, kinds: list[str]) -> Any:
             f"{', '.join(sorted(_OF_SWEEPS))} are drawn of a store of `pinred sweep`, such as "
             "results.zarr, which has no other figures"
         )
-    refuse_of_robots(arguments, source, "robot", "time", "seed", "group", "root", "parameter")
+    refuse_of_robots(arguments, source, "robot", "duration", "seed", "group", "root", "parameters")
     return open_sweep(source)
 
 
@@ -146,10 +157,10 @@ def _motion_of_robot(arguments: argparse.Namespace) -> Trajectory:
     from ..simulation.simulate import simulate
     from ..system.load import load
 
-    parameters = parameters_in(arguments.parameter)
+    parameters = parameters_in(arguments.parameters)
     system = load(
         arguments.source, group=arguments.group, root=arguments.root, parameters=parameters
     )
-    scene = scene_with(system, arguments.seed, duration=arguments.time)
+    scene = scene_with(system, arguments.seed, duration=arguments.duration)
     scene = replace(scene, times=np.linspace(0.0, scene.end, SAMPLES))
     return simulate(scene, progress=True)

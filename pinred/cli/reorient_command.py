@@ -54,7 +54,7 @@ def _stated(arguments: argparse.Namespace) -> tuple[System, dict[str, Any]]:
         from ..planning.gait_file import load_gait
 
         refuse_of_robots(
-            arguments, arguments.robot, "group", "lock", "gravity", "root", "parameter"
+            arguments, arguments.robot, "group", "lock", "gravity", "root", "parameters"
         )
         file = load_gait(arguments.robot)
         system = file.system

@@ -25,7 +25,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
     sub.add_argument("scene", metavar="SCENE", nargs="?", help="scene file (docs/scenes.md)")
     add = option_adder(sub)
-    add("--check", "validate the scene without running it", dest="validate")
+    add("--validate", "validate the scene without running it")
     add("--explain", "print what the simulation skips")
     add("--compare", "compare with full ABA; exit 1 on failure")
     add("--out FILE", "write the motion to traj.npz or traj.csv")
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     file = read_scene_file(arguments.scene)
     scene = file.scene
-    if parameters := parameters_in(arguments.parameter):
+    if parameters := parameters_in(arguments.parameters):
         scene = as_scene(scene, {"parameters": parameters}, "run")
     explanation = explain(plan_of(scene))  # This also verifies that the scene can be simulated.
     if arguments.explain:

@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     file = read_scene_file(arguments.scene)
     scene = file.scene
-    if parameters := parameters_in(arguments.parameter):
+    if parameters := parameters_in(arguments.parameters):
         scene = as_scene(scene, {"parameters": parameters}, "sweep")
     with naming(file.place):
         for name in file.sweep.get("vary", {}):
@@ -53,8 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
     stated = options_in(arguments, others)
     if arguments.vary:
         stated["vary"] = {**file.sweep.get("vary", {}), **_assigned(arguments.vary)}
-    if arguments.output:
-        stated["outputs"] = _outputs(arguments.output)
+    if arguments.outputs:
+        stated["outputs"] = _outputs(arguments.outputs)
     options: dict[str, Any] = {**file.sweep, **stated}
     for name, example in (("vary", "front.mass=Uniform(0.5, 2)"), ("store", "results.zarr")):
         if name not in options:

@@ -16,6 +16,7 @@ from .names import brief
 Array: TypeAlias = NDArray[np.float64]
 
 _FLOATS = np.dtype(float)
+_MOST_LABELS = 12  # largest number of entries that a message names
 _SHORT = 32  # length up to which a list of floats is checked faster than an array
 _LARGEST = float(np.finfo(float).max)
 
@@ -78,7 +79,11 @@ def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -
         value if type(value) is np.ndarray and value.dtype is _FLOATS else as_floats(value, what)
     )
     if array.shape != (size,):
-        raise ShapeError(f"{what} must have shape ({size},){_hint(labels)}, got {array.shape}")
+        found = str(len(array)) if array.ndim == 1 else f"shape {array.shape}"
+        if size == len(labels) <= _MOST_LABELS:
+            numbers = "1 number" if size == 1 else f"{size} numbers"
+            raise ShapeError(f"{what}: expected {numbers}: {', '.join(labels)}, got {found}")
+        raise ShapeError(f"{what} must have shape ({size},), got {array.shape}")
     return _finite(array, what, labels)
 
 
@@ -138,7 +143,7 @@ def rows(value: ArrayLike, size: int, what: str) -> Array:
 
 
 def _hint(labels: Sequence[str]) -> str:
-    return f" ({', '.join(labels)})" if 0 < len(labels) <= 12 else ""
+    return f" ({', '.join(labels)})" if 0 < len(labels) <= _MOST_LABELS else ""
 
 
 def is_finite(array: Array) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from .errors import InputError
 
@@ -86,8 +86,35 @@ _MOST_JOINTS = 60  # maximum number of joints listed in a message
 
 def nearest(name: str, known: Sequence[str]) -> str:
     """Return a question that suggests the most similar known name; empty if none is similar."""
+    near = most_similar(name, known)
+    return "" if near is None else f"did you mean {quoted(near)}? "
+
+
+def most_similar(name: str, known: Collection[str]) -> str | None:
+    """Return the known name that is most similar to a name; None if none is similar."""
     near = difflib.get_close_matches(name[:_COMPARED], known, n=1)
-    return f"did you mean {quoted(near[0])}? " if near else ""
+    return near[0] if near else None
+
+
+def component_index(name: str, components: Mapping[str, int], what: str) -> int:
+    """Return the index of a component of a pose, twist or momentum.
+
+    Args:
+        name: Name of the component.
+        components: Index of each component by all its names, as `Group.components` returns them.
+        what: Name of the argument, for messages.
+    Returns:
+        The index.
+    Raises:
+        InputError: There is no such component.  The message lists the first name of each.
+    """
+    if name in components:
+        return components[name]
+    first = list(components)[: 1 + max(components.values(), default=-1)]
+    raise InputError(
+        f"{what}: no component {quoted(name)}; {nearest(name, list(components))}the components are "
+        f"{listed(first)}"
+    )
 
 
 def joint_index(name: str, joints: Sequence[str], what: str) -> int:

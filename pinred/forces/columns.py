@@ -38,20 +38,24 @@ def symbols_of(system: System, within: ca.SX | None) -> tuple[Symbols, tuple[ca.
     xdot = _column(system, "xdot", space.names, system.tree.names, joint_rates)
     pose, twist = ca.SX.sym("pose", group.size), ca.SX.sym("twist", r)
     momentum, J = ca.SX.sym("momentum", r), ca.SX.sym("J", r)
-    k = group.linear
+    k, momenta = group.linear, group.components("momentum")
     seen = SeenState(
         t=t,
         x=x,
         xdot=xdot,
-        pose=pose,
-        xi=ca.vertcat(*ca.vertsplit(twist)[:k], *ca.vertsplit(xi)[k:]),
-        mu=momentum if k else mu,
-        J=J if k or group.turns == 3 else mu,
+        pose=Column(pose, group.components("pose"), "pose"),
+        xi=Column(
+            ca.vertcat(*ca.vertsplit(twist)[:k], *ca.vertsplit(xi)[k:]),
+            group.components("twist"),
+            "xi",
+        ),
+        mu=Column(momentum if k else mu, momenta, "mu"),
+        J=Column(J if k or group.turns == 3 else mu, momenta, "J"),
     )
     followers = {name: following(name, system.couplings) for name in system.followers}
     symbols = Symbols(
         names=system.shape_names, x_names=system.x_names, followers=followers,
-        t=t, x=x, xdot=xdot, xi=xi, mu=mu, seen=seen, within=within,
+        t=t, x=x, xdot=xdot, xi=xi, mu=Column(mu, momenta, "mu"), seen=seen, within=within,
     )  # fmt: skip
     return symbols, (pose, twist, momentum, J)
 

@@ -50,13 +50,28 @@ class Formula(SymbolFunction):
 def formula_names(s: Symbols) -> dict[str, Any]:
     """Return the variables of the state that formulas may use, {name: symbols}."""
     seen = s.seen
-    lists = {"mu": s.mu, "pose": seen.pose, "xi": seen.xi, "J": seen.J}
+    columns = {"mu": s.mu, "pose": seen.pose, "xi": seen.xi, "J": seen.J}
     return {
         "t": s.t,
         "x": {name: s.x[k] for k, name in enumerate((*s.x_names, *s.followers))},
         "xdot": {name: s.xdot[k] for k, name in enumerate(s.every_name)},
-        **{name: [ca.SX(value) for value in ca.vertsplit(v)] for name, v in lists.items()},
+        **{name: _Components(column) for name, column in columns.items()},
     }
+
+
+class _Components(dict[str, ca.SX]):
+    """The entries of a pose, twist or momentum by their first names; others are accepted, too."""
+
+    def __init__(self, column: Any) -> None:
+        self._index: Mapping[str, int] = column.names
+        super().__init__(zip(column.names, map(ca.SX, ca.vertsplit(column)), strict=False))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._index
+
+    def __missing__(self, name: str) -> ca.SX:
+        entry: ca.SX = list(self.values())[self._index[name]]
+        return entry
 
 
 class _Expression:

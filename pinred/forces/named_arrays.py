@@ -1,4 +1,6 @@
-"""Shape and rate with joint names, for forces and controllers: x["hinge"] is an entry, like x[0].
+"""Arrays with named entries, for forces and controllers: x["hinge"] is an entry, like x[0].
+
+Shape and rate have joint names; pose, twist and momenta have the names of their components.
 
 A Column behaves like a CasADi column, a Vector like a NumPy vector. Arrays computed from them have
 no names and are indexed by number. Names are resolved while an expression is built, so they cost
@@ -7,7 +9,7 @@ nothing in the compiled kernel. A Python controller resolves them at each call.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -15,29 +17,34 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import InputError
-from ..common.names import joint_index
+from ..common.names import component_index, joint_index
 
 
 class Column(ca.SX):
-    """A CasADi column (m,) with an entry for each joint of the shape.
+    """A CasADi column (n,) whose entries have names.
 
-    Follower joints have entries, too, which are indexed by name or by numbers from m on. These
+    Follower joints have entries, too, which are indexed by name or by numbers from n on. These
     entries are not part of the column itself.
     """
 
     def __init__(
-        self, entries: ca.SX, joints: tuple[str, ...], what: str, followers: Sequence[ca.SX] = ()
+        self,
+        entries: ca.SX,
+        names: Sequence[str] | Mapping[str, int],
+        what: str,
+        followers: Sequence[ca.SX] = (),
     ) -> None:
         """Store the entries and their names.
 
         Args:
-            entries: Entries of the shape joints, (m,).
-            joints: Names of the shape joints, then of the followers.
+            entries: The entries, (n,).
+            names: Names of the shape joints, then of the followers; or the index of each component
+                of a pose, twist or momentum by all its names.
             what: Name of the column in messages.
             followers: Entries of the follower joints.
         """
         super().__init__(entries)
-        self._joints, self._what, self._followers = joints, what, tuple(followers)
+        self.names, self._what, self._followers = names, what, tuple(followers)
 
     def __getitem__(self, key: Any) -> Any:
         """Return an entry by joint name, or any selection that CasADi supports.
@@ -50,32 +57,33 @@ class Column(ca.SX):
             InputError: The name is unknown.
         """
         if isinstance(key, str):
-            key = joint_index(key, self._joints, self._what)
-        m = len(self._joints) - len(self._followers)
-        if isinstance(key, int) and m <= key < len(self._joints):
-            return self._followers[key - m]
+            key = _index(key, self.names, self._what)
+        if self._followers:
+            n = len(self.names) - len(self._followers)
+            if isinstance(key, int) and n <= key < len(self.names):
+                return self._followers[key - n]
         return super().__getitem__(key)
 
 
 class Vector(np.ndarray[tuple[int], np.dtype[np.float64]]):
-    """A NumPy vector (m,) with an entry for each joint; arrays computed from it have no names."""
+    """A NumPy vector (n,) whose entries have names; arrays computed from it have none."""
 
-    _joints: tuple[str, ...] | None = None
+    _names: Sequence[str] | Mapping[str, int] | None = None
     _what = ""
 
     @classmethod
-    def of(cls, numbers: Array, joints: tuple[str, ...], what: str) -> Vector:
-        """Return a copy of an array whose entries have joint names.
+    def of(cls, numbers: Array, names: Sequence[str] | Mapping[str, int], what: str) -> Vector:
+        """Return a copy of an array whose entries have names.
 
         Args:
-            numbers: Values, (m,).
-            joints: Names of the joints.
+            numbers: Values, (n,).
+            names: Names of the joints; or the index of each component by all its names.
             what: Name of the vector in messages.
         Returns:
             The copy.
         """
         vector = np.array(numbers, dtype=float).view(cls)
-        vars(vector).update(_joints=joints, _what=what)
+        vars(vector).update(_names=names, _what=what)
         return vector
 
     def __getitem__(self, key: Any) -> Any:
@@ -90,12 +98,12 @@ class Vector(np.ndarray[tuple[int], np.dtype[np.float64]]):
                 names.
         """
         if isinstance(key, str):
-            if self._joints is None:
+            if self._names is None:
                 raise InputError(
-                    f"only the arguments x and xdot accept names such as '{key}'; arrays computed "
-                    "from them accept only indices"
+                    f"only the arguments x and xdot, and fields of a state, accept names such as "
+                    f"'{key}'; arrays computed from them accept only indices"
                 )
-            key = joint_index(key, self._joints, self._what)
+            key = _index(key, self._names, self._what)
         return self.view(np.ndarray)[key]
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
@@ -111,3 +119,10 @@ class Vector(np.ndarray[tuple[int], np.dtype[np.float64]]):
         if array is self:  # as in x += 1
             return self
         return array[()] if return_scalar else np.asarray(array)
+
+
+def _index(key: str, names: Sequence[str] | Mapping[str, int], what: str) -> int:
+    """Return the index of an entry by its name.  Raises InputError."""
+    if isinstance(names, Mapping):
+        return component_index(key, names, what)
+    return joint_index(key, names, what)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -32,6 +32,9 @@ class PoseError:
 
     rotation: Array
     translation: Array
+
+
+Quantity: TypeAlias = Literal["twist", "pose", "momentum"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,6 +121,57 @@ class Group(ABC):
             *(f"v{axis + 1}" if len(v) > 1 else "v" for axis in v),
             *(f"ω{axis - 2}" if len(w) > 1 else "ω" for axis in w),
         )
+
+    @property
+    def velocity_names(self) -> tuple[str, ...]:
+        """Names of the twist entries in plain letters: v for translations, w for rotations."""
+        return tuple(name.replace("p", "v", 1).replace("L", "w", 1) for name in self.momentum_names)
+
+    @property
+    def momentum_names(self) -> tuple[str, ...]:
+        """Names of the momentum entries: p for translations, L for rotations, with axes."""
+        p, L = self.axes[: self.linear], self.axes[self.linear :]
+        return (
+            *(f"p{'xyz'[axis]}" if len(p) > 1 else "p" for axis in p),
+            *(f"L{'xyz'[axis - 3]}" if len(L) > 1 else "L" for axis in L),
+        )
+
+    def components(self, quantity: Quantity) -> dict[str, int]:
+        """Return the index of each entry of a twist, pose or momentum, by all accepted names.
+
+        The names of poses and twists are accepted for both, so a component of SE2 is x, y, θ,
+        theta or turn, and v1, v2, ω, omega or w, for all three.  The components of a quaternion
+        have only their own names.
+
+        Args:
+            quantity: "twist", "pose" or "momentum".
+        Returns:
+            {name: index}; the names in `twist_names`, `pose_names` or `momentum_names` come first.
+        Raises:
+            InputError: The quantity is unknown.
+        """
+        own = {
+            "twist": self.twist_names, "pose": self.pose_names, "momentum": self.momentum_names,
+        }  # fmt: skip
+        if quantity not in own:
+            raise InputError(f"quantity: expected {' or '.join(own)}, got {quantity!r}")
+        names = own[quantity]
+        found = {name: k for k, name in enumerate(names)}
+        for k, axis in enumerate(self.axes):
+            if axis < 3:
+                others = [self.pose_names[k], self.twist_names[k], f"v{axis + 1}"]
+                others += [self.velocity_names[k]]
+                others += [self.momentum_names[k], f"p{axis + 1}"] * (quantity == "momentum")
+            elif quantity == "pose" and self.turns > 1:
+                continue
+            else:
+                others = ["θ", "theta", "turn", "ω", "w", "omega"] if self.turns == 1 else []
+                others += [f"{letter}{axis - 2}" for letter in ("ω", "w", "omega")]
+                others += [self.velocity_names[k]]
+                others += [self.momentum_names[k], f"L{axis - 2}"] * (quantity == "momentum")
+            for name in others:
+                found.setdefault(name, k)
+        return found
 
     def turned(self, attitude: Array, v: Array) -> Array:
         """Rotate linear components from body axes to fixed axes.

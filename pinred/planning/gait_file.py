@@ -30,6 +30,7 @@ from ..scene.toml.schema import (
     Text,
     Whole,
     document_schema,
+    with_places,
 )
 from ..scene.toml.signal_tables import NUMBER, NUMBERS, POSITIVE
 from ..system.system import System
@@ -110,8 +111,9 @@ OPTIMISE = Table(
             Text(AIMS), f"objective: {', '.join(AIMS)}", default=AIMS[0], command="--objective O"
         ),
         "axis": Key(
-            Either((Text(("x", "y", "z")), NUMBERS)),
-            "axis of the rotation or displacement: x, y, z, or a vector", command="--axis AXIS",
+            Either((Text((), "the name of an axis"), NUMBERS)),
+            "axis of the rotation or displacement: x, y, z (or v1, w1, turn, …), or a vector",
+            command="--axis AXIS",
         ),
         "target": Key(
             _TARGET, "target of objective target: " + _TARGETS,
@@ -158,12 +160,12 @@ REORIENT = Table(
             Whole(1), "number of equal loops", default="smallest possible", command="--cycles N"
         ),
         "duration": Key(
-            POSITIVE, "duration of the motion [s]", default="2 per cycle", command="--time T"
+            POSITIVE, "duration of the motion [s]", default="2 per cycle", command="--duration T"
         ),
     },
     "the rotation of the base",
 )  # fmt: skip
-GAIT_FILE = Table(
+GAIT_FILE = with_places(Table(
     {
         **ROBOT,
         "parameters": replace(
@@ -195,7 +197,7 @@ GAIT_FILE = Table(
         "reorient": Key(REORIENT, REORIENT.words),
     },
     "a gait file",
-)
+))  # fmt: skip
 
 
 @checks_arguments
@@ -265,9 +267,9 @@ def load_gait(path: str | Path) -> GaitFile:
         with naming(place / "gait"):
             gait = _gait(document["gait"], connection, system, folder)
     stated = document.get("momentum", 0.0)
-    with naming(place / "momentum", "momentum "):
+    with naming(place / "momentum", "momentum: "):
         values = stated if stated == 0.0 else np.atleast_1d(stated)
-        momentum = vector_or_zero(values, connection.r, "momentum", connection.group.twist_names)
+        momentum = vector_or_zero(values, connection.r, "momentum", connection.group.momentum_names)
     optimise = dict(document.get("optimise", {}))
     for name, word in (("cost", "none"), ("winding", "any")):
         if optimise.get(name) == word:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, vector
-from ..common.errors import InputError, SymmetryError
+from ..common.errors import InputError, SingularInertiaError, SymmetryError
 from ..lie.group import Group
 from ..system.system import System, checked_system
 from .curvature import compute_curvature
@@ -127,6 +127,17 @@ class PointwiseReduction:
 
     def __repr__(self) -> str:
         return f"Reduction({self.system!r})"
+
+    def _repr_html_(self) -> str:
+        from ..common.html import card, line
+
+        system = self.system
+        try:
+            at_rest = self.at(system.space.neutral)._repr_html_()
+        except SingularInertiaError:
+            at_rest = line("the mass matrix is singular at rest")
+        about = f"{system.group.name} (r = {system.r}), shape of {system.space.size_in_words}"
+        return card(f"Reduction of {system.name}", about, at_rest)
 
     @property
     def group(self) -> Group:

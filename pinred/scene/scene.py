@@ -369,7 +369,7 @@ class Scene(SceneFields):
             pose = system.group.pose(self.pose0)
         x = self._initial_shape()
         xdot = _or_zero(self.xdot0, system.m, "xdot0", system.shape_names)
-        xi = _or_zero(self.xi0, system.r, "xi0")
+        xi = _or_zero(self.xi0, system.r, "xi0", system.group.twist_names)
         if self.q0 is not None:
             configuration = input_formats.parse_configuration(self.q0, system)
             pose, x = configuration.pose, configuration.x
@@ -394,7 +394,7 @@ class Scene(SceneFields):
             x, xdot = (values[None] for values in closed)
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
-        mu = vector_or_zero(self.momentum, system.r, "momentum")
+        mu = vector_or_zero(self.momentum, system.r, "momentum", system.group.momentum_names)
         return GivenStates(pose[None], x, xdot, None, mu[None])
 
     def _closed_state(self, x: Array, xdot: Array) -> tuple[Array, Array]:

@@ -57,7 +57,7 @@ class Option(Key):
         required: Not used; every option has a default.
         default: Value that applies without the option, in words.
         formats: Accepted values in Python, beyond the annotated type.
-        command: Name and value format on the command line, such as "--time T"; "" for none.
+        command: Name and value format on the command line, such as "--duration T"; "" for none.
         table: Table of the option in scene files; "" for the top level.
         replaces: Options that cannot be combined with this option, because it sets the same
             quantities.
@@ -163,7 +163,7 @@ class SceneFields:
     duration: float | None = field(default=None, metadata=_option(
         POSITIVE, "time to simulate [s]",
         default=f"the last of times, else the robot's own, else {DURATION:g}", table="run",
-        command="--time T",
+        command="--duration T",
     ))  # fmt: skip
     times: ArrayLike | None = field(default=None, metadata=_option(
         NUMBERS, "report times [s], increasing", default=f"{EVEN_TIMES} evenly spaced ones",
@@ -181,7 +181,7 @@ class SceneFields:
         ByName(ListOf(NUMBER, 2)),
         "springs at joints, each a pair of stiffness [N·m/rad | N/m] and rest position [rad | m]",
         formats="{joint: (stiffness, rest)}, short for pinred.forces.Spring",
-        command="--spring J=K,REST",
+        command="--springs J=K,REST",
     ))  # fmt: skip
     forces: Sequence[Force] | Force = field(default=(), metadata=_option(
         ListOf(FORCE), "forces on joints, base and links",

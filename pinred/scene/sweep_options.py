@@ -74,7 +74,8 @@ SWEEP_OPTIONS: Mapping[str, Option] = {
     "outputs": _option(
         Either((ListOf(Text()), ByName(Text()))),
         "what to store, by name: a field at the end of the motion, such as pose or pose.θ, or at "
-        "all report times, such as pose(t)", "x, xdot, pose and energy", "--output [NAME=]FIELD",
+        "all report times, such as pose(t); or turn, position(FRAME), peak_torque, excursion",
+        "x, xdot, pose and energy", "--outputs [NAME=]FIELD",
     ),
     "store": _option(
         Text((), "the name of a .zarr folder"),

@@ -196,6 +196,24 @@ def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> 
     return np.asarray(at_ends[step] + np.einsum("tn,tnk->tk", integrals, series[step]))
 
 
+def joint_torques(plan: Plan, t: Array, samples: Sample, numbers: Array) -> Array:
+    """Compute the torques of all forces on the joints, and of prescribed motions.
+
+    Args:
+        plan: The plan of the scene.
+        t: Times, (T,) [s].
+        samples: States that forces depend on at these times.
+        numbers: Parameters of the forces at these times, (T, p).
+    Returns:
+        (T, m) [N·m | N].
+    """
+    if plan.forces is None:
+        return read_only(np.zeros((len(t), plan.system.m)))
+    torques = np.array(plan.forces.acting(samples.force_inputs(t, numbers)).torque)
+    torques[:, list(plan.acting.driven)] += driving_torques(plan, t, samples, numbers)
+    return read_only(torques)
+
+
 def driving_torques(plan: Plan, t: Array, samples: Sample, numbers: Array) -> Array:
     """Compute the torques of the prescribed joints.
 

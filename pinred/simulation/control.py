@@ -167,7 +167,17 @@ def _measured(t: float, seen: Sample, system: System) -> SeenState:
     xdot = Vector.of(seen.xdot, system.shape_names, "xdot")
     if base is None:  # Scenes leave out the base only if no controller observes it.
         return SeenState(t, x, xdot, None, None, None, None)
-    return SeenState(t, x, xdot, *map(np.array, (base.pose, base.xi, base.mu, base.J)))
+    group = system.group
+    momenta = group.components("momentum")
+    return SeenState(
+        t,
+        x,
+        xdot,
+        Vector.of(base.pose, group.components("pose"), "pose"),
+        Vector.of(base.xi, group.components("twist"), "xi"),
+        Vector.of(base.mu, momenta, "mu"),
+        Vector.of(base.J, momenta, "J"),
+    )
 
 
 class Replay:

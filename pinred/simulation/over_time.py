@@ -9,6 +9,7 @@ import numpy as np
 
 from ..common.argument_kinds import checks_arguments
 from ..common.optional_packages import install_command, optional_package
+from ..system.entry_labels import field_attributes
 from ..system.state_fields import (
     FIELDS,
     State,
@@ -41,7 +42,9 @@ class OverTime(StateArrays):
         return with_base(self.outputs, self._name)
 
     def to_xarray(self) -> Any:
-        """Return the states as an xarray.Dataset with named joints and coordinates.
+        """Return the states as an xarray.Dataset with named joints, units and long names.
+
+        Trajectories have `torques` of the joints, too.
 
         Returns:
             Dataset over t, or over member and t for the members of simulate_many.
@@ -52,7 +55,7 @@ class OverTime(StateArrays):
         xarray = _import_package("xarray")
         labels = axis_labels(system)
         variables: dict[str, Any] = {}
-        coordinates: dict[str, Any] = {"t": outputs.t}
+        coordinates: dict[str, Any] = {"t": ("t", outputs.t, field_attributes(system, "t"))}
         leading: tuple[str, ...] = ("t",)
         if outputs.x.ndim == 3:
             leading, coordinates["member"] = ("member", "t"), np.arange(len(outputs.x))
@@ -61,13 +64,18 @@ class OverTime(StateArrays):
             if name == "t":
                 continue
             if axis is None:
-                variables[name] = (leading, values)
+                variables[name] = (leading, values, field_attributes(system, name))
                 continue
             last = dimension(system, axis)
-            variables[name] = ((*leading, last), values)
+            variables[name] = ((*leading, last), values, field_attributes(system, name))
             coordinates[last] = list(labels[axis])
+        variables |= self._further_variables()
         attributes = {"robot": system.name, "group": system.group.name}
         return xarray.Dataset(variables, coordinates, attributes)
+
+    def _further_variables(self) -> dict[str, Any]:
+        """Return variables of to_xarray besides the fields: {name: (dimensions, values, …)}."""
+        return {}
 
     def to_pandas(self) -> Any:
         """Return the states as a pandas.DataFrame with columns such as "x.elbow".

@@ -116,7 +116,7 @@ class Recording(OverTime):
         return system
 
     def save(self, path: str | Path) -> None:
-        """Write the states to a .npz, .csv, .zarr or .xml file, as `Trajectory.save` does.
+        """Write the states to a .npz, .csv, .h5, .zarr or .xml file, as `Trajectory.save` does.
 
         Args:
             path: Path of the file; its suffix selects the format.

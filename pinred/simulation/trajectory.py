@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..common.argument_kinds import checks_arguments
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
+from ..system.entry_labels import torque_unit
 from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, with_base
 from .over_time import OverTime
 from .plan import Plan, plan_of
@@ -177,6 +178,20 @@ class Trajectory(OverTime):
         return limit_table(self.plan, self.motion)
 
     @cached_property
+    def torques(self) -> Array:
+        """Torques on the joints, (T, m) [N·m | N]: of springs, forces, controllers and loads.
+
+        Gravity is not included.  A prescribed joint has the torque that its motion needs.
+        """
+        from .balances import joint_torques
+
+        return joint_torques(self.plan, self.t, *self.motion.samples(self.t))
+
+    def _further_variables(self) -> dict[str, Any]:
+        attributes = {"units": torque_unit(self.system), "long_name": "Torques on the joints"}
+        return {"torques": (("t", "joint"), self.torques, attributes)}
+
+    @cached_property
     def loop_forces(self) -> Mapping[str, Array]:
         """Forces in closed loops, {loop: (T, 6)}: force [N] and moment [N·m] of frame a on frame b.
 
@@ -266,10 +281,10 @@ class Trajectory(OverTime):
         """Write the states to a file.
 
         An InputError is raised for another suffix or a missing folder, an OutputError if writing
-        fails, and a MissingPackageError if zarr is not installed.
+        fails, and a MissingPackageError if h5py or zarr is not installed.
 
         Args:
-            path: Path of the file; its suffix, .npz, .csv, .zarr or .xml, selects the format.
+            path: Path of the file; its suffix, .npz, .csv, .h5, .zarr or .xml, selects the format.
         """
         from .trajectory_files import save
 

@@ -1,8 +1,9 @@
-"""Files of trajectories in common formats: .npz, .csv, .zarr, and keyframes of MuJoCo (.xml)."""
+"""Files of trajectories: .npz, .csv, HDF5 (.h5), .zarr, and keyframes of MuJoCo (.xml)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -11,6 +12,7 @@ import numpy as np
 from ..common.errors import LoadError
 from ..common.files import check_path, write_atomic
 from ..common.names import quoted_path
+from ..common.optional_packages import install_command, optional_package
 from ..common.zarr_folders import (
     create_array,
     create_group,
@@ -19,14 +21,13 @@ from ..common.zarr_folders import (
     replace_folder,
 )
 from ..system.body_parameters import name_in_files
+from ..system.entry_labels import column_names, field_attributes
 from ..system.locked_joints import LockValue
 from ..system.model_parameters import GRAVITY
 from ..system.state_fields import FIELDS, arrays_of, axis_labels, dimension
 from ..system.system import System
 from ..system.variants import nominal
 from .over_time import OverTime
-
-_GREEK = str.maketrans({"θ": "theta"})
 
 
 def save(traj: OverTime, path: str | Path) -> None:
@@ -36,23 +37,29 @@ def save(traj: OverTime, path: str | Path) -> None:
     and `joints`.  The arrays `source`, `lock_joints`, `lock_sizes`, `lock_values`, `gravity`,
     `root` and `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the
     robot.
-    .csv has a row for each time and columns such as `pose.x`, `x.hinge` and `energy`.
+    .csv has a row for each time and columns such as `pose.x`, `x.hinge`, `xi.vx` and `energy`.
+    .h5 (HDF5, written by h5py) has the arrays of .zarr with names of dimensions, labels, units and
+    long names, as xarray and netCDF readers understand them.
     .zarr is a folder with the arrays of .npz, dimension names, and texts as its attributes; an
     existing one is replaced.
     .xml has a keyframe of MuJoCo for each time; the robot must be from an MJCF file.
 
     InputError is raised for another suffix or a folder that does not exist, OutputError if
-    writing fails, and MissingPackageError if zarr is not installed.
+    writing fails, and MissingPackageError if h5py or zarr is not installed.
 
     Args:
         traj: A Trajectory or a Recording.
         path: Path of the file; its suffix selects the format.
     """
-    path = check_path(path, (".npz", ".csv", ".zarr", ".xml"), folders=(".zarr",))
+    path = check_path(path, (".npz", ".csv", ".h5", ".zarr", ".xml"), folders=(".zarr",))
     if path.suffix == ".zarr":
         write_zarr(path, _arrays(traj), traj.system)
         return
-    write = {".npz": _write_npz, ".csv": _write_csv, ".xml": _write_keyframes}[path.suffix]
+    if path.suffix == ".h5":
+        optional_package("h5py", f"HDF5 files need h5py: {install_command('hdf5')}")
+    write = {
+        ".npz": _write_npz, ".csv": _write_csv, ".h5": _write_hdf5, ".xml": _write_keyframes,
+    }[path.suffix]  # fmt: skip
     write_atomic(path, lambda file: write(traj, file))
 
 
@@ -170,17 +177,44 @@ def parameters_in(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _write_csv(traj: OverTime, file: BinaryIO) -> None:
-    labels, r = axis_labels(traj.system), traj.system.r
-    labels["coordinate"] = [name.translate(_GREEK) for name in labels["coordinate"]]
-    labels["twist"] = ["s"] if r == 1 else range(1, r + 1)
     names, columns = [], []
     for name, values in arrays_of(traj.outputs).items():
-        axis = FIELDS[name].axis
-        names += [name] if axis is None else [f"{name}.{label}" for label in labels[axis]]
+        names += column_names(traj.system, name)
         columns.append(values)
     header = ",".join(map(_quote_for_csv, names))
     table = np.column_stack(columns)
     np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
+
+
+def _write_hdf5(traj: OverTime, file: BinaryIO) -> None:
+    import h5py
+
+    system, arrays = traj.system, _arrays(traj)
+    stored = {name: array for name, array in arrays.items() if name in FIELDS and array.size}
+    labels = {dimension(system, axis): names for axis, names in axis_labels(system).items()}
+    buffer = BytesIO()  # HDF5 reads what it has written.
+    with h5py.File(buffer, "w") as root:
+        for name in arrays.keys() - stored.keys():
+            root.attrs[name] = arrays[name].tolist()
+        for name, array in stored.items():
+            data = root.create_dataset(name, data=array)
+            data.attrs.update(field_attributes(system, name))
+            if name == "t":  # "t" is the first of the fields.
+                data.make_scale("t")
+                continue
+            for k, dim in enumerate(_dims_of(name, array, system, 0)):
+                if dim not in root:
+                    texts = [str(label) for label in labels[dim]]
+                    root.create_dataset(dim, data=texts, dtype=h5py.string_dtype())
+                    root[dim].make_scale(dim)
+                data.dims[k].attach_scale(root[dim])
+    file.write(buffer.getvalue())
+
+
+def _split_arrays(arrays: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return arrays of floats, and texts, whole numbers and empty arrays, which are attributes."""
+    stored = {n: a for n, a in arrays.items() if a.ndim and a.size and a.dtype.kind == "f"}
+    return stored, {name: array.tolist() for name, array in arrays.items() if name not in stored}
 
 
 def _quote_for_csv(name: str) -> str:
@@ -207,15 +241,14 @@ def write_zarr(path: Path, arrays: dict[str, Any], system: System) -> None:
     import_zarr(path)
     members = len(arrays["x"]) if np.ndim(arrays["x"]) == 3 else 0
     dims = {name: _dims_of(name, array, system, members) for name, array in arrays.items()}
-    stored = {n: a for n, a in arrays.items() if a.ndim and a.size and a.dtype.kind == "f"}
+    stored, others = _split_arrays(arrays)
     labels = {dimension(system, axis): names for axis, names in axis_labels(system).items()}
 
     def write(folder: Path) -> None:
-        attributes = {name: array.tolist() for name, array in arrays.items() if name not in stored}
-        root = create_group(folder, attributes)
+        root = create_group(folder, others)
         for name, array in stored.items():
-            unit = FIELDS[name].unit if name in FIELDS else ""
-            create_array(root, name, dims[name], {"units": unit}, data=np.ascontiguousarray(array))
+            attributes = field_attributes(system, name) if name in FIELDS else {"units": ""}
+            create_array(root, name, dims[name], attributes, data=np.ascontiguousarray(array))
         for dim in sorted({entry for name in stored for entry in dims[name]} & labels.keys()):
             texts = np.array([str(label) for label in labels[dim]], dtype=object)
             coordinate = create_array(root, dim, (dim,), {}, shape=texts.shape, dtype="string")

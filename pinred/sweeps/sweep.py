@@ -71,7 +71,8 @@ def sweep(
             Default: "grid" without points, else "sobol".
         seed: Seed of the sampler.
         outputs: {name: field or function}, or a list of fields.  "pose" is the pose at the last
-            report time, "pose.θ" an entry of it, and "pose(t)" the pose at all report times.  A
+            report time, "pose.θ" an entry of it, and "pose(t)" the pose at all report times;
+            "turn", "position(FRAME)", "peak_torque" and "excursion" are others.  A
             function takes the Trajectories of many points and returns one row for each.  Default:
             x, xdot, pose and energy.
         store: Path of the zarr folder of the results; by default, a temporary folder, which is
@@ -124,8 +125,8 @@ def open_sweep(store: str | Path) -> SweepResult:
     Args:
         store: Path of the zarr folder.
     Returns:
-        The results, an xarray.Dataset; its method `point` needs the scene.  Reading a damaged
-        block raises a LoadError.
+        The results, an xarray.Dataset.  Its method `point` reads the scene from a store that the
+        same user has written.  Reading a damaged block raises a LoadError.
     Raises:
         InputError: The folder is not the store of a sweep.
         LoadError: A file that describes the store is missing or damaged.

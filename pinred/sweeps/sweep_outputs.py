@@ -8,15 +8,16 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+import pinocchio as pin
 
 from ..common.argument_kinds import call_function
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ShapeError
-from ..common.names import brief, listed, nearest, quoted
+from ..common.names import brief, component_index, joint_index, listed, nearest, quoted
 from ..scene.scene import Scene
 from ..simulation.members.trajectories import Trajectories
+from ..system.entry_labels import entry_names, label_entries
 from ..system.state_fields import FIELDS, ShapeState, State, dimension
-from .labels import label_entries, plain_label
 
 Function: TypeAlias = Callable[[Trajectories], Any]
 Outputs: TypeAlias = Mapping[str, str | Function] | Sequence[str]
@@ -77,6 +78,110 @@ class Output:
         return as_floats(values, f"outputs: the values of {name}")
 
 
+@dataclass(frozen=True)
+class Measure:
+    """A named quantity of a motion, which a sweep stores for each point.
+
+    Attributes:
+        kind: A name in MEASURES.
+        entry: Index of a joint, or of a coordinate of a position; None for the largest or for all.
+        frame: Name of the frame whose position is stored.
+    """
+
+    kind: str
+    entry: int | None
+    frame: str = ""
+
+    def __call__(self, many: Trajectories) -> Array:
+        """Return one row for each member; NaN for members that did not reach their end.
+
+        Args:
+            many: The members.
+        """
+        rows: Array = getattr(self, f"_{self.kind}")(many)
+        if self.entry is not None:
+            return np.asarray(rows[:, self.entry])
+        return np.asarray(rows if self.kind in ("position", "turn") else rows.max(axis=1))
+
+    def _turn(self, many: Trajectories) -> Array:
+        group, pose = many.system.group, many.fields(["pose"])["pose"]
+        if group.turns == 1:
+            return np.asarray(np.rad2deg(pose[:, -1, -1] - pose[:, 0, -1]))
+        return np.asarray(np.rad2deg(group.error(pose[:, 0], pose[:, -1]).rotation))
+
+    def _excursion(self, many: Trajectories) -> Array:
+        space, x = many.system.space, many.fields(["x"])["x"]
+        if space.balls:
+            x = np.stack([space.chart(row) for row in x])
+        return np.asarray(np.abs(x - x[:, :1]).max(axis=1))
+
+    def _peak_torque(self, many: Trajectories) -> Array:
+        failed = {failure.member for failure in many.failures}
+        rows = np.full((len(many), many.system.m), np.nan)
+        for k in range(len(many)):
+            if k not in failed:
+                rows[k] = np.abs(many[k].torques).max(axis=0)
+        return rows
+
+    def _position(self, many: Trajectories) -> Array:
+        failed = {failure.member for failure in many.failures}
+        rows = np.full((len(many), 3), np.nan)
+        for k, q in enumerate(many.fields(["q"])["q"][:, -1]):
+            if k not in failed and np.isfinite(q).all():
+                model = many[k].system.model  # Members may have robot parameters of their own.
+                data = model.createData()
+                pin.framesForwardKinematics(model, data, q)
+                rows[k] = data.oMf[model.getFrameId(self.frame)].translation
+        return rows
+
+
+# The named quantities, with their form in texts and their meaning.
+MEASURES: Mapping[str, tuple[str, str]] = {
+    "turn": ("turn", "turn of the base from the first to the last report time, in degrees"),
+    "position": ("position(FRAME)", "position of a frame at the end, in the world"),
+    "peak_torque": ("peak_torque", "largest torque on a joint at the report times"),
+    "excursion": ("excursion", "largest distance of a joint from its first value"),
+}
+_MEASURE = re.compile(r"(\w+?)(?:\((.+)\))?(?:\.([^()]+))?")
+
+
+def _measure(scene: Scene, name: str, text: str) -> Output | None:
+    """Return the output of a named quantity, such as "turn" or "position(tool).x"; None if none."""
+    match = _MEASURE.fullmatch(text)
+    if (
+        match is None
+        or match[1] not in MEASURES
+        or (match[2] is not None) != (match[1] == "position")
+    ):
+        return None
+    kind, frame, label = match[1], match[2] or "", match[3]
+    system, what = scene.system, f"outputs: {quoted(name)}"
+    if kind in ("turn", "position") and scene.outputs != "all":
+        raise InputError(f"{what}: the scene has outputs='shape', which leaves out the base")
+    if kind == "turn" and (not system.group.turns or label is not None):
+        raise InputError(f"{what}: expected turn without an entry, of a base that can turn")
+    frames = [str(entry.name) for entry in system.model.frames]
+    if frame and frame not in frames:
+        raise InputError(
+            f"{what}: no frame {quoted(frame)}; {nearest(frame, frames)}the frames are "
+            f"{listed(frames, 60)}"
+        )
+    entry, units = None, ["°"] if kind == "turn" else ["m"]
+    if kind in ("peak_torque", "excursion"):
+        if not system.m:
+            raise InputError(f"{what}: {quoted(system.name)} has no joints")
+        is_torque = kind == "peak_torque"
+        units = [("N" if unit == "m" else "N·m") if is_torque else unit for unit in system.units]
+    if label is not None and kind == "position":
+        entry = component_index(label, {"x": 0, "y": 1, "z": 2}, what)
+    elif label is not None:
+        entry = joint_index(label, system.shape_names, what)
+        units = [units[entry]]
+    unit = " | ".join(dict.fromkeys(units))
+    over_time = kind != "position"
+    return Output(name, "", None, over_time, Measure(kind, entry, frame), dims=(), unit=unit)
+
+
 def parse_outputs(scene: Scene, outputs: Outputs | None) -> tuple[Output, ...]:
     """Return the outputs of a sweep.
 
@@ -111,27 +216,29 @@ def _fields_of(scene: Scene) -> list[str]:
 def _output(scene: Scene, name: str, value: str | Function, known: Sequence[str]) -> Output:
     if callable(value):
         return Output(name, "", None, over_time=True, function=value, dims=(), unit="")
+    if isinstance(value, str) and (measure := _measure(scene, name, value)) is not None:
+        return measure
     match = _FIELD.fullmatch(value) if isinstance(value, str) else None
     if match is None or match[1] not in known:
         near = nearest(match[1], known) if match else ""
         raise InputError(
             f"outputs: {quoted(name)}: expected a function or a field, got {brief(value)}; {near}"
             f"the fields are {listed(known, 60)}, each also as FIELD.ENTRY, and over time as "
-            "FIELD(t)"
+            f"FIELD(t); and {', '.join(form for form, _ in MEASURES.values())}"
         )
     field, label, over_time = match[1], match[2], match[3] is not None
     dims, entry = ("t",) * over_time, None
     labels = label_entries(scene.system, field)
     unit = " | ".join(dict.fromkeys(unit for _, unit in labels)) or FIELDS[field].unit
     if label is not None:
-        plain = [plain_label(text) for text, _ in labels]
-        if FIELDS[field].axis is None or plain_label(label) not in plain:
+        names = entry_names(scene.system, field)
+        if FIELDS[field].axis is None or label not in names:
             entries = listed([text for text, _ in labels], 60) or "none"
             raise InputError(
                 f"outputs: {quoted(name)}: {field} has no entry {quoted(label)}; "
-                f"{nearest(label, plain)}the entries are {entries}"
+                f"{nearest(label, list(names))}the entries are {entries}"
             )
-        entry = plain.index(plain_label(label))
+        entry = names[label]
         unit = labels[entry][1] or unit
     elif (axis := FIELDS[field].axis) is not None:
         dims = (*dims, dimension(scene.system, axis))

@@ -17,6 +17,7 @@ from ..simulation.members.member_groups import members_plan
 from .sweep_job import SweepJob
 
 FORMAT = 2  # Version of the files of a store; those of 1 have no checksums.
+_SHORT = 64  # largest number of entries of an array in the plan
 _FIRST = 16  # number of points in the plan; versions of NumPy and SciPy may change them
 
 
@@ -33,7 +34,7 @@ def plan_of_sweep(job: SweepJob) -> dict[str, Any]:
         "format": FORMAT,
         "pinred": __version__,
         "robot": job.varied.scene.system.name,
-        "scene": _digest_of_scene(job.varied.scene),
+        "scene": _parts_of_scene(job.varied.scene),
         "vary": {
             number.key: repr(law)
             for number, law in zip(job.varied.numbers, sequence.laws, strict=True)
@@ -62,13 +63,27 @@ def digest_of_parts(parts: dict[str, Any]) -> str:
     return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def changed_part(old: dict[str, Any], new: dict[str, Any]) -> str:
-    """Return the name of the first part in which two plans differ; "" if they are equal."""
-    return next((name for name in new if old.get(name) != new[name]), "")
+def first_difference(old: Any, new: Any) -> tuple[tuple[str, ...], Any, Any]:
+    """Return where two plans first differ, and both values there.
+
+    Args:
+        old: A plan or a part of it.
+        new: The other one.
+    Returns:
+        The names on the path to the first difference, () if there is none; the value of `old`
+        there, and that of `new`; None for a missing one.
+    """
+    if not (isinstance(old, dict) and isinstance(new, dict)):
+        return (), old, new
+    for name in (*new, *old):
+        if old.get(name) != new.get(name):
+            path, *values = first_difference(old.get(name), new.get(name))
+            return (name, *path), values[0], values[1]
+    return (), None, None
 
 
-def _digest_of_scene(scene: Scene) -> str:
-    """Return a text that identifies all numbers of a scene and its expressions."""
+def _parts_of_scene(scene: Scene) -> dict[str, Any]:
+    """Return numbers and digests, by option, that identify all numbers and expressions."""
     plan, given, watched = members_plan(scene), scene.given, scene.watched
     forces, varied = plan.forces, scene.varied
     held = [] if forces is None else forces.held
@@ -77,24 +92,36 @@ def _digest_of_scene(scene: Scene) -> str:
         for controller, _ in held
     ]
     events = [[event.name, event.direction, event.terminal] for event in scene.events_given]
-    settings = [
-        None if forces is None else repr(forces.key), controllers, events,
-        watched and [watched.text, watched.numbers(scene.parameters).tolist()],
-        None if varied is None else list(varied.names),
-        {name: np.ravel(value).tolist() for name, value in scene.parameters.items()},
-        repr(plan.method), scene.end, scene.outputs, given.mu is None,
-    ]  # fmt: skip
-    digest = sha256(model_bytes(scene.system))
-    if forces is not None:
-        digest.update(forces.tables.digest)
-    digest.update(json.dumps(settings, default=repr).encode())
-    arrays = (
-        given.pose, given.x, given.xdot, given.motion, plan.numbers, plan.stops,
-        scene.report_times, scene.system.gravity,
-    )  # fmt: skip
-    for array in arrays:
-        digest.update(repr(np.shape(array)).encode() + np.asarray(array, dtype=float).tobytes())
-    return digest.hexdigest()
+    seen = watched and [watched.text, watched.numbers(scene.parameters).tolist()]
+    return {
+        "robot": sha256(model_bytes(scene.system)).hexdigest(),
+        "gravity": _part(scene.system.gravity),
+        "x0": _part(given.x[0]),
+        "xdot0": _part(given.xdot[0]),
+        "pose0": _part(given.pose[0]),
+        "xi0" if given.mu is None else "momentum": _part(given.motion[0]),
+        "duration": scene.end,
+        "times": _part(scene.report_times),
+        "outputs": scene.outputs,
+        "method": repr(plan.method),
+        "parameters": {name: _part(value) for name, value in scene.parameters.items()},
+        "varied parameters": None if varied is None else list(varied.names),
+        "events": _part([events, seen]),
+        "forces": _part([None if forces is None else repr(forces.key), controllers]),
+        "tables": None if forces is None else forces.tables.digest.hex(),
+        "numbers of springs, forces and prescribed joints": _part(plan.numbers),
+        "stops": _part(plan.stops),
+    }
+
+
+def _part(value: Any) -> Any:
+    """Return a short array as a list of its numbers, and other values as their digest."""
+    if isinstance(value, list):
+        return sha256(json.dumps(value, default=repr).encode()).hexdigest()
+    array = np.asarray(value, dtype=float)
+    if array.size <= _SHORT:
+        return array.tolist()
+    return sha256(repr(array.shape).encode() + array.tobytes()).hexdigest()
 
 
 def _text_of_function(function: Any) -> str:

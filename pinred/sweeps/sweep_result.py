@@ -11,11 +11,12 @@ import xarray
 from zarr.storage import LocalStore, WrapperStore
 
 from ..common.argument_kinds import checks_arguments
-from ..common.errors import InputError, LoadError, PinredError
+from ..common.errors import LoadError, PinredError
 from ..common.names import brief, quoted_path
 from ..common.zarr_folders import array_name
 from ..simulation.members.trajectories import Failure
-from .sweep_store import StoredBlocks, read_blocks, read_plan
+from .stored_job import read_job
+from .sweep_store import PLAN, StoredBlocks, read_blocks, read_plan
 
 if TYPE_CHECKING:
     from ..simulation.trajectory import Trajectory
@@ -42,16 +43,14 @@ class SweepResult(xarray.Dataset):  # type: ignore[no-untyped-call]
         Returns:
             Its trajectory.
         Raises:
-            InputError: There is no such point, its values are rejected, or the results were read
-                without their scene.
+            InputError: There is no such point, its values are rejected, or the results were opened
+                by another user, or their scene contains functions.
             IntegrationError: The point did not reach its end time.
         """
         job: SweepJob | None = self.encoding.get(_JOB)
         if job is None:
-            raise InputError(
-                "point: these results were read without their scene. Call pinred.sweep with the "
-                "scene and the same store, which computes nothing again"
-            )
+            path = Path(self.encoding[_SOURCE])
+            job = read_job(path / PLAN, read_plan(path)["hash"])
         return job.trajectory(index)
 
     @property

@@ -41,16 +41,19 @@ from ..common.files import (
     remove_temporary_files,
     write_atomic,
 )
-from ..common.names import listed, quoted, quoted_path
+from ..common.names import listed, plain, quoted, quoted_path
 from ..common.zarr_folders import array_name, create_array, import_zarr, open_group
 from ..system.state_fields import axis_labels, dimension
+from .stored_job import write_job
 from .sweep_job import MISSING, REJECTED, Block, SweepJob, check_row_shape
-from .sweep_plan import FORMAT, changed_part, digest_of_parts, plan_of_sweep
+from .sweep_plan import FORMAT, digest_of_parts, first_difference, plan_of_sweep
 
-_PLAN = "plan"
-_PLAN_FILE, _CHECKSUMS = f"{_PLAN}/plan.json", f"{_PLAN}/files.json"
+PLAN = "plan"
+_PLAN_FILE, _CHECKSUMS = f"{PLAN}/plan.json", f"{PLAN}/files.json"
 # Zarr reserves or changes these names, or the file system has none for them.
 _INVALID = re.compile(r"^(\.|__)|[\\\0\ud800-\udfff]")
+_DIGEST = re.compile("[0-9a-f]{60}|…")
+_LONGEST_VALUE = 120  # largest number of characters of a value in a message
 _LONGEST = 80  # Longest name of a variable [bytes], because names of files are limited.
 _MOST_BYTES = 2**28  # Largest accepted size of a file that is not a chunk [bytes].
 _DIFFERENCES = {
@@ -281,6 +284,7 @@ class SweepStore:
                 restored.append(f"block {index}")
             self._pending.append(index)
             self._clear(blocks, index, is_damaged)
+        write_job(self.path / PLAN, self.job, self._plan["hash"])
         if restored:
             warnings.warn(
                 f"missing or damaged parts of the store {quoted_path(self.path)} are written "
@@ -300,10 +304,9 @@ class SweepStore:
                 return
             raise
         if plan["hash"] != self._plan["hash"]:
-            part = changed_part(plan, self._plan)
-            other = _DIFFERENCES.get(part, f"{part}={plan.get(part)!r}")
             raise InputError(
-                f"store: {name} was written for {other}. Choose another name, or delete the folder"
+                f"store: {name} was written for {_difference(plan, self._plan)}. Choose another "
+                "name, or delete the folder"
             )
 
     def _remove_partial_files(self) -> None:
@@ -429,7 +432,7 @@ class SweepStore:
                 continue  # The shape is unknown before the first block.
             attributes = {"units": output.unit, "name": output.name}
             self._new_array(root, output.name, shape, dims, attributes)
-        root.create_group(_PLAN)
+        root.create_group(PLAN)
         files = {key: bytes(memory[key].to_bytes()) for key in sorted(memory)}
         checksums = {name: sha256(content).hexdigest() for name, content in files.items()}
         text = json.dumps(self._plan, indent=1, ensure_ascii=False)
@@ -515,7 +518,7 @@ _WRITE_ALL = {"write_empty_chunks": True}
 
 
 def _record_file(index: int) -> str:
-    return f"{_PLAN}/{index:08d}.json"
+    return f"{PLAN}/{index:08d}.json"
 
 
 def _make_way(path: Path) -> None:
@@ -575,6 +578,20 @@ def _unsealed(data: bytes) -> dict[str, Any] | None:
     return content
 
 
+def _difference(old: dict[str, Any], new: dict[str, Any]) -> str:
+    """Return the first difference of two plans in words."""
+    (part, *names), before, now = first_difference(old, new)
+    if not names:
+        return _DIFFERENCES.get(part, f"{part}={before!r}")
+    words, place = _DIFFERENCES[part], ".".join(names)
+    texts = [
+        "none" if value is None else plain(str(value), _LONGEST_VALUE) for value in (before, now)
+    ]
+    if any(_DIGEST.search(text) for text in texts):
+        return f"{words}: other {place}"
+    return f"{words}: {place} is {texts[0]} there, and {texts[1]} here"
+
+
 def _labels_of(job: SweepJob) -> dict[str, Any]:
     """Return the labels of the entries of fields, by dimension."""
     system = job.varied.scene.system
@@ -583,7 +600,7 @@ def _labels_of(job: SweepJob) -> dict[str, Any]:
 
 def _check_names(job: SweepJob) -> None:
     """Raise an InputError if a variable has no valid name of its own."""
-    used = dict.fromkeys(("point", "status", "t", _PLAN, *_labels_of(job)), "a variable of pinred")
+    used = dict.fromkeys(("point", "status", "t", PLAN, *_labels_of(job)), "a variable of pinred")
     names = [("vary", number.key) for number in job.varied.numbers]
     for argument, name in names + [("outputs", output.name) for output in job.outputs]:
         plain = array_name(name)
@@ -653,7 +670,7 @@ def read_blocks(path: Path, plan: Mapping[str, Any]) -> StoredBlocks:
     names = ["status", *map(array_name, plan["vary"]), *fields]
     rows = {name: _row_shape(path, name, plan) for name in names}
     if not has_checksums:
-        _check_labels(path, {*names, *functions, _PLAN})
+        _check_labels(path, {*names, *functions, PLAN})
     blocks = StoredBlocks(
         path, plan["points"], plan["block"], rows, frozenset(kinds), has_checksums
     )

@@ -17,10 +17,10 @@ from ..common.parameter import Parameter, VectorParameter, value_in
 from ..forces.signals import Constant
 from ..scene.scene import Scene
 from ..simulation.members.member_parameters import force_parameters
+from ..system.entry_labels import entry_names, label_entries
 from ..system.model_parameters import ModelParameters, kinds_near, size_of
 from ..system.system import System
 from ..system.variants import nominal
-from .labels import label_entries, plain_label
 
 _XYZ = ("x", "y", "z")
 # Labels of the entries of robot parameters with several entries, by kind.
@@ -138,14 +138,17 @@ class VariedScene:
         word, _, end = key.partition(".")
         states = _states(scene)
         parameters = _parameters_of(scene)
-        names = [f"{key}.{label}" for label in [*states.get(key, ())] or _labels_of(system, key)]
+        names = [
+            f"{key}.{label}"
+            for label in _first_names(states.get(key, {})) or _labels_of(system, key)
+        ]
         names += [p.name for p in parameters.values() if p.place and p.place[0].name == key]
         if names:
             raise InputError(
                 f"vary: {quoted(key)} is a vector. Vary some of its entries: {listed(names, 60)}"
             )
-        if word in states and plain_label(end) in states[word]:
-            entry, unit = states[word][plain_label(end)]
+        if word in states and end in states[word]:
+            entry, unit = states[word][end]
             return VariedNumber(key, word, entry, unit)
         if key in parameters:
             if (place := parameters[key].place) is not None:
@@ -181,18 +184,27 @@ def _parameters_of(scene: Scene) -> dict[str, Parameter]:
 
 
 def _states(scene: Scene) -> dict[str, dict[str, tuple[int, str]]]:
-    """Return {option: {label: (entry, unit)}} of the initial state."""
+    """Return {option: {name: (entry, unit)}} of the initial state, by all names of an entry."""
     system = scene.system
     motion = "momentum" if scene.given.mu is not None else "xi0"
-    names = {"x0": "chart", "xdot0": "joint_rate", "pose0": "pose", motion: motion}
+    fields_of_options = {"x0": "chart", "xdot0": "joint_rate", "pose0": "pose0", motion: motion}
     return {
         option: {
-            plain_label(label): (k, unit)
-            for k, (label, unit) in enumerate(label_entries(system, name))
-            if not (option == "pose0" and label.startswith("q"))  # entries of a unit quaternion
+            name: (k, units[k])
+            for name, k in entry_names(system, field).items()
+            if not (option == "pose0" and name.startswith("q"))  # entries of a unit quaternion
         }
-        for option, name in names.items()
+        for option, field in fields_of_options.items()
+        for units in [[unit for _, unit in label_entries(system, field)]]
     }
+
+
+def _first_names(entries: Mapping[str, tuple[int, str]]) -> list[str]:
+    """Return the first name of each entry."""
+    names: dict[int, str] = {}
+    for name, (entry, _) in entries.items():
+        names.setdefault(entry, name)
+    return list(names.values())
 
 
 def _robot_number(system: System, key: str) -> VariedNumber | None:
@@ -311,7 +323,11 @@ def _nominal(scene: Scene, member: str) -> Array:
 
 def _hint(scene: Scene, key: str) -> str:
     """Return a list of the numbers that can vary, with the nearest one first."""
-    states = [f"{name}.{label}" for name, entries in _states(scene).items() for label in entries]
+    states = [
+        f"{option}.{label}"
+        for option, entries in _states(scene).items()
+        for label in _first_names(entries)
+    ]
     system = scene.system
     own = list(_parameters_of(scene))
     forces: tuple[Any, ...] = vars(scene)["forces"]

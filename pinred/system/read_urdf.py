@@ -24,7 +24,7 @@ from ..common.library_output import library_output
 from ..common.names import plain_path
 from .loops.loop import Loop
 from .passive import Spring
-from .rebuild import RATE_LIMITS, NewJoint, rebuild
+from .rebuild import NewJoint, rebuild
 from .robot_file_contents import Coupling, LeftOut
 from .robot_files import read_xml
 from .split_joints import copy_losses
@@ -157,12 +157,6 @@ def with_other_joints(model: pin.Model, special: Mapping[str, NewJoint]) -> pin.
     replaced = {int(model.getJointId(name)): [joint] for name, joint in special.items()}
     rebuilt = rebuild(model, replaced=replaced)
     copy_losses(model, rebuilt, dict.fromkeys(replaced, ()))
-    for i in range(1, model.njoints):
-        if i not in replaced:
-            old, new = model.joints[i], rebuilt.joints[rebuilt.getJointId(str(model.names[i]))]
-            for array in RATE_LIMITS:
-                values = getattr(model, array)[old.idx_v : old.idx_v + old.nv]
-                getattr(rebuilt, array)[new.idx_v : new.idx_v + new.nv] = values
     return rebuilt
 
 

@@ -23,7 +23,7 @@ from .robot_file_contents import Coupling
 # Prismatic joints along x, y and z, which are faster than the last one, for an arbitrary axis.
 PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)
 REVOLUTE = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned)
-RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
+_RATE_LIMITS = ("lowerVelocityLimit", "upperVelocityLimit", "lowerEffortLimit", "upperEffortLimit")
 _ALIGNED = 1e-9  # largest deviation of a unit axis from x, y or z that counts as round-off
 
 
@@ -137,6 +137,7 @@ def rebuild(
         armature = None if chain is None else chain.armature
         base = builder.add_joint(0, root, at, _unused_name(raw, chain), armature=armature)
         model.addJointFrame(base)
+    copied: dict[int, int] = {}  # {joint of the old model: joint of the new model}
     carriers = {0: _Carrier(base if chain is None else 0, pin.SE3.Identity())}
     model.inertias[base] += raw.inertias[0]
     on_root = {} if chain is None else places_on_root(raw, chain)
@@ -166,7 +167,7 @@ def rebuild(
                 armature=raw.armature[joint.idx_v : joint.idx_v + joint.nv],
                 limits=[raw.lowerPositionLimit[qs], raw.upperPositionLimit[qs]],
             )
-            carrier = _Carrier(k, pin.SE3.Identity())
+            carrier, copied[i] = _Carrier(k, pin.SE3.Identity()), k
         model.appendBodyToJoint(carrier.joint, raw.inertias[i], carrier.placement)
         carriers[i] = carrier
     for number, frame in enumerate(raw.frames):
@@ -176,7 +177,13 @@ def rebuild(
         model.addFrame(
             pin.Frame(frame.name, on.joint, 0, on.placement * frame.placement, frame.type), False
         )
-    return builder.finish()
+    model = builder.finish()
+    for i, k in copied.items():
+        old, new = raw.joints[i], model.joints[k]
+        for kind in _RATE_LIMITS:
+            limits = getattr(raw, kind)[old.idx_v : old.idx_v + old.nv]
+            getattr(model, kind)[new.idx_v : new.idx_v + new.nv] = limits
+    return model
 
 
 def _add_chain(builder: ModelBuilder, on: int, at: pin.SE3, chain: Sequence[NewJoint]) -> int:
@@ -210,12 +217,6 @@ def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
     if not mimics:
         return model.copy(), ()
     plain = rebuild(model, replaced={i: [_joint_of_mimic(model, i)] for i in mimics})
-    for old, name in zip(model.joints, model.names, strict=True):
-        if old.nv:
-            new = plain.joints[plain.getJointId(name)]
-            for kind in RATE_LIMITS:
-                limits = getattr(model, kind)[old.idx_v : old.idx_v + old.nv]
-                getattr(plain, kind)[new.idx_v : new.idx_v + new.nv] = limits
     leaders = {
         model.joints[k].idx_v: model.names[k] for k in range(1, model.njoints) if k not in mimics
     }

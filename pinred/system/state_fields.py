@@ -210,9 +210,40 @@ def axis_labels(system: System) -> dict[Axis, Sequence[Any]]:
         "joint": system.shape_names,
         "twist": system.group.twist_names,
         "coordinate": system.group.pose_names,
-        "nq": range(system.model.nq),
-        "nv": range(system.model.nv),
+        **_model_labels(system),
     }
+
+
+# Labels of the entries of joints with several coordinates, by (nq, nv).
+_JOINT_ENTRIES: Mapping[tuple[int, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
+    (2, 1): (("cos", "sin"), ("",)),
+    (4, 3): (("qx", "qy", "qz", "qw"), ("x", "y", "z")),
+}
+
+
+def _model_labels(system: System) -> dict[Axis, Sequence[str]]:
+    """Return labels of the entries of q and v of the model: "base.x", "elbow", "wheel.cos"."""
+    group, model = system.group, system.model
+    joints, names = model.joints[1:] if model.njoints > 1 else [], list(model.names)[1:]
+    q: list[str] = []
+    v: list[str] = []
+    for k, (name, joint) in enumerate(zip(names, joints, strict=True)):
+        pair = (joint.nq, joint.nv)
+        if k == 0:
+            turn = ("cos", "sin") if joint.nq == group.size + 1 else group.pose_names[-1:]
+            own: tuple[Sequence[str], Sequence[str]] = (
+                (*group.pose_names[:-1], *turn), group.velocity_names,
+            )  # fmt: skip
+            name = "base"
+        elif joint.shortname() == "JointModelPlanar":
+            own = ("x", "y", "cos", "sin"), ("vx", "vy", "w")
+        elif pair in ((1, 1), *_JOINT_ENTRIES):
+            own = _JOINT_ENTRIES.get(pair, (("",), ("",)))
+        else:
+            own = [str(i) for i in range(joint.nq)], [str(i) for i in range(joint.nv)]
+        for labels, entries in zip((q, v), own, strict=True):
+            labels += [f"{name}.{entry}" if entry else name for entry in entries]
+    return {"nq": q, "nv": v}
 
 
 def dimension(system: System, axis: Axis) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +15,9 @@ from .robot_file_contents import LeftOut, LimitKind, StatedLimit
 from .system import System
 from .urdf_elements import UNLIMITED
 from .variants import nominal
+
+if TYPE_CHECKING:
+    pass
 
 POSITION, VELOCITY, EFFORT = ("joint limits", "velocity limits", "effort limits")
 
@@ -48,6 +53,47 @@ def stated_limits(
     return tuple(
         LeftOut(kind, tuple(joints), demanded=True) for kind, joints in names.items() if joints
     )
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """The lowest and highest values of the joints of a shape; infinite where the file states none.
+
+    Attributes:
+        position: Positions, (m, 2) [rad | m]; infinite for continuous joints and balls.
+        rate: Rates, (m, 2) [rad/s | m/s].
+        effort: Torques, (m, 2) [N·m | N].
+    """
+
+    position: Array
+    rate: Array
+    effort: Array
+
+
+def joint_limits(system: System) -> JointLimits:
+    """Return the limits in a robot's file; a rate or effort limit of zero is none.
+
+    Args:
+        system: The robot.
+    """
+    model, m = system.model, system.m
+    position, rate, effort = (np.tile([-np.inf, np.inf], (m, 1)) for _ in range(3))
+    first: dict[int, int] = {}
+    for k, i in enumerate(system.joints):
+        joint = model.joints[i]
+        q, v = joint.idx_q, joint.idx_v + k - first.setdefault(i, k)
+        if joint.nq == 1:
+            position[k] = model.lowerPositionLimit[q], model.upperPositionLimit[q]
+        rate[k] = model.lowerVelocityLimit[v], model.upperVelocityLimit[v]
+        effort[k] = model.lowerEffortLimit[v], model.upperEffortLimit[v]
+    for limits in (position, rate, effort):
+        none = np.abs(limits) >= UNLIMITED
+        if limits is not position:
+            none |= limits == 0.0
+            # Pinocchio's parser of URDF stores the one limit of the file as the lower one, too.
+            limits[:, 0] = -np.abs(limits[:, 0])
+        limits[none] = np.tile([-np.inf, np.inf], (m, 1))[none]
+    return JointLimits(position, rate, effort)
 
 
 def _nonzero(limits: Array) -> Array:

@@ -21,7 +21,7 @@ from pinred.system.catalogue import bundled_robots
 
 def test_compare_prints_verdict_and_exits_with_zero(capsys: pytest.CaptureFixture[str]) -> None:
     """The table of the comparison is printed."""
-    code, out, err = run(capsys, "compare", "falling_cat", "--time", "1")
+    code, out, err = run(capsys, "compare", "falling_cat", "--duration", "1")
     assert (code, err) == (0, "")
     assert "SE3 ×" in out
     assert "verdict: PASSED" in out
@@ -32,7 +32,7 @@ def test_compare_prints_verdict_and_exits_with_zero(capsys: pytest.CaptureFixtur
 def test_compare_accepts_prescribed_joint_and_method(capsys: pytest.CaptureFixture[str]) -> None:
     """Values by joint, a formula and a method with options pass the comparison."""
     code, out, err = run(
-        capsys, "compare", "falling_cat", "--time", "0.5", "--x0", "bend=-0.5,twist=0.3",
+        capsys, "compare", "falling_cat", "--duration", "0.5", "--x0", "bend=-0.5,twist=0.3",
         "--momentum", "0", "--prescribed", "sway=0.4*(1 - cos(pi*t))", "--method", "Radau",
     )  # fmt: skip
     assert (code, err) == (0, "")
@@ -44,7 +44,7 @@ def test_compare_that_cannot_tell_exits_with_three(capsys: pytest.CaptureFixture
     """The verdict is neither PASSED nor FAILED."""
     code, out, _ = run(
         capsys, "compare", "double_spherical_pendulum", "--x0", "2,1,2.5", "--xdot0", "4,-5,6",
-        "--xi0", "3", "--time", "15", "--rtol", "1e-6", "--atol", "1e-8",
+        "--xi0", "3", "--duration", "15", "--rtol", "1e-6", "--atol", "1e-8",
     )  # fmt: skip
     assert code == 3
     assert "verdict: CANNOT TELL" in out
@@ -53,7 +53,7 @@ def test_compare_that_cannot_tell_exits_with_three(capsys: pytest.CaptureFixture
 def test_compare_with_long_steps_exits_with_one(capsys: pytest.CaptureFixture[str]) -> None:
     """The steps are too long for the tolerance."""
     code, out, _ = run(
-        capsys, "compare", "falling_cat", "--time", "2", "--method", "RKMK4(0.1)",
+        capsys, "compare", "falling_cat", "--duration", "2", "--method", "RKMK4(0.1)",
     )  # fmt: skip
     assert code == 1
     assert "verdict: FAILED" in out
@@ -61,7 +61,7 @@ def test_compare_with_long_steps_exits_with_one(capsys: pytest.CaptureFixture[st
 
 def test_compare_prints_the_seed(capsys: pytest.CaptureFixture[str]) -> None:
     """The seed of a random state allows repeating the run."""
-    code, out, _ = run(capsys, "compare", "rigid_body", "--seed", "3", "--time", "1")
+    code, out, _ = run(capsys, "compare", "rigid_body", "--seed", "3", "--duration", "1")
     assert code == 0
     assert "seed 3" in out
 
@@ -114,7 +114,15 @@ def test_simulate_writes_states_of_the_python_api(
     """Other tools can open the files."""
     path = tmp_path / f"traj{suffix}"
     code, out, _ = run(
-        capsys, "simulate", "coupled_planar", "--time", "2", "--samples", "5", "--out", str(path)
+        capsys,
+        "simulate",
+        "coupled_planar",
+        "--duration",
+        "2",
+        "--samples",
+        "5",
+        "--out",
+        str(path),
     )
     assert code == 0
     assert str(path) in out
@@ -167,7 +175,7 @@ def test_robots_lists_bundled_robots(capsys: pytest.CaptureFixture[str]) -> None
 def test_both_engines_pass_the_comparison(capsys: pytest.CaptureFixture[str]) -> None:
     """The table names the engine."""
     for engine in ("compiled", "pinocchio"):
-        code, out, _ = run(capsys, "compare", "cartpole", "--time", "1", "--engine", engine)
+        code, out, _ = run(capsys, "compare", "cartpole", "--duration", "1", "--engine", engine)
         assert code == 0
         assert f"reduced ({engine})" in out
     code, _, err = run(capsys, "compare", "cartpole", "--engine", "steam")
@@ -180,7 +188,7 @@ def test_cache_lists_and_clears_kernels(
 ) -> None:
     """The cache is listed, cleared and empty."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path / "kernels"))
-    assert run(capsys, "compare", "cartpole", "--time", "0.1")[0] == 0
+    assert run(capsys, "compare", "cartpole", "--duration", "0.1")[0] == 0
     code, out, _ = run(capsys, "cache")
     assert code == 0
     assert out.startswith("2 compiled objects, ")
@@ -249,11 +257,11 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
             "breaks the SO2 symmetry",
         ),
         (("compare", "good.urdf", "--lock", "knee"), "no joint 'knee'; the joints are elbow"),
-        (("compare", "good.urdf", "--time", "0"), "duration must be finite and above zero"),
-        (("compare", "good.urdf", "--time", "-3"), "duration"),
-        (("compare", "good.urdf", "--time", "soon"), "--time"),
+        (("compare", "good.urdf", "--duration", "0"), "duration must be finite and above zero"),
+        (("compare", "good.urdf", "--duration", "-3"), "duration"),
+        (("compare", "good.urdf", "--duration", "soon"), "--duration"),
         (("compare", "good.urdf", "--rtol", "nan"), "rtol"),
-        (("compare", "good.urdf", "--x0", "1,2"), r"x0 must have shape (1,) (elbow)"),
+        (("compare", "good.urdf", "--x0", "1,2"), r"x0: expected 1 number: elbow, got 2"),
         (("compare", "good.urdf", "--x0", "nan"), "finite"),
         (("compare", "good.urdf", "--x0", "a"), "--x0 takes numbers"),
         (("compare", "good.urdf", "--x0", "elbow=a"), "--x0 takes numbers, or JOINT=NUMBER for"),
@@ -281,7 +289,7 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
             "method 'Gauss' needs a step",
         ),
         (("compare", "good.urdf", "--gravity", "1,2"), "gravity must have shape (3,)"),
-        (("compare", "good.urdf", "--spring", "elbow"), "--spring takes JOINT=STIFFNESS"),
+        (("compare", "good.urdf", "--springs", "elbow"), "--springs takes JOINT=STIFFNESS"),
         (("inspect", "good.urdf", "--at", "0,0"), "must have shape (1,)"),
         (("simulate", "good.urdf", "--out", "traj.txt"), "suffix must be .npz or .csv"),
         (("simulate", "good.urdf", "--out", "no/traj.npz"), "no folder"),

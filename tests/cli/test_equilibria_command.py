@@ -23,7 +23,7 @@ def test_equilibria_prints_the_table_of_python(capsys: pytest.CaptureFixture[str
 def test_equilibria_options_match_python(capsys: pytest.CaptureFixture[str]) -> None:
     """Momenta of wheels and springs have the effect they have in Python."""
     arguments = ("--momentum", "0.5", "--starts", "30", "--cyclic", "wheel_x=0.3,wheel_y=-0.2")
-    spring = ("--spring", "panel_hinge=0.5,0.2", "--seed", "3")
+    spring = ("--springs", "panel_hinge=0.5,0.2", "--seed", "3")
     assert main(["equilibria", "reaction_wheel_satellite", *arguments, *spring]) == 0
     found = pinred.relative_equilibria(
         pinred.load("reaction_wheel_satellite"), momentum=0.5, starts=30, seed=3,
@@ -42,7 +42,7 @@ def test_equilibria_writes_diagram_and_played_mode(
     assert main(["equilibria", "cartpole", *ends]) == 0
     assert "2 branches of relative equilibria" in capsys.readouterr().out
     assert figure.stat().st_size > 5000
-    shown = ("--play", "0", "--mode", "0", "--time", "0.5", "--out", str(page), "--starts", "8")
+    shown = ("--play", "0", "--mode", "0", "--duration", "0.5", "--out", str(page), "--starts", "8")
     assert main(["equilibria", "cartpole", "--momentum", "0", *shown]) == 0
     assert "playing 0, pole_pivot=0: stable" in capsys.readouterr().out
     assert page.stat().st_size > 1e5

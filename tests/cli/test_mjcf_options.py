@@ -70,7 +70,7 @@ def test_keyframe_starts_the_motion_and_file_names_the_root(
 ) -> None:
     """The motion file identifies the robot among the bodies of the MJCF file."""
     out = tmp_path / "motion.npz"
-    arguments = ("--keyframe", "home", "--time", "0.1", "--out", str(out))
+    arguments = ("--keyframe", "home", "--duration", "0.1", "--out", str(out))
     code, text, _ = run(capsys, "simulate", str(path), *ROBOT, *arguments)
     assert code == 0
     assert "random" not in text
@@ -82,7 +82,16 @@ def test_keyframe_starts_the_motion_and_file_names_the_root(
     assert recording.system.root_name == "float"
     picture = tmp_path / "phase.png"
     code, _, _ = run(
-        capsys, "plot", str(path), *ROBOT, "--kind", "phase", "--time", "0.1", "--out", str(picture)
+        capsys,
+        "plot",
+        str(path),
+        *ROBOT,
+        "--kind",
+        "phase",
+        "--duration",
+        "0.1",
+        "--out",
+        str(picture),
     )
     assert code == 0
     assert picture.is_file()

@@ -65,7 +65,7 @@ def test_long_names_are_shortened_to_one_line(make: Callable[[], Any]) -> None:
         ("inspect", LONG),
         ("inspect", "falling_cat", "--lock", LONG),
         ("inspect", "falling_cat", "--at", LONG),
-        ("compare", "falling_cat", "--spring", LONG),
+        ("compare", "falling_cat", "--springs", LONG),
         ("compare", "falling_cat", "--x0", f"{LONG}=1"),
         ("run", LONG),
         (LONG,),

@@ -29,8 +29,8 @@ def run(
     "words",
     [
         ("inspect", "falling_cat"),
-        ("compare", "falling_cat", "--time", "0.1"),
-        pytest.param(("run", SCENE, "--check", "--explain"), marks=pytest.mark.by_hand),
+        ("compare", "falling_cat", "--duration", "0.1"),
+        pytest.param(("run", SCENE, "--validate", "--explain"), marks=pytest.mark.by_hand),
         pytest.param(("run", SCENE, "--compare"), marks=pytest.mark.by_hand),
         ("robots",),
         ("run", "--schema"),

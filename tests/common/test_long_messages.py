@@ -149,7 +149,7 @@ def test_errors_of_commands_are_short(name: str, capsys: pytest.CaptureFixture[s
     for words in (
         [name], ["inspect", name], ["inspect", "falling_cat", f"--{name}"],
         ["inspect", "falling_cat", "--group", name], ["inspect", "falling_cat", "--lock", name],
-        ["simulate", "falling_cat", "--time", name], ["simulate", "falling_cat", "--out", name],
+        ["simulate", "falling_cat", "--duration", name], ["simulate", "falling_cat", "--out", name],
         ["plot", "falling_cat", "--kind", name, "--out", "a.png"], ["gait", name],
         ["plot", f"{name}.csv", "--kind", "shape", "--out", "a.png"],
         ["simulate", "falling_cat", "--method", name], ["sweep", name], ["play", f"{name}.npz"],

@@ -162,7 +162,7 @@ def test_named_vectors_behave_as_numpy_arrays() -> None:
     np.testing.assert_array_equal(2 * x - 1, 2 * numbers - 1)
     assert x.tolist() == numbers.tolist()
     for derived in (np.sort(x), x.copy()):
-        with pytest.raises(pinred.InputError, match=r"only the arguments x and xdot .* 'a'"):
+        with pytest.raises(pinred.InputError, match=r"only the arguments x and xdot, .* 'a'"):
             derived["a"]  # type: ignore[call-overload]
     x += 1.0
     x[0] = 7.0

@@ -213,11 +213,11 @@ def recording(rng: Rng, folder: Path) -> str:
 
 def arguments(rng: Rng, folder: Path) -> str:
     """Run a short command line with random words."""
-    options = ["--time", "--seed", "--x0", "--xdot0", "--xi0", "--momentum", "--pose0", "--q0",
+    options = ["--duration", "--seed", "--x0", "--xdot0", "--xi0", "--momentum", "--pose0", "--q0",
                "--v0", "--rtol", "--atol", "--method", "--step", "--order", "--engine",
-               "--outputs", "--spring", "--prescribed", "--lock", "--gravity", "--group",
+               "--outputs", "--springs", "--prescribed", "--lock", "--gravity", "--group",
                "--friction", "--keyframe", "--root", "--at", "--samples", "--out", "--passive",
-               "--strict", "--check", "--explain"]  # fmt: skip
+               "--strict", "--validate", "--explain"]  # fmt: skip
     words = ["", "-", "--", "1", "-1", "0", "1e400", "nan", "x", "bend", "bend=1", "bend=", "=1",
              "1,2,3", "1,,2", "bend=sin(t)", "bend=t**1e9", "DOP853(", "Gauss(0.01, 8)", "SE3",
              "SO2", "\0", "é", "9" * 400, "0,0,0", "Radau(rtol=x)", "a" * 5000, "/", ".",
@@ -233,7 +233,7 @@ def arguments(rng: Rng, folder: Path) -> str:
         if rng.random() < 0.8:
             command_line.append(words[int(rng.integers(len(words)))])
     if command_line[0] == "simulate":  # keep it short, and write into the test folder only
-        command_line += ["--time", "0.01", "--out", str(folder / "traj.npz")]
+        command_line += ["--duration", "0.01", "--out", str(folder / "traj.npz")]
     try:
         code = command(command_line)
     except SystemExit as stop:

@@ -19,7 +19,7 @@ PATIENCE = 60.0  # s, after which a process counts as hanging and is killed
 BEGIN = (
     "import sys\nfrom pinred.cli.entry import main\nprint('ready', flush=True)\nsys.exit(main())\n"
 )
-COMMAND = ("-c", BEGIN, "compare", "falling_cat", "--time")
+COMMAND = ("-c", BEGIN, "compare", "falling_cat", "--duration")
 
 
 def interrupted(at: float, *command: str) -> tuple[int, float, str]:

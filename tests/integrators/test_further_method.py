@@ -37,7 +37,7 @@ for count in (100, 140, 200, 280):
     assert abs(traj.run.steps - count) <= 1
     errors.append(np.abs(traj.x - {exact}).max(axis=1).tolist())
 assert main(["run", "scene.toml"]) == 0
-command = ["simulate", "falling_cat", "--time", "0.2", "--method", "BS3", "--out", "out.csv"]
+command = ["simulate", "falling_cat", "--duration", "0.2", "--method", "BS3", "--out", "out.csv"]
 assert main([*command, "--rtol", "1e-5"]) == 0
 solver = next(solver for solver in SOLVERS if solver.name == "pinred-bs3")
 schema = pinred.scene_schema()["properties"]["run"]["properties"]["method"]

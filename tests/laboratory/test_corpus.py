@@ -258,7 +258,9 @@ def test_corpus_command_prints_and_writes_table(
     for name, case in (("a", "floats"), ("b", "swings"), ("c", "loop")):
         write_robot(tmp_path, CASES[case][0], name)
     csv_path = tmp_path / "table.csv"
-    code, text, _ = run(capsys, "corpus", str(tmp_path), "--time", "0.05", "--out", str(csv_path))
+    code, text, _ = run(
+        capsys, "corpus", str(tmp_path), "--duration", "0.05", "--out", str(csv_path)
+    )
     assert code == 0
     assert "of these, good" in text
     assert "100.0 %" in text

@@ -195,7 +195,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"x0": {0: 1.0}}, "expected text, got 0"),
     ({"x0": {"bend": "far"}}, "x0['bend'] must be numbers, got 'far'"),
     ({"x0": {"bend": np.nan}}, "x0 must be finite, but entry 0 (bend) is nan"),
-    ({"x0": {"bend": [0.1, 0.2]}}, "x0 must have shape (3,) (bend, sway, twist), got (2, 3)"),
+    ({"x0": {"bend": [0.1, 0.2]}}, "x0: expected 3 numbers: bend, sway, twist, got shape (2, 3)"),
     ({"prescribed": {"knee": 0.0}}, f"prescribed: no shape joint 'knee'; {JOINTS}"),
     ({"q0": [0.0, 1.0]}, "q0 must have shape (10,), got (2,)"),
     ({"q0": np.full(10, np.nan)}, "q0 must be finite"),

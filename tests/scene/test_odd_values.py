@@ -167,7 +167,7 @@ def test_angle_above_a_turn_prints_a_note(
         "0",
         "--xdot0",
         "1,2,3",
-        "--time",
+        "--duration",
         "0.01",
     )
     assert (code, note in out) == (0, True)

@@ -126,18 +126,18 @@ def test_gait_file_accepts_robot_parameters_only(tmp_path: Path) -> None:
 def test_parameter_option_replaces_the_value_in_the_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """--parameter also works for a robot."""
+    """--parameters also works for a robot."""
     path, out = scene_file(tmp_path), tmp_path / "traj.npz"
-    words = ["--parameter", "front.payload.mass=0.7", "--parameter", "gain=3"]
+    words = ["--parameters", "front.payload.mass=0.7", "--parameters", "gain=3"]
     assert main(["run", str(path), "--out", str(out), *words]) == 0
     assert pinred.read_recording(out).system.parameters["front.payload.mass"] == 0.7
     scene = pinred.load_scene(path)
     traj = pinred.simulate(scene, parameters={"front.payload.mass": 0.7, "gain": 3.0})
     np.testing.assert_array_equal(pinred.read_recording(out).x, traj.x)
     assert traj.scene.parameters["sway.lock"] == 0.5  # what is not given stays
-    robot = ["falling_cat", "--seed", "1", "--time", "0.1", "--samples", "3", "--out", str(out)]
+    robot = ["falling_cat", "--seed", "1", "--duration", "0.1", "--samples", "3", "--out", str(out)]
     place = "bend.placement=0.1,0,0,0.2,-0.4,0.7"
-    assert main(["simulate", *robot, "--parameter", "front.mass=2", "--parameter", place]) == 0
+    assert main(["simulate", *robot, "--parameters", "front.mass=2", "--parameters", place]) == 0
     traj = pinred.simulate(
         pinred.load("falling_cat"), seed=1, times=[0.0, 0.05, 0.1],
         parameters={"front.mass": 2.0, "bend.placement": [0.1, 0.0, 0.0, 0.2, -0.4, 0.7]},
@@ -149,13 +149,13 @@ def test_parameter_option_replaces_the_value_in_the_file(
     capsys.readouterr()
     for entry, match in (
         ("front.mss=2", "there is no 'front.mss'; did you mean 'front.mass'"),
-        ("front.mass", "--parameter takes NAME=NUMBER"),
-        ("front.mass=heavy", "--parameter takes NAME=NUMBER"),
+        ("front.mass", "--parameters takes NAME=NUMBER"),
+        ("front.mass=heavy", "--parameters takes NAME=NUMBER"),
         ("front.mass=nan", "must be finite"),
         ("front.mass=-1", "must be above zero"),
     ):
-        assert main(["inspect", "falling_cat", "--parameter", entry]) != 0
+        assert main(["inspect", "falling_cat", "--parameters", entry]) != 0
         assert match in capsys.readouterr().err
-    twice = ["--parameter", "front.mass=1", "--parameter", "front.mass=2"]
+    twice = ["--parameters", "front.mass=1", "--parameters", "front.mass=2"]
     assert main(["inspect", "falling_cat", *twice]) != 0
     assert "'front.mass' twice" in capsys.readouterr().err

@@ -67,7 +67,7 @@ def test_passive_options_equal_explicit_forces(
     )
     np.testing.assert_array_equal(pinred.simulate(pinred.load_scene(file)).states.x, traj.states.x)
     out = tmp_path / "traj.npz"
-    given = [str(robot), "--x0=0.1", "--xdot0=1", "--time", "0.5", "--samples", "6", *words]
+    given = [str(robot), "--x0=0.1", "--xdot0=1", "--duration", "0.5", "--samples", "6", *words]
     assert main(["simulate", *given, "--out", str(out)]) == 0
     np.testing.assert_array_equal(np.load(out)["x"], traj.states.x)
     assert (np.load(out)["xdot"][-1] < 0.99) == bool(options)
@@ -93,7 +93,7 @@ def test_left_out_passive_forces_are_reported_in_one_line(
     assert report.passed
     assert report.left_out == left
     assert ("leaves" in str(report)) == ("leaves" in report._repr_html_()) == bool(left)
-    assert main(["compare", str(robot), "--xdot0=1", "--time", "0.2", *words]) == 0
+    assert main(["compare", str(robot), "--xdot0=1", "--duration", "0.2", *words]) == 0
     assert (f"\n{left}\n" in capsys.readouterr().out) == bool(left)
     assert ("of the file" in scene._repr_html_()) == bool(options)
 

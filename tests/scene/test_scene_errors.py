@@ -22,9 +22,11 @@ from hypothesis import strategies as st
 import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
+from pinred.planning.gait_file import GAIT_FILE
 from pinred.scene.toml.csv_columns import LARGEST
 from pinred.scene.toml.file_place import Place
 from pinred.scene.toml.keys import SCENE, scene_schema
+from pinred.scene.toml.schema import Table
 from pinred.simulation.explain import explain
 from pinred.simulation.plan import plan_of
 
@@ -44,7 +46,7 @@ SPLINE = "{ spline = { times = [0, 1], values = [0, 1] } }"
 
 # What is wrong with the structure: text after `robot = "falling_cat"`, and the message.
 STRUCTURE = [
-    ("gravity = 1", "line 2: gravity: unknown key \"gravity\"; the keys here are robot, load, start, run"),
+    ("gravitas = 1", "line 2: gravitas: unknown key \"gravitas\"; the keys here are robot, load, start, run"),
     ("forcs = []", "line 2: forcs: unknown key \"forcs\"; did you mean 'forces'? the keys here are robot, load,"),
     ("run = 3", "line 2: run: must be how to simulate, got 3"),
     ("[run]\ndurration = 1", "line 3: run.durration: unknown key \"durration\"; did you mean 'duration'?"),
@@ -138,14 +140,14 @@ MEANING = [
     ("[run]\nmethod = { name = 'Radau', rtol = 1e-6 }\natol = 1e-6", InputError, "line 4: run.atol: atol conflicts with the tolerances of the method Radau(rtol=1e-06"),
     ("[run]\nrtol = 1e-6\nmethod = 'DOP853(1e-8)'", InputError, "line 3: run.rtol: rtol conflicts with the tolerances of the method DOP853("),
     ("[start]\nq0 = [1, 2]", ShapeError, "start.q0: q0 must have shape (10,), got (2,)"),
-    ("[start]\nq0 = [0, 0, 0, 0, 0, 0, 2, 0, 0, 0]", InputError, "start.q0: q0: the quaternion of a pose of SE3 must have norm 1, got 2"),
+    ("[start]\nq0 = [0, 0, 0, 0, 0, 0, 2, 0, 0, 0]", InputError, "start.q0: the quaternion of a pose of SE3 must have norm 1, got 2"),
     ("[start]\nv0 = [1]", ShapeError, "start.v0: v0 must have shape (9,), got (1,)"),
-    ("[start]\nx0 = [1, 2]", ShapeError, "line 3: start.x0: x0 must have shape (3,) (bend, sway, twist), got (2,)"),
+    ("[start]\nx0 = [1, 2]", ShapeError, "line 3: start.x0: expected 3 numbers: bend, sway, twist, got 2"),
     ("[start]\nx0 = { bends = 1 }", InputError, "start.x0.bends: unknown joint \"bends\"; did you mean 'bend'? the joints are bend, sway, twist"),
-    ("[start]\nxi0 = [1, 2]", ShapeError, "start.xi0: xi0 must have shape (6,)"),
+    ("[start]\nxi0 = [1, 2]", ShapeError, "start.xi0: expected 6 numbers: v1, v2, v3, ω1, ω2, ω3, got 2"),
     ("[start]\nxdot0 = [1e308, 1e308, 1e308]\nxi0 = [1e308, 0, 0, 1e308, 0, 0]", InputError, "the initial momentum or twist overflows"),
     ("[start]\nmomentum = 2", InputError, "start.momentum: must be a list of 6 numbers, or 0"),
-    ("[start]\nmomentum = [1]", ShapeError, "start.momentum: momentum must have shape (6,)"),
+    ("[start]\nmomentum = [1]", ShapeError, "start.momentum: expected 6 numbers: px, py, pz, Lx, Ly, Lz, got 1"),
     ("[start]\npose0 = [1, 2]", ShapeError, "start.pose0: a pose of SE3"),
     ("[load]\ngravity = [0, 0, -1e200]", InputError, "load: gravity must be below 1e+100 m/s²"),
     ("[load]\nlock = ['knee']", InputError, "load: lock: no joint 'knee'; the joints are"),
@@ -179,7 +181,7 @@ def message_of(folder: Path, text: str, kind: type[PinredError] = PinredError) -
     """What a scene file with this text is refused with."""
     path = folder / "scene.toml"
     path.write_text(text, encoding="utf-8")
-    assert main(["run", str(path), "--check"]) == 2
+    assert main(["run", str(path), "--validate"]) == 2
     with pytest.raises(kind) as caught:
         pinred.load_scene(path)
     message = str(caught.value)
@@ -250,10 +252,10 @@ def test_invalid_robot_or_toml_error_names_the_file(
 def test_check_reports_gravity_that_breaks_the_symmetry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """--check includes errors that only the reduction detects."""
+    """--validate includes errors that only the reduction detects."""
     path = tmp_path / "scene.toml"
     path.write_text("robot = 'double_spherical_pendulum'\nload = { gravity = [1, 0, 0] }")
-    assert main(["run", str(path), "--check"]) == 2
+    assert main(["run", str(path), "--validate"]) == 2
     assert "breaks the SO2 symmetry" in capsys.readouterr().err
 
 
@@ -469,3 +471,31 @@ def test_reader_and_schema_agree_on_changed_documents(path: Path, data: st.DataO
     except InputError:
         read = False
     assert read == VALIDATOR.is_valid(document), document
+
+
+@pytest.mark.parametrize("document", [SCENE, GAIT_FILE], ids=lambda table: table.words)
+def test_every_key_in_a_wrong_table_says_where_it_belongs(document: Table) -> None:
+    """Keys of the top level in tables, keys of tables at the top level and in other tables."""
+    tables = {"": document}
+    tables |= {n: k.node for n, k in document.keys.items() if isinstance(k.node, Table)}
+    count = 0
+    for key in {key for table in tables.values() for key in table.keys}:
+        homes = [name for name, table in tables.items() if key in table.keys]
+        for name in tables.keys() - homes:
+            text = {"robot": "cartpole", **({name: {key: 1}} if name else {key: 1})}
+            with pytest.raises(pinred.InputError) as refused:
+                document.read(text, Place("f.toml"))
+            places = [f"in the table [{home}]" for home in homes if home]
+            if "" in homes:
+                places.insert(0, "to the top level, above the first line with a [table]")
+            at = f"{name}.{key}" if name else key
+            assert str(refused.value) == f"f.toml: {at}: this key belongs {' or '.join(places)}"
+            count += 1
+    assert count > 60
+
+
+def test_misplaced_key_is_named_with_its_line(tmp_path: Path) -> None:
+    """The message of a file, for a flag that was written below a table."""
+    text = "robot = 'falling_cat'\n[run]\nduration = 1\npassive = true\n"
+    message = message_of(tmp_path, text, pinred.InputError)
+    assert "line 4: run.passive: this key belongs to the top level, above the first li" in message

@@ -369,7 +369,7 @@ def test_example_passes_comparison_with_aba(
         pytest.skip("needs example-robot-data")
     monkeypatch.chdir(tmp_path)
     assert path.read_text(encoding="utf-8").startswith("# ")
-    assert main(["run", str(path), "--check"]) == 0
+    assert main(["run", str(path), "--validate"]) == 0
     assert capsys.readouterr().out.startswith("ok: ")
     full = pinred.load_scene(path)
     traj = pinred.simulate(full, times=None, duration=min(full.end, 1.0))
@@ -469,7 +469,8 @@ def test_method_options_of_command_line_match_scene(
 ) -> None:
     """--method, --step and --outputs of simulate and compare."""
     out = tmp_path / "traj.npz"
-    arguments = ["simulate", "falling_cat", "--time", "0.5", "--out", str(out), "--samples", "5"]
+    arguments = ["simulate", "falling_cat", "--duration", "0.5", "--samples", "5"]
+    arguments += ["--out", str(out)]
     extra = ["--method", "RKMK4", "--step", "0.01", "--outputs", "shape"]
     assert main([*arguments, *extra]) == 0
     assert "RKMK4" in capsys.readouterr().out

@@ -112,7 +112,7 @@ def test_invalid_base_force_error_names_the_key(
 
 
 def test_commands_print_event_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`run` prints events by name; `simulate` accepts --event and --until."""
+    """`run` prints events by name; `simulate` accepts --events and --until."""
     path = tmp_path / "scene.toml"
     path.write_text(TEXT)
     assert main(["run", str(path), "--explain"]) == 0
@@ -122,8 +122,9 @@ def test_commands_print_event_times(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "event slow" in out
     assert "event open" in out
     assert "the motion ends there" in out
-    beanie = ["simulate", "elroys_beanie", "--xdot0", "1", "--time", "3", "--rtol", "1e-8"]
-    ends = ["--event", "half=x[0] - 0.5", "--event", "x[0] >= 0.6", "--until", "x['beanie'] - 0.7"]
+    beanie = ["simulate", "elroys_beanie", "--xdot0", "1", "--duration", "3", "--rtol", "1e-8"]
+    ends = ["--events", "half=x[0] - 0.5", "--events", "x[0] >= 0.6"]
+    ends += ["--until", "x['beanie'] - 0.7"]
     assert main([*beanie, *ends, "--out", str(tmp_path / "x.csv")]) == 0
     out = capsys.readouterr().out
     assert "event half: t = 0.5 s" in out

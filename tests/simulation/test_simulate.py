@@ -42,7 +42,7 @@ def test_momentum_of_one_dimensional_group_is_a_number() -> None:
     for odd in (np.nan, True, "0.6"):
         with pytest.raises(pinred.ShapeError, match="momentum"):
             pinred.Scene(system=system, xdot0=[0.9], momentum=odd)
-    with pytest.raises(pinred.ShapeError, match=r"momentum must have shape \(3,\)"):
+    with pytest.raises(pinred.ShapeError, match=r"momentum: expected 3 numbers: px, py, L"):
         pinred.Scene(system=pinred.load("three_rods"), xdot0=[0.9, 0.0], momentum=0.6)
 
 
@@ -267,11 +267,11 @@ def test_same_scene_gives_same_bits() -> None:
         ({"rtol": 0.0}, "rtol"),
         ({"rtol": 1e-15}, "rtol must be at least"),
         ({"atol": -1.0}, "atol"),
-        ({"x0": [0.0, 0.0]}, r"x0 must have shape \(1,\)"),
+        ({"x0": [0.0, 0.0]}, r"x0: expected 1 number: "),
         ({"xdot0": [np.inf]}, "xdot0 must be finite"),
-        ({"xi0": [0.0]}, r"xi0 must have shape \(3,\)"),
+        ({"xi0": [0.0]}, r"xi0: expected 3 numbers: v1, v2, ω, got 1"),
         ({"xi0": [0, 0, 0], "momentum": [0, 0, 0]}, "not both"),
-        ({"momentum": 1.0}, "momentum must have shape"),
+        ({"momentum": 1.0}, "momentum: expected"),
         ({"seed": 1, "x0": [0.0]}, "do not combine it with x0"),
         ({"pose0": [0.0]}, "a pose of SE2"),
         ({"times": []}, "times"),

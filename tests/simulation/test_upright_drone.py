@@ -99,7 +99,7 @@ def test_group_is_restored_from_files(tmp_path: Path, capsys: pytest.CaptureFixt
     """The command line, scene files and recordings state the group."""
     urdf = bundled_folder() / "upright_drone.urdf"
     assert pinred.load(urdf).group.name == "SE3"
-    assert main(["compare", str(urdf), "--group", "RxSE2", "--seed", "1", "--time", "0.5"]) == 0
+    assert main(["compare", str(urdf), "--group", "RxSE2", "--seed", "1", "--duration", "0.5"]) == 0
     assert "upright_drone: RxSE2 × 2 joints" in capsys.readouterr().out
     path = tmp_path / "hover.toml"
     path.write_text(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ import pytest
 import xarray
 
 import pinred
-from pinred.forces import Damper
+from pinred.forces import Damper, Torque
 
 CAT = pinred.load("falling_cat")
 GAIN = pinred.Parameter("gain", 0.1)
@@ -74,8 +76,102 @@ def test_plain_xarray_reads_the_store(tmp_path: Path) -> None:
     assert plain.identical(xarray.Dataset(result.data_vars, result.coords, result.attrs))
     again = pinred.open_sweep(path)
     np.testing.assert_array_equal(again["pose"], result["pose"])
-    with pytest.raises(pinred.InputError, match="without their scene"):
-        again.point(0)
+
+
+def test_open_sweep_simulates_points_of_own_stores_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scene in the store gives the bits of the sweep; only the own signature is accepted."""
+    path = tmp_path / "s.zarr"
+    result = pinred.sweep(SCENE, VARY, points=5, outputs=["pose", "x"], store=path)
+    opened = pinred.open_sweep(path)
+    np.testing.assert_array_equal(opened.point(3).x[-1], result["x"][3])
+    np.testing.assert_array_equal(opened.isel(point=[1]).point(3).pose[-1], result["pose"][3])
+    with pytest.raises(pinred.InputError, match="whole number from 0 to 4, got 5"):
+        opened.point(5)
+    file = path / "plan" / "scene.signed"
+    content = file.read_bytes()
+    other = tmp_path / "other.zarr"
+    pinred.sweep(SCENE, {"gain": [0.1, 0.2]}, outputs=["x"], store=other)
+    foreign = (other / "plan" / "scene.signed").read_bytes()
+    changed = content[:-1] + bytes([content[-1] ^ 1])
+    monkeypatch.setattr("pinred.sweeps.stored_job.pickle.loads", _refuse_to_execute)
+    for wrong in (foreign, changed, content[:40], b""):
+        file.write_bytes(wrong)
+        with pytest.raises(pinred.InputError, match="written or changed by another user"):
+            pinred.open_sweep(path).point(0)
+    file.write_bytes(content)
+    monkeypatch.setattr("pinred.sweeps.stored_job.signing_key", lambda: bytes(32))
+    with pytest.raises(pinred.InputError, match="written or changed by another user"):
+        pinred.open_sweep(path).point(0)
+    monkeypatch.undo()
+    file.write_bytes(foreign)
+    pinred.sweep(SCENE, VARY, points=5, outputs=["pose", "x"], store=path)
+    assert file.read_bytes() == content
+
+
+def _refuse_to_execute(data: bytes) -> None:
+    raise AssertionError(f"{len(data)} bytes that another user may have written are unpickled")
+
+
+def test_open_sweep_says_that_a_scene_with_functions_is_not_stored(tmp_path: Path) -> None:
+    """A lambda cannot be pickled; the results are stored all the same."""
+    scene = replace(SCENE, forces=Torque(lambda t, x, xdot, mu: -0.1 * xdot))  # noqa: ARG005
+    result = pinred.sweep(scene, {"x0.bend": [0.1, 0.2]}, outputs=["x"], store=tmp_path / "s.zarr")
+    assert result.point(1).x.shape[1] == 3
+    with pytest.raises(pinred.InputError, match="the scene contains functions"):
+        pinred.open_sweep(tmp_path / "s.zarr").point(1)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the path of a store with one point of SCENE."""
+    path = tmp_path_factory.mktemp("sweep") / "s.zarr"
+    pinred.sweep(SCENE, {"x0.bend": [0.1]}, outputs=["x"], store=path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"duration": 0.6}, "another scene: duration is 0.5 there, and 0.6 here"),
+        ({"xdot0": [0.5, -0.3, 0.25]}, "another scene: xdot0 is [0.5, -0.3, 0.2] there"),
+        ({"springs": {"sway": (2.0, 0.0)}}, "another scene: numbers of springs, forces and presc"),
+        ({"forces": Damper("twist", GAIN)}, "another scene: other forces."),
+        ({"events": pinred.Event("x[0] - 9")}, "another scene: other events."),
+        ({"parameters": {"gain": 0.3}}, "another scene: parameters.gain is none there, and 0.3"),
+        ({"outputs": "shape"}, "another scene: outputs is all there, and shape here"),
+        ({"times": [0.0, 0.5]}, "another scene: other times."),
+        ({"system": pinred.load("falling_cat", parameters={"back.mass": 2.5})},
+         "another scene: other robot."),
+        ({"system": pinred.load("falling_cat", gravity=[0, 0, -1.0])},
+         "another scene: gravity is [0.0, 0.0, 0.0] there, and [0.0, 0.0, -1.0] here"),
+        ({"rtol": 1e-7}, "another scene: method is DOP853(rtol=1e-07, "),
+    ],
+)  # fmt: skip
+def test_store_of_another_scene_names_the_first_difference(
+    changes: dict[str, Any], words: str, written: Path
+) -> None:
+    """With both values, or the name of what is too long to show."""
+    scene = replace(SCENE, **changes)
+    with pytest.raises(pinred.InputError) as refused:
+        pinred.sweep(scene, {"x0.bend": [0.1]}, outputs=["x"], store=written)
+    assert words in str(refused.value)
+    assert str(refused.value).endswith("Choose another name, or delete the folder")
+
+
+def test_store_of_other_numbers_names_the_first_difference(written: Path) -> None:
+    """Its distribution there and here, or that it is missing."""
+    for vary, words in (
+        (
+            {"x0.bend": [0.2]},
+            "other varied numbers: x0.bend is Values([0.1]) there, and Values([0.2])",
+        ),
+        ({"x0.bend": [0.1], "gain": [1.0]}, "other varied numbers: gain is none there"),
+        ({"gain": [1.0]}, "other varied numbers: gain is none there"),
+    ):
+        with pytest.raises(pinred.InputError, match=re.escape(words)):
+            pinred.sweep(SCENE, vary, outputs=["x"], store=written)
 
 
 @pytest.mark.parametrize("broken", [False, True])

@@ -78,7 +78,7 @@ def test_command_gives_the_numbers_of_python(
 def test_options_replace_keys(file: Path) -> None:
     """Options of the command line take precedence over the file."""
     store = file.with_name("t.zarr")
-    words = ["--points", "4", "--vary", "front.mass=Uniform(1, 2)", "--output", "e=energy"]
+    words = ["--points", "4", "--vary", "front.mass=Uniform(1, 2)", "--outputs", "e=energy"]
     assert main(["sweep", str(file), *words, "--store", str(store), "--block", "2"]) == 0
     result = pinred.open_sweep(store)
     assert set(result.data_vars) == {"e", "status"}

@@ -146,7 +146,7 @@ def test_scene_files_and_commands_accept_loops(
         "group = 'SE3'\n[[load.loops]]\nframe_a = 'end'\nframe_b = 'rocker'\nkind = 'y'\n"
     )
     assert pinred.load_scene(scene).system.loops == (Loop("end", "rocker", "y"),)
-    options = ["--group", "SE3", "--loops", "end=rocker:y", "--time", "0.2"]
+    options = ["--group", "SE3", "--loops", "end=rocker:y", "--duration", "0.2"]
     assert main(["compare", str(robot), *options, "--seed", "1"]) == 0
     assert "gap of loops" in capsys.readouterr().out
 

@@ -292,3 +292,19 @@ def test_round_off_in_matrix_is_shown_as_zero() -> None:
     assert np.array_equal(StrictPage(html).numbers(0), [[1.0, 0.0], [0.0, 2.0]])
     html = html_parts.matrix("I", np.array([[1e-9, 3e-17]]), "a", "cd")
     assert StrictPage(html).numbers(0)[0, 1] == 3e-17
+
+
+def test_cards_of_gaits_and_reductions_have_their_numbers() -> None:
+    """Ranges of the joints of a gait; the reduction of a robot at rest."""
+    gait = pinred.Gait.fourier([0.3, 0.0], [[0.5, 0.0]], [[0.0, 0.25]], period=2.0, turns=[0, 1])
+    page = StrictPage(gait._repr_html_())
+    assert "Fourier series of 2 joints with period 2 s" in page.text
+    assert page.tables[0][1][1:] == ["-0.2", "0.8", "0"]
+    assert page.tables[0][2][3] == "1"
+    strokes = pinred.Gait.waypoints([[0.0], [1.0], [0.5]])
+    assert "3 arcs of 1 joints" in StrictPage(strokes._repr_html_()).text
+    system = pinred.load("coupled_planar")
+    page = StrictPage(pinred.Reduction(system)._repr_html_())
+    assert "Reduction of coupled_planar" in page.text
+    inertia = pinred.Reduction(system).locked_inertia([0.0])
+    assert page.tables[0][1][1] == f"{inertia[0, 0]:.6g}"

@@ -20,6 +20,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 from pinred.lie.rotations import rotation
+from pinred.views.playback import film as films
 from pinred.views.playback.drawn_bodies import drawn_bodies
 from pinred.views.playback.film import write_frames, write_gif
 from pinred.views.playback.framing import frame
@@ -392,3 +393,22 @@ def test_pages_are_small_and_contain_the_viewer(tmp_path: Path) -> None:
     assert "MIT" in text
     assert "connect-src" not in text
     assert "default-src 'none'" in text
+
+
+def test_film_says_beforehand_how_long_it_takes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Once, from the time of five frames after the first; not for short films."""
+    monkeypatch.setattr(films, "is_watched", lambda: True)
+    for pace, line in ((0.5, "the 100 frames of the film take about 47 s\n"), (0.01, "")):
+        now = iter(np.arange(200.0) * pace * 5)
+        parts: list[float] = []
+        report = films._announcing(parts.append, 100, lambda now=now: next(now))
+        for k in range(1, 101):
+            report(k / 100)
+        assert parts == [k / 100 for k in range(1, 101)]
+        assert capsys.readouterr().err == line
+    monkeypatch.setattr(films, "is_watched", lambda: False)
+    report = films._announcing(None, 100, lambda: 0.0)
+    report(0.01)
+    assert capsys.readouterr().err == ""

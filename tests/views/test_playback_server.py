@@ -123,7 +123,7 @@ def test_play_waits_in_scripts_only(capsys: pytest.CaptureFixture[str]) -> None:
 def test_ctrl_c_ends_play_command(tmp_path: Path) -> None:
     """`pinred play` serves until Ctrl-C and ends with exit code 0."""
     path = tmp_path / "traj.npz"
-    assert main(["simulate", "elroys_beanie", "--time", "0.5", "--out", str(path)]) == 0
+    assert main(["simulate", "elroys_beanie", "--duration", "0.5", "--out", str(path)]) == 0
     # A job that a shell has put in the background ignores Ctrl-C, and so would its children.
     begin = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
     program = f"{begin}; from pinred.cli.main import main; sys.exit(main(sys.argv[1:]))"

@@ -129,7 +129,7 @@ def test_momentum_plot_equals_pinocchio(cat: pinred.Trajectory) -> None:
         pin.ccrba(model, data, q, v)
         moment = data.hg.angular + np.cross(data.com[0], data.hg.linear)
         expected.append(np.append(data.hg.linear, moment))
-    for k, name in enumerate(("p1", "p2", "p3", "L1", "L2", "L3")):
+    for k, name in enumerate(("px", "py", "pz", "Lx", "Ly", "Lz")):
         axes = linear if k < 3 else angular
         np.testing.assert_allclose(drawn(axes, name)[1], np.array(expected)[:, k], atol=1e-12)
     assert units(figure) == ["linear [N·s]", "angular [N·m·s]", "drift [relative]"]

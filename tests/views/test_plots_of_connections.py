@@ -11,10 +11,14 @@ import pytest
 from figures import drawn
 from matplotlib.axes import Axes
 from matplotlib.contour import QuadContourSet
+from scipy.integrate import solve_ivp
 
 import pinred
 from pinred import plots
+from pinred.lie.group import Group
+from pinred.lie.groups import SE2, SE3
 from pinred.lie.rotations import left_jacobian
+from pinred.views.plots.connection_field import moved_component
 
 CIRCLE = pinred.Gait.fourier([0.3, 0.2], [[0.5, 0.0]], [[0.0, 0.5]])
 
@@ -130,7 +134,7 @@ def test_loop_plot_of_gait_and_plan() -> None:
     satellite = pinred.load("satellite_two_arms")
     plan = pinred.reorient(satellite, [0.0, 0.0, 0.1], limits=2.6)
     labels = [axes.get_ylabel() for axes in plots.loop(plan).axes]
-    assert "B, component ω3" in labels  # of the target, not the largest
+    assert "B, component ω3 [rad/rad²]" in labels  # of the target, not the largest
     cat = pinred.Connection.mechanical(pinred.load("falling_cat"))
     turning = pinred.optimise_gait(cat, axis="x", limits=1.0, harmonics=1, starts=1)
     t, _ = drawn(pinred.plot(turning, "loop").axes[-1], "θx")
@@ -205,7 +209,70 @@ def test_loop_is_drawn_over_the_component_of_its_objective() -> None:
         connection, objective="displacement", axis="x", harmonics=1, starts=1, limits=1.0
     )
     labels = [axes.get_ylabel() for axes in plots.loop(best).axes]
-    assert "B, component v1" in labels
+    assert "B, component v1 [m/rad²]" in labels
+    titles = [axes.get_title(loc="left") for axes in plots.loop(best).axes]
+    assert "displacement along x per area of alpha1, alpha2" in titles
+    assert plots.loop(best).get_suptitle().startswith("purcell_swimmer: ")
+    # The swimmer does not turn, so a field shows the displacement of its gait, too.
+    figure = plots.field(connection, gait=best.gait)
+    words = "purcell_swimmer: displacement along x per area, B(alpha1, alpha2), component v1"
+    assert figure.get_suptitle().split("\n")[0] == words
     title = plots.cycles(best.phase).get_suptitle()
     assert title.endswith("m a cycle")
     assert "°" not in title
+
+
+@pytest.mark.parametrize(
+    ("group", "twist", "expected"),
+    [
+        (SE2, [0.2, -0.3, 1e-9], 1), (SE2, [0.2, -0.3, 2e-6], 2),
+        (SE2, [0, 5e-7, 5e-7], None), (SE2, [0.2, -0.3, 1e-3], 2), (SE2, [0.0, 0.0, 1e-9], None),
+        (SE3, [0.1, 0, -0.4, 0, 0, 0], 2), (SE3, [5.0, 0, 0, 0.01, -0.02, 0], 4),
+    ],
+)  # fmt: skip
+def test_moved_component_is_a_turn_or_else_the_largest_displacement(
+    group: Group, twist: list[float], expected: int | None
+) -> None:
+    """Of the motion of a cycle; round-off is none."""
+    assert moved_component(group, group.exp(np.array(twist))) == expected
+
+
+def test_full_turn_counts_as_motion() -> None:
+    """Its pose is not the identity, although its logarithm is zero."""
+    assert moved_component(SE2, np.array([0.0, 0.0, 2.0 * np.pi])) == 2
+
+
+def test_titles_say_the_motion_the_slice_and_omitted_joints() -> None:
+    """In words, with the values of joints that are not on an axis."""
+    cat = pinred.Connection.mechanical(pinred.load("falling_cat"))
+    title = plots.field(cat, joints=("bend", "sway"), component="w2", at=[0, 0, 0.4])
+    words = "falling_cat: turn about y per area, B(bend, sway), component ω2"
+    assert title.get_suptitle() == f"{words}\ndrawn for twist = 0.4 rad"
+    assert title.axes[-1].get_ylabel() == "B, component ω2 [rad/rad²]"
+    flow = plots.field(cat, part="connection", component="y")
+    assert flow.get_suptitle().startswith("falling_cat: displacement along y per joint motion, −A(")
+    assert flow.axes[-1].get_ylabel() == "−A, component v2 [m/rad]"
+
+
+@pytest.mark.parametrize("momentum", [0.0, [0.0, 0.0, 0.4]])
+def test_cycles_are_drawn_finely_and_right(momentum: float | list[float]) -> None:
+    """Between the ends of segments, against SciPy's DOP853 of ġ = g ξ; the ends are kept."""
+    phase = pinred.phase(rods(), CIRCLE, momentum)
+    times, poses = phase.fine_path(200)
+    assert len(times) > 200 > 5 * len(phase.times)
+    every = (len(times) - 1) // (len(phase.times) - 1)
+    np.testing.assert_allclose(times[::every], phase.times, atol=1e-15)
+    np.testing.assert_allclose(poses[::every], phase.path, atol=1e-12)
+    red = pinred.Reduction(pinred.load("three_rods"))
+
+    def rate(t: float, g: np.ndarray[tuple[int], np.dtype[np.float64]]) -> list[float]:
+        x, xdot = (values[0] for values in CIRCLE.at([t]))
+        at = red.at(x)
+        mu = SE2.Ad(g).T @ np.broadcast_to(momentum, (3,))
+        xi = np.linalg.solve(at.locked_inertia, mu) - at.local_connection @ xdot
+        return SE2.rate(g, xi).tolist()
+
+    exact = solve_ivp(rate, (0.0, 1.0), np.zeros(3), "DOP853", times, rtol=1e-11, atol=1e-12).y.T
+    np.testing.assert_allclose(poses, exact, rtol=0, atol=1e-8)
+    line = plots.cycles(phase, count=2).axes[0].lines[0]
+    assert len(np.asarray(line.get_xdata())) == 2 * len(times)

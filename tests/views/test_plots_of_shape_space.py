@@ -211,7 +211,7 @@ def test_curvature_plot_of_motion_has_path() -> None:
     assert_passes(drawn(axes, "path"), [traj.x[:, 1], traj.x[:, 2]])
     figure = pinred.plot(traj, "curvature", component="v2")
     assert figure.axes[1].get_ylabel() == "B, component v2 [m/rad²]"
-    with pytest.raises(pinred.InputError, match="the components are v1, v2, v3, w1, w2, w3"):
+    with pytest.raises(pinred.InputError, match="the components are v1, v2, v3, ω1, ω2, ω3"):
         pinred.plot(traj, "curvature", component="w4")
     with pytest.raises(pinred.InputError, match="expected two joints"):
         pinred.plot(traj, "curvature", joints=["bend"])

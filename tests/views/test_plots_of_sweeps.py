@@ -35,6 +35,14 @@ def test_histogram_counts_all_points(result: Any) -> None:
     assert sum(bar.get_height() for bar in axes.patches) == 14  # type: ignore[attr-defined]
     assert axes.get_xlabel() == "turn [rad]"
     assert axes.lines[1].get_xdata()[0] == np.nanmedian(result.turn)  # type: ignore[index]
+    turn = result.turn.values[1:]
+    low, high = np.percentile(turn, [5, 95])
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == [
+        f"5 %: {low:.4g}", f"median: {np.median(turn):.4g}", f"95 %: {high:.4g}",
+        f"mean: {sum(turn) / 14:.4g} ± {np.sqrt(sum((turn - turn.mean()) ** 2) / 13):.2g}",
+    ]  # fmt: skip
 
 
 def test_scatter_has_a_panel_for_each_number(result: Any) -> None:

@@ -209,6 +209,18 @@ class Gait:
         gait = cls.spline(x[:-1], times=t[:-1] - t[0], period=float(t[-1] - t[0]))
         return gait if period is None else gait.lasting(period)
 
+    def _repr_html_(self) -> str:
+        from ...common.html import card, table
+
+        kind = "Fourier series" if self.is_smooth else f"{len(self.arcs)} arcs"
+        turns = self.turns or (0,) * self.m
+        rows = [
+            (str(k), float(low), float(high), float(turn))
+            for k, ((low, high), turn) in enumerate(zip(self.limits, turns, strict=True))
+        ]
+        about = f"{kind} of {self.m} joints with period {self.period:g} s"
+        return card("Gait", about, table("", ["joint", "least", "greatest", "turns"], rows))
+
     @cached_property
     def m(self) -> int:
         """Number of shape coordinates."""

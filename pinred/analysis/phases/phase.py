@@ -119,6 +119,20 @@ class Phase(Summary, FrozenArrays):
         """Steady drift or orbit of the base over many cycles, as a screw."""
         return screw_of(self.group, self.pose)
 
+    def fine_path(self, count: int) -> tuple[Array, Array]:
+        """Return more poses during the cycle than `path` has, for drawings.
+
+        Args:
+            count: Least number of intervals.
+        Returns:
+            Times, (N + 1,) [s], and poses, (N + 1, size), with N at least `count`; all entries of
+            `times` are among the times.
+        """
+        parts = -(-whole(count, "count", 1) // len(self._segments.h))
+        segments = _subdivided(self._segments, parts)
+        times = np.concatenate([[0.0], np.cumsum(segments.h)])
+        return times, lift(self.group, segments, self.momentum)
+
     def cycles(self, n: int) -> Array:
         """Return the pose after n cycles.
 
@@ -224,10 +238,30 @@ def _bound(group: Group, difference: PoseError, path: Array) -> PoseError:
 
 
 def _momentum(connection: Connection, momentum: ArrayLike | float) -> Array:
-    mu = vector_or_zero(momentum, connection.r, "momentum", connection.group.twist_names)
+    mu = vector_or_zero(momentum, connection.r, "momentum", connection.group.momentum_names)
     if mu.any() and not connection.form.momentum:
         raise InputError(f"{connection.form.what} define no momentum. Omit momentum=.")
     return mu
+
+
+def _subdivided(segments: PathSegments, parts: int) -> PathSegments:
+    """Return the same path with every segment divided into equal parts.
+
+    Args:
+        segments: The path, whose twists are polynomials through the Gauss nodes of a segment.
+        parts: Number of parts of each segment.
+    """
+    from scipy.interpolate import barycentric_interpolate
+
+    at = ((np.arange(parts)[:, None] + nodes()) / parts).ravel()
+    weights = barycentric_interpolate(nodes(), np.eye(STAGES), at)
+
+    def between(values: Array) -> Array:
+        fine = np.einsum("si,pi...->ps...", weights, values)
+        return np.ascontiguousarray(fine.reshape(-1, STAGES, *values.shape[2:]))
+
+    h = np.repeat(segments.h / parts, parts)
+    return PathSegments(h=h, a=between(segments.a), L=between(segments.L))
 
 
 def _horizontal(group: Group, segments: PathSegments, pose: Array, *, has_momentum: bool) -> Array:

@@ -148,8 +148,8 @@ def axis_aim(group: Group, kind: AimKind, axis: str | ArrayLike | None) -> AxisA
     Args:
         group: The symmetry group.
         kind: "rotation" or "displacement".
-        axis: 'x', 'y', 'z' or a vector, in the initial frame of the base; None for the first or
-            only axis of the group.
+        axis: 'x', 'y', 'z', another name of this component of a twist, or a vector, in the
+            initial frame of the base; None for the first or only axis of the group.
     Returns:
         The objective.
     Raises:
@@ -172,9 +172,12 @@ def axis_aim(group: Group, kind: AimKind, axis: str | ArrayLike | None) -> AxisA
             for letter, k in _LETTERS.items()
             if k + 3 * (kind == "rotation") in axes
         }
-        if axis not in indices:
+        first = group.linear if kind == "rotation" else 0
+        named = {name: k - first for name, k in group.components("twist").items()}
+        index = indices.get(axis, named.get(axis, -1))
+        if not 0 <= index < size:
             raise InputError(f"axis must be {', '.join(indices)} or a vector, got {brief(axis)}")
-        return AxisAim(group, kind, np.eye(size)[indices[axis]])
+        return AxisAim(group, kind, np.eye(size)[index])
     direction = vector(np.atleast_1d(as_floats(axis, "axis")), size, "axis")
     norm = float(np.linalg.norm(direction))
     if not norm > 0.0:

@@ -112,7 +112,7 @@ def reorient(
     bounds = limits_of(connection, limits, speeds, torques)
     start = _initial_shape(system, connection, bounds, x0)
     turn = _target_rotation(system, target)
-    mu = vector_or_zero(momentum, system.r, "momentum", group.twist_names)
+    mu = vector_or_zero(momentum, system.r, "momentum", group.momentum_names)
     if mu.any() and np.isfinite(bounds.torque).any():
         raise InputError(
             "torques: limits need zero momentum, where torques scale with the duration. With "

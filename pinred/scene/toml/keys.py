@@ -9,7 +9,7 @@ from ...common.argument_kinds import checks_arguments
 from ..load_options import LOAD
 from ..scene_options import RUN_OPTIONS, SCENE_OPTIONS, Option, list_conflicts
 from ..sweep_options import SWEEP
-from .schema import Key, Schema, Table, Text, document_schema
+from .schema import Key, Schema, Table, Text, document_schema, with_places
 
 # The keys of scene files and gait files that name the robot.
 ROBOT = {
@@ -39,7 +39,7 @@ def scene_table(options: Mapping[str, Option]) -> Table:
         for name, words in _TABLES.items()
     }
     keys = {**ROBOT, **{name: Key(table, table.words) for name, table in tables.items()}}
-    return Table(keys | keys_in("") | {"sweep": SWEEP}, "a scene")
+    return with_places(Table(keys | keys_in("") | {"sweep": SWEEP}, "a scene"))
 
 
 def options_in(document: Mapping[str, Any], options: Mapping[str, Option]) -> dict[str, Any]:

@@ -255,6 +255,7 @@ class _Builder:
             text = text.removeprefix("parameters: ")
         elif word and word[0] in FILE_OPTIONS and FILE_OPTIONS[word[0]].table:
             place = self._option_place(word[0])
+            text = text.removeprefix(f"{word[0]}: ")
         else:
             for k, force in enumerate(options.get("forces", [])):
                 try:

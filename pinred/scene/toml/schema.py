@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 from .file_place import Place, shown, unknown
 
 Schema: TypeAlias = dict[str, Any]
+_TOP = "to the top level, above the first line with a [table]"
 
 
 class Node(ABC):
@@ -239,7 +240,7 @@ class Key:
         text: Meaning, with unit.
         required: Whether the key must be present.
         default: Value that applies if the key is missing, in words.
-        command: Name and value format on the command line, such as "--time T"; "" for none.
+        command: Name and value format on the command line, such as "--duration T"; "" for none.
     """
 
     node: Node
@@ -269,6 +270,7 @@ class Table(Node):
         needs: {key: another key that it requires}.
         one_of: Keys, exactly one of which must be present; no restriction if empty.
         name: Name of the type in the JSON Schema.
+        elsewhere: {key of another table: the place where it belongs}, for messages.
     """
 
     keys: Mapping[str, Key]
@@ -277,11 +279,14 @@ class Table(Node):
     needs: Mapping[str, str] = field(default_factory=dict)
     one_of: tuple[str, ...] = ()
     name: str = ""
+    elsewhere: Mapping[str, str] = field(default_factory=dict)
     types = (dict,)
 
     def _read(self, value: Any, place: Place) -> dict[str, Any]:
         for name in value:
             if name not in self.keys:
+                if name in self.elsewhere:
+                    (place / name).fail(f"this key belongs {self.elsewhere[name]}")
                 (place / name).fail(unknown(name, "key", self.keys, "the keys here are"))
         for name, key in self.keys.items():
             if key.required and name not in value:
@@ -354,6 +359,25 @@ class Tagged(Node):
 
     def _schema(self, defs: dict[str, Schema]) -> Schema:
         return {"oneOf": [self._table(tag).schema(defs) for tag in self.tables]}
+
+
+def with_places(table: Table) -> Table:
+    """Return a table of a whole file whose messages say where misplaced keys belong.
+
+    Args:
+        table: The keys at the top level; those whose values are tables have known keys, too.
+    """
+    places: dict[str, list[str]] = {name: [_TOP] for name in table.keys}
+    inner = {name: key for name, key in table.keys.items() if isinstance(key.node, Table)}
+    for name, key in inner.items():
+        for entry in key.node.keys:  # type: ignore[attr-defined]
+            places.setdefault(entry, []).append(f"in the table [{name}]")
+    elsewhere = {name: " or ".join(places[name]) for name in places}
+    keys = {
+        name: replace(key, node=replace(key.node, elsewhere=elsewhere))  # type: ignore[type-var]
+        for name, key in inner.items()
+    }
+    return replace(table, keys={**table.keys, **keys}, elsewhere=elsewhere)
 
 
 def document_schema(table: Table, title: str) -> Schema:

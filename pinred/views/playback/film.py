@@ -11,7 +11,8 @@ import signal
 import subprocess
 import tempfile
 import threading
-from collections.abc import Generator, Iterator, Sequence
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -22,6 +23,7 @@ from ...common.errors import InputError, OutputError
 from ...common.files import check_path, write_atomic
 from ...common.optional_packages import install_command
 from ...common.progress import Progress, quiet, shown
+from ...common.waiting import is_watched, say
 from ..motion_source import MotionSource
 from .headless_browser import Browser, browser
 from .page import page
@@ -30,6 +32,8 @@ from .view_options import View
 
 SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120
+_MEASURED = 5  # number of frames whose time is measured to estimate that of all
+_PATIENCE = 2.0  # least remaining time that is announced [s]
 GIF_FPS = (0.01, 50.0)  # gif delays are multiples of 0.01 s; browsers slow delays below 0.02 s
 SUFFIXES = (".mp4", ".gif", ".png")
 _PNG = "data:image/png;base64,"  # start of the pictures that the page returns
@@ -77,7 +81,11 @@ def save_film(
         with (
             _tidy_at_sigterm(),
             shown(progress, "film", len(times), "frames", "renders a film", reports=True) as report,
-            closing(capture_frames(source, times, pixels, view, report or quiet)) as shots,
+            closing(
+                capture_frames(
+                    source, times, pixels, view, _announcing(report or quiet, len(times))
+                )
+            ) as shots,
         ):
             if path.suffix == ".png":
                 return write_frames(path, shots)
@@ -86,6 +94,32 @@ def save_film(
             return _write_mp4(path, shots, view.fps, encoder)
     except OSError as error:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
+
+
+def _announcing(
+    progress: Progress | None, count: int, clock: Callable[[], float] = time.monotonic
+) -> Progress:
+    """Return a progress function that says once, after some frames, how long all of them take.
+
+    Args:
+        progress: Called with the completed fraction; may be None.
+        count: Number of frames.
+        clock: Function that returns a time [s].
+    """
+    began: list[float] = []
+
+    def report(part: float) -> None:
+        frames = round(part * count)
+        if not began:  # The first frame includes the start of the page.
+            began.append(clock())
+        elif frames == 1 + _MEASURED:
+            left = (clock() - began[0]) * (count - frames) / _MEASURED
+            if left > _PATIENCE and is_watched():
+                say(f"the {count} frames of the film take about {left:.0f} s")
+        if progress is not None:
+            progress(part)
+
+    return report
 
 
 def find_ffmpeg() -> str:

@@ -17,8 +17,11 @@ from .sweep_figures import scatter as scatter
 from .time_series import base as base
 from .time_series import energy as energy
 from .time_series import error as error
+from .time_series import limits as limits
 from .time_series import momentum as momentum
+from .time_series import rates as rates
 from .time_series import shape as shape
+from .time_series import torques as torques
 from .work_against_error import work_precision as work_precision
 
 INSTALL: str

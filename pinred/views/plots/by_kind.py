@@ -27,20 +27,35 @@ if TYPE_CHECKING:
     from ..motion_source import MotionSource
     from .connection_field import Part, Source
     from .shape_plane import Limits
+    from .time_series import Attitudes
     from .work_against_error import MeasuredWork
+
+DEFAULT_KIND = "shape"
 
 
 @overload
 def plot(
     source: MotionSource,
-    kind: Literal["shape"] = "shape",
+    kind: Literal["shape", "rates", "limits"] = "shape",
     *,
     joints: Sequence[str | int] | None = None,
 ) -> Figure: ...
 
 
 @overload
-def plot(source: MotionSource, kind: Literal["base", "momentum", "energy"]) -> Figure: ...
+def plot(
+    source: Trajectory, kind: Literal["torques"], *, joints: Sequence[str | int] | None = None
+) -> Figure: ...
+
+
+@overload
+def plot(
+    source: MotionSource, kind: Literal["base"], *, attitude: Attitudes = "quaternion"
+) -> Figure: ...
+
+
+@overload
+def plot(source: MotionSource, kind: Literal["momentum", "energy"]) -> Figure: ...
 
 
 @overload
@@ -143,7 +158,7 @@ def plot(source: Any, kind: str) -> Figure: ...
 
 @checks_arguments
 @shows_overloads
-def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
+def plot(source: Any, kind: str = DEFAULT_KIND, **options: Any) -> Figure:
     """Draw a figure by the function of pinred.plots with the name `kind`.
 
     Each kind accepts only some of the options; see the functions of pinred.plots.
@@ -163,6 +178,7 @@ def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
         value: Value of the joint at which it crosses the section [rad | m].
         direction: Direction of the crossing: 1, −1, or 0 for both.
         against: "wall" or "evaluations".
+        attitude: "quaternion", or in degrees "vector" or "rpy" (roll, pitch, yaw).
         part: "curvature", "exterior", "bracket" or "connection".
         gait: Gait to draw over the field.
         joint: Name or index of the joint on the vertical axis.

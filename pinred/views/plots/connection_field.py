@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -10,12 +11,19 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
-from ...analysis.connections.connection_source import ConnectionSource, connection_of, rest_of
+from ...analysis.connections.connection_source import (
+    ConnectionSource,
+    connection_of,
+    rest_of,
+    robot_of,
+)
 from ...analysis.full_reduction import Reduction
 from ...analysis.gaits.gait import Gait
+from ...analysis.phases.phase import phase
 from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array, vector
-from ...common.errors import InputError
+from ...common.errors import InputError, PinredError
+from ...common.names import component_index
 from ...lie.group import Group
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
@@ -29,6 +37,7 @@ from .style import BLACK, figure, styled
 Part = Literal["curvature", "exterior", "bracket", "connection"]
 _PARTS = ("curvature", "exterior", "bracket", "connection")
 _ALONG_GAIT = 400
+MOVED = 1e-6  # smallest turn [rad] or displacement [m] of a cycle that counts as a motion
 
 Source: TypeAlias = System | Connection | Reduction | MotionSource
 
@@ -52,8 +61,9 @@ def field(
             coordinates of balls (`in_chart`).
         joints: Names or indices of two joints; if None, the two that the gait moves most, or else
             the first two.
-        component: v1 … ω3 (or w3), or an index in the body twist. If None, the
-            rotation with the largest values.
+        component: v1 … ω3 (or w3, x, y, z, turn), or an index in the body twist. If None, the one
+            that a cycle of the gait moves (`moved_component`), or else the rotation with the
+            largest values.
         part: "curvature" B, its terms "exterior" ∂_αA_β − ∂_βA_α and "bracket" [A_α, A_β], or
             "connection": the row of −A as a vector field with flow lines over its magnitude.
         limits: (low, high) of each joint [rad | m]; around the gait, or ±π if None.
@@ -80,6 +90,9 @@ def field(
         limits = [(-np.pi, np.pi)] * 2 if path is None else around(path[:, pair], units)
     shapes = plane(pair, limits, frozen)
     grid = source.grid(shapes.shapes)
+    if component is None and gait is not None:
+        with suppress(PinredError):  # A gait may cross shapes without a connection.
+            component = moved_component(source.group, phase(source, gait).pose)
     if part == "connection":
         local = -grid.local[..., pair]
         index = component_of(source.group, component, np.linalg.norm(local, axis=-1))
@@ -91,12 +104,26 @@ def field(
     label = source.group.twist_names[index]
     a, b = (source.joints[k] for k in pair)
     titles = {"curvature": "B", "exterior": "dA", "bracket": "[A, A]", "connection": "−A"}
-    title = f"{source.form.what}: {titles[part]}({a}, {b}), component {label}"
+    per = "joint motion" if part == "connection" else "area"
+    title = (
+        f"{robot_name(source)}: {motion_word(source.group, index)} per {per}, "
+        f"{titles[part]}({a}, {b}), component {label}"
+    )
+    if slice_ := title_at(names, pair, frozen):
+        title += f"\n{slice_}"
     if gait is not None and path is not None:
         title += _enclosed(source, gait, pair, part, index)
     drawing = figure(title, height=4.4)
     axes = drawing.subplots()
-    what, is_flow = f"{titles[part]}, component {label}", part == "connection"
+    is_flow = part == "connection"
+    unit = (
+        unit_of_curvature(label, units).partition("/")[0]
+        if is_flow
+        else unit_of_curvature(label, units)
+    )
+    if is_flow:
+        unit += f"/{units[0]}" if units[0] == units[1] else f"/({' | '.join(units)})"
+    what = f"{titles[part]}, component {label} [{unit}]"
     axes_labels = [names.with_unit(k) for k in pair]
     draw_field(axes, shapes, values, axes_labels, what, path=path, contours=not is_flow)
     if is_flow:
@@ -153,7 +180,7 @@ def curvature(
         source: A System, a Connection, a Reduction, or a motion, whose path is drawn.
         joints: Names or indices of two joints, or axes of balls; if None, the two that move most
             on the path, or else the first two.
-        component: v1 … ω3 (or w3), or an index in the body twist. If None, the
+        component: v1 … ω3 (or w3, x, y, z, turn), or an index in the body twist. If None, the
             rotation with the largest values.
         limits: (low, high) of each joint [rad | m]; around the path, or their range if None.
         at: Shape of the other joints, (nx,) [rad | m | 1]; the initial shape, or rest if None.
@@ -195,12 +222,13 @@ def curvature(
     a, b = (names.joints[k] for k in pair)
     frozen_joints = title_at(names, pair, frozen)
     drawing = figure(
-        f"{names.robot}: curvature B({a}, {b}), component {label}"
+        f"{names.robot}: {motion_word(system.group, index)} per area, curvature B({a}, {b}), "
+        f"component {label}"
         + (", is zero everywhere" if flat else "")
         + (f"\n{frozen_joints}" if frozen_joints else ""),
         height=4.4,
     )
-    what = f"B, component {label} [{_unit(label, units)}]"
+    what = f"B, component {label} [{unit_of_curvature(label, units)}]"
     axes_labels = [names.with_unit(k) for k in pair]
     draw_field(drawing.subplots(), shapes, values, axes_labels, what, path=drawn)
     return drawing
@@ -215,6 +243,38 @@ def _system(source: Source) -> System:
     )  # fmt: skip
 
 
+def moved_component(group: Group, pose: Array) -> int | None:
+    """Return the twist component in which a displacement moves most; a turn has precedence.
+
+    Args:
+        group: The symmetry group.
+        pose: The displacement, (size,).
+    Returns:
+        The index of the largest rotation above MOVED, or else of the largest translation above it;
+        None if there is neither.
+    """
+    k = group.linear
+    turn = pose[-1:] if group.turns == 1 else group.log(pose)[k:]  # a full turn has the log 0
+    for first, part in ((k, turn), (0, pose[:k])):
+        if np.abs(part).max(initial=0.0) > MOVED:
+            return first + int(np.argmax(np.abs(part)))
+    return None
+
+
+def motion_word(group: Group, index: int) -> str:
+    """Return the motion along a twist component: "displacement along x", "turn about y"."""
+    if index < group.linear:
+        alone = group.linear == 1
+        return "displacement" if alone else f"displacement along {group.pose_names[index]}"
+    return "turn" if group.turns == 1 else f"turn about {'xyz'[group.axes[index] - 3]}"
+
+
+def robot_name(source: Connection) -> str:
+    """Return the name of the robot of a connection, or what its form states without one."""
+    robot = robot_of(source)
+    return source.form.what if robot is None else robot.name
+
+
 def component_of(group: Group, component: str | int | None, B: Array) -> int:
     """Return the index of a body twist component; if None, of the rotation with the largest B."""
     names, linear = group.twist_names, group.linear
@@ -223,18 +283,17 @@ def component_of(group: Group, component: str | int | None, B: Array) -> int:
         first = linear if linear < len(names) else 0
         return first + int(np.argmax(size[first:]))
     if isinstance(component, str):
-        name = component.replace("w", "ω")
-        if name in names:
-            return names.index(name)
-    elif not isinstance(component, bool) and 0 <= component < len(names):
-        return int(component)
-    raise InputError(
-        f"no component {component!r} in a twist of {group.name}; the components are "
-        + ", ".join(names).replace("ω", "w")
-    )
+        return component_index(component, group.components("twist"), f"component of {group.name}")
+    if isinstance(component, bool) or not 0 <= component < len(names):
+        raise InputError(
+            f"component: expected an index below {len(names)} or a name, got {component!r}; the "
+            f"components of {group.name} are {', '.join(names)}"
+        )
+    return int(component)
 
 
-def _unit(label: str, units: Sequence[str]) -> str:
+def unit_of_curvature(label: str, units: Sequence[str]) -> str:
+    """Return the unit of a curvature component over two joints with these units."""
     numerator = "m" if label.startswith("v") else "rad"
     a, b = units
     return f"{numerator}/{a}²" if a == b else f"{numerator}/({a}·{b})"

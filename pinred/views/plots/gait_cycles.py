@@ -24,14 +24,21 @@ from ...planning.optimisation.best_gait import BestGait
 from ...planning.optimisation.cost_units import merit_name
 from ...planning.optimisation.objective import AxisAim
 from ...planning.reorientation.turn_plan import TurnPlan
-from .connection_field import component_of
+from .connection_field import (
+    component_of,
+    motion_word,
+    moved_component,
+    robot_name,
+    unit_of_curvature,
+)
 from .motion_labels import labels_of_connection
-from .shape_plane import around, draw_field, draw_path, plane
+from .shape_plane import around, draw_field, draw_path, plane, title_at
 from .style import BLACK, RED, figure, legend, line, styled
 
 _MOST = 1000
 
 _TIMES = 400
+_PER_CYCLE = 200  # least number of line segments of a cycle, so that no corners are visible
 _STILL = 1e-9  # largest rotation [rad] and displacement [m] that count as zero
 _OTHERS = 5  # largest number of other local optima in the figure
 
@@ -57,8 +64,9 @@ def cycles(source: Phase, *, count: int = 5) -> Figure:
         raise InputError(f"count must be a number of cycles from 1 to {_MOST}, got {count!r}")
     group, number = source.group, int(count)
     starts = np.array([source.cycles(k) for k in range(number + 1)])
-    poses = np.concatenate([group.compose(start[None], source.path) for start in starts[:-1]])
-    times = np.concatenate([source.times + k * source.times[-1] for k in range(number)])
+    at, path = source.fine_path(_PER_CYCLE)
+    poses = np.concatenate([group.compose(start[None], path) for start in starts[:-1]])
+    times = np.concatenate([at + k * at[-1] for k in range(number)])
     title = f"the base over {number} cycle{'s' * (number > 1)}: {_motion_of(source)}"
     if group.plane:
         drawing = figure(title, height=4.4)
@@ -146,7 +154,7 @@ def loop(source: BestGait | TurnPlan) -> Figure:
             "loop draws a BestGait or a TurnPlan, as optimise_gait and reorient return, got "
             f"{type(source).__name__}"
         )
-    drawing = figure(f"{connection.form.what}: {title}", width=9.6, height=4.4)
+    drawing = figure(f"{robot_name(connection)}: {title}", width=9.6, height=4.4)
     panels: Any = drawing.subfigures(1, 2, width_ratios=(1.25, 1.0))
     field_panel, time_panel = panels
     component = _component_of(connection.group, source, poses)
@@ -157,6 +165,9 @@ def loop(source: BestGait | TurnPlan) -> Figure:
         joints.plot(times, shapes[:, joint], label=connection.joints[joint], **line(k))
     units = sorted({connection.form.units[k] for k in moving}, reverse=True)
     joints.set_ylabel(f"joints [{' | '.join(units)}]")
+    if len(moving) < connection.m:
+        text = f"the {len(moving)} of {connection.m} joints that move most"
+        joints.set_title(text, loc="left")
     legend(joints)
     _over_time(base, connection.group, at, poses)
     return drawing
@@ -165,15 +176,14 @@ def loop(source: BestGait | TurnPlan) -> Figure:
 def _component_of(group: Group, source: BestGait | TurnPlan, poses: Array) -> int | None:
     """Return the component of the curvature that the objective concerns, or None.
 
-    For a target pose it is the axis about which the base turns most from the first to the last
-    pose; without a turn there is none.
+    For a target pose it is the component of the largest turn from the first to the last pose, or
+    without a turn of the largest displacement.
     """
     aim = source.task.aim if isinstance(source, BestGait) else source.aim
     if isinstance(aim, AxisAim):
         largest = int(np.argmax(np.abs(aim.axis)))
         return largest + (group.linear if aim.kind == "rotation" else 0)
-    turned = np.abs(_changes(group, poses, "rotation")[0][-1])
-    return group.linear + int(np.argmax(turned)) if np.any(turned > 1e-6) else None
+    return moved_component(group, group.compose(group.inverse(poses[0]), poses[-1]))
 
 
 def _on_curvature(
@@ -195,7 +205,14 @@ def _on_curvature(
         axes.set(xlabel=names[0], ylabel=names[1], title="no curvature: the loops do not close")
     else:
         index = component_of(connection.group, component, curvature)
-        what = f"B, component {connection.group.twist_names[index]}"
+        group, a_and_b = connection.group, ", ".join(connection.joints[k] for k in pair)
+        label = group.twist_names[index]
+        what = f"B, component {label} [{unit_of_curvature(label, units)}]"
+        axes.set_title(
+            f"{motion_word(group, index)} per area of {a_and_b}\n"
+            f"{title_at(labels_of_connection(connection), pair, paths[0][0])}".rstrip(),
+            loc="left", parse_math=False,
+        )  # fmt: skip
         draw_field(axes, shapes, curvature[..., index], names, what, path=paths[0])
     for path in paths[1:]:
         axes.plot(path[:, pair[0]], path[:, pair[1]], color=BLACK, linewidth=0.6, zorder=3)

@@ -13,7 +13,7 @@ from ...common.argument_kinds import checks_arguments
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.names import listed, nearest, quoted
-from .style import BLUE, FIELD, PANEL, RED, STEADY, WIDTH, figure, styled
+from .style import BLACK, BLUE, FIELD, PANEL, RED, STEADY, WIDTH, figure, legend, styled
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -27,7 +27,7 @@ _MOST_LISTED = 400  # largest number of different values that get a cell each
 @checks_arguments
 @styled
 def histogram(source: Dataset, *, output: str | None = None) -> Figure:
-    """Draw the distribution of an output of a sweep, with its median and 5 and 95 % quantiles.
+    """Draw the distribution of an output of a sweep, with quantiles, mean and standard deviation.
 
     Args:
         source: Results of `pinred.sweep`, or the dataset of a store.
@@ -45,8 +45,12 @@ def histogram(source: Dataset, *, output: str | None = None) -> Figure:
     if high - low <= STEADY * size:  # Bins of constant values would be narrower than round-off.
         low, high = low - (0.1 * size or 1.0), high + (0.1 * size or 1.0)
     axes.hist(values, bins=_BINS, range=(low, high), color=BLUE)
-    for level, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
-        axes.axvline(float(np.quantile(values, level)), color=RED, linestyle=style)
+    for level, style, words in ((0.05, ":", "5 %"), (0.5, "-", "median"), (0.95, ":", "95 %")):
+        value = float(np.quantile(values, level))
+        axes.axvline(value, color=RED, linestyle=style, label=f"{words}: {value:.4g}")
+    mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    axes.axvline(mean, color=BLACK, linestyle="--", label=f"mean: {mean:.4g} ± {deviation:.2g}")
+    legend(axes)
     axes.set_xlabel(_label(source, name))
     axes.set_ylabel(f"points of {len(values)}")
     return drawing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,14 +16,18 @@ from ...judge.audit import audit_trajectory
 from ...judge.compare import DRIFT_BOUND, compare
 from ...judge.verdict import Report
 from ...lie.groups import group_named
+from ...lie.rotations import rotation, unwrapped_rotation_vectors
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import FIELDS
+from ...system.stated_limits import joint_limits
 from ..motion_source import MotionSource
-from .motion_labels import labels
+from .motion_labels import Labels, labels
 from .style import legend, line, on_log, over_time, shown, steady, styled
 
-_TWIST_TO_MOMENTUM = str.maketrans("vω", "pL")  # twist component → momentum component
+Attitudes: TypeAlias = Literal["quaternion", "vector", "rpy"]
+ATTITUDES: tuple[Attitudes, ...] = get_args(Attitudes)
+_NAMED = 6  # largest number of joints that the legend of a panel of `limits` names
 LINEAR, ANGULAR = "linear [N·s]", "angular [N·m·s]"
 
 
@@ -51,6 +56,136 @@ def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) ->
     return figure
 
 
+@checks_arguments
+@styled
+def rates(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -> Figure:
+    """Draw the joint rates over time, in the panels of `shape`.
+
+    Args:
+        motion: Trajectory, or a recording read from a file.
+        joints: Names or indices of joints; all if None.
+    Returns:
+        The figure.
+    Raises:
+        InputError: Unknown joints, or a robot without joints.
+    """
+    names = labels(motion)
+    names.require(1, "a plot of the rates")
+    units = [f"{unit}/s" for unit in names.units]
+    return _by_joint(f"{names.robot}: joint rates", names, motion.t, motion.xdot, units, joints)
+
+
+@checks_arguments
+@styled
+def torques(traj: Trajectory, *, joints: Sequence[str | int] | None = None) -> Figure:
+    """Draw the torques on the joints over time (`Trajectory.torques`), in the panels of `shape`.
+
+    Args:
+        traj: Trajectory; a recording has no forces.
+        joints: Names or indices of joints; all if None.
+    Returns:
+        The figure.
+    Raises:
+        InputError: Unknown joints, a robot without joints, or a recording.
+    """
+    if not isinstance(traj, Trajectory):
+        raise InputError(
+            f"a plot of the torques takes a Trajectory, got {type(traj).__name__}, which has no "
+            "forces. Plot the torques of the robot or of its scene file"
+        )
+    names = labels(traj)
+    names.require(1, "a plot of the torques")
+    units = ["N" if unit == "m" else "N·m" for unit in names.units]
+    return _by_joint(f"{names.robot}: joint torques", names, traj.t, traj.torques, units, joints)
+
+
+def _by_joint(
+    title: str, names: Labels, t: Array, values: Array, units: Sequence[str],
+    joints: Sequence[str | int] | None,
+) -> Figure:  # fmt: skip
+    """Draw values by joint, (T, m), over time in the panels of `shape`."""
+    panels = names.panels(joints)
+    drawing, axes_list = over_time(title, len(panels))
+    for axes, panel in zip(axes_list, panels, strict=True):
+        label = f"{names.joints[panel[0]]} " if len(panel) == 1 else ""
+        entries = [shown(names.joints[k]) for k in panel]
+        _lines(axes, t, values[:, panel], entries, f"{label}[{units[panel[0]]}]")
+    return drawing
+
+
+@checks_arguments
+@styled
+def limits(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -> Figure:
+    """Draw positions, rates and torques over time, relative to the limits of the robot's file.
+
+    1 is the upper and −1 the lower limit.  A rate or torque is divided by its limit; a position is
+    measured from the middle between its limits.  Joints without a limit are left out, and so are
+    the torques of recordings.  The title names the largest value; the legend of a panel names the
+    joints with the largest ones, and the others are grey.
+
+    Args:
+        motion: Trajectory, or a recording read from a file.
+        joints: Names or indices of joints; all with limits if None.
+    Returns:
+        The figure.
+    Raises:
+        InputError: Unknown joints, or the file states no limits of them.
+        LoadError: The robot of a recording is not found.
+    """
+    names, stated = labels(motion), joint_limits(motion.system)
+    chosen = [*range(len(names.joints))] if joints is None else names.indices(joints)
+    x = motion.x
+    if x.shape[-1] != len(names.joints):
+        x = motion.system.space.chart(x)
+    quantities = {"position": (x, stated.position), "rate": (motion.xdot, stated.rate)}
+    if isinstance(motion, Trajectory):
+        quantities["torque"] = (motion.torques, stated.effort)
+    panels: dict[str, tuple[Array, list[str]]] = {}
+    for quantity, (values, ends) in quantities.items():
+        kept = [k for k in chosen if np.isfinite(ends[k]).any()]
+        if kept:
+            share = _share_of_limits(values[:, kept], ends[kept], quantity == "position")
+            panels[quantity] = share, [names.joints[k] for k in kept]
+    if not panels:
+        raise InputError(
+            f"the file of '{names.robot}' states no limits of {', '.join(names.joints) or 'joints'}"
+        )
+    excess = max(
+        (float(np.abs(share).max()), f"{quantity} of {joint[np.abs(share).max(axis=0).argmax()]}")
+        for quantity, (share, joint) in panels.items()
+    )
+    words = f"largest {excess[0]:.3g} of the limit, {excess[1]}"
+    drawing, axes_list = over_time(f"{names.robot}: limits of the file ({words})", len(panels))
+    for axes, (quantity, (share, entries)) in zip(axes_list, panels.items(), strict=True):
+        order = np.argsort(-np.abs(share).max(axis=0), kind="stable")
+        named = sorted(order[:_NAMED].tolist())
+        for k, column in enumerate(share.T):
+            if k not in named:
+                axes.plot(motion.t, column, color="#AAAAAA", linewidth=0.7)
+        for style, k in enumerate(named):
+            axes.plot(motion.t, share[:, k], label=shown(entries[k]), **line(style))
+        if others := len(entries) - len(named):
+            axes.plot([], [], color="#AAAAAA", linewidth=0.7, label=f"{others} others")
+        for end in (-1.0, 1.0):
+            axes.axhline(end, color="#888888", linewidth=1.0)
+        axes.set_ylabel(f"{quantity} / limit")
+        legend(axes)
+    return drawing
+
+
+def _share_of_limits(values: Array, ends: Array, from_middle: bool) -> Array:
+    """Return values (T, n) as shares of their limits (n, 2): 1 at the upper, −1 at the lower."""
+    low, high = ends.T
+    if from_middle:
+        both = np.isfinite(ends).all(axis=1)
+        middle = np.where(both, 0.5 * (np.where(both, low, 0.0) + np.where(both, high, 0.0)), 0.0)
+        values, low, high = values - middle, low - middle, high - middle
+    size = np.where(values >= 0.0, np.abs(high), np.abs(low))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(values == 0.0, 0.0, values / size)
+    return np.asarray(share)
+
+
 def _lines(axes: Axes, t: Array, values: Array, names: Sequence[str], title: str) -> None:
     """Draw the columns of `values`, (T, n), over time in one panel with a legend."""
     for k, (name, column) in enumerate(zip(names, values.T, strict=True)):
@@ -62,25 +197,50 @@ def _lines(axes: Axes, t: Array, values: Array, names: Sequence[str], title: str
 
 @checks_arguments
 @styled
-def base(motion: MotionSource) -> Figure:
-    """Draw the pose of the base over time: position, and angle or quaternion.
+def base(motion: MotionSource, *, attitude: Attitudes = "quaternion") -> Figure:
+    """Draw the pose of the base over time: position, and angle or attitude.
 
     Quaternions q and −q are the same orientation; signs are chosen so that curves are continuous.
+    Roll, pitch and yaw are R = Rz(yaw) Ry(pitch) Rx(roll).
 
     Args:
         motion: Trajectory, or a recording read from a file.
+        attitude: "quaternion", or "vector" for the rotation vector or "rpy" for roll, pitch and
+            yaw, both in degrees; a planar angle is then in degrees, too.
     Returns:
         The figure.
     Raises:
-        InputError: The base was left out.
+        InputError: The base was left out, or `attitude` is unknown.
     """
+    if attitude not in ATTITUDES:
+        raise InputError(f"attitude: expected {' or '.join(ATTITUDES)}, got {attitude!r}")
     names = labels(motion)
     group = group_named(names.group)
-    k, pose = group.linear, continuous(motion.pose) if group.turns == 3 else motion.pose
-    attitude = "quaternion [1]" if group.turns == 3 else "angle [rad]"
+    k, pose, entries = group.linear, motion.pose, group.pose_names
+    label = "quaternion [1]" if group.turns == 3 else "angle [rad]"
+    if group.turns == 3:
+        pose = continuous(pose)
+    if attitude != "quaternion" and group.turns:
+        turned, label, words = _in_degrees(pose[:, k:], attitude)
+        pose, entries = np.column_stack([pose[:, :k], turned]), (*entries[:k], *words)
     title = f"{names.robot}: pose of the base ({names.group})"
-    quantities = {"position [m]": slice(0, k), attitude: slice(k, None)}
-    return _quantities(title, motion.t, pose, group.pose_names, quantities)[0]
+    quantities = {"position [m]": slice(0, k), label: slice(k, None)}
+    return _quantities(title, motion.t, pose, entries, quantities)[0]
+
+
+def _in_degrees(attitude: Array, kind: Attitudes) -> tuple[Array, str, tuple[str, ...]]:
+    """Return angles (T, 1 or 3) in degrees, their axis label, and the names of the columns."""
+    if attitude.shape[1] == 1:
+        return np.rad2deg(attitude), "angle [°]", ("θ",)
+    if kind == "vector":
+        vectors = unwrapped_rotation_vectors(attitude)
+        return np.rad2deg(vectors), "rotation vector [°]", ("x", "y", "z")
+    R = rotation(attitude)
+    roll = np.unwrap(np.arctan2(R[:, 2, 1], R[:, 2, 2]))
+    pitch = np.arcsin(np.clip(-R[:, 2, 0], -1.0, 1.0))
+    yaw = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+    angles = np.rad2deg(np.column_stack([roll, pitch, yaw]))
+    return angles, "attitude [°]", ("roll", "pitch", "yaw")
 
 
 def _quantities(
@@ -192,10 +352,9 @@ def momentum(motion: MotionSource) -> Figure:
     names = labels(motion)
     group = group_named(names.group)
     linear, values = group.linear, motion.spatial_momentum
-    entries = [name.translate(_TWIST_TO_MOMENTUM) for name in group.twist_names]
     title = f"{names.robot}: spatial momentum"
     quantities = {LINEAR: slice(0, linear), ANGULAR: slice(linear, None)}
-    figure, panels = _quantities(title, motion.t, values, entries, quantities, more=1)
+    figure, panels = _quantities(title, motion.t, values, group.momentum_names, quantities, more=1)
     if isinstance(motion, Trajectory):
         momenta = audit_trajectory(motion, motion.states).momenta[:, : group.dim]
         drift = _largest_by_quantity(momenta, linear)

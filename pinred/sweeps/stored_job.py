@@ -1,0 +1,86 @@
+"""The file of a store that contains its scene, so that single points can be simulated again.
+
+A scene is a pickle, which could execute anything.  Therefore the file has the user's signature, and
+only files with the own signature are read; see common/signing_key.py.
+"""
+
+from __future__ import annotations
+
+import hmac
+import pickle
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from ..common.errors import InputError
+from ..common.files import read_plain_file, write_atomic
+from ..common.names import brief
+from ..common.signing_key import TEMPORARY, fingerprint, signing_key
+from .sweep_job import SweepJob
+
+_FILE = "scene.signed"
+_SIGNATURE = 32  # bytes of the HMAC-SHA256 of the sweep and the scene, at the start
+_MOST_BYTES = 2**30  # largest accepted size of the file [bytes]
+_REMEDY = "Call pinred.sweep with the scene and the same store, which computes nothing again"
+
+
+def write_job(folder: Path, job: SweepJob, sweep: str) -> None:
+    """Write scene and points of a sweep, unless the file exists or they cannot be pickled.
+
+    Args:
+        folder: The folder of the plan.
+        job: The sweep.
+        sweep: The entry `hash` of its plan.
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    path = folder / _FILE
+    if fingerprint() == TEMPORARY or _signed(path, sweep) is not None:
+        return
+    try:
+        data = pickle.dumps(replace(job, outputs=()))
+    except Exception:  # Functions of users may raise any exception.
+        return
+    with suppress(OSError):  # An empty folder in the way of the file; writing reports others.
+        path.rmdir()
+    write_atomic(path, lambda file: file.write(_signature(data, sweep) + data))
+
+
+def read_job(folder: Path, sweep: str) -> SweepJob:
+    """Read scene and points of a sweep.
+
+    Args:
+        folder: The folder of the plan.
+        sweep: The entry `hash` of its plan.
+    Returns:
+        The sweep, without its outputs.
+    Raises:
+        InputError: The file is missing, or was not written by this user.
+    """
+    path = folder / _FILE
+    data = _signed(path, sweep)
+    if data is None:
+        why = (
+            "their store was written or changed by another user"
+            if path.exists()
+            else "the scene contains functions, which its store cannot keep"
+        )
+        raise InputError(f"point: these results were read without their scene: {why}. {_REMEDY}")
+    try:
+        job: SweepJob = pickle.loads(data)
+    except Exception as error:  # Another version of pinred may have other classes.
+        raise InputError(
+            f"point: the scene in the store cannot be read: {brief(error)}. {_REMEDY}"
+        ) from None
+    return job
+
+
+def _signed(path: Path, sweep: str) -> bytes | None:
+    """Return the pickle in a file; None without a file with the user's signature."""
+    content = read_plain_file(path, _MOST_BYTES) or b""
+    signature, data = content[:_SIGNATURE], content[_SIGNATURE:]
+    return data if hmac.compare_digest(signature, _signature(data, sweep)) else None
+
+
+def _signature(data: bytes, sweep: str) -> bytes:
+    return hmac.digest(signing_key(), sweep.encode() + data, "sha256")
