@@ -12,7 +12,7 @@ L. N. Trefethen, Approximation Theory and Approximation Practice, SIAM 2019, cha
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -70,16 +70,20 @@ class StepLimits:
             the range of the function's integral over the run; the largest of all functions,
             (P, DEGREE + 1).
         unresolved: Times near which the search ended before a function was resolved, (U,) [s].
+        share: Factor by which the longest steps are shorter than the panels.
     """
 
     ends: Array
     longest: Array
     decay: Array
     unresolved: Array
+    share: float = 1.0
 
     def shorter(self, share: float) -> StepLimits:
         """Return the limits with all steps shorter by a factor."""
-        return replace(self, longest=share * self.longest)
+        if share == 1.0:
+            return self
+        return replace(self, longest=share * self.longest, share=share * self.share)
 
     def within(self, starts: Array, ends: Array) -> Array:
         """Return the longest step in each of K intervals of time, (K,) [s].
@@ -129,8 +133,9 @@ class StepLimits:
             previous = own
         return np.array(stops[1:] if stops and stops[0] == 0.0 else stops)
 
+    @cached_property
     def cheapest(self) -> Limited:
-        """Return a longest step and stops that resolve all functions, whatever the other steps."""
+        """The longest step and the stops that resolve all functions with the fewest steps."""
         end = float(self.ends[-1])
         lengths = np.diff(self.ends, prepend=0.0)
         octaves = np.floor(_PER_OCTAVE * np.log2(self.longest)) / _PER_OCTAVE
@@ -186,7 +191,7 @@ def limits_of_runs(
     limits = []
     for first in range(0, len(numbers), _TOGETHER):
         search = _Search(forces, end, numbers[first : first + _TOGETHER], rtol)
-        limits += [replace(each, longest=each.longest * share) for each in search.run()]
+        limits += [each.shorter(share) for each in search.run()]
     return limits
 
 
