@@ -213,6 +213,7 @@ class _Panels(NamedTuple):
         noise: Round-off of the coefficients, (P, F).
         range: Range of the samples, (P, F).
         bounds: Width of intervals that contain all values, infinity if they are unknown, (P, F).
+        total: Range of the samples of each sum of functions, (P, S).
     """
 
     span: Indices
@@ -222,6 +223,7 @@ class _Panels(NamedTuple):
     noise: Array
     range: Array
     bounds: Array
+    total: Array
 
     def at(self, which: Any) -> _Panels:
         """Return the panels with given indices, or a mask."""
@@ -291,7 +293,7 @@ class _Search:
     ) -> _Panels:
         """Evaluate the functions on panels, and their bounds if `bounded`."""
         functions, nodes, transform = self._forces.time_functions, *_chebyshev()
-        bare = _Panels(span, level, index, *[np.empty(0)] * 4)
+        bare = _Panels(span, level, index, *[np.empty(0)] * 5)
         starts, lengths = self._times(bare)
         times = starts[:, None] + 0.5 * lengths[:, None] * (1.0 + nodes)
         within, count = self._within[span], DEGREE + 1
@@ -312,24 +314,27 @@ class _Search:
             bounds = functions.widths(
                 starts, starts + lengths, numbers, self._forces.within, within
             )
+        total = np.ptp(np.add.reduceat(values, functions.firsts, axis=1), axis=2)
         return _Panels(
-            span, level, index, values @ transform, noise, np.ptp(values, axis=2), bounds.T
+            span, level, index, values @ transform, noise, np.ptp(values, axis=2), bounds.T, total
         )
 
     def _scales(self, panels: _Panels) -> Array:
-        """Return the range of the integral of each function over each run, (N, F)."""
+        """Return the range over each run of the integral of the sum with each function, (N, F)."""
         starts, lengths = self._times(panels)
         run = self._run[panels.span]
         order = np.lexsort((starts, run))
         first = np.searchsorted(run[order], np.arange(len(self._numbers)))
-        means = panels.coefficients[:, :, ::2] @ _MEANS
+        firsts = self._forces.time_functions.firsts
+        means = np.add.reduceat(panels.coefficients[:, :, ::2] @ _MEANS, firsts, axis=1)
         steps = (lengths[:, None] * means)[order]
         sums = np.cumsum(steps, axis=0)
         sums -= (sums - steps)[first][run[order]]
         highest = np.maximum(np.maximum.reduceat(sums, first), 0.0)
         lowest = np.minimum(np.minimum.reduceat(sums, first), 0.0)
-        inside = np.maximum.reduceat((lengths[:, None] * panels.range)[order], first) / DEGREE
-        return np.asarray(np.maximum(highest - lowest, inside))
+        inside = np.maximum.reduceat((lengths[:, None] * panels.total)[order], first) / DEGREE
+        terms = np.diff(firsts, append=panels.range.shape[1])
+        return np.repeat(np.maximum(highest - lowest, inside), terms, axis=1)
 
     def _growth(self, panels: _Panels, scale: Array) -> Array:
         """Return the ratio of the longest resolved step to each panel, (P,)."""

@@ -16,7 +16,7 @@ from scipy.special import jv
 import pinred
 from pinred import Parameter
 from pinred.common.arrays import Array
-from pinred.forces import Torque
+from pinred.forces import Torque, time_functions
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold
 from pinred.simulation import step_limits, step_resolution, time_resolution
@@ -271,6 +271,29 @@ def test_limits_find_a_needle_between_all_samples(monkeypatch: pytest.MonkeyPatc
     assert len(limits.ends) < 100
     monkeypatch.setattr(step_limits, "_LOOK", 0)
     assert limits_of(lambda t: 1.0 * needle(t), end=2.0000001).longest.min() > 1e-3
+
+
+@pytest.mark.parametrize("kind", ["sum", "multiple", "product"])
+def test_limits_find_a_needle_in_a_sum(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow term of the same size does not hide it, although bounds of the sum are not wider."""
+
+    def torque(t: ca.SX) -> ca.SX:
+        both = ca.sin(3.0 * t) - 0.5 * ca.exp(-(((t - 1.2345678) / 1e-5) ** 2)) + 2.0
+        return {"sum": both, "multiple": -0.3 * both, "product": both * ca.tanh(t)}[kind]
+
+    limits = limits_of(torque)
+    at = int(np.searchsorted(limits.ends, 1.2345678))
+    assert limits.longest[at] < 1e-4
+    assert limits.longest.max() > 0.1
+    monkeypatch.setattr(time_functions, "_MOST_TERMS", 0)
+    assert limits_of(torque, end=2.0000001).longest.min() > 0.03
+
+
+def test_limits_of_a_sum_are_not_those_of_its_faint_terms() -> None:
+    """A term of 1e-6 needs fewer digits than a sum of one."""
+    faint = limits_of(lambda t: ca.sin(5.0 * t) + 1e-6 * ca.sin(60.0 * t)).longest.min()
+    alone = limits_of(lambda t: 1e-6 * ca.sin(60.0 * t)).longest.min()
+    assert faint > 2.0 * alone
 
 
 def test_limits_stop_at_round_off(monkeypatch: pytest.MonkeyPatch) -> None:
