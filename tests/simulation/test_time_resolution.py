@@ -21,6 +21,7 @@ from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Hold
 from pinred.simulation import step_limits, step_resolution, time_resolution
 from pinred.simulation.flow_map import resolved_run
+from pinred.simulation.members import integrate_members
 from pinred.simulation.plan import plan_of
 from pinred.simulation.step_limits import StepLimits
 from tests.helpers import timed_torques
@@ -453,14 +454,29 @@ def test_fast_torques_are_resolved_by_flows_and_batches() -> None:
                 assert np.abs(x - expected).max() < 100.0 * rtol * max(1.0, growth)
 
 
+def pulse(s: Any) -> dict[str, Any]:
+    """Return a short torque that is hard for error estimates."""
+    return {"bend": 3.0 * ca.sin(RATE * s.t) * ca.exp(-(((s.t - CENTRE) / WIDTH) ** 2))}
+
+
 def test_step_in_the_flank_of_a_pulse_is_checked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error estimate of DOP853 fails in a step that sees the pulse; a third run is shorter."""
-
-    def pulse(s: Any) -> dict[str, Any]:
-        return {"bend": 3.0 * ca.sin(34.0 * s.t) * ca.exp(-(((s.t - 1.1) / 0.033) ** 2))}
-
-    options = scene(Torque(pulse), rtol=1e-10, atol=1e-12, method="auto", seed=2)
-    expected = end_by_short_steps(pulse, seed=2)
+    """The error estimate of DOP853 fails in a step that sees the pulse; a second run is shorter."""
+    values = {"rate": 34.0, "centre": 1.1, "width": 0.033}
+    options = scene(Torque(pulse), rtol=1e-10, atol=1e-12, seed=2, parameters=values)
+    expected = end_by_short_steps(pulse, seed=2, parameters=values)
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() < 2e-10
+    assert np.abs(pinred.simulate_many([options, options]).x[0, -1] - expected).max() < 2e-10
     monkeypatch.setattr(time_resolution, "SHARES", (1.0,))
     assert np.abs(pinred.simulate(options).x[-1] - expected).max() > 1e-8
+    monkeypatch.setattr(integrate_members, "_SHARE", 1.0)
+    assert np.abs(pinred.simulate_many([options, options]).x[0, -1] - expected).max() > 1e-8
+
+
+def test_sum_of_defects_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sum that is a few times larger than the bound is an error of 70 tolerances."""
+    values = {"rate": 46.97977080398951, "centre": 0.6171005539553089, "width": 0.06665264743290232}
+    options = scene(Torque(pulse), rtol=1e-10, atol=1e-12, seed=2, parameters=values)
+    expected = end_by_short_steps(pulse, seed=2, parameters=values)
+    assert np.abs(pinred.simulate(options).x[-1] - expected).max() < 2e-10
+    monkeypatch.setattr(time_resolution, "_DEFECT", 500.0)
+    assert np.abs(pinred.simulate(options).x[-1] - expected).max() > 2e-9
