@@ -192,7 +192,8 @@ def _apply(op: int, values: Sequence[_Value]) -> _Value:
     if kind == _TIMED and op in (*_SUMS, ca.OP_MUL, ca.OP_DIV):
         parts = [value.terms or (value.expression,) for value in values]
         if op in (ca.OP_ADD, ca.OP_SUB):
-            terms = (*parts[0], *(operation(op, 0.0, e) for e in parts[1]))
+            if sum(map(len, parts)) <= _MOST_TERMS:
+                terms = (*parts[0], *(operation(op, 0.0, e) for e in parts[1]))
         elif op == ca.OP_DIV:
             terms = tuple(operation(op, e, values[1].expression) for e in parts[0])
         elif prod(map(len, parts)) <= _MOST_TERMS:

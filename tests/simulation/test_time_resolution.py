@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -288,6 +288,40 @@ def test_limits_find_a_needle_in_a_sum(kind: str, monkeypatch: pytest.MonkeyPatc
     assert limits.longest.max() > 0.1
     monkeypatch.setattr(time_functions, "_MOST_TERMS", 0)
     assert limits_of(torque, end=2.0000001).longest.min() > 0.03
+
+
+def needle(t: ca.SX, width: float, centre: float = 1.2359) -> ca.SX:
+    """Return a Gaussian whose default centre is between the samples of panels."""
+    return ca.exp(-(((t - centre) / width) ** 2))
+
+
+# Constants of the search, the function that is hidden, and the constant ten times looser.
+HIDDEN: dict[str, tuple[Callable[[ca.SX], ca.SX], float]] = {
+    "_UNSEEN": (lambda t: (1.0 + 0.5 * ca.sin(3.0 * t)) ** 2 + needle(t, 1e-4), 80.0),
+    "_HIDDEN": (lambda t: (1.0 + 0.01 * ca.sin(3.0 * t)) ** 2 + needle(t, 1e-5), 1e4),
+    "_FAINT": (lambda t: needle(t, 0.05, 0.4) ** 2 + (2e-3 * needle(t, 1e-5)) ** 2, 1e-2),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_limits_find_a_needle_that_is_no_term(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A root of a sum is no sum; bounds show the needle up to a ratio of sizes."""
+    function, loose = HIDDEN[name]
+    limits = limits_of(lambda t: ca.sqrt(function(t)))
+    assert limits.longest[np.searchsorted(limits.ends, 1.2359)] < 1e-3
+    monkeypatch.setattr(step_limits, name, loose)
+    limits = limits_of(lambda t: ca.sqrt(function(t)), end=2.0000001)
+    assert limits.longest[np.searchsorted(limits.ends, 1.2359)] > 0.02
+
+
+@pytest.mark.parametrize(("terms", "most"), [(64, 64), (65, 2), (640, 64)])
+def test_long_sums_are_few_functions(terms: int, most: int) -> None:
+    """The search evaluates at most 64 terms, so that its memory is bounded."""
+    forces = scene(
+        Torque(lambda s: {"bend": sum(ca.sin(k * s.t) for k in range(1, terms + 1))})
+    ).force_model
+    assert forces is not None
+    assert 1 <= forces.time_functions.count <= most
 
 
 def test_limits_of_a_sum_are_not_those_of_its_faint_terms() -> None:
